@@ -1,0 +1,46 @@
+"""Files of trained networks: tensors and JSON meta data together, written atomically, equal content in equal bytes."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from dieseltwin.atomic import write_bytes
+from dieseltwin.errors import InputError
+
+FILE_SCHEMA = 1
+
+
+def save_state(path: str | Path, state: Mapping[str, Any], meta: Mapping[str, Any]) -> Path:
+    """Write tensors and JSON meta data to one file, atomically.
+
+    Raises:
+        InputError: full disk, read-only or missing folder.
+    """
+    buffer = io.BytesIO()  # a buffer, because torch.save writes a file's own name into it
+    torch.save({"schema": FILE_SCHEMA, "meta": json.dumps(meta, sort_keys=True), "state": dict(state)}, buffer)
+    return write_bytes(path, buffer.getvalue())
+
+
+def load_state(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Tensors and meta data of a file of `save_state`.
+
+    Raises:
+        InputError: no such file, not a file of `save_state`, another schema.
+    """
+    path = Path(path)
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", "a trained network", "run the pretraining first") from None
+    except (RuntimeError, EOFError, pickle.UnpicklingError, OSError) as error:
+        raise InputError(str(path), f"{error}"[:120], "a trained network's file", "train it again") from error
+    if not isinstance(content, dict) or content.get("schema") != FILE_SCHEMA:
+        raise InputError(str(path), "another format", f"a network file of schema {FILE_SCHEMA}", "train it again")
+    return content["state"], json.loads(content["meta"])
