@@ -1,0 +1,262 @@
+"""What an estimator is given: one segment of a recording, its noise, and the parameters taken as known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dieseltwin.engine import MEASURED, EngineParameters, Inputs
+from dieseltwin.errors import InputError
+
+Array = NDArray[np.float64]
+
+PAPER_NOISE: tuple[float, ...] = (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
+"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and W_c (PROTOCOL, Noise) [-]."""
+
+NOISE_FLOOR: tuple[float, ...] = (200.0, 200.0, 5.0, 5e-4, 1.0, 1e-3)
+"""Smallest noise that is believed [Pa, Pa, rad/s, kg/s, K, kg/s].
+
+About 0.1 % of full scale (0.5 % for the EGR venturi). Noise that is a percentage of a vanishing flow pretends information:
+without a floor a recording with a shut EGR valve would claim to know A_egrmax (ESTIMATION.md). The floor is far
+below the paper's percentages wherever a channel carries a signal.
+"""
+
+PAPER_CHANNELS: tuple[str, ...] = MEASURED[:5]
+"""The five channels that the paper measures; W_c is the optional sixth."""
+
+START_SAMPLES = 3
+"""Samples whose mean is the first guess of an initial state."""
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Noise standard deviation of each measured channel.
+
+    Attributes:
+        sigma: (6,) in the order of `MEASURED` [Pa, Pa, rad/s, kg/s, K, kg/s].
+    """
+
+    sigma: Array
+
+    def __post_init__(self) -> None:
+        sigma = np.asarray(self.sigma, dtype=np.float64)
+        if sigma.shape != (len(MEASURED),) or not np.all(np.isfinite(sigma) & (sigma > 0.0)):
+            raise InputError(
+                "noise levels",
+                sigma.tolist(),
+                f"one positive number for each of {MEASURED}",
+                "give them in SI units",
+            )
+        object.__setattr__(self, "sigma", sigma)
+
+    @classmethod
+    def from_signals(
+        cls, signals: ArrayLike, relative: ArrayLike = PAPER_NOISE, floor: ArrayLike = NOISE_FLOOR
+    ) -> NoiseLevels:
+        """Percentages of the mean over the whole recording, as PROTOCOL.md defines the noise.
+
+        Args:
+            signals: (n, 6) clean (or measured) channels of the whole recording, NaN where absent.
+            relative: (6,) noise as a share of the mean [-].
+            floor: (6,) smallest standard deviation [Pa, Pa, rad/s, kg/s, K, kg/s]; zeros switch it off.
+
+        Returns:
+            Levels; a channel that is absent everywhere gets its floor and is never used.
+        """
+        values = np.asarray(signals, dtype=np.float64)
+        present = np.isfinite(values)
+        mean = np.where(present, values, 0.0).sum(axis=0) / np.maximum(present.sum(axis=0), 1)
+        sigma = np.maximum(np.abs(mean) * np.asarray(relative), np.asarray(floor))
+        # With the floor off, a channel of zeros has no noise of its own; any positive value serves, as it has no samples.
+        return cls(np.where(sigma > 0.0, sigma, np.asarray(NOISE_FLOOR)))
+
+
+@dataclass(frozen=True)
+class SegmentProblem:
+    """One segment (usually a minute) from which the health parameters are to be found.
+
+    Attributes:
+        t0_s, t1_s: start and end of the segment in the recording [s].
+        inputs: inputs of n samples, preceded by `inputs.n_history` samples of history.
+        measured: (n, 6) readings in the order of `MEASURED` [Pa, Pa, rad/s, kg/s, K, kg/s]; NaN = masked.
+        sigma: (6,) noise standard deviation, same units.
+        parameters: the known parameters, ambient of the recording included; its health values are the starting point.
+        true_initial: (5,) p_im, p_em, omega_t, x_r, T_1 at the start, only for simulated recordings.
+        truth: true values of the four unknowns, only for simulated recordings.
+        noise_draws: (D, n, 6) further readings of the same segment, run r uses draw r modulo D; None = `measured` for all.
+    """
+
+    t0_s: float
+    t1_s: float
+    inputs: Inputs
+    measured: Array
+    sigma: Array
+    parameters: EngineParameters
+    true_initial: Array | None = None
+    truth: Mapping[str, float] | None = None
+    noise_draws: Array | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        measured = np.asarray(self.measured, dtype=np.float64)
+        n = len(self.inputs.time_s) - self.inputs.n_history
+        if measured.shape != (n, len(MEASURED)):
+            raise InputError(
+                f"measured channels of {self.name}",
+                f"shape {measured.shape}",
+                f"({n}, {len(MEASURED)})",
+                "give one row for each input sample after the history",
+            )
+        if self.noise_draws is not None and self.noise_draws.shape[1:] != measured.shape:
+            raise InputError(
+                f"noise draws of {self.name}",
+                f"shape {self.noise_draws.shape}",
+                f"(D, {n}, {len(MEASURED)})",
+                "draw noise for every reading",
+            )
+        object.__setattr__(self, "measured", measured)
+        object.__setattr__(self, "sigma", NoiseLevels(np.asarray(self.sigma, dtype=np.float64)).sigma)
+
+    @property
+    def name(self) -> str:
+        """How messages call this segment."""
+        return f"segment {self.t0_s:g}-{self.t1_s:g} s"
+
+    @property
+    def time_s(self) -> Array:
+        """(n,) sample times of the segment [s]."""
+        return np.asarray(self.inputs.time_s[self.inputs.n_history :])
+
+    @property
+    def observed(self) -> NDArray[np.bool_]:
+        """(n, 6) true where a reading exists."""
+        return np.isfinite(self.measured)
+
+    def readings(self, runs: int) -> Array:
+        """Readings that each run sees.
+
+        Args:
+            runs: number of runs R.
+
+        Returns:
+            (R, n, 6) readings, NaN where masked.
+        """
+        if self.noise_draws is None:
+            return np.broadcast_to(self.measured, (runs, *self.measured.shape))
+        return self.noise_draws[np.arange(runs) % len(self.noise_draws)]
+
+    def first_states(self, readings: ArrayLike | None = None) -> Array:
+        """First guess of p_im, p_em, omega_t at the start: mean of the first readings that exist.
+
+        Args:
+            readings: (.., n, 6) readings; None takes `measured`.
+
+        Returns:
+            (.., 3) guess [Pa, Pa, rad/s].
+
+        Raises:
+            InputError: one of the three channels has no reading in the whole segment.
+        """
+        values = np.asarray(self.measured if readings is None else readings, dtype=np.float64)[..., :3]
+        present = np.isfinite(values)
+        if not present.any(axis=-2).all():
+            missing = [MEASURED[i] for i in range(3) if not present[..., i].any()]
+            raise InputError(
+                f"{', '.join(missing)} in {self.name}",
+                "no reading",
+                "at least one",
+                "leave the segment out or record the channel",
+            )
+        counted = present & (np.cumsum(present, axis=-2) <= START_SAMPLES)
+        return np.where(counted, values, 0.0).sum(axis=-2) / counted.sum(axis=-2)
+
+    def with_noise_draws(self, draws: int, rng: np.random.Generator) -> SegmentProblem:
+        """Treat `measured` as clean and add independent Gaussian noise draws.
+
+        Args:
+            draws: number of draws D.
+            rng: source of the noise.
+
+        Returns:
+            The same problem whose run r sees draw r modulo D, and whose `measured` is the first draw.
+        """
+        noise = rng.standard_normal((draws, *self.measured.shape)) * self.sigma
+        noisy = self.measured + noise
+        return replace(self, measured=noisy[0], noise_draws=noisy)
+
+
+def problem_from_segment(
+    segment: Any,
+    parameters: EngineParameters,
+    noise: NoiseLevels,
+    *,
+    channels: Sequence[str] | None = None,
+    true_initial: ArrayLike | None = None,
+    truth: Mapping[str, float] | None = None,
+) -> SegmentProblem:
+    """Turn a recording's segment into an estimation problem.
+
+    Args:
+        segment: `recordings.Segment` (t0_s, t1_s, inputs, measured).
+        parameters: known parameters; ambient values must be those of the recording.
+        noise: noise of the whole recording.
+        channels: channels of `MEASURED` to use, the others are masked; None = all that are recorded.
+        true_initial: (5,) true p_im, p_em, omega_t, x_r, T_1 of simulated data, for the faithful methods.
+        truth: true health values of simulated data, for figures only; no estimator reads it.
+
+    Returns:
+        The problem.
+
+    Raises:
+        InputError: an unknown channel name.
+    """
+    measured = np.array(segment.measured, dtype=np.float64)
+    if channels is not None:
+        unknown = sorted(set(channels) - set(MEASURED))
+        if unknown:
+            raise InputError("channels", ", ".join(unknown), ", ".join(MEASURED), "correct the names")
+        for i, name in enumerate(MEASURED):
+            if name not in channels:
+                measured[:, i] = np.nan
+    return SegmentProblem(
+        t0_s=float(segment.t0_s),
+        t1_s=float(segment.t1_s),
+        inputs=segment.inputs,
+        measured=measured,
+        sigma=noise.sigma,
+        parameters=parameters,
+        true_initial=None if true_initial is None else np.asarray(true_initial, dtype=np.float64),
+        truth=truth,
+    )
+
+
+def problems_from_recording(
+    recording: Any,
+    parameters: EngineParameters,
+    *,
+    noise: NoiseLevels | None = None,
+    duration_s: float = 60.0,
+    channels: Sequence[str] | None = None,
+    truth: Mapping[str, float] | None = None,
+) -> list[SegmentProblem]:
+    """Split a recording into estimation problems; ambient and noise are those of the whole recording.
+
+    Args:
+        recording: `recordings.Recording`.
+        parameters: known parameters and starting values; T_amb and p_amb are replaced by the recording's.
+        noise: noise levels; None takes the paper's percentages of the recording's means, never below `NOISE_FLOOR`.
+        duration_s: length of a segment [s].
+        channels: channels of `MEASURED` to use; None = all that are recorded.
+        truth: true health values of simulated data, for figures only.
+
+    Returns:
+        One problem for each segment.
+    """
+    known = parameters.replace(T_amb=float(recording.t_amb_k), p_amb=float(recording.p_amb_pa))
+    segments = list(recording.segments(duration_s))
+    if noise is None:
+        noise = NoiseLevels.from_signals(np.concatenate([s.measured for s in segments]))
+    return [problem_from_segment(s, known, noise, channels=channels, truth=truth) for s in segments]

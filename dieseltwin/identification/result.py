@@ -1,0 +1,320 @@
+"""What an estimator returns, and `identification.json` (schema 1)."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import stats
+
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.unknowns import HEALTH, UNITS
+
+Array = NDArray[np.float64]
+
+SCHEMA = 1
+INTERVAL = 0.90
+"""Probability of every reported interval (PROTOCOL.md)."""
+Z_90 = float(stats.norm.ppf(0.5 + INTERVAL / 2.0))
+"""Half width of the 90 % interval in standard deviations."""
+MEMBERS_FOR_QUANTILES = 20
+"""From this many members on, the spread is read as quantiles; below, a Student interval is used."""
+
+
+@dataclass(frozen=True)
+class ParameterSummary:
+    """One unknown of one segment, or pooled.
+
+    Attributes:
+        mean, std: value and standard deviation [SI unit of the parameter]; None where nothing was identifiable.
+        interval_90: 90 % interval, or None.
+        bound: Cramer-Rao standard deviation [same unit]; infinite where there is no information at all.
+        identifiable: whether the relative bound is small enough.
+    """
+
+    mean: float | None
+    std: float | None
+    interval_90: tuple[float, float] | None
+    bound: float
+    identifiable: bool
+
+    def to_json(self, name: str) -> dict[str, Any]:
+        """Strict JSON: an infinite bound becomes null."""
+        return {
+            "mean": _finite(self.mean),
+            "std": _finite(self.std),
+            "interval_90": None if self.interval_90 is None else [_finite(v) for v in self.interval_90],
+            "unit": UNITS[name],
+            "bound": _finite(self.bound),
+            "identifiable": bool(self.identifiable),
+        }
+
+
+@dataclass(frozen=True)
+class SegmentEstimate:
+    """Estimates of R runs on one segment.
+
+    Attributes:
+        t0_s, t1_s: segment [s].
+        time_s: (n,) sample times [s].
+        parameters: (R, 4) estimates in the order of `HEALTH` [m2, m2, -, W/(m2 K)].
+        std: (R, 4) standard deviation that each run claims; NaN where a method has none (Adam: spread of members).
+        interval_90: (R, 4, 2) interval that each run claims; NaN where a method has none.
+        states: (n, 5) p_im, p_em, omega_t, x_r, T_1 of the pooled estimate [Pa, Pa, rad/s, -, K].
+        bound: (4,) Cramer-Rao standard deviation, absolute [same units as the parameters].
+        identifiable: (4,) relative bound at most the threshold.
+        converged: (R,) whether a run reached a stationary point.
+        seconds_per_run: wall seconds divided by runs [s].
+        method: name of the method.
+        chi2_per_sample: (R,) sum of squared residuals over sigma, divided by the degrees of freedom; NaN if not known.
+        state_samples: (K, n, 5) states of runs or of draws from their uncertainty, for bands; None if not kept.
+        parameter_samples: (K, 4) parameters that belong to `state_samples`.
+        curves: named convergence curves for the report, e.g. {"loss": (iterations,)}.
+    """
+
+    t0_s: float
+    t1_s: float
+    time_s: Array
+    parameters: Array
+    std: Array
+    interval_90: Array
+    states: Array
+    bound: Array
+    identifiable: NDArray[np.bool_]
+    converged: NDArray[np.bool_]
+    seconds_per_run: float
+    method: str
+    chi2_per_sample: Array | None = None
+    state_samples: Array | None = field(default=None, repr=False)
+    parameter_samples: Array | None = field(default=None, repr=False)
+    curves: dict[str, Array] = field(default_factory=dict, repr=False)
+
+    @property
+    def runs(self) -> int:
+        """Number of runs R."""
+        return int(self.parameters.shape[0])
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """(R,) runs behind the summary: the converged ones, all if none converged."""
+        converged = np.asarray(self.converged, dtype=bool)
+        return converged if converged.any() else np.ones_like(converged)
+
+    def summary(self) -> dict[str, ParameterSummary]:
+        """Combine the runs of this segment.
+
+        The mean is that of the used runs. Runs with a standard deviation of their own (same recording, other starts) are a
+        mixture: the variance is the mean of the claimed variances plus the variance between runs. Runs without one
+        give the spread of the members.
+
+        Returns:
+            Parameter name -> summary.
+        """
+        result = {}
+        for i, name in enumerate(HEALTH):
+            values, own = self.parameters[self.used, i], self.std[self.used, i]
+            mean, std, interval = _combine_runs(values, own)
+            result[name] = ParameterSummary(
+                mean, std, interval, float(self.bound[i]), bool(self.identifiable[i])
+            )
+        return result
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Everything that one method found in one recording.
+
+    Attributes:
+        method: name of the method.
+        segments: one estimate for each segment.
+        problems: the problems that were solved, same order.
+        seed: seed of the starts.
+        seconds: wall seconds of the whole identification [s].
+        threshold: largest relative bound that counts as identifiable [-].
+    """
+
+    method: str
+    segments: tuple[SegmentEstimate, ...]
+    problems: tuple[SegmentProblem, ...]
+    seed: int
+    seconds: float
+    threshold: float
+
+    @property
+    def runs(self) -> int:
+        """Number of runs R."""
+        return self.segments[0].runs
+
+    def pooled(self) -> dict[str, ParameterSummary]:
+        """Pool the identifiable segments of each parameter by inverse variance.
+
+        Done in logarithms: a standard deviation is proportional to its value, and weights that follow the value would pull
+        the mean down. A weight is never larger than the bound allows, so a lucky small spread of few members doesn't
+        take over. Where no segment is identifiable there is no value, only the bound.
+
+        Returns:
+            Parameter name -> pooled summary.
+        """
+        summaries = [segment.summary() for segment in self.segments]
+        return {name: _pool([s[name] for s in summaries], self.threshold) for name in HEALTH}
+
+    def run_values(self) -> Array:
+        """Pooled value of each run and parameter, NaN where no segment is identifiable.
+
+        Returns:
+            (R, 4) values [m2, m2, -, W/(m2 K)].
+        """
+        values = np.stack([s.parameters for s in self.segments])
+        weight = np.stack(
+            [
+                np.where(s.identifiable, (np.array(s.bound) / s.parameters.mean(0)) ** -2.0, 0.0)
+                for s in self.segments
+            ]
+        )
+        total = weight.sum(axis=0)
+        mean = (weight[:, None, :] * np.log(values)).sum(axis=0) / np.where(total > 0.0, total, np.nan)
+        return np.exp(mean)
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of `identification.json`: strict JSON, SI units, no times of day and no run times."""
+        pooled = self.pooled()
+        run_values = self.run_values()
+        runs = []
+        for r in range(self.runs):
+            runs.append(
+                {
+                    "run": r,
+                    "converged": bool(all(s.converged[r] for s in self.segments)),
+                    "parameters": {name: _finite(run_values[r, i]) for i, name in enumerate(HEALTH)},
+                    "segments": [_run_of_segment(segment, r) for segment in self.segments],
+                }
+            )
+        return {
+            "schema": SCHEMA,
+            "method": self.method,
+            "parameters": {name: pooled[name].to_json(name) for name in HEALTH},
+            "segments": [
+                {
+                    "t0_s": s.t0_s,
+                    "t1_s": s.t1_s,
+                    "parameters": {name: value.to_json(name) for name, value in s.summary().items()},
+                }
+                for s in self.segments
+            ],
+            "runs": runs,
+        }
+
+    def runtime(self) -> dict[str, Any]:
+        """Content of `runtime.json`: what may differ between two runs that agree in every result."""
+        versions = {}
+        for package in ("dieseltwin", "numpy", "numba", "torch", "scipy"):
+            try:
+                versions[package] = version(package)
+            except PackageNotFoundError:
+                versions[package] = None
+        return {
+            "schema": SCHEMA,
+            "method": self.method,
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+            "seconds": self.seconds,
+            "runs": self.runs,
+            "segments": len(self.segments),
+            "seconds_per_run": self.seconds / max(1, self.runs * len(self.segments)),
+            "segment_seconds_per_run": [s.seconds_per_run for s in self.segments],
+            "host": platform.node(),
+            "platform": platform.platform(),
+            "cpus": os.cpu_count(),
+            "versions": versions,
+        }
+
+    @property
+    def states(self) -> pd.DataFrame:
+        """States and derived quantities over time with bands over runs; see `states.states_table`."""
+        from dieseltwin.identification.states import states_table
+
+        return states_table(self)
+
+
+def intervals_from_log_std(values: Array, log_std: Array) -> tuple[Array, Array]:
+    """Standard deviation and 90 % interval of a positive value whose logarithm is Gaussian.
+
+    Args:
+        values: (..) estimates [any].
+        log_std: (..) standard deviation of the logarithm [-].
+
+    Returns:
+        std (..) [same unit] and interval (.., 2) [same unit].
+    """
+    half = np.exp(Z_90 * log_std)
+    return values * log_std, np.stack([values / half, values * half], axis=-1)
+
+
+def _combine_runs(values: Array, own: Array) -> tuple[float, float, tuple[float, float] | None]:
+    mean = float(np.exp(np.mean(np.log(values))))
+    between = float(np.var(values, ddof=1)) if len(values) > 1 else 0.0
+    if np.isfinite(own).all():
+        std = math.sqrt(float(np.mean(own**2)) + between)
+        half = math.exp(Z_90 * std / mean) if math.isfinite(std) and std / mean < _LARGE_LOG else math.inf
+        return mean, std, (mean / half, mean * half)
+    std = math.sqrt(between)
+    if len(values) >= MEMBERS_FOR_QUANTILES:
+        low, high = np.quantile(values, [0.5 - INTERVAL / 2.0, 0.5 + INTERVAL / 2.0])
+        return mean, std, (float(low), float(high))
+    if len(values) < 2:
+        return mean, math.nan, None
+    half = float(stats.t.ppf(0.5 + INTERVAL / 2.0, len(values) - 1)) * std
+    return mean, std, (mean - half, mean + half)
+
+
+_LARGE_LOG = 100.0
+"""Beyond this logarithmic standard deviation the interval is unbounded for every purpose."""
+
+
+def _pool(parts: Sequence[ParameterSummary], threshold: float) -> ParameterSummary:
+    relative = np.array([p.bound / p.mean if p.mean else math.inf for p in parts])
+    usable = [i for i, p in enumerate(parts) if p.identifiable and p.mean is not None]
+    informative = np.array([v for v in relative if math.isfinite(v)])
+    scale = float(np.mean([p.mean for p in parts if p.mean is not None]))
+    if not usable:
+        bound = scale / math.sqrt(float(np.sum(informative**-2.0))) if len(informative) else math.inf
+        return ParameterSummary(None, None, None, bound, False)
+    means = np.array([parts[i].mean for i in usable], dtype=np.float64)
+    claimed = np.array([parts[i].std for i in usable], dtype=np.float64) / means
+    # A single member has no spread; the bound is the least that it can be off.
+    log_std = np.fmax(claimed, relative[usable])
+    weight = log_std**-2.0
+    mean = float(np.exp(np.sum(weight * np.log(means)) / weight.sum()))
+    std, interval = intervals_from_log_std(np.array(mean), np.array(1.0 / math.sqrt(float(weight.sum()))))
+    bound = mean / math.sqrt(float(np.sum(relative[usable] ** -2.0)))
+    return ParameterSummary(
+        mean, float(std), (float(interval[0]), float(interval[1])), bound, bound <= threshold * mean
+    )
+
+
+def _run_of_segment(segment: SegmentEstimate, run: int) -> dict[str, Any]:
+    chi2 = None if segment.chi2_per_sample is None else _finite(segment.chi2_per_sample[run])
+    return {
+        "t0_s": segment.t0_s,
+        "converged": bool(segment.converged[run]),
+        "chi2_per_sample": chi2,
+        "parameters": {
+            name: {"value": _finite(segment.parameters[run, i]), "std": _finite(segment.std[run, i])}
+            for i, name in enumerate(HEALTH)
+        },
+    }
+
+
+def _finite(value: Any) -> float | None:
+    """JSON has no NaN or infinity: both become null."""
+    if value is None or not math.isfinite(float(value)):
+        return None
+    return float(value)
