@@ -1,0 +1,78 @@
+"""What neither ruff nor mypy sees: machine paths, big files, unfit locks, overlong modules. Prints `file: problem`."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+MODULE_LINES = 400  # STYLE: longer modules get split
+FILE_BYTES = 1_500_000  # reference tables are below a megabyte; data and models belong to DVC
+TEXT_SUFFIXES = {".py", ".md", ".toml", ".yaml", ".yml", ".cff", ".html", ".lock", ".txt", ".json", ".j2", ""}
+
+# Assembled, so that this file does not find itself. Unix system folders (/dev, /proc) are not a machine's own.
+MACHINE_PATH = re.compile(r"(?<![\w.:/])/(?:" + "|".join(["work", "root", "home", "Users", "opt", "mnt"]) + r")/\w")
+LOCK_LINE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*==[A-Za-z0-9.]+$")
+CONFLICT = re.compile(r"^(<{7} |>{7} )", flags=re.MULTILINE)
+
+
+def tracked_files(root: Path) -> list[Path]:
+    """Files that git knows or would add (untracked ones that are not ignored included)."""
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=root, check=True, capture_output=True).stdout.decode()
+    return sorted(root / name for name in listed.split("\0") if name and (root / name).is_file())
+
+
+def file_problems(path: Path, name: str) -> Iterator[str]:
+    """Problems of one file; `name` is its path for the message."""
+    if path.stat().st_size > FILE_BYTES:
+        yield f"{name}: {path.stat().st_size / 1e6:.1f} MB; data and models belong to DVC"
+        return
+    if path.suffix not in TEXT_SUFFIXES:
+        return
+    text = path.read_bytes().decode("utf-8", errors="replace")
+    for number, line in enumerate(text.splitlines(), start=1):
+        if MACHINE_PATH.search(line):
+            yield f"{name}:{number}: a path of one machine: {line.strip()[:80]}"
+    if "\r" in text:
+        yield f"{name}: carriage returns"
+    if CONFLICT.search(text):
+        yield f"{name}: conflict markers"
+    if name.startswith("dieseltwin/") and path.suffix == ".py" and text.count("\n") >= MODULE_LINES:
+        yield f"{name}: {text.count(chr(10))} lines; split modules at {MODULE_LINES}"
+
+
+def lock_problems(lines: Iterable[str]) -> Iterator[str]:
+    """A plain lock: `name==version` only, no local builds, no index or folder, nothing twice."""
+    seen: set[str] = set()
+    for line in (raw.strip() for raw in lines):
+        if not line or line.startswith("#"):
+            continue
+        if not LOCK_LINE.match(line):
+            yield f"requirements.lock: {line!r} is not name==version"
+            continue
+        name = re.sub(r"[-_.]+", "-", line.split("==")[0]).lower()
+        if name in seen:
+            yield f"requirements.lock: {name} twice"
+        seen.add(name)
+
+
+def problems(root: Path = ROOT) -> list[str]:
+    """All problems of a checkout."""
+    found = [p for path in tracked_files(root) for p in file_problems(path, path.relative_to(root).as_posix())]
+    found += lock_problems((root / "requirements.lock").read_text().splitlines())
+    return found
+
+
+def main() -> int:
+    found = problems()
+    print("\n".join(found) if found else "hygiene: kept")
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,335 @@
+"""`params.yaml` as frozen models: one model a stage; no defaults here, the numbers and their reasons stand in the file.
+
+Units are part of the field names (`_s`, `_rpm`, `_pa`, `_k`, `_pct`, `_mg`, `_kg_s`); `_rel` is a fraction of a mean;
+fields without a unit are counts or dimensionless. An owner of a stage adds a field to its model and to `params.yaml`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+
+from dieseltwin.errors import InputError
+from dieseltwin.strict import StrictModel, read_mapping, unknown_name, validate
+
+PARAMS_FILE = "params.yaml"
+DEFAULT_PROFILE = "quick"
+
+Range = tuple[float, float]
+Widths = tuple[PositiveInt, ...]
+
+
+# --- engine ------------------------------------------------------------------------------------------------------
+
+
+class EngineConfig(StrictModel):
+    """The engine that data are made with, and the step of the simulator."""
+
+    step_s: PositiveFloat
+    overrides: dict[str, float | tuple[float, ...]]
+    field_ratios: dict[str, PositiveFloat] = Field(description="laboratory value / field value")
+
+
+# --- driving and data sets -----------------------------------------------------------------------------------------
+
+
+class RandomDrivingConfig(StrictModel):
+    """Seeded random transient driving (PROTOCOL: Driving)."""
+
+    speed_rpm: Range
+    hold_s: Range
+    ramp_s: Range
+    idle_share: Range
+    idle_speed_rpm: Range
+    smoothing_s: NonNegativeFloat
+    speed_jitter_rpm: NonNegativeFloat
+    fuel_jitter_mg: NonNegativeFloat
+    position_dither_pct: Range = Field(description="standard deviation of the slow random dither of the actuators")
+    dither_time_s: PositiveFloat
+
+
+class SpeedMapConfig(StrictModel):
+    """GTR 4 de-normalisation speeds."""
+
+    n_idle_rpm: PositiveFloat
+    n_lo_rpm: PositiveFloat
+    n_pref_rpm: PositiveFloat
+    n_hi_rpm: PositiveFloat
+
+
+class EcuConfig(StrictModel):
+    """Limits of the ECU map from speed and load to fuel and actuator positions."""
+
+    smoke_lambda_min: PositiveFloat
+    egr_fraction_max: PositiveFloat
+    turbo_speed_max_rad_s: PositiveFloat
+    idle_u_egr_pct: NonNegativeFloat
+
+
+class CaseConfig(StrictModel):
+    """One case of the paper's table: a set of inputs, an ambient relative to the baseline, a sampling time."""
+
+    set: Literal["set_i", "set_ii", "set_iii", "set_iv"]
+    delta_t_amb_k: float
+    delta_p_amb_pa: float
+    parameters: Literal["lab", "field"]
+
+
+class SetConfig(StrictModel):
+    """One set of inputs."""
+
+    duration_s: PositiveFloat
+    seed: NonNegativeInt
+
+
+class DrivingConfig(StrictModel):
+    """Sets of inputs and the cases recorded with them."""
+
+    input_step_s: PositiveFloat
+    sample_s: PositiveFloat
+    sample_eta_tm_s: PositiveFloat
+    sets: dict[str, SetConfig]
+    cases: dict[str, CaseConfig]
+    random: RandomDrivingConfig
+    speed_map: SpeedMapConfig
+    ecu: EcuConfig
+
+
+class NoiseConfig(StrictModel):
+    """Additive Gaussian noise, sigma as a fraction of the mean of the clean signal over the whole recording."""
+
+    p_im_rel: NonNegativeFloat
+    p_em_rel: NonNegativeFloat
+    omega_t_rel: NonNegativeFloat
+    w_egr_rel: NonNegativeFloat
+    t_em_rel: NonNegativeFloat
+    w_c_rel: NonNegativeFloat
+    label_rel: NonNegativeFloat = Field(description="of the mean absolute label, for the surrogates' labels")
+    seed: NonNegativeInt
+
+    @property
+    def channels(self) -> tuple[float, ...]:
+        """Relative sigmas in the order of `engine.MEASURED`, (6,) [-]."""
+        return (self.p_im_rel, self.p_em_rel, self.omega_t_rel, self.w_egr_rel, self.t_em_rel, self.w_c_rel)
+
+
+# --- pretraining -----------------------------------------------------------------------------------------------
+
+
+class MapsKindConfig(StrictModel):
+    """One kind of the six empirical surrogates."""
+
+    hidden: Widths
+    dropout_rel: NonNegativeFloat
+    adam_epochs: PositiveInt
+    adam_rate: PositiveFloat
+    lbfgs_steps: NonNegativeInt
+    points: PositiveInt = Field(description="training points a map")
+    members: PositiveInt
+
+
+class MapsConfig(StrictModel):
+    """Empirical surrogates: as printed, and improved."""
+
+    paper: MapsKindConfig
+    improved: MapsKindConfig
+
+
+class OperatorConfig(StrictModel):
+    """One causality DeepONet."""
+
+    width: PositiveInt
+    depth: PositiveInt
+    basis: PositiveInt
+    epochs: PositiveInt
+    batch: PositiveInt
+    rate: PositiveFloat
+    loss_weights: tuple[PositiveFloat, ...]
+
+
+class OperatorsConfig(StrictModel):
+    """Actuator operators: EGR (two outputs) and VGT (one)."""
+
+    window_s: PositiveFloat
+    slide_s: PositiveFloat = Field(description="shift of the sliding window that augments the training data")
+    egr: OperatorConfig
+    vgt: OperatorConfig
+
+
+class BodyConfig(StrictModel):
+    """One multi-head body."""
+
+    hidden: Widths
+
+
+class BodiesKindConfig(StrictModel):
+    """Training of the four bodies, one kind."""
+
+    epochs: PositiveInt
+    rate: PositiveFloat
+    first_layer_scale: PositiveFloat
+    lbfgs_steps: NonNegativeInt
+
+
+class BodiesConfig(StrictModel):
+    """The four multi-head bodies."""
+
+    heads: PositiveInt
+    sizes: dict[str, BodyConfig]
+    paper: BodiesKindConfig
+    conditioned: BodiesKindConfig
+
+
+class PretrainConfig(StrictModel):
+    """Everything learned from laboratory data."""
+
+    maps: MapsConfig
+    operators: OperatorsConfig
+    bodies: BodiesConfig
+
+
+# --- identification --------------------------------------------------------------------------------------------
+
+
+class StartConfig(StrictModel):
+    """Where the unknowns start (PROTOCOL: Parameters)."""
+
+    at: Literal["lab", "truth"]
+    sd_masked: NonNegativeFloat
+
+
+class ClassicalConfig(StrictModel):
+    """Maximum likelihood by shooting with sensitivities."""
+
+    iterations_max: PositiveInt
+    tolerance: PositiveFloat
+    damping_start: PositiveFloat
+
+
+class NewtonConfig(StrictModel):
+    """Gauss-Newton / Levenberg-Marquardt on heads and parameters."""
+
+    iterations_max: PositiveInt
+    tolerance: PositiveFloat
+    damping_start: PositiveFloat
+    student_dof: PositiveFloat
+
+
+class AdamConfig(StrictModel):
+    """The paper's loop: Adam on heads, unknowns and self-adaptive weights."""
+
+    epochs: PositiveInt
+    weights_until_epoch: PositiveInt
+    members: PositiveInt = Field(description="runs a segment")
+    rate_heads: PositiveFloat
+    rate_unknowns: PositiveFloat
+    rate_weights: PositiveFloat
+    weight_start: dict[str, PositiveFloat]
+
+
+class IdentifyConfig(StrictModel):
+    """What the three estimators share, and their own settings."""
+
+    segment_s: PositiveFloat
+    history_s: NonNegativeFloat
+    runs: PositiveInt
+    identifiable_bound_rel: PositiveFloat
+    interval: PositiveFloat = Field(lt=1.0, description="probability of the reported interval")
+    minutes: PositiveFloat = Field(description="how much of Case-V is identified, from its start [min]")
+    start: StartConfig
+    classical: ClassicalConfig
+    newton: NewtonConfig
+    adam: AdamConfig
+
+
+class EvaluateConfig(StrictModel):
+    """Ensembles behind tables and coverage."""
+
+    noise_draws: PositiveInt
+    coverage_runs: PositiveInt
+
+
+class ReportConfig(StrictModel):
+    """Figures of the report."""
+
+    dpi: PositiveInt
+    picture_s: PositiveFloat = Field(description="length of driving shown in the pictures of the sets [s]")
+
+
+class Params(StrictModel):
+    """All of `params.yaml` with one profile applied."""
+
+    profile: str
+    seed: NonNegativeInt
+    engine: EngineConfig
+    driving: DrivingConfig
+    noise: NoiseConfig
+    pretrain: PretrainConfig
+    identify: IdentifyConfig
+    evaluate: EvaluateConfig
+    report: ReportConfig
+
+    @property
+    def sha256(self) -> str:
+        """Hash of every number of this profile: the same for the same numbers, whatever the comments and order."""
+        return params_sha256(self)
+
+
+# --- loading ---------------------------------------------------------------------------------------------------
+
+
+def default_params_path() -> Path:
+    """`params.yaml` of the working folder, else the one beside the library (a checkout)."""
+    here = Path(PARAMS_FILE)
+    return here if here.is_file() else Path(__file__).resolve().parent.parent / PARAMS_FILE
+
+
+def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) -> Params:
+    """Read and validate the settings of one profile.
+
+    Args:
+        path: the file; None takes `default_params_path()`.
+        profile: a name under `profiles:`; its values replace the common ones above it.
+
+    Raises:
+        InputError: unreadable file, unknown profile, unknown or missing key, value out of range.
+    """
+    path = default_params_path() if path is None else Path(path)
+    common = read_mapping(path)
+    profiles = common.pop("profiles", {}) or {}
+    if not isinstance(profiles, Mapping) or profile not in profiles:
+        raise unknown_name(f"{path}: profiles", profile, list(profiles))
+    overrides = profiles[profile] or {}
+    if not isinstance(overrides, Mapping):
+        raise InputError(f"{path}: profiles.{profile}", f"a {type(overrides).__name__}", "a mapping", "mend it")
+    validate(Params, {**common, "profile": profile}, str(path))
+    _refuse_new_keys(overrides, common, f"{path}: profiles.{profile}")
+    return validate(Params, {**_merged(common, overrides), "profile": profile}, f"{path}: profile {profile}")
+
+
+def params_sha256(params: Params) -> str:
+    """SHA-256 (hex) of the settings as canonical JSON."""
+    canonical = json.dumps(params.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _refuse_new_keys(overrides: Mapping[str, Any], common: Mapping[str, Any], where: str) -> None:
+    """A profile only changes what the common part has; a new name is a typing error."""
+    for key, value in overrides.items():
+        if key not in common:
+            raise unknown_name(where, str(key), [str(k) for k in common])
+        if isinstance(value, Mapping) and isinstance(common[key], Mapping):
+            _refuse_new_keys(value, common[key], f"{where}.{key}")
+
+
+def _merged(common: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    result = dict(common)
+    for key, value in overrides.items():
+        both = isinstance(value, Mapping) and isinstance(result.get(key), Mapping)
+        result[key] = _merged(result[key], value) if both else value
+    return result

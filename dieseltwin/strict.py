@@ -1,0 +1,141 @@
+"""Settings from YAML into frozen models, strictly: an unknown key is an error that says what was probably meant."""
+
+from __future__ import annotations
+
+import difflib
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from dieseltwin.errors import InputError
+
+LISTED_NAMES = 12  # more alternatives than this make a one-line message unreadable
+
+
+class StrictModel(BaseModel):
+    """Base of all settings: frozen, no unknown keys, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, protected_namespaces=())
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """SafeLoader that refuses a key given twice (YAML would silently keep the last one)."""
+
+
+def _construct_unique_mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode, deep: bool = False) -> dict:
+    seen: set[str] = set()
+    for key_node, _ in node.value:
+        key = str(key_node.value)
+        if key in seen:
+            raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is given twice", key_node.start_mark)
+        seen.add(key)
+    return yaml.SafeLoader.construct_mapping(loader, node, deep=deep)
+
+
+_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_unique_mapping)
+
+
+def read_mapping(path: str | Path) -> dict[str, Any]:
+    """Read a YAML file whose top level is a mapping; an empty file is an empty mapping.
+
+    Raises:
+        InputError: no such file, not readable, not YAML, a key twice, or not a mapping.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", "a YAML file", "check the path") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(str(path), error, "a readable YAML file in UTF-8", "check the file") from None
+    try:
+        loaded = yaml.load(text, Loader=_UniqueKeyLoader)  # a SafeLoader
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" in line {mark.line + 1}" if mark is not None else ""
+        problem = getattr(error, "problem", None) or error
+        raise InputError(f"{path}{line}", problem, "YAML, every key once", "mend that line") from None
+    if loaded is None:
+        return {}
+    if not isinstance(loaded, dict):
+        raise InputError(str(path), f"a {type(loaded).__name__}", "a mapping of names to values", "mend the file")
+    return loaded
+
+
+def did_you_mean(name: str, known: Sequence[str]) -> str:
+    """'did you mean eta_sc?' for the closest known names, or where to look when none is close."""
+    folded = {k.lower(): k for k in known}
+    close = difflib.get_close_matches(name.lower(), list(folded), n=2, cutoff=0.55)
+    if close:
+        return f"did you mean {' or '.join(folded[c] for c in close)}?"
+    return "remove it or take one of the allowed names"
+
+
+def listed(names: Sequence[str]) -> str:
+    """The names in one line, shortened when they are many."""
+    shown = list(names)[:LISTED_NAMES]
+    more = len(names) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+
+
+def unknown_name(what: str, name: str, known: Sequence[str]) -> InputError:
+    """The InputError for a name that is not among the known ones, with the closest ones as a hint."""
+    close = difflib.get_close_matches(name, known, n=LISTED_NAMES, cutoff=0.3)
+    order = close + [k for k in known if k not in close]
+    return InputError(what, f"unknown name {name!r}", listed(order), did_you_mean(name, known))
+
+
+def validate(model: type[Model], values: Mapping[str, Any], where: str) -> Model:
+    """Build `model` from `values`; the first problem becomes a one-line InputError starting with `where`."""
+    try:
+        return model.model_validate(dict(values))
+    except ValidationError as error:
+        # an unknown key explains the missing one beside it, so it comes first
+        problem = min(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    location = [str(part) for part in problem["loc"]]
+    place = f"{where}: {'.'.join(location)}" if location else where
+    if problem["type"] == "extra_forbidden":
+        parent = _model_at(model, problem["loc"][:-1])
+        known = list(parent.model_fields) if parent is not None else []
+        above = ".".join(location[:-1])
+        raise unknown_name(f"{where}: {above}" if above else where, location[-1], known)
+    if problem["type"] == "missing":
+        raise InputError(place, "nothing", "a value is needed", "add this key")
+    allowed = problem["msg"].replace("Input should be ", "")
+    raise InputError(place, repr(problem["input"]), allowed, "change this value")
+
+
+def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
+    """The model that a location of a pydantic error leads to, or None where there is none."""
+    annotation: Any = model
+    for part in location:
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            field = annotation.model_fields.get(str(part))
+            if field is None:
+                return None
+            annotation = field.annotation
+        else:
+            annotation = _value_type(annotation)
+        annotation = _without_none(annotation)
+    return annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
+
+
+def _value_type(annotation: Any) -> Any:
+    """The type of the values of a mapping or sequence annotation."""
+    arguments = [a for a in typing.get_args(annotation) if a is not Ellipsis]
+    return arguments[-1] if arguments else None
+
+
+def _without_none(annotation: Any) -> Any:
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        kept = [a for a in typing.get_args(annotation) if a is not type(None)]
+        return kept[0] if kept else None
+    return annotation
