@@ -1,0 +1,31 @@
+"""The mean-value engine model: equations, parameters and the compiled simulator."""
+
+from dieseltwin.engine.binding import MAPS, Model, bind
+from dieseltwin.engine.inputs import DEFAULT_STEP_S, INPUT_COLUMNS, Actuation, Inputs, actuate
+from dieseltwin.engine.model import Quantities, Sweep
+from dieseltwin.engine.parameters import (
+    HEALTH,
+    HEALTH_UNITS,
+    Constants,
+    EngineParameters,
+    ParameterBatch,
+    constants,
+    load_engine,
+    parameter_batch,
+)
+from dieseltwin.engine.simulate import (
+    MEASURED,
+    STATES,
+    Observations,
+    quantities_frame,
+    settle,
+    simulate,
+    simulate_states,
+)
+
+__all__ = [
+    "DEFAULT_STEP_S", "HEALTH", "HEALTH_UNITS", "INPUT_COLUMNS", "MAPS", "MEASURED", "STATES",
+    "Actuation", "Constants", "EngineParameters", "Inputs", "Model", "Observations", "ParameterBatch", "Quantities",
+    "Sweep", "actuate", "bind", "constants", "load_engine", "parameter_batch", "quantities_frame", "settle", "simulate",
+    "simulate_states",
+]  # fmt: skip

@@ -1,0 +1,249 @@
+"""Compiled kernels of the simulator: RK4 in lockstep lanes, and the actuators' exact solution.
+
+Lanes are parameter sets (or segments) that advance together: the loop over the lanes of a block is the innermost one
+and the equations are branch-free, so that the compiler runs eight lanes in one vector register.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import types
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+from dieseltwin.engine.manifolds import X_OC as _OXYGEN_OF_AIR
+from dieseltwin.engine.parameters import CONSTANT_NAMES, Constants
+
+
+def _cache_folder() -> str:
+    """A folder for compiled kernels named by the sources they come from.
+
+    numba's own check sees the kernel's file only, and would reuse a kernel whose equations have changed in another
+    module.
+    """
+    here = Path(__file__).parent
+    digest = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
+    for source in sorted(here.glob("*.py")):
+        digest.update(source.name.encode() + source.read_bytes())
+    base = os.environ.get("NUMBA_CACHE_DIR") or str(here.parent.parent / ".numba_cache")
+    if not os.access(Path(base).parent, os.W_OK):
+        base = str(Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "dieseltwin")
+    return str(Path(base) / digest.hexdigest()[:16])
+
+
+numba.config.CACHE_DIR = _cache_folder()  # type: ignore[attr-defined]
+
+from dieseltwin.engine.binding import bind  # noqa: E402  the folder must be set before anything is compiled
+
+LANES = 8
+"""Lanes of a block: doubles in a 512-bit register."""
+
+N_STATES = 5  # p_im, p_em, omega_t, x_r, T_1
+N_CONSTANTS = len(CONSTANT_NAMES)
+
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
+
+_P_IM_LIMITS = (0.5, 10.0)  # of p_amb, limiters of the published simulation (NOTES)
+_P_EM_LIMITS = (0.5, 20.0)
+_OMEGA_LIMITS = (100.0 * np.pi / 30.0, 200000.0 * np.pi / 30.0)  # rad/s
+P_IM_LOW, P_IM_HIGH = _P_IM_LIMITS
+P_EM_LOW, P_EM_HIGH = _P_EM_LIMITS
+OMEGA_LOW, OMEGA_HIGH = _OMEGA_LIMITS
+
+_model = bind("numba")
+quantities = _model.quantities
+settle_cylinder = _model.settle_cylinder
+actuator_update = _model.actuator_update
+
+
+def _make_load_constants() -> Any:
+    # Written out by a loop: numba builds a NamedTuple from a fixed list of scalars only.
+    fields = ", ".join(f"values[{j} * lanes + k]" for j in range(N_CONSTANTS))
+    scope: dict[str, Any] = {"Constants": Constants}
+    exec(f"def load_constants(values, k, lanes):\n    return Constants({fields})\n", scope)
+    return numba.njit(**_OPTIONS)(scope["load_constants"])
+
+
+load_constants = _make_load_constants()
+
+
+@numba.njit(**_OPTIONS)
+def _rates(p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, c):  # type: ignore[no-untyped-def]
+    warm = settle_cylinder(p_im, p_em, n_e, u_delta, x_r, T_1, c)
+    q = quantities(p_im, p_em, omega_t, warm.x_r, warm.T_1, n_e, u_delta, u_egr, u_vgt, c)
+    return q.dp_im, q.dp_em, q.domega_t, q.x_r_next, q.T_1_next
+
+
+@numba.njit(**_OPTIONS)
+def _limit(x, low, high):  # type: ignore[no-untyped-def]
+    x = x if x > low else low
+    return x if x < high else high
+
+
+def _advance(state, inputs, constants, h):  # type: ignore[no-untyped-def]
+    """One RK4 step of all lanes; state (5 x LANES), inputs (3 times x 4 x LANES), constants (n x LANES), flat."""
+    for k in range(LANES):
+        c = load_constants(constants, k, LANES)
+        p_im = state[k]
+        p_em = state[LANES + k]
+        omega = state[2 * LANES + k]
+        x_r = state[3 * LANES + k]
+        T_1 = state[4 * LANES + k]
+        n_0 = inputs[k]
+        d_0 = inputs[LANES + k]
+        e_0 = inputs[2 * LANES + k]
+        v_0 = inputs[3 * LANES + k]
+        n_1 = inputs[4 * LANES + k]
+        d_1 = inputs[5 * LANES + k]
+        e_1 = inputs[6 * LANES + k]
+        v_1 = inputs[7 * LANES + k]
+        n_2 = inputs[8 * LANES + k]
+        d_2 = inputs[9 * LANES + k]
+        e_2 = inputs[10 * LANES + k]
+        v_2 = inputs[11 * LANES + k]
+        a1, b1, w1, x_r, T_1 = _rates(p_im, p_em, omega, x_r, T_1, n_0, d_0, e_0, v_0, c)
+        a2, b2, w2, x_r, T_1 = _rates(
+            p_im + 0.5 * h * a1, p_em + 0.5 * h * b1, omega + 0.5 * h * w1, x_r, T_1, n_1, d_1, e_1, v_1, c
+        )
+        a3, b3, w3, x_r, T_1 = _rates(
+            p_im + 0.5 * h * a2, p_em + 0.5 * h * b2, omega + 0.5 * h * w2, x_r, T_1, n_1, d_1, e_1, v_1, c
+        )
+        a4, b4, w4, x_r, T_1 = _rates(p_im + h * a3, p_em + h * b3, omega + h * w3, x_r, T_1, n_2, d_2, e_2, v_2, c)
+        state[k] = _limit(p_im + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4), P_IM_LOW * c.p_amb, P_IM_HIGH * c.p_amb)
+        state[LANES + k] = _limit(p_em + h / 6.0 * (b1 + 2.0 * (b2 + b3) + b4), P_EM_LOW * c.p_amb, P_EM_HIGH * c.p_amb)
+        state[2 * LANES + k] = _limit(omega + h / 6.0 * (w1 + 2.0 * (w2 + w3) + w4), OMEGA_LOW, OMEGA_HIGH)
+        state[3 * LANES + k] = x_r
+        state[4 * LANES + k] = T_1
+
+
+def _integrate(grids, grid_of_lane, steps, time, constants, initial, out):  # type: ignore[no-untyped-def]
+    """Integrate one block of LANES lanes.
+
+    grids (G, 4, 2 N + 1), grid_of_lane (LANES,), steps (n - 1,), time (n,), constants (n_constants, LANES),
+    initial (LANES, 3) -> out (LANES, n, 8): p_im, p_em, omega_t, x_r, T_1, W_egr, T_em, W_c.
+    """
+    state = np.empty(N_STATES * LANES)
+    flat = np.empty(constants.shape[0] * LANES)
+    inputs = np.empty(12 * LANES)
+    for j in range(constants.shape[0]):
+        for k in range(LANES):
+            flat[j * LANES + k] = constants[j, k]
+    for k in range(LANES):
+        for j in range(3):
+            state[j * LANES + k] = initial[k, j]
+        state[3 * LANES + k] = X_R_START
+        state[4 * LANES + k] = T_1_START
+    at = 0
+    for i in range(time.shape[0]):
+        for k in range(LANES):  # x_r, T_1 converged at the sample, and what the sensors see
+            c = load_constants(flat, k, LANES)
+            g = grid_of_lane[k]
+            n_e = grids[g, 0, at]
+            u_delta = grids[g, 1, at]
+            p_im = state[k]
+            p_em = state[LANES + k]
+            x_r = state[3 * LANES + k]
+            T_1 = state[4 * LANES + k]
+            for _sweep in range(SAMPLE_SWEEPS if i > 0 else START_SWEEPS):
+                s = settle_cylinder(p_im, p_em, n_e, u_delta, x_r, T_1, c)
+                x_r, T_1 = s.x_r, s.T_1
+            state[3 * LANES + k] = x_r
+            state[4 * LANES + k] = T_1
+            q = quantities(
+                p_im, p_em, state[2 * LANES + k], x_r, T_1, n_e, u_delta, grids[g, 2, at], grids[g, 3, at], c
+            )
+            out[k, i, 0] = p_im
+            out[k, i, 1] = p_em
+            out[k, i, 2] = state[2 * LANES + k]
+            out[k, i, 3] = x_r
+            out[k, i, 4] = T_1
+            out[k, i, 5] = q.W_egr
+            out[k, i, 6] = q.T_em
+            out[k, i, 7] = q.W_c
+        if i + 1 < time.shape[0]:
+            h = (time[i + 1] - time[i]) / steps[i]
+            for _step in range(steps[i]):
+                for m in range(3):
+                    for j in range(4):
+                        for k in range(LANES):
+                            inputs[(4 * m + j) * LANES + k] = grids[grid_of_lane[k], j, at + m]
+                advance(state, inputs, flat, h)
+                at += 2
+
+
+X_R_START, T_1_START = 0.03, 310.0  # start of the cylinder's fixed point (NOTES)
+SAMPLE_SWEEPS = 2  # pairs of sweeps at a sample: the warm start is off by a step's change, 1e-3; 20**-4 of it remains
+START_SWEEPS = 6  # pairs of sweeps from the cold start
+
+
+def _variant(function: types.FunctionType, suffix: str, lanes: int, **functions: Any) -> Any:
+    """The same kernel for another number of lanes: globals are compile-time constants to numba."""
+    scope = {**function.__globals__, "LANES": lanes, **functions}
+    copy = types.FunctionType(function.__code__, scope, function.__name__ + suffix)
+    copy.__qualname__ = function.__qualname__ + suffix  # numba names cache files by it
+    copy.__module__ = function.__module__
+    return copy
+
+
+advance = numba.njit(**_OPTIONS)(_advance)
+integrate_block = numba.njit(cache=True, **_OPTIONS)(_integrate)
+"""Integrate a block of eight lanes."""
+
+_advance_one = numba.njit(**_OPTIONS)(_variant(_advance, "_one", 1))
+integrate_one = numba.njit(cache=True, **_OPTIONS)(_variant(_integrate, "_one", 1, advance=_advance_one))
+"""Integrate a single lane."""
+
+
+@numba.njit(cache=True, **_OPTIONS)
+def follow_lags(time, u, taus):  # type: ignore[no-untyped-def]
+    """States of first-order lags that follow u (linear between `time`), settled at the start; (len(taus), len(time))."""
+    out = np.empty((taus.shape[0], time.shape[0]))
+    for j in range(taus.shape[0]):
+        out[j, 0] = u[0]
+        for i in range(time.shape[0] - 1):
+            out[j, i + 1] = actuator_update(out[j, i], u[i], u[i + 1], time[i + 1] - time[i], taus[j])
+    return out
+
+
+intake_oxygen_rate = _model.intake_oxygen_rate
+exhaust_oxygen_rate = _model.exhaust_oxygen_rate
+cylinder_out_oxygen = _model.cylinder_out_oxygen
+X_OC = _OXYGEN_OF_AIR
+
+
+@numba.njit(cache=True, **_OPTIONS)
+def follow_oxygen(time, p_im, p_em, T_em, W_c, W_egr, W_ei, W_f, W_eo, constants):  # type: ignore[no-untyped-def]
+    """Oxygen mass fractions in both manifolds by Heun's method over the simulator's own steps; started at rest."""
+    c = load_constants(constants, 0, 1)
+    n = time.shape[0]
+    intake = np.empty(n)
+    exhaust = np.empty(n)
+    x_im = X_OC
+    x_em = X_OC
+    for _ in range(OXYGEN_REST_SWEEPS):  # mixing of both manifolds at the first sample
+        x_em = cylinder_out_oxygen(x_im, W_ei[0], W_f[0], c)
+        x_im = (W_egr[0] * x_em + W_c[0] * X_OC) / (W_egr[0] + W_c[0])
+    intake[0] = x_im
+    exhaust[0] = x_em
+    for i in range(n - 1):
+        h = time[i + 1] - time[i]
+        a1 = intake_oxygen_rate(x_im, x_em, p_im[i], W_c[i], W_egr[i], c)
+        x_e = cylinder_out_oxygen(x_im, W_ei[i], W_f[i], c)
+        b1 = exhaust_oxygen_rate(x_em, x_e, p_em[i], T_em[i], W_eo[i], c)
+        y_im = x_im + h * a1
+        y_em = x_em + h * b1
+        a2 = intake_oxygen_rate(y_im, y_em, p_im[i + 1], W_c[i + 1], W_egr[i + 1], c)
+        y_e = cylinder_out_oxygen(y_im, W_ei[i + 1], W_f[i + 1], c)
+        b2 = exhaust_oxygen_rate(y_em, y_e, p_em[i + 1], T_em[i + 1], W_eo[i + 1], c)
+        x_im += 0.5 * h * (a1 + a2)
+        x_em += 0.5 * h * (b1 + b2)
+        intake[i + 1] = x_im
+        exhaust[i + 1] = x_em
+    return intake, exhaust
+
+
+OXYGEN_REST_SWEEPS = 50

@@ -1,0 +1,108 @@
+"""exp and log for the compiled simulator: branch-free polynomials that inline and vectorise.
+
+Two thirds of a right-hand side is spent in powers. The C library's exp, log and pow are opaque calls: they can't be
+inlined, share no work (Pi_t**K_t and Pi_t**(1 - 1/gamma_e) need one logarithm, not two) and keep the compiler from
+running eight lanes in one vector register. Within 3 ulp of the C library over the model's range (tested).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
+
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "inline": "never", "nogil": True}
+
+_LOG2_E = 1.4426950408889634
+_LN2_HIGH = 6.93147180369123816490e-01  # ln 2 split in two, so that n ln 2 is exact to double precision
+_LN2_LOW = 1.90821492927058770002e-10
+_EXP_LIMIT = 700.0  # e**700 is still finite
+_MANTISSA = 0x000FFFFFFFFFFFFF
+_ONE_BITS = 0x3FF0000000000000
+_SQRT2 = 1.4142135623730951
+_TINY = 1e-300
+
+
+@intrinsic
+def _bits_of(typingctx: Any, x: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], ir.IntType(64))
+
+    return types.int64(types.float64), codegen
+
+
+@intrinsic
+def _float_of(typingctx: Any, n: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], ir.DoubleType())
+
+    return types.float64(types.int64), codegen
+
+
+@intrinsic
+def _round_to_even(typingctx: Any, x: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        function = builder.module.declare_intrinsic("llvm.rint", [ir.DoubleType()])
+        return builder.call(function, [args[0]])
+
+    return types.float64(types.float64), codegen
+
+
+@numba.njit(**_OPTIONS)
+def fast_exp(x):  # type: ignore[no-untyped-def]
+    """e**x by argument reduction and a Taylor polynomial of degree 12 on |r| <= ln 2 / 2."""
+    x = x if x < _EXP_LIMIT else _EXP_LIMIT
+    x = x if x > -_EXP_LIMIT else -_EXP_LIMIT
+    n = _round_to_even(x * _LOG2_E)
+    r = (x - n * _LN2_HIGH) - n * _LN2_LOW
+    p = 1.0 / 479001600.0
+    p = p * r + 1.0 / 39916800.0
+    p = p * r + 1.0 / 3628800.0
+    p = p * r + 1.0 / 362880.0
+    p = p * r + 1.0 / 40320.0
+    p = p * r + 1.0 / 5040.0
+    p = p * r + 1.0 / 720.0
+    p = p * r + 1.0 / 120.0
+    p = p * r + 1.0 / 24.0
+    p = p * r + 1.0 / 6.0
+    p = p * r + 0.5
+    p = p * r + 1.0
+    p = p * r + 1.0
+    return p * _float_of((numba.int64(n) + 1023) << 52)
+
+
+@numba.njit(**_OPTIONS)
+def fast_log(x):  # type: ignore[no-untyped-def]
+    """Natural logarithm of a positive, normal x by the atanh series of (m - 1)/(m + 1), m in [0.71, 1.42]."""
+    bits = _bits_of(x)
+    exponent = ((bits >> 52) & 0x7FF) - 1023
+    m = _float_of((bits & _MANTISSA) | _ONE_BITS)
+    large = m > _SQRT2
+    m = 0.5 * m if large else m
+    e = numba.float64(exponent) + (1.0 if large else 0.0)
+    s = (m - 1.0) / (m + 1.0)
+    z = s * s
+    p = 1.0 / 21.0
+    p = p * z + 1.0 / 19.0
+    p = p * z + 1.0 / 17.0
+    p = p * z + 1.0 / 15.0
+    p = p * z + 1.0 / 13.0
+    p = p * z + 1.0 / 11.0
+    p = p * z + 1.0 / 9.0
+    p = p * z + 1.0 / 7.0
+    p = p * z + 1.0 / 5.0
+    p = p * z + 1.0 / 3.0
+    p = p * z + 1.0
+    return e * _LN2_HIGH + (2.0 * s * p + e * _LN2_LOW)
+
+
+@numba.njit(**_OPTIONS)
+def fast_positive_power(x, exponent):  # type: ignore[no-untyped-def]
+    """max(x, 0)**exponent without branches."""
+    positive = x > _TINY
+    safe = x if positive else 1.0
+    value = fast_exp(exponent * fast_log(safe))
+    return value if positive else 0.0

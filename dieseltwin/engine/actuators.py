@@ -1,0 +1,16 @@
+"""Actuators: dead time and first-order lags, solved exactly for inputs that are linear between samples."""
+
+from __future__ import annotations
+
+from dieseltwin.engine.array_namespace import Array, exp
+
+
+def actuator_rate(u_delayed: Array, u_state: Array, tau: Array) -> Array:
+    """Rate of a first-order actuator state [%/s] (A.16, A.17 EGR with tau_egr1, tau_egr2; A.25 VGT with tau_vgt)."""
+    return (u_delayed - u_state) / tau
+
+
+def actuator_update(u_state: Array, u_start: Array, u_end: Array, step: Array, tau: Array) -> Array:
+    """Exact solution of `actuator_rate` after `step` [s] for an input that runs linearly from u_start to u_end [%]."""
+    slope_lag = (u_end - u_start) / step * tau
+    return u_end - slope_lag + (u_state - u_start + slope_lag) * exp(-step / tau)

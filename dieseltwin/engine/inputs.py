@@ -1,0 +1,150 @@
+"""Inputs of the model over time, and the actuator states that follow from them alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dieseltwin.engine._compiled import follow_lags
+from dieseltwin.engine.egr import egr_valve_position
+from dieseltwin.engine.parameters import EngineParameters, constants
+from dieseltwin.errors import InputError
+
+DEFAULT_STEP_S = 0.0125
+"""Largest integration step [s]: RK4 then errs by at most 0.01 % of a column's mean (see benchmarks/simulator.py)."""
+
+INPUT_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Engine inputs at their sample times; linear in between, the first value holds before the first time.
+
+    Attributes:
+        time_s: sample times [s], strictly increasing, shape (n,).
+        n_e_rpm: engine speed [rpm], (n,).
+        u_delta_mg: injected mass [mg/cycle], (n,).
+        u_egr_pct, u_vgt_pct: commanded positions [%], (n,).
+        n_history: number of leading rows that lie before the segment. They drive dead times and actuator lags only;
+            the states start at row `n_history`.
+    """
+
+    time_s: np.ndarray
+    n_e_rpm: np.ndarray
+    u_delta_mg: np.ndarray
+    u_egr_pct: np.ndarray
+    u_vgt_pct: np.ndarray
+    n_history: int = 0
+
+    def __post_init__(self) -> None:
+        time = np.ascontiguousarray(self.time_s, dtype=np.float64)
+        object.__setattr__(self, "time_s", time)
+        for name in INPUT_COLUMNS:
+            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if values.shape != time.shape:
+                raise InputError(f"inputs: {name}", got=f"shape {values.shape}", allowed=f"{time.shape} as time_s", do="align the columns")
+            if not np.isfinite(values).all():
+                raise InputError(f"inputs: {name}", got="values that are not finite", allowed="finite numbers", do="fill or cut the gaps")
+            object.__setattr__(self, name, values)
+        if time.size - self.n_history < 2 or self.n_history < 0:
+            raise InputError("inputs", got=f"{time.size - self.n_history} rows", allowed="two rows or more", do="give a longer recording")
+        if not (np.diff(time) > 0).all():
+            raise InputError("inputs: time_s", got="time stamps that don't increase", allowed="strictly increasing", do="sort or cut")
+
+    @property
+    def segment_time_s(self) -> np.ndarray:
+        """Sample times of the segment itself [s], shape (n - n_history,)."""
+        return self.time_s[self.n_history :]
+
+    def clipped(self, parameters: EngineParameters) -> Inputs:
+        """The inputs saturated to the engine's ranges, as the published simulation does on entry."""
+        ranges = {
+            "n_e_rpm": parameters.n_e_range,
+            "u_delta_mg": parameters.u_delta_range,
+            "u_egr_pct": parameters.u_egr_range,
+            "u_vgt_pct": parameters.u_vgt_range,
+        }
+        return replace(self, **{name: np.clip(getattr(self, name), *limits) for name, limits in ranges.items()})
+
+    def resampled(self, step_s: float) -> Inputs:
+        """The same piecewise linear inputs with samples at most `step_s` apart (old samples kept); no history."""
+        rows = slice(self.n_history, None)
+        time = self.time_s[rows]
+        steps = steps_between(time, step_s)
+        fine = np.concatenate(
+            [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(time[:-1], time[1:], steps, strict=True)] + [time[-1:]]
+        )
+        columns = {name: np.interp(fine, time, getattr(self, name)[rows]) for name in INPUT_COLUMNS}
+        return Inputs(fine, **columns)
+
+
+def steps_between(time_s: np.ndarray, step_s: float) -> np.ndarray:
+    """Number of integration steps of at most `step_s` [s] between samples, shape (n - 1,)."""
+    return np.maximum(np.ceil(np.diff(time_s) / step_s - 1e-9), 1.0).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Actuation:
+    """Inputs with their actuator states, ready for the simulator; depends on the actuator constants only.
+
+    Attributes:
+        time_s: sample times of the segment [s], (n,).
+        steps: integration steps per sample interval, (n - 1,).
+        u_egr1, u_egr2, u_vgt: actuator states at the sample times [%], (n,).
+        u_egr: valve position K_egr u_egr1 - (K_egr - 1) u_egr2 at the sample times [%], (n,).
+        grid: n_e, u_delta, u~_egr, u~_vgt at every half integration step, (4, 2 N + 1).
+    """
+
+    time_s: np.ndarray
+    steps: np.ndarray
+    inputs: Inputs
+    u_egr1: np.ndarray
+    u_egr2: np.ndarray
+    u_vgt: np.ndarray
+    u_egr: np.ndarray
+    grid: np.ndarray = field(repr=False)
+
+
+def _half_step_times(time: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    widths = np.repeat(np.diff(time) / (2 * steps), 2 * steps)
+    starts = np.repeat(time[:-1], 2 * steps)
+    offsets = np.arange(widths.size) - np.repeat(np.concatenate([[0], np.cumsum(2 * steps)[:-1]]), 2 * steps)
+    return np.append(starts + offsets * widths, time[-1])
+
+
+def _delayed_lags(time: np.ndarray, u: np.ndarray, delay: float, taus: tuple[float, ...], wanted: np.ndarray) -> np.ndarray:
+    """States of first-order lags behind a dead time at the wanted times, shape (len(taus), len(wanted)) [%]."""
+    start = min(time[0], wanted[0])
+    breaks = time + delay
+    merged = np.union1d(breaks[(breaks > start) & (breaks < wanted[-1])], np.append(wanted, start))
+    delayed = np.interp(merged, breaks, u)  # the first value holds before the first sample
+    states = follow_lags(merged, delayed, np.asarray(taus, dtype=np.float64))
+    return states[:, np.searchsorted(merged, wanted)]
+
+
+def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float = DEFAULT_STEP_S) -> Actuation:
+    """Exact actuator states at the samples and at the half integration steps.
+
+    Args:
+        inputs: inputs with their history.
+        parameters: gives dead times, lags and K_egr (A.16-A.18, A.25).
+        step_s: largest integration step [s].
+    """
+    if not (math.isfinite(step_s) and step_s > 0):
+        raise InputError("integration step", got=repr(step_s), allowed="a positive time in s", do=f"use {DEFAULT_STEP_S}")
+    time = inputs.segment_time_s
+    steps = steps_between(time, step_s)
+    half = _half_step_times(time, steps)
+    p = parameters
+    u_egr1, u_egr2 = _delayed_lags(inputs.time_s, inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2), half)
+    (u_vgt,) = _delayed_lags(inputs.time_s, inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,), half)
+    u_egr = egr_valve_position(u_egr1, u_egr2, constants(p))
+    grid = np.stack(
+        [np.interp(half, inputs.time_s, inputs.n_e_rpm), np.interp(half, inputs.time_s, inputs.u_delta_mg), u_egr, u_vgt]
+    )
+    at = np.concatenate([[0], np.cumsum(2 * steps)])
+    return Actuation(time, steps, inputs, u_egr1[at], u_egr2[at], u_vgt[at], u_egr[at], np.ascontiguousarray(grid))
+
+

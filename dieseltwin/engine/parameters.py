@@ -1,0 +1,326 @@
+"""Engine parameters: the published names as a frozen model, and the flat constants the equations read."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from dieseltwin.errors import InputError
+
+HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+"""The four health parameters, in the order of every array that holds them."""
+
+HEALTH_UNITS = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
+
+
+class EngineParameters(BaseModel):
+    """Parameters of the mean-value engine model, SI units unless the description says otherwise.
+
+    Names are those of Wahlström & Eriksson (2011) and of the paper. Vectors hold the coefficients in the order of the
+    equation that the description names.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    c_pa: float = Field(gt=0, description="specific heat of air at constant pressure [J/(kg K)]")
+    c_va: float = Field(gt=0, description="specific heat of air at constant volume [J/(kg K)]")
+    c_pe: float = Field(gt=0, description="specific heat of exhaust gas at constant pressure [J/(kg K)]")
+    R_a: float = Field(gt=0, description="gas constant of air [J/(kg K)]")
+    R_e: float = Field(gt=0, description="gas constant of exhaust gas [J/(kg K)]")
+    gamma_a: float = Field(gt=1, description="heat capacity ratio of air [-]")
+    gamma_e: float = Field(gt=1, description="heat capacity ratio of exhaust gas [-]")
+    T_amb: float = Field(gt=150, lt=400, description="ambient temperature [K]")
+    p_amb: float = Field(gt=3e4, lt=2e5, description="ambient pressure [Pa]")
+    T_im: float = Field(gt=200, lt=500, description="intake manifold temperature [K]")
+    V_im: float = Field(gt=0, description="intake manifold volume [m3]")
+    V_em: float = Field(gt=0, description="exhaust manifold volume [m3]")
+    V_d: float = Field(gt=0, description="displacement [m3]")
+    r_c: float = Field(gt=1, description="compression ratio [-]")
+    n_cyl: int = Field(gt=0, description="number of cylinders [-]")
+    q_HV: float = Field(gt=0, description="heating value of the fuel [J/kg]")
+    eta_sc: float = Field(gt=0, description="compensation factor for non-ideal cycles [-] (health parameter)")
+    x_cv: float = Field(ge=0, le=1, description="share of fuel burnt at constant volume [-]")
+    h_tot: float = Field(ge=0, description="heat transfer coefficient of the exhaust pipes [W/(m2 K)] (health parameter)")
+    d_pipe: float = Field(gt=0, description="pipe diameter [m]")
+    l_pipe: float = Field(gt=0, description="pipe length [m]")
+    n_pipe: int = Field(gt=0, description="number of pipes [-]")
+    c_vol: tuple[float, float, float] = Field(description="volumetric efficiency (A.6)")
+    A_egrmax: float = Field(gt=0, description="maximum effective EGR area [m2] (health parameter)")
+    Pi_egropt: float = Field(gt=0, lt=1, description="choking pressure quotient of the EGR valve [-]")
+    c_egr: tuple[float, float, float] = Field(description="EGR area ratio over u~_egr in % (A.23)")
+    tau_egr1: float = Field(gt=0, description="EGR actuator lag 1 [s]")
+    tau_egr2: float = Field(gt=0, description="EGR actuator lag 2 [s]")
+    K_egr: float = Field(description="EGR actuator overshoot gain [-]")
+    tau_degr: float = Field(ge=0, description="EGR actuator dead time [s]")
+    A_vgtmax: float = Field(gt=0, description="maximum effective turbine area [m2] (health parameter)")
+    K_t: float = Field(gt=0, description="choking exponent of the turbine (A.27) [-]")
+    c_f1: float = Field(description="VGT area ratio (A.30) [-]")
+    c_f2: float = Field(description="VGT area ratio (A.30) [-]")
+    c_vgt1: float = Field(gt=0, description="VGT area ratio (A.30) [%]")
+    c_vgt2: float = Field(description="VGT area ratio (A.30) [%]")
+    tau_vgt: float = Field(gt=0, description="VGT actuator lag [s]")
+    tau_dvgt: float = Field(ge=0, description="VGT actuator dead time [s]")
+    J_t: float = Field(gt=0, description="turbocharger inertia [kg m2]")
+    R_t: float = Field(gt=0, description="turbine blade radius [m]")
+    R_c: float = Field(gt=0, description="compressor blade radius [m]")
+    eta_tmmax: float = Field(gt=0, le=1, description="maximum turbine efficiency [-]")
+    BSR_opt: float = Field(gt=0, description="blade speed ratio of best turbine efficiency [-]")
+    c_m: tuple[float, float, float] = Field(description="turbine efficiency curvature (A.35)")
+    omega_tlin: float = Field(description="speed below which c_m is linear [rad/s] (published simulation)")
+    c_mlin: float = Field(description="slope of the linear part of c_m (published simulation)")
+    eta_cmax: float = Field(gt=0, le=1, description="maximum compressor efficiency [-]")
+    Q_c: tuple[float, float, float] = Field(description="a_1, a_2, a_3 of the compressor efficiency (A.43)")
+    W_copt: float = Field(gt=0, description="compressor flow of best efficiency [kg/s]")
+    pi_copt: float = Field(description="transformed pressure quotient of best efficiency [-]")
+    c_pi: float = Field(gt=0, description="exponent of pi_c (A.42) [-]")
+    c_omega_psi: tuple[float, float, float] = Field(description="ellipse coefficient c_Psi1 (A.47)")
+    c_omega_phi: tuple[float, float, float] = Field(description="ellipse coefficient c_Phi1 (A.48)")
+    c_psi2: float = Field(description="ellipse centre (A.46) [-]")
+    c_phi2: float = Field(description="ellipse centre (A.46) [-]")
+    AF_s: float = Field(gt=0, description="stoichiometric air/fuel ratio [-]")
+    gamma_cyl: float = Field(gt=1, description="heat capacity ratio in the cylinder, for torque [-]")
+    eta_igch: float = Field(gt=0, description="combustion chamber efficiency, for torque [-]")
+    c_fric: tuple[float, float, float] = Field(description="friction over (n_e/1000)^2, n_e/1000, 1 [bar]")
+    n_e_range: tuple[float, float] = Field((500.0, 2000.0), description="valid engine speed [rpm]")
+    u_delta_range: tuple[float, float] = Field((1.0, 250.0), description="valid injected mass [mg/cycle]")
+    u_egr_range: tuple[float, float] = Field((0.0, 100.0), description="valid EGR position [%]")
+    u_vgt_range: tuple[float, float] = Field((20.0, 100.0), description="valid VGT position [%]")
+
+    def replace(self, **changes: Any) -> EngineParameters:
+        """A copy with the named parameters changed; raises InputError for an unknown name or a value out of range."""
+        return _validated({**self.model_dump(), **changes}, source="engine parameters")
+
+    def health(self) -> np.ndarray:
+        """The health parameters in the order of `HEALTH`, shape (4,)."""
+        return np.array([getattr(self, name) for name in HEALTH])
+
+
+def _validated(values: Mapping[str, Any], source: str) -> EngineParameters:
+    known = list(EngineParameters.model_fields)
+    for key in values:
+        if key not in known:
+            close = difflib.get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else "see `dieseltwin engine show` for the names"
+            raise InputError(f"{source}: unknown engine parameter", got=repr(key), allowed="names of the engine model", do=hint)
+    try:
+        return EngineParameters(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        raise InputError(
+            f"{source}: engine parameter {name}", got=repr(first.get("input")), allowed=first["msg"], do="correct the value"
+        ) from None
+
+
+def load_engine(path: str | Path, base: EngineParameters | None = None) -> EngineParameters:
+    """Engine parameters from a YAML file that overrides any parameter of `base` (default: the published set).
+
+    Raises InputError for an unreadable file, an unknown name or a value out of range.
+    """
+    if base is None:
+        from dieseltwin.engine.we2011 import PARAMETERS as base
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+        message = str(error).splitlines()[0]
+        raise InputError(f"engine file {path}", got=message, allowed="a readable YAML mapping", do="check the path") from None
+    if document is None:
+        document = {}
+    if not isinstance(document, dict):
+        raise InputError(
+            f"engine file {path}", got=type(document).__name__, allowed="a mapping of parameter names to values", do="see README"
+        )
+    return _validated({**base.model_dump(), **document}, source=f"engine file {path}")
+
+
+_VECTORS: dict[str, tuple[str, ...]] = {
+    "c_vol": ("c_vol1", "c_vol2", "c_vol3"),
+    "c_egr": ("c_egr1", "c_egr2", "c_egr3"),
+    "c_m": ("c_m1", "c_m2", "c_m3"),
+    "Q_c": ("a_1", "a_2", "a_3"),
+    "c_omega_psi": ("c_omega_psi1", "c_omega_psi2", "c_omega_psi3"),
+    "c_omega_phi": ("c_omega_phi1", "c_omega_phi2", "c_omega_phi3"),
+    "c_fric": ("c_fric1", "c_fric2", "c_fric3"),
+}
+
+
+class Constants(NamedTuple):
+    """The scalars that the equations read: published parameters and, last, factors that depend on them alone.
+
+    Every field is a float, or an array or tensor that broadcasts against the states.
+    """
+
+    c_pa: Any
+    c_va: Any
+    c_pe: Any
+    R_a: Any
+    R_e: Any
+    gamma_a: Any
+    gamma_e: Any
+    T_amb: Any
+    p_amb: Any
+    T_im: Any
+    V_im: Any
+    V_em: Any
+    V_d: Any
+    r_c: Any
+    n_cyl: Any
+    q_HV: Any
+    eta_sc: Any
+    x_cv: Any
+    h_tot: Any
+    d_pipe: Any
+    l_pipe: Any
+    n_pipe: Any
+    c_vol1: Any
+    c_vol2: Any
+    c_vol3: Any
+    A_egrmax: Any
+    Pi_egropt: Any
+    c_egr1: Any
+    c_egr2: Any
+    c_egr3: Any
+    tau_egr1: Any
+    tau_egr2: Any
+    K_egr: Any
+    tau_degr: Any
+    A_vgtmax: Any
+    K_t: Any
+    c_f1: Any
+    c_f2: Any
+    c_vgt1: Any
+    c_vgt2: Any
+    tau_vgt: Any
+    tau_dvgt: Any
+    J_t: Any
+    R_t: Any
+    R_c: Any
+    eta_tmmax: Any
+    BSR_opt: Any
+    c_m1: Any
+    c_m2: Any
+    c_m3: Any
+    omega_tlin: Any
+    c_mlin: Any
+    eta_cmax: Any
+    a_1: Any
+    a_2: Any
+    a_3: Any
+    W_copt: Any
+    pi_copt: Any
+    c_pi: Any
+    c_omega_psi1: Any
+    c_omega_psi2: Any
+    c_omega_psi3: Any
+    c_omega_phi1: Any
+    c_omega_phi2: Any
+    c_omega_phi3: Any
+    c_psi2: Any
+    c_phi2: Any
+    AF_s: Any
+    gamma_cyl: Any
+    eta_igch: Any
+    c_fric1: Any
+    c_fric2: Any
+    c_fric3: Any
+    inverse_gamma_a: Any
+    compression_heating: Any
+    pipe_area: Any
+    turbine_exponent: Any
+    wheel_volume: Any
+    u_egr_vertex: Any
+    otto_efficiency: Any
+
+
+CONSTANT_NAMES = Constants._fields
+_DERIVED = Constants._fields[Constants._fields.index("inverse_gamma_a") :]
+_PUBLISHED = tuple(name for name in CONSTANT_NAMES if name not in _DERIVED)
+
+
+def _derived(v: Mapping[str, Any]) -> dict[str, Any]:
+    """Factors of parameters alone, computed once instead of at every right-hand side."""
+    return {
+        "inverse_gamma_a": 1.0 / v["gamma_a"],
+        "compression_heating": v["r_c"] ** (v["gamma_a"] - 1.0),  # T_2/T_1 of the isentropic compression
+        "pipe_area": math.pi * v["d_pipe"] * v["l_pipe"] * v["n_pipe"],  # m2
+        "turbine_exponent": 1.0 - 1.0 / v["gamma_e"],
+        "wheel_volume": math.pi * v["R_c"] ** 3,  # m3
+        "u_egr_vertex": -v["c_egr2"] / (2.0 * v["c_egr1"]),  # %
+        "otto_efficiency": 1.0 - v["r_c"] ** (1.0 - v["gamma_cyl"]),
+    }
+
+
+def _scalars(parameters: EngineParameters) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for name, value in parameters.model_dump().items():
+        if name in _VECTORS:
+            values.update(zip(_VECTORS[name], value, strict=True))
+        elif name in _PUBLISHED:
+            values[name] = float(value)
+    return values
+
+
+def constants(parameters: EngineParameters) -> Constants:
+    """The constants of one parameter set, all floats. Use ``._replace(A_egrmax=tensor)`` for unknowns."""
+    values = _scalars(parameters)
+    return Constants(**values, **_derived(values))
+
+
+@dataclass(frozen=True)
+class ParameterBatch:
+    """B parameter sets for the compiled simulator.
+
+    Attributes:
+        values: constants, shape (n_constants, B), rows in the order of `CONSTANT_NAMES`.
+    """
+
+    values: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """Number of parameter sets B."""
+        return int(self.values.shape[1])
+
+    def column(self, name: str) -> np.ndarray:
+        """One constant of all sets, shape (B,)."""
+        return self.values[CONSTANT_NAMES.index(name)]
+
+    def constants(self) -> Constants:
+        """The constants as arrays of shape (B, 1), to broadcast over time."""
+        return Constants(*(row[:, None] for row in self.values))
+
+
+def parameter_batch(parameters: EngineParameters, size: int | None = None, **columns: Any) -> ParameterBatch:
+    """B parameter sets that share `parameters` but for the named columns.
+
+    Args:
+        parameters: the common set.
+        size: B, needed only without columns.
+        columns: scalar parameter name (vectors by element: ``c_vol1``) -> values of shape (B,).
+
+    Raises:
+        InputError: unknown name, or columns of different length.
+    """
+    lengths = {np.size(value) for value in columns.values()}
+    if len(lengths) > 1:
+        raise InputError("parameter batch", got=f"columns of lengths {sorted(lengths)}", allowed="one length B", do="align the columns")
+    batch = lengths.pop() if lengths else (size or 1)
+    values: dict[str, Any] = {name: np.full(batch, value) for name, value in _scalars(parameters).items()}
+    for name, column in columns.items():
+        if name not in _PUBLISHED:
+            close = difflib.get_close_matches(name, _PUBLISHED, n=1)
+            raise InputError(
+                "parameter batch: unknown parameter", got=repr(name), allowed="scalar engine parameters",
+                do=f"did you mean {close[0]!r}?" if close else "see `dieseltwin engine show`",
+            )
+        values[name] = np.asarray(column, dtype=np.float64).reshape(batch)
+    values.update(_derived(values))
+    return ParameterBatch(np.array([values[name] for name in CONSTANT_NAMES], dtype=np.float64))
