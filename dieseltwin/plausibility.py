@@ -1,0 +1,161 @@
+"""Is a recording in the units that its column names say? Wrong units give plausible-looking, wrong health parameters.
+
+The ranges are those of `symbols`: every engine of this class passes at any operating point and the usual wrong units
+do not. They are about medians and quantiles, so that a few bad rows (which an estimator masks or weighs) do not refuse a
+recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from dieseltwin.errors import InputError
+from dieseltwin.symbols import symbol
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A usual wrong unit: the median lies in [low, high] when the values are in `unit`."""
+
+    unit: str
+    low: float
+    high: float
+
+
+_PRESSURE = (Slip("bar", 0.3, 20.0), Slip("kPa", 30.0, 799.0), Slip("mbar or hPa", 799.0, 2e4))
+_FLOW = (Slip("g/s or kg/h", 2.0, 1e5),)
+_CELSIUS = (Slip("degC", -60.0, 230.0),)
+# columns that are checked, in the order of the complaints, and the wrong units met with; the ranges are in `symbols`
+CHECKED: Mapping[str, tuple[Slip, ...]] = {
+    "n_e_rpm": (),
+    "u_delta_mg": (),
+    "u_egr_pct": (),
+    "u_vgt_pct": (),
+    "p_im_pa": _PRESSURE,
+    "p_em_pa": _PRESSURE,
+    "p_amb_pa": _PRESSURE,
+    "omega_t_rad_s": (Slip("rpm", 2.5e4, 3e5), Slip("krpm", 2.0, 250.0)),
+    "w_egr_kg_s": _FLOW,
+    "w_c_kg_s": _FLOW,
+    "t_em_k": _CELSIUS,
+    "t_im_k": _CELSIUS,
+    "t_amb_k": _CELSIUS,
+}
+TINY_FUEL_MG = 0.1  # a median below this is no fuel of a running engine in mg/cycle
+
+FRACTION = 1.2  # positions whose largest value is below this are fractions, if the valve is not simply shut
+COLDEST_EXHAUST = 0.85  # of the ambient temperature [-]: colder exhaust gas is in Celsius
+# Exhaust temperature over ambient per fuel [K per mg/cycle and litre of one cylinder]: 7.5-14 for real engines,
+# about 3 when the column is in Celsius. Counted at medium fuel, where both numbers are steady.
+HEAT_PER_FUEL = 5.0
+MEDIUM_FUEL = (19.0, 61.0)  # mg/cycle per litre of one cylinder
+MEDIUM_ROWS = 20
+LITRE = 1e-3  # m3
+
+
+def check_plausible(
+    columns: Mapping[str, np.ndarray], where: str, t_amb_k: float, cylinder_m3: float
+) -> None:
+    """Refuse columns that are in another unit than their name says.
+
+    Args:
+        columns: our column name -> values (n,), NaN where missing.
+        where: name of the file, for messages.
+        t_amb_k: ambient temperature [K].
+        cylinder_m3: displacement of one cylinder [m3].
+
+    Raises:
+        InputError: a column without values, or values that cannot be in that unit.
+    """
+    for name, slips in CHECKED.items():
+        values = columns.get(name)
+        if values is None:
+            continue
+        finite = values[np.isfinite(values)]
+        if finite.size == 0:
+            raise InputError(
+                f"{where}: column {name}",
+                "no value at all (every row is empty)",
+                f"numbers, {symbol(name).allowed}",
+                "record this channel or leave the column out if it is optional",
+            )
+        _check_median(name, float(np.median(finite)), slips, where)
+    _check_positions(columns, where)
+    _check_exhaust(columns, where, t_amb_k, cylinder_m3)
+
+
+def _check_median(name: str, median: float, slips: tuple[Slip, ...], where: str) -> None:
+    range_ = symbol(name)
+    low = TINY_FUEL_MG if name == "u_delta_mg" else range_.low
+    if low <= median <= range_.high:
+        return
+    looks = next((s.unit for s in slips if s.low <= median <= s.high), None)
+    guess = f" (looks like {looks})" if looks else ""
+    raise InputError(
+        f"{where}: column {name}",
+        f"a median of {median:.6g}{guess}",
+        range_.allowed,
+        f"convert to {range_.unit} or give the unit in a channel map (--channels)",
+    )
+
+
+def _check_positions(columns: Mapping[str, np.ndarray], where: str) -> None:
+    largest = {
+        name: float(np.nanmax(columns[name])) for name in ("u_egr_pct", "u_vgt_pct") if name in columns
+    }
+    fractions = [name for name, value in largest.items() if value <= FRACTION]
+    if fractions == ["u_egr_pct"] and not _egr_flows(columns):
+        return  # the EGR valve is really shut all the time
+    if not fractions:
+        return
+    name = fractions[-1]  # u_vgt has no shut position, so it is the sure sign
+    raise InputError(
+        f"{where}: column {name}",
+        f"no value above {largest[name]:.3g} (looks like a fraction)",
+        "positions in %, 0 to 100",
+        "multiply by 100 or give unit: fraction in a channel map (--channels)",
+    )
+
+
+def _egr_flows(columns: Mapping[str, np.ndarray]) -> bool:
+    """Whether more EGR flows than a valve open by 1 % can pass (f_egr about 0.02)."""
+    flow, p_em = columns.get("w_egr_kg_s"), columns.get("p_em_pa")
+    if flow is None or p_em is None:
+        return False
+    high = float(np.nanquantile(flow, 0.9))
+    # choked flow through 2 % of 4e-4 m2 at 500 K is 1.4e-8 kg/s per Pa; three times that is a valve really open
+    return high > 4.5e-8 * float(np.nanmedian(p_em))
+
+
+def _check_exhaust(
+    columns: Mapping[str, np.ndarray], where: str, t_amb_k: float, cylinder_m3: float
+) -> None:
+    temperature, fuel = columns.get("t_em_k"), columns.get("u_delta_mg")
+    if temperature is None or fuel is None:
+        return
+    finite = temperature[np.isfinite(temperature)]
+    coldest = float(np.quantile(finite, 0.01))
+    allowed = "exhaust temperatures in K"
+    do = "convert to K or give unit: degC in a channel map (--channels)"
+    if coldest < COLDEST_EXHAUST * t_amb_k:
+        raise InputError(
+            f"{where}: column t_em_k",
+            f"values down to {coldest:.4g} (colder than the ambient air, looks like degC)",
+            allowed,
+            do,
+        )
+    per_litre = fuel * LITRE / cylinder_m3
+    medium = (per_litre > MEDIUM_FUEL[0]) & (per_litre < MEDIUM_FUEL[1]) & np.isfinite(temperature)
+    if np.count_nonzero(medium) < MEDIUM_ROWS:
+        return
+    ratio = float(np.median((temperature[medium] - t_amb_k) / per_litre[medium]))
+    if ratio < HEAT_PER_FUEL:
+        raise InputError(
+            f"{where}: column t_em_k",
+            f"a median of {np.median(temperature[medium]):.4g} at medium fuel (too cold, looks like degC)",
+            allowed,
+            do,
+        )
