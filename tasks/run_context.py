@@ -1,0 +1,348 @@
+"""THE cache policy, and how a step runs.
+
+A step's key is the hash of
+  * the content hashes of the files it is given (never their names, never arrays),
+  * its plain parameters (its section of params.yaml, seeds),
+  * the code of its own function and of the library modules that it really imports (:mod:`tasks.sources`),
+  * the versions of the packages those modules import.
+
+Results lie in ``.cache/<step>/<key>/`` (:mod:`tasks.store`); Prefect's own cache holds the path and the hash alone,
+under the same key, and is believed only after the files were hashed again. Steps run in processes of their own
+(:mod:`tasks.worker`), so that two heavy ones use two cores.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tasks.progress import Display
+from tasks.sources import LIBRARY, LibrarySources, Sources, function_sources
+from tasks.store import Artifact, Store
+from tasks.workspace import PROJECT, Workspace
+
+# One thread of linear algebra per process: two spinning threads beside a busy neighbour were 10-70 times slower than
+# one, and one thread gives the same bits every time.
+_ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_WAIT_POLICY": "PASSIVE",
+    "PYTHONHASHSEED": "0",
+}
+
+# Steps at a time: each uses one core.
+WORKERS = max(1, min(2, os.cpu_count() or 1))
+
+_LOG_TAIL_LINES = 12
+
+STEPS: dict[str, Step] = {}
+
+_workers: set[subprocess.Popen[str]] = set()
+
+
+class StepFailed(RuntimeError):
+    """A step ended with an error; the message is one line. ``exit_code``: 2 where the user's input is wrong."""
+
+    def __init__(self, message: str, exit_code: int = 1) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+    def __reduce__(self) -> tuple[type[StepFailed], tuple[str, int]]:
+        return type(self), (str(self), self.exit_code)
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What every step of one process shares."""
+
+    workspace: Workspace
+    display: Display
+    library_root: Path = PROJECT
+    library: str = LIBRARY
+    timings: dict[str, float] = field(default_factory=dict)
+    codes: dict[str, Sources] = field(default_factory=dict)
+
+    @cached_property
+    def store(self) -> Store:
+        """Where results lie."""
+        return Store(self.workspace.cache)
+
+    @cached_property
+    def sources(self) -> LibrarySources:
+        """The library's code as it is on disk when the run starts."""
+        return LibrarySources(self.library_root, self.library)
+
+
+_context: RunContext | None = None
+
+
+def current() -> RunContext:
+    """The run context of this process, made on first use."""
+    global _context
+    if _context is None:
+        workspace = Workspace.current()
+        _context = RunContext(workspace, Display(workspace.cache / "expected_seconds.json"))
+    return _context
+
+
+def use(context: RunContext | None) -> None:
+    """Set (tests) or forget (None) the process's run context."""
+    global _context
+    _context = context
+
+
+@dataclass(frozen=True)
+class Step:
+    """A function ``(out, progress, **inputs, **parameters) -> None`` that writes its result into the folder ``out``.
+
+    ``progress(done, total)`` may be called or not. Arguments given as :class:`Artifact` reach the function as paths;
+    all others must be plain JSON values. The function imports what it computes with inside itself.
+    """
+
+    name: str
+    label: str
+    function: Callable[..., None]
+    expected_s: float = 5.0
+    data_files: tuple[str, ...] = ()
+    entries: tuple[str, ...] | None = None
+
+    def code(self, context: RunContext) -> Sources:
+        """The code that the step's result rests on."""
+        if self.name not in context.codes:
+            known = context.sources.modules
+            own, imported = function_sources(self.function, known)
+            entries = self.entries if self.entries is not None else tuple(sorted(imported & known))
+            context.codes[self.name] = context.sources.collect(entries, {f"step {self.name}": own})
+        return context.codes[self.name]
+
+    def key(self, context: RunContext, inputs: Mapping[str, Artifact], parameters: Mapping[str, Any]) -> str:
+        """The cache key (first 32 digits of a sha256)."""
+        parts = {
+            "step": self.name,
+            "code": self.code(context).digest,
+            "inputs": {name: artifact.sha256 for name, artifact in inputs.items()},
+            "data": {name: Artifact.of(context.library_root / name).sha256 for name in self.data_files},
+            "parameters": parameters,
+        }
+        text = json.dumps(parts, sort_keys=True, allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+    def submit(self, **arguments: Any) -> Pending:
+        """Start the step in the running flow; :meth:`Pending.result` waits for it."""
+        context = current()
+        inputs, parameters = split_arguments(arguments)
+        key = self.key(context, inputs, parameters)
+        hit = context.store.find(self.name, key)
+        task = _prefect_task().with_options(
+            name=self.name,
+            task_run_name=self.name,
+            # Prefect's record is refused where the files it names are gone or changed.
+            refresh_cache=hit is None,
+        )
+        plain = {name: artifact.to_dict(context.workspace.root) for name, artifact in inputs.items()}
+        future = task.submit(self.name, plain, dict(parameters))
+        return Pending(self, future, context, cached=hit is not None)
+
+    def __call__(self, **arguments: Any) -> Artifact:
+        """Run the step now, with the cache but without Prefect."""
+        context = current()
+        inputs, parameters = split_arguments(arguments)
+        return execute(self, context, inputs, parameters)
+
+
+@dataclass(frozen=True)
+class Pending:
+    """A step that was submitted."""
+
+    step: Step
+    future: Any
+    context: RunContext
+    cached: bool
+
+    def result(self) -> Artifact:
+        """Wait; returns path and hash, checked. Raises :class:`StepFailed`."""
+        artifact = Artifact.from_dict(self.future.result(), self.context.workspace.root)
+        if self.cached:
+            self.context.display.finish(self.step.name, "already computed", self.step.label)
+        return artifact
+
+
+def step(
+    name: str,
+    label: str,
+    *,
+    expected_s: float = 5.0,
+    data_files: tuple[str, ...] = (),
+    entries: tuple[str, ...] | None = None,
+) -> Callable[[Callable[..., None]], Step]:
+    """Make a step of a function, see :class:`Step`.
+
+    ``data_files``: files or folders of the library (relative to the project) that it reads; ``entries``: library
+    modules that stand for what it imports, where following the function's imports would take in too much.
+    """
+
+    def decorate(function: Callable[..., None]) -> Step:
+        made = Step(name, label, function, expected_s, data_files, entries)
+        if name in STEPS and STEPS[name].function.__qualname__ != function.__qualname__:
+            raise ValueError(f"two steps named {name!r}")
+        STEPS[name] = made
+        return made
+
+    return decorate
+
+
+def split_arguments(arguments: Mapping[str, Any]) -> tuple[dict[str, Artifact], dict[str, Any]]:
+    """Artifacts and plain values. Raises ``TypeError`` for anything else: arrays hash differently every time."""
+    inputs = {name: value for name, value in arguments.items() if isinstance(value, Artifact)}
+    parameters = {name: value for name, value in arguments.items() if not isinstance(value, Artifact)}
+    try:
+        text = json.dumps(parameters, sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"a step takes artifacts and plain JSON values; got {sorted(parameters)}: {error}") from error
+    return inputs, json.loads(text)
+
+
+def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], parameters: Mapping[str, Any]) -> Artifact:
+    """The stored result where there is a good one, else run the step's function in a worker process and store it."""
+    key = step.key(context, inputs, parameters)
+    found = context.store.find(step.name, key)
+    if found is not None:
+        return found
+    for name, artifact in inputs.items():
+        if not artifact.still_agrees():
+            raise StepFailed(
+                f"{step.name}: input {name} ({context.workspace.relative(artifact.path)}) changed while the run was on;"
+                " run again"
+            )
+    provenance = {
+        "inputs": {name: artifact.to_dict(context.workspace.root) for name, artifact in inputs.items()},
+        "parameters": dict(parameters),
+        "modules": dict(sorted(step.code(context).modules.items())),
+        "packages": dict(step.code(context).packages),
+    }
+    context.display.start(step.name, step.expected_s, step.label)
+    started = time.perf_counter()
+    try:
+        with context.store.writing(step.name, key, provenance) as out:
+            _run_worker(step, context, key, out, inputs, parameters)
+    except BaseException:
+        context.display.fail(step.name)
+        raise
+    context.timings[step.name] = time.perf_counter() - started
+    context.display.finish(step.name, label=step.label)
+    stored = context.store.find(step.name, key)
+    if stored is None:
+        raise StepFailed(f"{step.name}: what was just written to {context.store.folder(step.name, key)} cannot be read")
+    return stored
+
+
+def stop_workers() -> None:
+    """Kill the workers of this process (Ctrl-C); the threads that wait for them remove their temporary folders."""
+    for worker in tuple(_workers):
+        worker.kill()
+
+
+def _run_worker(
+    step: Step,
+    context: RunContext,
+    key: str,
+    out: Path,
+    inputs: Mapping[str, Artifact],
+    parameters: Mapping[str, Any],
+) -> None:
+    specification = {
+        "module": step.function.__module__,
+        "function": step.function.__name__,
+        "inputs": {name: str(artifact.path) for name, artifact in inputs.items()},
+        "parameters": dict(parameters),
+        "out": str(out),
+    }
+    logs = context.workspace.cache / "logs"
+    logs.mkdir(parents=True, exist_ok=True)
+    log = logs / f"{step.name}-{key[:8]}.log"
+    paths = [str(context.library_root), str(PROJECT), *(path for path in sys.path if path)]
+    environment = {**os.environ, **_ONE_THREAD, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
+    with (
+        log.open("w", encoding="utf-8") as stream,
+        subprocess.Popen(
+            [sys.executable, "-m", "tasks.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=stream,
+            text=True,
+            env=environment,
+            # Ctrl-C goes to the parent alone, which ends the worker by closing its stdin.
+            start_new_session=True,
+        ) as worker,
+    ):
+        _workers.add(worker)
+        try:
+            failure = _talk(worker, specification, step, context)
+        except BaseException:
+            worker.kill()
+            raise
+        finally:
+            _workers.discard(worker)
+    if worker.returncode:
+        raise _failed(step, context, log, failure, worker.returncode)
+
+
+def _talk(
+    worker: subprocess.Popen[str], specification: Mapping[str, Any], step: Step, context: RunContext
+) -> dict[str, Any]:
+    """Send the specification, pass progress on. Returns the worker's error message, if any."""
+    failure: dict[str, Any] = {}
+    if worker.stdin is None or worker.stdout is None:
+        raise StepFailed(f"{step.name}: no pipe to the worker")
+    worker.stdin.write(json.dumps(specification) + "\n")
+    worker.stdin.flush()
+    for line in worker.stdout:
+        message = json.loads(line)
+        if "fraction" in message:
+            context.display.update(step.name, message["fraction"])
+        else:
+            failure = message
+    worker.wait()
+    return failure
+
+
+def _failed(step: Step, context: RunContext, log: Path, failure: Mapping[str, Any], status: int) -> StepFailed:
+    where = context.workspace.relative(log)
+    if f"{context.library}.errors.InputError" in failure.get("kind", ()):
+        return StepFailed(failure["error"], exit_code=2)
+    if failure:
+        kind = failure["kind"][0].removeprefix("builtins.")
+        first = str(failure["error"]).splitlines()[0]
+        return StepFailed(f"{step.name}: {kind}: {first} (traceback in {where})")
+    tail = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_LOG_TAIL_LINES:]
+    last = tail[-1] if tail else "no output"
+    return StepFailed(f"{step.name}: the worker ended with status {status}: {last} (log in {where})")
+
+
+def _prefect_task() -> Any:
+    """The one Prefect task that every step runs as (imported late: a worker never needs Prefect)."""
+    from tasks.prefect_task import run_step
+
+    return run_step
+
+
+def seed_for(seed: int, *names: str) -> int:
+    """A seed of its own for each named purpose, derived from the run's seed."""
+    text = "/".join((str(seed), *names))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+
+def signature_of(step: Step) -> list[str]:
+    """Names of the arguments that the step's function takes, without ``out`` and ``progress``."""
+    return [name for name in inspect.signature(step.function).parameters if name not in ("out", "progress")]

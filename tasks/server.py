@@ -1,0 +1,110 @@
+"""A Prefect server for the duration of one run, that dies with it.
+
+Prefect can start one itself, but then a ``kill -9`` leaves it running for ever, and the tracebacks that it prints while
+it shuts down land on the user's terminal. Here its output goes to ``.prefect/server.log``, and it ends when its stdin
+does, however its parent ended.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tasks.workspace import PROJECT, Workspace
+
+_START_TIMEOUT_S = 180.0
+_STOP_TIMEOUT_S = 5.0
+
+# Nothing is scheduled on a server that lives for one run.
+_NO_SERVICES = {
+    f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false"
+    for name in ("SCHEDULER", "LATE_RUNS", "PAUSE_EXPIRATIONS", "REPOSSESSOR", "FOREMAN", "CANCELLATION_CLEANUP")
+}
+
+
+class ServerFailed(RuntimeError):
+    """The Prefect server didn't come up."""
+
+
+@contextmanager
+def prefect_server(workspace: Workspace) -> Iterator[str]:
+    """Start a server (unless ``PREFECT_API_URL`` names one), point Prefect to it, stop it afterwards.
+
+    Must be entered before ``prefect`` is imported. Yields the API's address.
+    """
+    given = os.environ.get("PREFECT_API_URL")
+    if given:
+        yield given
+        return
+    workspace.prefect_home.mkdir(parents=True, exist_ok=True)
+    log = workspace.prefect_home / "server.log"
+    port = _free_port()
+    with log.open("w", encoding="utf-8") as stream:
+        server = subprocess.Popen(
+            [sys.executable, "-m", "tasks.server", str(port)],
+            stdin=subprocess.PIPE,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            cwd=PROJECT,
+            env={**os.environ, **_NO_SERVICES, "PREFECT_UI_ENABLED": "0", "PREFECT__SERVER_EPHEMERAL": "1"},
+            start_new_session=True,
+        )
+    address = f"http://127.0.0.1:{port}/api"
+    try:
+        os.environ["PREFECT_API_URL"] = address
+        _wait_until_up(server, address, log)
+        yield address
+    finally:
+        os.environ.pop("PREFECT_API_URL", None)
+        server.terminate()
+        try:
+            server.wait(timeout=_STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            server.kill()
+            server.wait()
+
+
+def _wait_until_up(server: subprocess.Popen[bytes], address: str, log: Path) -> None:
+    deadline = time.monotonic() + _START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        if server.poll() is not None:
+            raise ServerFailed(f"the Prefect server ended with status {server.returncode}; see {log}")
+        try:
+            with urllib.request.urlopen(f"{address}/health", timeout=2.0):
+                return
+        except (urllib.error.URLError, OSError):
+            time.sleep(0.1)
+    raise ServerFailed(f"the Prefect server didn't answer within {_START_TIMEOUT_S:.0f} s; see {log}")
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _serve(port: int) -> None:
+    """What the child process does."""
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    import uvicorn
+    from prefect.server.api.server import create_app
+
+    uvicorn.run(create_app, factory=True, host="127.0.0.1", port=port, log_level="error", lifespan="on")
+
+
+def _die_with_parent() -> None:
+    sys.stdin.buffer.read()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    _serve(int(sys.argv[1]))

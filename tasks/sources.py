@@ -1,0 +1,231 @@
+"""Which code does a result rest on: the transitive imports of a library module, as a digest.
+
+Prefect's ``TASK_SOURCE`` sees only the task's own text, so a changed helper returns a stale result; hashing the whole
+library throws hours of pretraining away for a new colour in the report. Here the digest covers exactly the modules of
+``dieseltwin`` that a step's entry modules import, directly or through others, inside functions too.
+
+What counts is a module's code, not its text: comments, docstrings and layout are left out of the digest.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import inspect
+import sys
+import textwrap
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+LIBRARY = "dieseltwin"
+
+# Dunder assignments of a package's __init__ that cannot change a result.
+_INERT_NAMES = frozenset({"__all__", "__version__", "__author__"})
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The code a result rests on.
+
+    ``modules``: module name -> sha256 of its code; ``packages``: distribution of another project -> its version;
+    ``python``: ``major.minor`` of the interpreter.
+    """
+
+    modules: Mapping[str, str]
+    packages: Mapping[str, str]
+    python: str
+
+    @property
+    def digest(self) -> str:
+        """One sha256 over modules, versions and interpreter."""
+        text = "\n".join(
+            [self.python]
+            + [f"{name} {code}" for name, code in sorted(self.modules.items())]
+            + [f"{name}=={version}" for name, version in sorted(self.packages.items())]
+        )
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+class LibrarySources:
+    """Reads the modules of one package below ``root`` (never imports them) and follows their imports.
+
+    An instance caches what it read: make a new one to see changed files.
+    """
+
+    def __init__(self, root: Path, package: str = LIBRARY) -> None:
+        self.package = package
+        self._files = {
+            _module_name(path.relative_to(root)): path
+            for path in sorted((root / package).rglob("*.py"))
+            if "__pycache__" not in path.parts
+        }
+        self._trees: dict[str, ast.Module] = {}
+
+    @property
+    def modules(self) -> frozenset[str]:
+        """Names of all modules of the package."""
+        return frozenset(self._files)
+
+    def collect(self, entries: Iterable[str], own_code: Mapping[str, str] | None = None) -> Sources:
+        """Digest everything the modules ``entries`` import.
+
+        ``own_code``: further code by a label of its own (the step's function). Raises ``ModuleNotFoundError`` where an
+        entry isn't a module of the package: a silent omission would return stale results.
+        """
+        todo = list(entries)
+        for name in todo:
+            if name not in self._files:
+                raise ModuleNotFoundError(f"no module {name!r} below {self.package}; entries: {sorted(todo)}")
+        inside: set[str] = set()
+        outside: set[str] = set()
+        while todo:
+            name = todo.pop()
+            if name in inside:
+                continue
+            inside.add(name)
+            imports = self._imports(name)
+            todo += [module for module in imports if module in self._files]
+            outside |= {module for module in imports if module not in self._files}
+        modules = {name: _code_digest(self._tree(name)) for name in inside}
+        for name in sorted({parent for module in inside for parent in _parents(module)} - inside):
+            # A parent package's __init__ runs too, but its re-exports aren't used: only its own statements count.
+            if name in self._files:
+                statements = [node for node in self._tree(name).body if not _is_inert(node)]
+                if statements:
+                    modules[name] = _code_digest(ast.Module(body=statements, type_ignores=[]))
+        modules |= dict(own_code or {})
+        version = f"{sys.version_info.major}.{sys.version_info.minor}"
+        return Sources(modules=modules, packages=_versions(frozenset(outside)), python=version)
+
+    def _tree(self, name: str) -> ast.Module:
+        if name not in self._trees:
+            self._trees[name] = ast.parse(self._files[name].read_text(encoding="utf-8"))
+        return self._trees[name]
+
+    def _imports(self, name: str) -> set[str]:
+        """Module names that ``name`` imports: of the package in full, of others the top level only."""
+        is_package = self._files[name].name == "__init__.py"
+        return imported_modules(self._tree(name), name, is_package, frozenset(self._files))
+
+
+def imported_modules(tree: ast.AST, name: str, is_package: bool, known: frozenset[str]) -> set[str]:
+    """Modules that ``tree`` imports, at any depth.
+
+    A string constant that is a known module's name counts as well ("pkg.module" or "pkg.module:function"): that is how
+    lazy registries import.
+    """
+    found: set[str] = set()
+
+    def add(module: str) -> None:
+        found.add(module if module in known else module.split(".")[0])
+
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                add(alias.name)
+        elif isinstance(node, ast.ImportFrom):
+            base = _resolve(node, name, is_package)
+            for alias in node.names:
+                submodule = f"{base}.{alias.name}"
+                add(submodule if submodule in known else base)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            text = node.value.split(":")[0]
+            if "." in text and text in known:
+                found.add(text)
+    found.discard("__future__")
+    return found
+
+
+def function_sources(function: Callable[..., Any], known: frozenset[str] | None = None) -> tuple[str, set[str]]:
+    """Digest of a function and of the functions, classes and constants of its own module that it uses, and the modules
+    it imports inside itself.
+
+    Returns (sha256, names of imported modules). What the module imports at its top level isn't followed: a step
+    imports what it computes with inside itself, which also keeps the flows quick to start.
+    """
+    module = inspect.getmodule(function)
+    if module is None:
+        raise ValueError(f"{function!r} has no module")
+    source = ast.parse(textwrap.dedent(inspect.getsource(module)))
+    definitions: dict[str, ast.stmt] = {}
+    for statement in source.body:
+        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            definitions[statement.name] = statement
+        elif isinstance(statement, ast.Assign | ast.AnnAssign):
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            definitions |= {target.id: statement for target in targets if isinstance(target, ast.Name)}
+    used: dict[str, ast.stmt] = {}
+    todo = [function.__name__]
+    while todo:
+        name = todo.pop()
+        if name in used or name not in definitions:
+            continue
+        used[name] = definitions[name]
+        todo += [node.id for node in ast.walk(definitions[name]) if isinstance(node, ast.Name)]
+    body = ast.Module(body=[_undecorated(used[name]) for name in sorted(used)], type_ignores=[])
+    return _code_digest(body), imported_modules(body, module.__name__, False, known or frozenset())
+
+
+def _undecorated(node: ast.stmt) -> ast.stmt:
+    """The definition without decorators: a step's label or expected seconds don't change its result."""
+    if isinstance(node, ast.FunctionDef):
+        copy = ast.parse(ast.unparse(node)).body[0]
+        if isinstance(copy, ast.FunctionDef):
+            copy.decorator_list = []
+            return copy
+    return node
+
+
+def _code_digest(tree: ast.AST) -> str:
+    bare = ast.parse(ast.unparse(tree))
+    for node in ast.walk(bare):
+        if isinstance(node, ast.Module | ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            first = node.body[0] if node.body else None
+            if isinstance(first, ast.Expr) and isinstance(getattr(first.value, "value", None), str):
+                node.body = node.body[1:]
+    return hashlib.sha256(ast.dump(bare).encode()).hexdigest()
+
+
+def _is_inert(node: ast.stmt) -> bool:
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        return True
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+        return True
+    return isinstance(node, ast.Assign) and all(
+        isinstance(target, ast.Name) and target.id in _INERT_NAMES for target in node.targets
+    )
+
+
+def _resolve(node: ast.ImportFrom, name: str, is_package: bool) -> str:
+    if not node.level:
+        return node.module or ""
+    parts = name.split(".")
+    parts = parts[: len(parts) - node.level + (1 if is_package else 0)]
+    return ".".join(parts + ([node.module] if node.module else []))
+
+
+def _module_name(path: Path) -> str:
+    parts = path.with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _parents(module: str) -> list[str]:
+    parts = module.split(".")
+    return [".".join(parts[:depth]) for depth in range(1, len(parts))]
+
+
+@lru_cache(maxsize=256)
+def _versions(modules: frozenset[str]) -> Mapping[str, str]:
+    """Installed versions of the distributions that give ``modules`` (standard library: none)."""
+    givers = _distributions()
+    names = {name for module in modules if module not in sys.stdlib_module_names for name in givers.get(module, [])}
+    return {name: metadata.version(name) for name in sorted(names)}
+
+
+@lru_cache(maxsize=1)
+def _distributions() -> Mapping[str, list[str]]:
+    return metadata.packages_distributions()

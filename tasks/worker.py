@@ -1,0 +1,70 @@
+"""Runs one step's function in a process of its own: ``python -m tasks.worker``, the specification as JSON on stdin.
+
+Why a process: two trainings use two cores without sharing an interpreter lock, every step starts from the same state
+(one thread of linear algebra, fresh seeds), and Prefect needn't be imported beside torch. Progress goes back as JSON
+lines; what the library prints goes to the step's log. When the parent dies, however it dies, stdin ends and so does
+the worker: no orphan computes on.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+# A progress message at most this often [s]: a callback in an inner loop must not cost.
+_MESSAGE_INTERVAL_S = 0.2
+
+
+def main() -> int:
+    """Read the specification, run the function, report. Returns the exit status."""
+    channel = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
+    os.dup2(2, 1)
+    specification: dict[str, Any] = json.loads(sys.stdin.readline())
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    try:
+        module = importlib.import_module(specification["module"])
+        function: Callable[..., None] = getattr(module, specification["function"]).function
+        inputs = {name: Path(path) for name, path in specification["inputs"].items()}
+        function(Path(specification["out"]), _reporter(channel), **inputs, **specification["parameters"])
+    except Exception as error:
+        traceback.print_exc()
+        _send(channel, {"error": str(error) or repr(error), "kind": _kinds(error)})
+        return 1
+    return 0
+
+
+def _kinds(error: Exception) -> list[str]:
+    return [f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__]
+
+
+def _reporter(channel: TextIO) -> Callable[[float, float], None]:
+    last = [-_MESSAGE_INTERVAL_S]
+
+    def report(done: float, total: float) -> None:
+        now = time.monotonic()
+        if total > 0 and (now - last[0] >= _MESSAGE_INTERVAL_S or done >= total):
+            last[0] = now
+            _send(channel, {"fraction": min(1.0, done / total)})
+
+    return report
+
+
+def _send(channel: TextIO, message: dict[str, Any]) -> None:
+    print(json.dumps(message), file=channel)
+
+
+def _die_with_parent() -> None:
+    sys.stdin.read()
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,48 @@
+"""One Prefect server for all tests of the session, one toy library, temporary workspaces."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from toy_library import fresh_context, write_toylib
+
+from tasks import run_context
+from tasks.run_context import RunContext
+from tasks.workspace import PROJECT, Workspace, quiet_settings
+
+
+@pytest.fixture
+def context(tmp_path: Path) -> Iterator[RunContext]:
+    """A fresh workspace with the toy library, in use."""
+    write_toylib(tmp_path)
+    made = fresh_context(tmp_path)
+    run_context.use(made)
+    yield made
+    run_context.use(None)
+
+
+@pytest.fixture(scope="session")
+def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Prefect's own test harness, once a session: a server and a database in a temporary folder."""
+    home = tmp_path_factory.mktemp("prefect")
+    settings = quiet_settings(Workspace(home))
+    assert "prefect" not in sys.modules, "Prefect was imported before its settings stood"
+    saved = dict(os.environ)
+    os.environ.update(settings)
+    os.environ["PREFECT_SERVER_EPHEMERAL_ENABLED"] = "true"
+    from prefect.testing.utilities import prefect_test_harness
+
+    with prefect_test_harness(server_startup_timeout=180):
+        yield
+    os.environ.clear()
+    os.environ.update(saved)
+
+
+@pytest.fixture
+def project() -> Path:
+    """The checkout."""
+    return PROJECT

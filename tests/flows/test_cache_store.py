@@ -1,0 +1,95 @@
+"""Results are whole or absent, and believed only while they agree with their manifest."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from tasks.store import Artifact, Store, content_hash, replace_folder
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / ".cache")
+
+
+def put(store: Store, key: str = "k1", text: str = "hello") -> Artifact:
+    with store.writing("step", key, {"seed": 1}) as out:
+        (out / "sub").mkdir()
+        (out / "sub" / "a.txt").write_text(text)
+        (out / "runtime.json").write_text(json.dumps({"pid": os.getpid(), "noise": os.urandom(4).hex()}))
+    found = store.find("step", key)
+    assert found is not None
+    return found
+
+
+def test_a_result_is_found_with_a_hash_of_its_contents_alone(store: Store) -> None:
+    first, second, other = put(store, "k1"), put(store, "k2"), put(store, "k3", "other")
+    assert first.sha256 == second.sha256 != other.sha256
+    assert content_hash(first.path) == first.sha256
+    assert store.manifest(first)["provenance"] == {"seed": 1}
+
+
+@pytest.mark.parametrize("victim", ["sub/a.txt", "runtime.json", "manifest.json"])
+def test_one_flipped_byte_is_a_miss(store: Store, victim: str) -> None:
+    path = put(store).path / victim
+    data = bytearray(path.read_bytes())
+    place = data.rindex(b'"') - 1 if victim.endswith("json") else 2
+    if victim == "manifest.json":
+        place = data.index(b'"sub/a.txt": "') + 20
+    data[place] = data[place] ^ 1
+    path.write_bytes(data)
+    assert store.find("step", "k1") is None
+
+
+def test_a_missing_an_additional_and_a_truncated_file_are_misses(store: Store) -> None:
+    for spoil in (
+        lambda folder: (folder / "sub" / "a.txt").unlink(),
+        lambda folder: (folder / "extra.txt").write_text("x"),
+        lambda folder: (folder / "manifest.json").write_text("{"),
+    ):
+        spoil(put(store).path)
+        assert store.find("step", "k1") is None
+
+
+def test_an_interrupted_write_leaves_nothing_that_is_found(store: Store) -> None:
+    with pytest.raises(KeyboardInterrupt), store.writing("step", "k1", {}) as out:
+        (out / "a.txt").write_text("half")
+        raise KeyboardInterrupt
+    assert store.find("step", "k1") is None
+    assert not list((store.root / "step").iterdir())
+
+
+def test_a_bad_result_makes_way_and_a_concurrent_good_one_stays(store: Store) -> None:
+    (put(store).path / "sub" / "a.txt").write_text("spoilt")
+    assert put(store).still_agrees()
+    with store.writing("step", "k1", {}) as out:
+        (out / "late.txt").write_text("the same work, done twice")
+    found = store.find("step", "k1")
+    assert found is not None and not (found.path / "late.txt").exists()
+
+
+def test_temporary_folders_of_dead_processes_are_swept(store: Store) -> None:
+    dead = store.root / "step" / ".partial-k9-999999999-abcd"
+    alive = store.root / "step" / f".partial-k9-{os.getpid()}-abcd"
+    for folder in (dead, alive):
+        folder.mkdir(parents=True)
+    put(store)
+    assert not dead.exists() and alive.exists()
+
+
+def test_replace_folder_holds_exactly_the_files_and_keeps_the_old_one_on_failure(tmp_path: Path) -> None:
+    source = tmp_path / "a"
+    source.write_text("new")
+    target = tmp_path / "out"
+    target.mkdir()
+    (target / "old.txt").write_text("old")
+    with pytest.raises(FileNotFoundError):
+        replace_folder(target, {"a": source, "b": tmp_path / "missing"})
+    assert [path.name for path in target.iterdir()] == ["old.txt"]
+    replace_folder(target, {"x/a": source})
+    assert [path.relative_to(target).as_posix() for path in target.rglob("*") if path.is_file()] == ["x/a"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "out"]
