@@ -56,7 +56,7 @@ test: $(READY)  ## all tests on two processes
 	@$(BIN)/python -m pytest -n 2 -q
 
 check: $(READY)  ## style, types, directions, hygiene
-	@$(BIN)/ruff check --quiet .
+	@$(BIN)/ruff check --quiet --output-format concise .
 	@$(BIN)/mypy --no-error-summary
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/python .ci/hygiene.py

@@ -191,6 +191,7 @@ def recording(
     path: Path | None = None,
     sha256: str | None = None,
     sensors: Sequence[str] = SENSORS,
+    any_rate: bool = False,
 ) -> Recording:
     """Validate columns with our names and units and make a Recording of them.
 
@@ -199,6 +200,7 @@ def recording(
         engine: gives the ambient where the columns are absent and the size of a cylinder; the published set by default.
         where: name for messages.
         sensors: columns that must be there besides time and inputs; () for inputs only.
+        any_rate: accept any sampling rate (inputs of a simulation may be given at 1 s).
 
     Raises:
         InputError: a missing column, time that does not increase, a wrong rate or unit, the engine never running.
@@ -216,7 +218,7 @@ def recording(
     time = columns[TIME]
     if time.size < 2:
         raise InputError(where, f"{time.size} rows", "at least 2 rows", "record longer")
-    _check_time(time, where)
+    _check_time(time, where, any_rate)
     _check_running(columns["n_e_rpm"], where)
     t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
     check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
@@ -246,7 +248,7 @@ def _numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndar
     return np.where(np.isfinite(numbers), numbers, np.nan) if needed else numbers
 
 
-def _check_time(time: np.ndarray, where: str) -> None:
+def _check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
     if not np.isfinite(time).all():
         row = int(np.flatnonzero(~np.isfinite(time))[0])
         raise InputError(f"{where}: column {TIME}, data row {row + 1}", "no number", "a time in s in every row",
@@ -261,7 +263,7 @@ def _check_time(time: np.ndarray, where: str) -> None:
             "sort the rows, drop repeated ones, or read runs one by one",
         )
     rate = 1.0 / float(np.median(steps))
-    if not SLOWEST_HZ / RATE_TOLERANCE <= rate <= FASTEST_HZ * RATE_TOLERANCE:
+    if not any_rate and not SLOWEST_HZ / RATE_TOLERANCE <= rate <= FASTEST_HZ * RATE_TOLERANCE:
         raise InputError(
             f"{where}: column {TIME}",
             f"{rate:.4g} rows per second",
@@ -329,6 +331,7 @@ def read_recording(
     engine: EngineParameters | None = None,
     *,
     sensors: Sequence[str] = SENSORS,
+    any_rate: bool = False,
 ) -> Recording:
     """Read and validate a recording.
 
@@ -337,6 +340,7 @@ def read_recording(
         channels: channel map or its YAML file for foreign names and units.
         engine: gives ambient values where the columns are absent.
         sensors: columns that must be there besides time and inputs; () to read inputs only.
+        any_rate: accept any sampling rate (inputs of a simulation may be given at 1 s).
 
     Raises:
         InputError: one line saying what is wrong with the file.
@@ -350,7 +354,7 @@ def read_recording(
                    for name, values in columns.items()}
         columns = mapping.apply(numeric, str(path))
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    return recording(columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors)
+    return recording(columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors, any_rate=any_rate)
 
 
 def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:

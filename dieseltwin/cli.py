@@ -1,0 +1,179 @@
+"""The command line: `dieseltwin simulate | identify | engine show | params show`.
+
+A problem that the user can mend is one line on stderr and exit code 2; nothing is written then. Any other exception
+keeps its traceback: it is a defect, and the report of it needs the place.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dieseltwin import __version__
+from dieseltwin.errors import DieselTwinError, InputError
+
+# typer carries its own copy of click and exports few of its exceptions; these are the bases of one it does export
+_UsageError: type[Exception] = typer.BadParameter.__bases__[0]
+_ClickError: type[Exception] = _UsageError.__bases__[0]
+
+app = typer.Typer(
+    name="dieseltwin",
+    help="Digital twin of a diesel engine's gas path: simulate it, identify its health parameters from a recording.",
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+engine_app = typer.Typer(help="Engine parameters.")
+params_app = typer.Typer(help="Settings of a run (params.yaml).")
+app.add_typer(engine_app, name="engine")
+app.add_typer(params_app, name="params")
+
+EngineFile = Annotated[
+    Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")
+]
+ChannelsFile = Annotated[
+    Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign column names and units to ours.")
+]
+ParamsFile = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Settings instead of params.yaml.")]
+Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile of the settings: quick or paper.")]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"dieseltwin {__version__}")
+        raise typer.Exit
+
+
+def _help_without_command(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+engine_app.callback(invoke_without_command=True)(_help_without_command)
+params_app.callback(invoke_without_command=True)(_help_without_command)
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """Digital twin of a diesel engine's gas path: simulate it, identify its health parameters from a recording."""
+    _help_without_command(context)
+
+
+@app.command()
+def simulate(
+    inputs: Annotated[
+        Path,
+        typer.Argument(
+            metavar="INPUTS",
+            help="CSV or Parquet with time_s, n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct. The states start at the first "
+            "row's p_im_pa, p_em_pa, omega_t_rad_s where it has them, else at rest at the first inputs.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help=".parquet or .csv: every quantity at the times of INPUTS.")
+    ],
+    engine: EngineFile = None,
+    channels: ChannelsFile = None,
+) -> None:
+    """Simulate the engine over recorded or made-up inputs."""
+    from dieseltwin.cli_simulate import run_simulate
+
+    rows = run_simulate(inputs, out, engine=engine, channels=channels)
+    typer.echo(f"{out}: {rows} rows")
+
+
+@app.command()
+def identify(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="CSV or Parquet recording of a running engine.")
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
+    method: Annotated[
+        str, typer.Option("--method", metavar="M", help="classical, few-shot-newton or few-shot-adam.")
+    ] = "classical",
+    runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Independent starts a segment.")] = None,
+    engine: EngineFile = None,
+    channels: ChannelsFile = None,
+    models: Annotated[
+        Path | None,
+        typer.Option(
+            "--models",
+            metavar="DIR",
+            help="Pretrained networks of `make run`: learned maps and actuators in place of the exact formulae; the "
+            "few-shot methods need their bodies.",
+        ),
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = None,
+    params: ParamsFile = None,
+    profile: Profile = "quick",
+) -> None:
+    """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty."""
+    from dieseltwin.cli_identify import run_identify
+
+    lines = run_identify(
+        recording,
+        out,
+        method=method,
+        runs=runs,
+        engine=engine,
+        channels=channels,
+        models=models,
+        seed=seed,
+        params=params,
+        profile=profile,
+    )
+    for line in lines:
+        typer.echo(line)
+
+
+@engine_app.command("show")
+def engine_show(engine: EngineFile = None) -> None:
+    """Print the engine's parameters as YAML that --engine accepts."""
+    from dieseltwin.cli_show import engine_lines
+
+    for line in engine_lines(engine):
+        typer.echo(line)
+
+
+@params_app.command("show")
+def params_show(params: ParamsFile = None, profile: Profile = "quick") -> None:
+    """Print the settings of one profile as YAML, and their hash."""
+    from dieseltwin.cli_show import params_lines
+
+    for line in params_lines(params, profile):
+        typer.echo(line)
+
+
+def _fail(message: str, code: int) -> int:
+    print("dieseltwin: " + " ".join(message.split()), file=sys.stderr)
+    return code
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code (0 done, 2 the input cannot be used, 130 interrupted)."""
+    try:
+        result = app(args=arguments, prog_name="dieseltwin", standalone_mode=False)
+    except DieselTwinError as error:
+        return _fail(str(error), error.exit_code)
+    except _ClickError as error:  # a wrong option or argument
+        message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
+        return _fail(f"{message}; see `dieseltwin --help`", InputError.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        return _fail("interrupted; nothing was written", 130)
+    except BrokenPipeError:  # `dieseltwin engine show | head`: the flush at the end must not complain either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return result if isinstance(result, int) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
