@@ -48,7 +48,8 @@ def _inputs(recording: Recording) -> Inputs:
         if missing.size:
             raise InputError(f"{recording.path}: column {name}, data row {missing[0] + 1}", "no number",
                              "a number in every row of an input", "fill in or drop this row")
-    return Inputs(recording.time_s, *(columns[name] for name in INPUTS))
+    n_e, u_delta, u_egr, u_vgt = (columns[name] for name in INPUTS)
+    return Inputs(recording.time_s, n_e, u_delta, u_egr, u_vgt)
 
 
 def _initial(recording: Recording, parameters: EngineParameters) -> np.ndarray:

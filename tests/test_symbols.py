@@ -1,0 +1,68 @@
+"""The nomenclature is complete, consistent and agrees with the reference traces."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from dieseltwin.errors import InputError
+from dieseltwin.symbols import BY_COLUMN, HEALTH_NAMES, INPUT_COLUMNS, MEASURED_NAMES, SYMBOLS, label, symbol
+
+UNIT_ENDINGS = {
+    "_pa": "Pa", "_kg_s": "kg/s", "_rad_s": "rad/s", "_rpm": "rpm", "_pct": "%", "_mg": "mg/cycle", "_nm": "N m",
+    "_k": "K", "_w": "W", "_s": "s",
+}  # fmt: skip
+
+
+def test_names_and_columns_are_unique() -> None:
+    assert len(SYMBOLS) == len(BY_COLUMN)
+
+
+@pytest.mark.parametrize("entry", SYMBOLS.values(), ids=SYMBOLS)
+def test_entry_is_sound(entry) -> None:
+    assert entry.low < entry.high
+    assert entry.meaning and entry.latex
+    assert entry.equation in {"input", "parameter", "NOTES"} or re.fullmatch(r"A\.\d{1,2}", entry.equation)
+
+
+@pytest.mark.parametrize("entry", [s for s in SYMBOLS.values() if s.name not in HEALTH_NAMES], ids=lambda s: s.column)
+def test_the_columns_name_says_its_unit(entry) -> None:
+    endings = [unit for ending, unit in UNIT_ENDINGS.items() if entry.column.endswith(ending)]
+    assert (endings[0] if endings else "-") == entry.unit
+
+
+@pytest.mark.parametrize("name", ["lab_whtc_500s_800s", "field_random_300s", "limits_180s"])
+def test_reference_traces_use_the_nomenclature_and_lie_in_its_ranges(project_root: Path, name: str) -> None:
+    trace = pd.read_csv(project_root / "tests" / "reference" / f"{name}.csv")
+    for column in trace:
+        entry = symbol(column)
+        assert entry.low <= trace[column].median() <= entry.high, column
+
+
+def test_the_usual_wrong_units_lie_outside() -> None:
+    met = {"p_im_pa": [1.5, 150.0, 1500.0], "p_em_pa": [1.8, 180.0], "t_amb_k": [25.0], "t_im_k": [40.0]}
+    for column, wrong in met.items():
+        for value in wrong:
+            assert not symbol(column).low <= value <= symbol(column).high, (column, value)
+
+
+def test_lookup_by_name_and_by_column() -> None:
+    assert symbol("p_im") is symbol("p_im_pa")
+    assert symbol("A_egrmax").unit == "m2"
+    for name in (*MEASURED_NAMES, *HEALTH_NAMES, *INPUT_COLUMNS):
+        symbol(name)
+
+
+def test_unknown_symbol_says_what_was_meant() -> None:
+    with pytest.raises(InputError, match="did you mean omega_t"):
+        symbol("omega_tt")
+
+
+def test_labels() -> None:
+    assert label("p_im_pa") == "$p_{im}$ [Pa]"
+    assert label("eta_c") == r"$\eta_c$"
+    assert label("oil_temp") == "oil_temp"
+    assert symbol("p_im").allowed == "50000 to 1e+06 Pa"
