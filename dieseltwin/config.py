@@ -42,6 +42,7 @@ class RandomDrivingConfig(StrictModel):
     """Seeded random transient driving (PROTOCOL: Driving)."""
 
     speed_rpm: Range
+    load_rel: Range = Field(description="of the full-load torque at that speed")
     hold_s: Range
     ramp_s: Range
     idle_share: Range
@@ -69,6 +70,9 @@ class EcuConfig(StrictModel):
     egr_fraction_max: PositiveFloat
     turbo_speed_max_rad_s: PositiveFloat
     idle_u_egr_pct: NonNegativeFloat
+    idle_shut_u_egr_pct: NonNegativeFloat
+    idle_shut_after_s: PositiveFloat
+    fuel_min_mg: PositiveFloat
 
 
 class CaseConfig(StrictModel):
@@ -85,12 +89,13 @@ class SetConfig(StrictModel):
 
     duration_s: PositiveFloat
     seed: NonNegativeInt
+    input_step_s: PositiveFloat
+    modified: Literal["none", "u_egr", "u_vgt"]
 
 
 class DrivingConfig(StrictModel):
     """Sets of inputs and the cases recorded with them."""
 
-    input_step_s: PositiveFloat
     sample_s: PositiveFloat
     sample_eta_tm_s: PositiveFloat
     sets: dict[str, SetConfig]

@@ -1,7 +1,7 @@
 """Is a recording in the units that its column names say? Wrong units give plausible-looking, wrong health parameters.
 
-The ranges are those of `symbols`: every engine of this class passes at any operating point and the usual wrong units
-do not. They are about medians and quantiles, so that a few bad rows (which an estimator masks or weighs) do not refuse a
+The ranges are those of `symbols`: every engine of this class passes at any operating point, the usual wrong units do
+not. They are about medians and quantiles, so that a few bad rows (which an estimator masks or weighs) do not refuse a
 recording.
 """
 
