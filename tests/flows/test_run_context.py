@@ -61,7 +61,7 @@ def test_the_second_run_computes_nothing_and_gives_the_same(context: RunContext)
         # other code, same numbers: what follows isn't disturbed
         (
             "draw.py",
-            "import numpy as np\n\ndef draw(count, seed):\n    n = count\n    return np.random.default_rng(seed).random(n)\n",
+            "import numpy as np\n\ndef draw(n, seed):\n    return np.random.default_rng(seed).random(n)\n",
             {"toy-make"},
         ),
     ],

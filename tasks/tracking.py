@@ -1,0 +1,203 @@
+"""MLflow: ``mlruns/mlflow.db`` (sqlite) and ``mlruns/artifacts/``.
+
+Logging is apart from computing. A run is logged from the files of a result, and is known by the hash of what it shows:
+logging the same result again changes nothing, a run that was cut off is dropped and logged anew. So cached results
+appear, Ctrl-C leaves no half a run, and a second ``make run`` adds no doubles.
+
+Artifacts are written to where ``mlflow server --artifacts-destination mlruns/artifacts`` reads them, under addresses
+``mlflow-artifacts:/...``: no absolute path is stored, so a moved checkout keeps its figures.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from tasks.workspace import Workspace
+
+README = "README.md"
+
+_SCHEME = "mlflow-artifacts:/"
+_IDENTITY = "dieseltwin.result"
+
+# MLflow's limits of one log_batch call.
+_METRICS_A_BATCH = 1000
+_PARAMS_A_BATCH = 100
+
+# Points of a curve that are kept: a plot shows no more, and every point costs 0.15 ms.
+_CURVE_POINTS = 400
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A metric over steps: ``steps`` (n,) whole numbers, ``values`` (n,)."""
+
+    name: str
+    steps: Sequence[int]
+    values: Sequence[float]
+
+
+@dataclass(frozen=True)
+class Record:
+    """What one MLflow run shows. ``identity`` is the hash of the result; ``children`` become nested runs."""
+
+    name: str
+    identity: str
+    params: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, float | None] = field(default_factory=dict)
+    curves: Sequence[Curve] = ()
+    artifacts: Mapping[str, Path] = field(default_factory=dict)
+    tags: Mapping[str, str] = field(default_factory=dict)
+    description: str = ""
+    seconds: float = 0.0
+    children: Sequence[Record] = ()
+
+
+@dataclass
+class Tracker:
+    """The MLflow store of one workspace."""
+
+    workspace: Workspace
+
+    @property
+    def uri(self) -> str:
+        """Address of the database, relative paths resolved."""
+        return f"sqlite:///{self.workspace.mlruns / 'mlflow.db'}"
+
+    @cached_property
+    def client(self) -> Any:
+        """MLflow's client; the first use makes the database (some seconds)."""
+        for name in ("mlflow", "alembic"):
+            logging.getLogger(name).setLevel(logging.ERROR)
+        self.workspace.mlruns.mkdir(parents=True, exist_ok=True)
+        os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+        with _one_at_a_time(self.workspace.mlruns / ".lock"):
+            from mlflow import MlflowClient
+
+            client = MlflowClient(tracking_uri=self.uri)
+            client.search_experiments(max_results=1)
+        return client
+
+    def experiment(self, name: str, description: str, tags: Mapping[str, str] | None = None) -> str:
+        """Find or make an experiment; returns its id."""
+        client = self.client
+        with _one_at_a_time(self.workspace.mlruns / ".lock"):
+            found = client.get_experiment_by_name(name)
+            folder = name.replace(" ", "-")
+            experiment_id = found.experiment_id if found else client.create_experiment(name, _SCHEME + folder)
+        wanted = {"mlflow.note.content": description, **(tags or {})}
+        present = found.tags if found else {}
+        for key, value in wanted.items():
+            if present.get(key) != value:
+                client.set_experiment_tag(experiment_id, key, value)
+        return str(experiment_id)
+
+    def log(self, experiment_id: str, record: Record, parent: str | None = None) -> str:
+        """Log a record and its children; returns the run id. An equal record that is complete is left as it is."""
+        if parent is None:
+            known = self._known(experiment_id, record.identity)
+            if known is not None:
+                return known
+        ended = int(time.time() * 1000)
+        tags = {"mlflow.runName": record.name, "mlflow.user": "dieseltwin", _IDENTITY: record.identity, **record.tags}
+        if parent is not None:
+            tags["mlflow.parentRunId"] = parent
+        if record.description:
+            tags["mlflow.note.content"] = record.description
+        run = self.client.create_run(
+            experiment_id, start_time=ended - int(record.seconds * 1000), tags=tags, run_name=record.name
+        )
+        run_id = str(run.info.run_id)
+        self._log_values(run_id, record, ended)
+        self._copy(run.info.artifact_uri, record.artifacts)
+        for child in record.children:
+            self.log(experiment_id, child, parent=run_id)
+        self.client.set_terminated(run_id, "FINISHED", end_time=ended)
+        return run_id
+
+    def _known(self, experiment_id: str, identity: str) -> str | None:
+        """The finished run of that identity; unfinished ones (a kill) are deleted with their children."""
+        runs = self.client.search_runs([experiment_id], f"tags.`{_IDENTITY}` = '{identity}'")
+        known = None
+        for run in runs:
+            if "mlflow.parentRunId" in run.data.tags:
+                continue
+            if run.info.status == "FINISHED":
+                known = str(run.info.run_id)
+                continue
+            children = self.client.search_runs(
+                [experiment_id], f"tags.`mlflow.parentRunId` = '{run.info.run_id}'", max_results=5000
+            )
+            for dead in (*children, run):
+                self.client.delete_run(dead.info.run_id)
+        return known
+
+    def _log_values(self, run_id: str, record: Record, now: int) -> None:
+        from mlflow.entities import Metric, Param
+
+        metrics = [
+            Metric(name, float(value), now, 0)
+            for name, value in record.metrics.items()
+            if value is not None and math.isfinite(value)
+        ]
+        for curve in record.curves:
+            stride = max(1, math.ceil(len(curve.steps) / _CURVE_POINTS))
+            picked = sorted({*range(0, len(curve.steps), stride), len(curve.steps) - 1} - {-1})
+            metrics += [
+                Metric(curve.name, float(curve.values[i]), now, int(curve.steps[i]))
+                for i in picked
+                if math.isfinite(curve.values[i])
+            ]
+        params = [Param(name, _text(value)) for name, value in record.params.items()]
+        for start in range(0, len(params), _PARAMS_A_BATCH):
+            self.client.log_batch(run_id, params=params[start : start + _PARAMS_A_BATCH])
+        for start in range(0, len(metrics), _METRICS_A_BATCH):
+            self.client.log_batch(run_id, metrics=metrics[start : start + _METRICS_A_BATCH])
+
+    def _copy(self, uri: str, artifacts: Mapping[str, Path]) -> None:
+        folder = self.workspace.mlruns / "artifacts" / uri.removeprefix(_SCHEME).lstrip("/")
+        for name, source in artifacts.items():
+            target = folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
+            shutil.copyfile(source, partial)
+            partial.replace(target)
+
+
+def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings as dotted names, as MLflow shows parameters."""
+    result: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            result |= flat(value, f"{prefix}{name}.")
+        else:
+            result[f"{prefix}{name}"] = value
+    return result
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+@contextmanager
+def _one_at_a_time(lock: Path) -> Iterator[None]:
+    """Two runs at once would both make the tables; the lock goes with the process."""
+    import fcntl
+
+    lock.parent.mkdir(parents=True, exist_ok=True)
+    with lock.open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            fcntl.flock(file, fcntl.LOCK_UN)
