@@ -25,7 +25,8 @@ METHODS: dict[str, str] = {
     "few-shot-newton": "dieseltwin.identification.fewshot_newton",
     "few-shot-adam": "dieseltwin.identification.fewshot_adam",
 }
-"""Method name -> module with `estimate(problems, runs, seed, bodies, operators, maps, config)`, imported when used."""
+"""Method name -> module with `estimate(problems, runs, seed, bodies, operators, maps, config)`, imported
+when used."""
 
 IDENTIFIABLE_BELOW = 0.25
 """Largest relative Cramer-Rao bound that counts as identifiable (PROTOCOL.md, Bound)."""

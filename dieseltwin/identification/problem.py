@@ -15,13 +15,16 @@ from dieseltwin.errors import InputError
 Array = NDArray[np.float64]
 
 PAPER_NOISE: tuple[float, ...] = (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
-"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and W_c (PROTOCOL, Noise) [-]."""
+"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and W_c (PROTOCOL, Noise)
+[-]."""
 
 NOISE_FLOOR: tuple[float, ...] = (200.0, 200.0, 5.0, 5e-4, 1.0, 1e-3)
 """Smallest noise that is believed [Pa, Pa, rad/s, kg/s, K, kg/s].
 
-About 0.1 % of full scale (0.5 % for the EGR venturi). Noise that is a percentage of a vanishing flow pretends information:
-without a floor a recording with a shut EGR valve would claim to know A_egrmax (ESTIMATION.md). The floor is far
+About 0.1 % of full scale (0.5 % for the EGR venturi). Noise that is a percentage of a vanishing flow
+pretends information:
+without a floor a recording with a shut EGR valve would claim to know A_egrmax (ESTIMATION.md). The floor is
+far
 below the paper's percentages wherever a channel carries a signal.
 """
 
@@ -71,7 +74,8 @@ class NoiseLevels:
         present = np.isfinite(values)
         mean = np.where(present, values, 0.0).sum(axis=0) / np.maximum(present.sum(axis=0), 1)
         sigma = np.maximum(np.abs(mean) * np.asarray(relative), np.asarray(floor))
-        # With the floor off, a channel of zeros has no noise of its own; any positive value serves, as it has no samples.
+        # With the floor off, a channel of zeros has no noise of its own; any positive value serves, as it
+        # has no samples.
         return cls(np.where(sigma > 0.0, sigma, np.asarray(NOISE_FLOOR)))
 
 
@@ -84,10 +88,12 @@ class SegmentProblem:
         inputs: inputs of n samples, preceded by `inputs.n_history` samples of history.
         measured: (n, 6) readings in the order of `MEASURED` [Pa, Pa, rad/s, kg/s, K, kg/s]; NaN = masked.
         sigma: (6,) noise standard deviation, same units.
-        parameters: the known parameters, ambient of the recording included; its health values are the starting point.
+        parameters: the known parameters, ambient of the recording included; its health values are the
+            starting point.
         true_initial: (5,) p_im, p_em, omega_t, x_r, T_1 at the start, only for simulated recordings.
         truth: true values of the four unknowns, only for simulated recordings.
-        noise_draws: (D, n, 6) further readings of the same segment, run r uses draw r modulo D; None = `measured` for all.
+        noise_draws: (D, n, 6) further readings of the same segment, run r uses draw r modulo D; None =
+            `measured` for all.
     """
 
     t0_s: float
@@ -247,7 +253,8 @@ def problems_from_recording(
     Args:
         recording: `recordings.Recording`.
         parameters: known parameters and starting values; T_amb and p_amb are replaced by the recording's.
-        noise: noise levels; None takes the paper's percentages of the recording's means, never below `NOISE_FLOOR`.
+        noise: noise levels; None takes the paper's percentages of the recording's means, never below
+            `NOISE_FLOOR`.
         duration_s: length of a segment [s].
         channels: channels of `MEASURED` to use; None = all that are recorded.
         truth: true health values of simulated data, for figures only.

@@ -35,7 +35,8 @@ class ParameterSummary:
     """One unknown of one segment, or pooled.
 
     Attributes:
-        mean, std: value and standard deviation [SI unit of the parameter]; None where nothing was identifiable.
+        mean, std: value and standard deviation [SI unit of the parameter]; None where nothing was
+            identifiable.
         interval_90: 90 % interval, or None.
         bound: Cramer-Rao standard deviation [same unit]; infinite where there is no information at all.
         identifiable: whether the relative bound is small enough.
@@ -67,7 +68,8 @@ class SegmentEstimate:
         t0_s, t1_s: segment [s].
         time_s: (n,) sample times [s].
         parameters: (R, 4) estimates in the order of `HEALTH` [m2, m2, -, W/(m2 K)].
-        std: (R, 4) standard deviation that each run claims; NaN where a method has none (Adam: spread of members).
+        std: (R, 4) standard deviation that each run claims; NaN where a method has none (Adam: spread of
+            members).
         interval_90: (R, 4, 2) interval that each run claims; NaN where a method has none.
         states: (n, 5) p_im, p_em, omega_t, x_r, T_1 of the pooled estimate [Pa, Pa, rad/s, -, K].
         bound: (4,) Cramer-Rao standard deviation, absolute [same units as the parameters].
@@ -75,8 +77,10 @@ class SegmentEstimate:
         converged: (R,) whether a run reached a stationary point.
         seconds_per_run: wall seconds divided by runs [s].
         method: name of the method.
-        chi2_per_sample: (R,) sum of squared residuals over sigma, divided by the degrees of freedom; NaN if not known.
-        state_samples: (K, n, 5) states of runs or of draws from their uncertainty, for bands; None if not kept.
+        chi2_per_sample: (R,) sum of squared residuals over sigma, divided by the degrees of freedom; NaN if
+            not known.
+        state_samples: (K, n, 5) states of runs or of draws from their uncertainty, for bands; None if not
+            kept.
         parameter_samples: (K, 4) parameters that belong to `state_samples`.
         curves: named convergence curves for the report, e.g. {"loss": (iterations,)}.
     """
@@ -112,8 +116,10 @@ class SegmentEstimate:
     def summary(self) -> dict[str, ParameterSummary]:
         """Combine the runs of this segment.
 
-        The mean is that of the used runs. Runs with a standard deviation of their own (same recording, other starts) are a
-        mixture: the variance is the mean of the claimed variances plus the variance between runs. Runs without one
+        The mean is that of the used runs. Runs with a standard deviation of their own (same recording,
+        other starts) are a
+        mixture: the variance is the mean of the claimed variances plus the variance between runs. Runs
+            without one
         give the spread of the members.
 
         Returns:
@@ -157,8 +163,10 @@ class Identification:
     def pooled(self) -> dict[str, ParameterSummary]:
         """Pool the identifiable segments of each parameter by inverse variance.
 
-        Done in logarithms: a standard deviation is proportional to its value, and weights that follow the value would pull
-        the mean down. A weight is never larger than the bound allows, so a lucky small spread of few members doesn't
+        Done in logarithms: a standard deviation is proportional to its value, and weights that follow the
+            value would pull
+        the mean down. A weight is never larger than the bound allows, so a lucky small spread of few
+        members doesn't
         take over. Where no segment is identifiable there is no value, only the bound.
 
         Returns:

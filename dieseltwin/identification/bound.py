@@ -1,0 +1,97 @@
+"""Cramer-Rao bound: what a segment can tell at best, and the rule for "not identifiable here"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dieseltwin.engine import simulate_states
+from dieseltwin.identification.least_squares import covariance
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.shooting import N_HEALTH, Shooting, ShootingRuns, Simulator, by_grid
+
+Array = NDArray[np.float64]
+
+IDENTIFIABLE_BELOW = 0.25
+"""Largest relative bound that counts as identifiable (PROTOCOL.md, Bound)."""
+
+NO_INFORMATION = 100.0
+"""A relative bound beyond this is reported as infinite: the readings say nothing about the parameter."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Cramer-Rao bound of one segment: smallest standard deviation of an unbiased estimator.
+
+    Four parameters and three initial states are free, actuators are known, noise is Gaussian with
+    `problem.sigma`
+    (PROTOCOL.md, Bound).
+
+    Attributes:
+        absolute: (4,) standard deviation of the health parameters [m2, m2, -, W/(m2 K)]; infinite without
+            information.
+        relative: (4,) the same over the value [-].
+        initial: (3,) relative standard deviation of p_im, p_em, omega_t at the start [-].
+        fisher: (7, 7) information matrix of the logarithms [-].
+    """
+
+    absolute: Array
+    relative: Array
+    initial: Array
+    fisher: Array
+
+    def identifiable(self, threshold: float = IDENTIFIABLE_BELOW) -> NDArray[np.bool_]:
+        """(4,) whether the relative bound is at most `threshold`."""
+        return np.asarray(self.relative <= threshold)
+
+
+def cramer_rao(
+    problems: Sequence[SegmentProblem],
+    health: ArrayLike,
+    initial: ArrayLike,
+    *,
+    simulator: Simulator = simulate_states,
+) -> list[Bound]:
+    """Bound of each segment at given values.
+
+    Args:
+        problems: S segments.
+        health: (4,) or (S, 4) values at which to evaluate [m2, m2, -, W/(m2 K)].
+        initial: (S, 3) or (3,) p_im, p_em, omega_t at the start [Pa, Pa, rad/s].
+        simulator: exact engine or one with learned maps.
+
+    Returns:
+        One bound for each segment.
+    """
+    count = len(problems)
+    parts = (np.broadcast_to(health, (count, N_HEALTH)), np.broadcast_to(initial, (count, 3)))
+    values = np.concatenate(parts, axis=1).astype(np.float64)
+    result: dict[int, Bound] = {}
+    for group in by_grid(problems):
+        chosen = [problems[i] for i in group]
+        everything = np.arange(len(group))
+        runs = ShootingRuns(
+            Shooting(tuple(chosen), simulator), everything, np.stack([p.measured for p in chosen])
+        )
+        linear = runs(everything, np.log(values[group]), np.ones(len(group), dtype=bool))
+        for i, fisher in zip(group, linear.hessian, strict=True):
+            result[i] = bound_from_fisher(fisher, values[i, :N_HEALTH])
+    return [result[i] for i in range(count)]
+
+
+def bound_from_fisher(fisher: Array, health: ArrayLike) -> Bound:
+    """Turn an information matrix of logarithms into a bound.
+
+    Args:
+        fisher: (7, 7) information of the logarithms [-].
+        health: (4,) values of the parameters [m2, m2, -, W/(m2 K)].
+
+    Returns:
+        The bound.
+    """
+    std = np.sqrt(np.diag(covariance(fisher)))
+    relative = np.where(std[:N_HEALTH] > NO_INFORMATION, np.inf, std[:N_HEALTH])
+    return Bound(relative * np.asarray(health), relative, std[N_HEALTH:], fisher)

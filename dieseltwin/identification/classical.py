@@ -1,0 +1,264 @@
+"""Classical estimator: maximum likelihood by single shooting with sensitivities and Levenberg-Marquardt."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dieseltwin.engine import simulate_states
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
+from dieseltwin.identification.least_squares import Fit, Linearisation, covariance, levenberg_marquardt
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
+from dieseltwin.identification.shooting import (
+    N_HEALTH,
+    N_UNKNOWNS,
+    Shooting,
+    ShootingRuns,
+    Simulator,
+    by_grid,
+)
+from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts
+
+Array = NDArray[np.float64]
+METHOD = "classical"
+
+BLOCK = 256
+"""Runs that are iterated together: their Jacobians take 100 kB each."""
+STEP_MAX = np.array([0.5] * N_HEALTH + [0.2] * (N_UNKNOWNS - N_HEALTH))
+"""Largest change of a logarithm in one step: the linear model is trusted no further."""
+HEALTH_RANGE = 3.0
+"""Health parameters stay within this logarithm of their nominal values: a factor of twenty, only met
+without information."""
+INITIAL_RANGE = 1.0
+"""Initial states stay within this logarithm of the first readings."""
+SAMPLE_SPREAD = 0.5
+"""Draws for bands leave the estimate by at most this logarithm, so that an unidentifiable parameter stays
+plausible."""
+
+
+@dataclass(frozen=True)
+class ClassicalSettings:
+    """Settings of the estimator; `from_config` takes them from params.yaml.
+
+    Attributes:
+        start_at: "lab" (nominal values of the problem) or "truth" (only to show how much that flatters).
+        start_sigma: spread of the starts in masked space [-].
+        iterations_max: most evaluations of a run.
+        tolerance: Newton decrement at which a run stops [standard deviations].
+        damping_start: first Levenberg-Marquardt factor [-].
+        threshold: largest relative bound that counts as identifiable [-].
+        samples: draws from the uncertainty of each segment that are simulated for the bands of the states.
+    """
+
+    start_at: str = "lab"
+    start_sigma: float = START_SIGMA
+    iterations_max: int = 60
+    tolerance: float = 0.02
+    damping_start: float = 1e-2
+    threshold: float = IDENTIFIABLE_BELOW
+    samples: int = 24
+
+    @classmethod
+    def from_config(cls, config: Any) -> ClassicalSettings:
+        """Take the settings from `params.identify` (or None for the defaults).
+
+        Args:
+            config: `config.IdentifyConfig`, `ClassicalSettings` or None.
+
+        Returns:
+            The settings.
+        """
+        if config is None:
+            return cls()
+        if isinstance(config, cls):
+            return config
+        own = config.classical
+        return cls(
+            start_at=config.start.at,
+            start_sigma=config.start.sd_masked,
+            iterations_max=own.iterations_max,
+            tolerance=own.tolerance,
+            damping_start=own.damping_start,
+            threshold=config.identifiable_bound_rel,
+        )
+
+
+def estimate(
+    problems: Sequence[SegmentProblem],
+    runs: int,
+    seed: int,
+    *,
+    bodies: Any = None,
+    operators: Any = None,
+    maps: Any = None,
+    config: Any = None,
+    simulator: Simulator = simulate_states,
+) -> list[SegmentEstimate]:
+    """Estimate the health parameters of each segment by maximum likelihood.
+
+    Four parameters and the initial p_im, p_em, omega_t are free; x_r and T_1 start at their fixed point;
+    actuators follow
+    from the inputs with their history. Standard deviations and 90 % intervals come from the inverse
+    Hessian, for the
+    logarithm of each parameter.
+
+    Args:
+        problems: segments; `problem.parameters` gives the known parameters and the start.
+        runs: runs R on each segment: other starts, and other readings where the problem has noise draws.
+        seed: seed of the starts and of the draws for the bands.
+        bodies, operators: not used by this method.
+        maps: learned empirical maps in place of the formulae; None = exact.
+        config: `params.identify`, or None.
+        simulator: simulator of the exact engine (replaced where `maps` are given).
+
+    Returns:
+        One estimate for each segment, in order.
+    """
+    settings = ClassicalSettings.from_config(config)
+    rng = np.random.default_rng(seed)
+    begin = [_starts(problem, runs, settings, rng) for problem in problems]
+    normal = [rng.standard_normal((settings.samples, N_UNKNOWNS)) for _ in problems]
+    result: dict[int, SegmentEstimate] = {}
+    for group in by_grid(problems):
+        began = time.perf_counter()
+        chosen = [problems[i] for i in group]
+        shooting = Shooting(tuple(chosen), simulator)
+        fit = fit_runs(shooting, runs, np.stack([begin[i] for i in group]), settings)
+        seconds = (time.perf_counter() - began) / (runs * len(group))
+        for i, part in zip(
+            group, _segments(shooting, fit, runs, [normal[i] for i in group], seconds, settings), strict=True
+        ):
+            result[i] = part
+    return [result[i] for i in range(len(problems))]
+
+
+def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSettings) -> Fit:
+    """Fit every run of every segment.
+
+    Args:
+        shooting: S segments.
+        runs: runs R of each segment.
+        begin: (S, R, 7) logarithms to start from.
+        settings: iteration settings.
+
+    Returns:
+        Fit of S R problems, segment by segment.
+    """
+    segment = np.repeat(np.arange(len(shooting.problems)), runs)
+    readings = np.concatenate([p.readings(runs) for p in shooting.problems])
+    start = begin.reshape(-1, N_UNKNOWNS)
+    nominal = np.log(np.stack([health_of(p.parameters) for p in shooting.problems]))[segment]
+    lower = np.concatenate([nominal - HEALTH_RANGE, start[:, N_HEALTH:] - INITIAL_RANGE], axis=1)
+    upper = np.concatenate([nominal + HEALTH_RANGE, start[:, N_HEALTH:] + INITIAL_RANGE], axis=1)
+    parts = []
+    for first in range(0, len(segment), BLOCK):
+        rows = slice(first, first + BLOCK)
+        parts.append(
+            levenberg_marquardt(
+                ShootingRuns(shooting, segment[rows], readings[rows]),
+                start[rows],
+                lower=lower[rows],
+                upper=upper[rows],
+                step_max=STEP_MAX,
+                tolerance=settings.tolerance,
+                iterations_max=settings.iterations_max,
+                damping=settings.damping_start,
+            )
+        )
+    return _concatenated(parts)
+
+
+def _starts(
+    problem: SegmentProblem, runs: int, settings: ClassicalSettings, rng: np.random.Generator
+) -> Array:
+    centre = health_of(problem.parameters)
+    if settings.start_at == "truth" and problem.truth is not None:
+        centre = health_of(problem.truth)
+    health = starts(centre, runs, rng, settings.start_sigma)
+    return np.log(np.concatenate([health, problem.first_states(problem.readings(runs))], axis=1))
+
+
+def _segments(
+    shooting: Shooting,
+    fit: Fit,
+    runs: int,
+    normal: Sequence[Array],
+    seconds: float,
+    settings: ClassicalSettings,
+) -> list[SegmentEstimate]:
+    count = len(shooting.problems)
+    unknowns = fit.unknowns.reshape(count, runs, N_UNKNOWNS)
+    hessian = fit.linear.hessian.reshape(count, runs, N_UNKNOWNS, N_UNKNOWNS)
+    converged = fit.converged.reshape(count, runs)
+    chi2 = 2.0 * fit.linear.cost.reshape(count, runs) / shooting.degrees_of_freedom()[:, None]
+    log_covariance = covariance(hessian)
+    log_std = np.sqrt(np.diagonal(log_covariance, axis1=2, axis2=3))[..., :N_HEALTH]
+    values = np.exp(unknowns[..., :N_HEALTH])
+    std, interval = intervals_from_log_std(values, log_std)
+    used = np.where(converged.any(axis=1, keepdims=True), converged, True)
+    pooled = np.einsum("srk,sr->sk", unknowns, used) / used.sum(axis=1, keepdims=True)
+    states = shooting.simulate(np.arange(count), pooled).states
+    bounds = cramer_rao(
+        shooting.problems,
+        np.exp(pooled[:, :N_HEALTH]),
+        np.exp(pooled[:, N_HEALTH:]),
+        simulator=shooting.simulator,
+    )
+    result = []
+    mixture = [(unknowns[s, used[s]], log_covariance[s, used[s]]) for s in range(count)]
+    for s, problem in enumerate(shooting.problems):
+        sample_states, sample_health = _samples(shooting, s, *mixture[s], normal[s])
+        result.append(
+            SegmentEstimate(
+                t0_s=problem.t0_s,
+                t1_s=problem.t1_s,
+                time_s=problem.time_s,
+                parameters=values[s],
+                std=std[s],
+                interval_90=interval[s],
+                states=states[s],
+                bound=bounds[s].absolute,
+                identifiable=bounds[s].identifiable(settings.threshold),
+                converged=converged[s],
+                seconds_per_run=seconds,
+                method=METHOD,
+                chi2_per_sample=chi2[s],
+                state_samples=sample_states,
+                parameter_samples=sample_health,
+            )
+        )
+    return result
+
+
+def _samples(
+    shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array
+) -> tuple[Array, Array]:
+    """Draws from the mixture of the runs' Gaussians, simulated at the coarse step: bands need no more."""
+    run = np.arange(len(normal)) % len(unknowns)
+    root = np.linalg.cholesky(log_covariance[run])
+    move = np.clip(np.einsum("kij,kj->ki", root, normal), -SAMPLE_SPREAD, SAMPLE_SPREAD)
+    drawn = unknowns[run] + move
+    states = shooting.simulate(np.full(len(drawn), s), drawn, shooting.coarse).states
+    return np.asarray(states), np.exp(drawn[:, :N_HEALTH])
+
+
+def _concatenated(parts: Sequence[Fit]) -> Fit:
+    linear = Linearisation(
+        np.concatenate([p.linear.cost for p in parts]),
+        np.concatenate([p.linear.gradient for p in parts]),
+        np.concatenate([p.linear.hessian for p in parts]),
+    )
+    return Fit(
+        np.concatenate([p.unknowns for p in parts]),
+        linear,
+        np.concatenate([p.damping for p in parts]),
+        np.concatenate([p.decrement for p in parts]),
+        np.concatenate([p.iterations for p in parts]),
+        np.concatenate([p.converged for p in parts]),
+    )

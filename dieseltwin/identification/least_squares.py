@@ -1,0 +1,222 @@
+"""Levenberg-Marquardt for many small least-squares problems at once, with an acceptance test for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Least-squares problems around the current unknowns.
+
+    Attributes:
+        cost: (L,) half the sum of squared residuals over sigma [-]; infinite where the model fails.
+        gradient: (L, m) its derivative.
+        hessian: (L, m, m) Gauss-Newton Hessian, the Fisher information of the readings.
+    """
+
+    cost: Array
+    gradient: Array
+    hessian: Array
+
+
+Linearise = Callable[[Index, Array, NDArray[np.bool_]], Linearisation]
+"""(K indices, (K, m) unknowns, (K,) renew) -> cost, gradient, Hessian; where `renew` is false the last
+Jacobian serves."""
+
+CHORD_DISTANCE = 1.0
+"""A move of fewer standard deviations than this keeps its Jacobian, which changes by some tenths of a per
+cent."""
+ACCEPT_GAIN = 1e-3
+"""Smallest share of the predicted decrease that a step must bring."""
+GOOD_GAIN, DAMPING_DOWN, DAMPING_UP = 0.5, 0.1, 8.0
+"""Damping falls after a step that brought at least half of what was predicted, and rises after a refused
+one."""
+DAMPING_MIN, DAMPING_MAX = 1e-9, 1e9
+CONVERGED_BELOW = 0.25
+"""Decrement that still counts as converged [standard deviations]: at a kink the iteration may end above its
+tolerance."""
+NEGLIGIBLE = 1e-5
+"""A decrease of the negative log likelihood that nobody can tell from none."""
+CURVATURE_MIN = 1.0
+"""Least curvature that damping acts on: a log standard deviation of 1 counts as no knowledge at all."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """State of L problems.
+
+    Attributes:
+        unknowns: (L, m) best values.
+        linear: cost, gradient and Hessian there.
+        damping: (L,) Levenberg-Marquardt factor.
+        decrement: (L,) distance to the minimum that the quadratic model predicts, in standard deviations [-].
+        iterations: (L,) linearisations used.
+        converged: (L,) decrement below the tolerance.
+    """
+
+    unknowns: Array
+    linear: Linearisation
+    damping: Array
+    decrement: Array
+    iterations: Index
+    converged: NDArray[np.bool_]
+
+
+def levenberg_marquardt(
+    linearise: Linearise,
+    start: Array,
+    *,
+    lower: Array,
+    upper: Array,
+    step_max: Array,
+    tolerance: float,
+    iterations_max: int,
+    damping: float | Array = 1e-2,
+) -> Fit:
+    """Minimise L sums of squares, each with its own damping; a problem leaves the batch once it has
+    converged.
+
+    A trial point is linearised together with its cost: almost every trial is accepted, and then nothing is
+        computed twice.
+    Converged means a Newton decrement sqrt(g' H^-1 g) below `tolerance`: the rest of the way is that share
+    of a
+    standard deviation, whatever the units.
+
+    Args:
+        linearise: evaluates chosen problems.
+        start: (L, m) first values.
+        lower, upper: (m,) or (L, m) box that trial points are clipped to.
+        step_max: (m,) largest change of an unknown in one step.
+        tolerance: largest decrement that counts as converged [standard deviations].
+        iterations_max: most linearisations after the first.
+        damping: first factor, one for all or (L,).
+
+    Returns:
+        The best point of each problem.
+    """
+    count, size = start.shape
+    everything = np.arange(count)
+    lower, upper = np.broadcast_to(lower, start.shape), np.broadcast_to(upper, start.shape)
+    x = np.clip(start, lower, upper)
+    first = linearise(everything, x, np.ones(count, dtype=bool))
+    cost, gradient, hessian = first.cost.copy(), first.gradient.copy(), first.hessian.copy()
+    factor = np.broadcast_to(damping, (count,)).astype(np.float64)
+    decrement = _decrement(gradient, hessian, x, lower, upper)
+    iterations = np.ones(count, dtype=np.int64)
+    stale = np.zeros(count, dtype=bool)  # the Jacobian belongs to an earlier point
+    renewal = np.zeros(
+        count, dtype=bool
+    )  # no step: the next evaluation renews the Jacobian at the current point
+    active = everything[np.isfinite(cost) & (decrement > tolerance)]
+    for _ in range(iterations_max):
+        if not len(active):
+            break
+        again = renewal[active]
+        step = np.where(
+            again[:, None], 0.0, _step(gradient[active], hessian[active], factor[active], step_max)
+        )
+        trial = np.clip(x[active] + step, lower[active], upper[active])
+        step = trial - x[active]
+        square = np.einsum("lj,ljk,lk->l", step, hessian[active], step)
+        predicted = -np.einsum("lk,lk->l", gradient[active], step) - 0.5 * square
+        renew = again | (square > CHORD_DISTANCE**2)
+        there = linearise(active, trial, renew)
+        iterations[active] += 1
+        gain = np.where(predicted > 0.0, (cost[active] - there.cost) / np.maximum(predicted, _TINY), -1.0)
+        accepted = again | (np.isfinite(there.cost) & (gain > ACCEPT_GAIN))
+        # A refused step with a Jacobian from elsewhere says little: renew it before taking shorter steps.
+        ask = ~accepted & stale[active]
+        rises, falls = ~accepted & ~ask, accepted & ~again & (gain > GOOD_GAIN)
+        factor[active] *= np.where(falls, DAMPING_DOWN, np.where(rises, DAMPING_UP, 1.0))
+        factor = np.clip(factor, DAMPING_MIN, DAMPING_MAX)
+        moved = active[accepted]
+        x[moved], cost[moved] = trial[accepted], there.cost[accepted]
+        gradient[moved], hessian[moved] = there.gradient[accepted], there.hessian[accepted]
+        stale[moved], renewal[active] = ~renew[accepted], ask
+        decrement[moved] = _decrement(gradient[moved], hessian[moved], x[moved], lower[moved], upper[moved])
+        # A refused step that promised next to nothing: a kink of the model, not a way on.
+        stuck = rises & ((predicted < NEGLIGIBLE) | (factor[active] >= DAMPING_MAX))
+        active = active[(decrement[active] > tolerance) & ~stuck]
+    converged = np.isfinite(cost) & (decrement <= max(tolerance, CONVERGED_BELOW))
+    return Fit(x, Linearisation(cost, gradient, hessian), factor, decrement, iterations, converged)
+
+
+def take(fit: Fit, better: Fit, where: Index) -> Fit:
+    """Put the problems of `better` in place of those at the indices `where` of `fit`."""
+
+    def merged(old: NDArray, new: NDArray) -> NDArray:
+        result = old.copy()
+        result[where] = new
+        return result
+
+    linear = Linearisation(
+        merged(fit.linear.cost, better.linear.cost),
+        merged(fit.linear.gradient, better.linear.gradient),
+        merged(fit.linear.hessian, better.linear.hessian),
+    )
+    return replace(
+        fit,
+        unknowns=merged(fit.unknowns, better.unknowns),
+        linear=linear,
+        damping=merged(fit.damping, better.damping),
+        decrement=merged(fit.decrement, better.decrement),
+        iterations=merged(fit.iterations, fit.iterations[where] + better.iterations),
+        converged=merged(fit.converged, better.converged),
+    )
+
+
+_TINY = np.finfo(np.float64).tiny
+
+
+def _step(gradient: Array, hessian: Array, factor: Array, step_max: Array) -> Array:
+    diagonal = np.maximum(np.diagonal(hessian, axis1=1, axis2=2), CURVATURE_MIN)
+    damped = hessian + (factor[:, None] * diagonal)[:, :, None] * np.eye(hessian.shape[-1])
+    step = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
+    # Shortening the whole step keeps its direction; clipping single unknowns would not.
+    return np.asarray(step / np.maximum(1.0, np.max(np.abs(step) / step_max, axis=1))[:, None])
+
+
+def _decrement(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> Array:
+    """Newton decrement; a gradient that pushes against the box doesn't count."""
+    if not len(gradient):
+        return np.zeros(0)
+    blocked = ((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))
+    free = np.where(blocked, 0.0, gradient)
+    finite = np.isfinite(free).all(axis=1) & np.isfinite(hessian).all(axis=(1, 2))
+    result = np.full(len(gradient), np.inf)
+    if finite.any():
+        variance = covariance(hessian[finite])
+        square = np.einsum("lj,ljk,lk->l", free[finite], variance, free[finite])
+        result[finite] = np.sqrt(np.maximum(square, 0.0))
+    return result
+
+
+def covariance(hessian: Array) -> Array:
+    """Covariance from a Fisher information matrix that may be singular.
+
+    A prior of standard deviation `UNINFORMED` replaces missing information, so that a shut EGR valve gives
+    a huge
+    standard deviation of A_egrmax and leaves the others untouched.
+
+    Args:
+        hessian: (.., m, m) Fisher information of the logarithms [-].
+
+    Returns:
+        (.., m, m) covariance [-].
+    """
+    information = hessian + UNINFORMED**-2.0 * np.eye(hessian.shape[-1])
+    scale = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+    outer = scale[..., :, None] * scale[..., None, :]
+    return np.asarray(np.linalg.inv(information / outer) / outer)
+
+
+UNINFORMED = 1e3
+"""Log standard deviation that stands for no information at all [-]."""

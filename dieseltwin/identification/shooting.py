@@ -1,0 +1,173 @@
+"""Single shooting: predicted readings and their sensitivities to health parameters and initial states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dieseltwin.engine import HEALTH, Actuation, ParameterBatch, actuate, parameter_batch, simulate_states
+from dieseltwin.errors import InputError
+from dieseltwin.identification.least_squares import Linearisation
+from dieseltwin.identification.problem import SegmentProblem
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int_]
+Simulator = Callable[[Sequence[Actuation], ParameterBatch, Array], Any]
+"""(actuation of each lane, B parameter sets, (B, 3) initial states) -> states (B, n, 5), measured (B, n,
+6)."""
+
+UNKNOWNS: tuple[str, ...] = (*HEALTH, "p_im", "p_em", "omega_t")
+"""Order of the free quantities; all are estimated as logarithms, because all are positive and matter
+relatively."""
+
+N_HEALTH = len(HEALTH)
+N_UNKNOWNS = len(UNKNOWNS)
+
+FINE_STEP_S = 0.0125
+"""Integration step of the likelihood [s]: shifts a parameter by at most 0.002 of its bound on the benchmark
+segments."""
+
+COARSE_STEP_S = 0.025
+"""Integration step of the sensitivities [s]: right to 0.3 %, which a Jacobian may be; 0.04 s is beyond
+stability."""
+
+DIFFERENCE = 1e-4
+"""Step of the forward differences in the logarithm [-]: error of the order of 1e-4 of a sensitivity."""
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """Segments of one sample grid, ready to be simulated with any unknowns.
+
+    Attributes:
+        problems: S segments with the same sample times after the start.
+        simulator: engine with the exact formulae, or with learned maps bound in.
+        fine, coarse: actuation of each segment for the likelihood and for the sensitivities.
+        weights: (S, n, 6) one over sigma, 0 where masked.
+    """
+
+    problems: tuple[SegmentProblem, ...]
+    simulator: Simulator = simulate_states
+    fine_step_s: float = FINE_STEP_S
+    coarse_step_s: float = COARSE_STEP_S
+    fine: tuple[Actuation, ...] = field(init=False, repr=False)
+    coarse: tuple[Actuation, ...] = field(init=False, repr=False)
+    weights: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if len({grid_key(p) for p in self.problems}) != 1:
+            raise InputError(
+                "segments of one batch", "different sample times", "one grid", "group them by `grid_key`"
+            )
+        for name, step_s in (("fine", self.fine_step_s), ("coarse", self.coarse_step_s)):
+            object.__setattr__(
+                self, name, tuple(actuate(p.inputs, p.parameters, step_s) for p in self.problems)
+            )
+        weights = np.stack([np.where(p.observed, 1.0 / p.sigma, 0.0) for p in self.problems])
+        object.__setattr__(self, "weights", weights)
+
+    def simulate(self, segment: Index, unknowns: Array, actuations: Sequence[Actuation] | None = None) -> Any:
+        """Simulate lanes, each with its own segment and unknowns.
+
+        Args:
+            segment: (B,) index into `problems`.
+            unknowns: (B, 7) logarithms in the order of `UNKNOWNS` [log SI].
+            actuations: `fine` (default) or `coarse`.
+
+        Returns:
+            The engine's observations: states (B, n, 5), measured (B, n, 6).
+        """
+        values = np.exp(unknowns)
+        batches = np.empty((0, 0))
+        for s in np.unique(segment):
+            lanes = segment == s
+            columns = {name: values[lanes, i] for i, name in enumerate(HEALTH)}
+            part = parameter_batch(self.problems[s].parameters, **columns).values
+            if not batches.size:
+                batches = np.empty((part.shape[0], len(segment)))
+            batches[:, lanes] = part
+        chosen = self.fine if actuations is None else actuations
+        return self.simulator([chosen[s] for s in segment], ParameterBatch(batches), values[:, N_HEALTH:])
+
+    def degrees_of_freedom(self) -> Index:
+        """(S,) readings minus unknowns of each segment, at least 1."""
+        return np.maximum((self.weights > 0.0).sum(axis=(1, 2)) - N_UNKNOWNS, 1)
+
+
+class ShootingRuns:
+    """Least-squares problems of L runs that share a `Shooting`; keeps each run's Jacobian between
+    evaluations.
+
+    Args:
+        shooting: the segments.
+        segment: (L,) segment of each run.
+        readings: (L, n, 6) what each run sees [SI], NaN where masked.
+    """
+
+    def __init__(self, shooting: Shooting, segment: Index, readings: Array) -> None:
+        self.shooting, self.segment = shooting, segment
+        count = len(segment)
+        self._weights = shooting.weights[segment].reshape(count, -1)
+        self._observed = np.where(self._weights > 0.0, readings.reshape(count, -1), 0.0)
+        self._jacobian = np.zeros((count, N_UNKNOWNS, self._observed.shape[1]))
+
+    def __call__(self, index: Index, unknowns: Array, renew: NDArray[np.bool_]) -> Linearisation:
+        """Cost, gradient and Gauss-Newton Hessian of chosen runs.
+
+        The residual comes from one simulation at the fine step, the Jacobian from forward differences at
+        the coarse step:
+        eight simulations (one nominal, seven perturbed) in one lockstep batch that start from the same
+        fixed-point
+        guess of x_r and T_1; other starts would bias eta_sc and h_tot (ESTIMATION.md).
+
+        Args:
+            index: (K,) runs to evaluate.
+            unknowns: (K, 7) logarithms.
+            renew: (K,) whether to compute the Jacobian anew or to keep the run's last one.
+
+        Returns:
+            The linearised problems; a diverged simulation has an infinite cost.
+        """
+        if renew.any():
+            self._jacobian[index[renew]] = self._differences(index[renew], unknowns[renew])
+        predicted = self.shooting.simulate(self.segment[index], unknowns).measured.reshape(len(index), -1)
+        residual = (predicted - self._observed[index]) * self._weights[index]
+        jacobian = self._jacobian[index]
+        cost = 0.5 * np.einsum("ln,ln->l", residual, residual)
+        gradient = np.einsum("lkn,ln->lk", jacobian, residual)
+        hessian = jacobian @ jacobian.transpose(0, 2, 1)
+        finite = np.isfinite(cost) & np.isfinite(gradient).all(axis=1) & np.isfinite(hessian).all(axis=(1, 2))
+        return Linearisation(np.where(finite, cost, np.inf), gradient, hessian)
+
+    def _differences(self, index: Index, unknowns: Array) -> Array:
+        lanes = np.repeat(unknowns[:, None, :], N_UNKNOWNS + 1, axis=1)
+        lanes[:, 1:, :] += DIFFERENCE * np.eye(N_UNKNOWNS)
+        segment = np.repeat(self.segment[index], N_UNKNOWNS + 1)
+        observations = self.shooting.simulate(segment, lanes.reshape(-1, N_UNKNOWNS), self.shooting.coarse)
+        predicted = observations.measured.reshape(len(index), N_UNKNOWNS + 1, -1)
+        return (predicted[:, 1:] - predicted[:, :1]) * (self._weights[index] / DIFFERENCE)[:, None, :]
+
+
+def grid_key(problem: SegmentProblem) -> bytes:
+    """Sample times after the start, to the microsecond: segments with the same key can be simulated in one
+    batch."""
+    return np.round((problem.time_s - problem.time_s[0]) * 1e6).astype(np.int64).tobytes()
+
+
+def by_grid(problems: Sequence[SegmentProblem]) -> list[list[int]]:
+    """Group segments that have the same sample times after the start.
+
+    Args:
+        problems: segments.
+
+    Returns:
+        Lists of indices into `problems`.
+    """
+    groups: dict[bytes, list[int]] = {}
+    for i, problem in enumerate(problems):
+        groups.setdefault(grid_key(problem), []).append(i)
+    return list(groups.values())
