@@ -37,6 +37,7 @@ def _cache_folder() -> str:
 
 numba.config.CACHE_DIR = _cache_folder()  # type: ignore[attr-defined]
 
+from dieseltwin.engine._fastmath import select  # noqa: E402
 from dieseltwin.engine.binding import bind  # noqa: E402  the folder must be set before anything is compiled
 
 LANES = 8
@@ -44,8 +45,11 @@ LANES = 8
 
 N_STATES = 5  # p_im, p_em, omega_t, x_r, T_1
 N_CONSTANTS = len(CONSTANT_NAMES)
+CONSTANTS_AT = N_STATES + 12  # of the flat work array, in units of LANES
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
+
+_INLINED: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "forceinline": True}
 
 _P_IM_LIMITS = (0.5, 10.0)  # of p_amb, limiters of the published simulation (NOTES)
 _P_EM_LIMITS = (0.5, 20.0)
@@ -57,54 +61,66 @@ OMEGA_LOW, OMEGA_HIGH = _OMEGA_LIMITS
 _model = bind("numba")
 quantities = _model.quantities
 settle_cylinder = _model.settle_cylinder
+cylinder_sweep = _model.cylinder_sweep
+cylinder_inflow = _model.cylinder_inflow
+fuel_flow = _model.fuel_flow
+eta_vol = _model.eta_vol
+exhaust_to_intake_ratio = _model.exhaust_to_intake_ratio
 actuator_update = _model.actuator_update
 
 
 def _make_load_constants() -> Any:
     # Written out by a loop: numba builds a NamedTuple from a fixed list of scalars only.
     fields = ", ".join(f"values[{j} * lanes + k]" for j in range(N_CONSTANTS))
-    scope: dict[str, Any] = {"Constants": Constants}
+    scope: dict[str, Any] = {"Constants": Constants, "__name__": __name__}
     exec(f"def load_constants(values, k, lanes):\n    return Constants({fields})\n", scope)
-    return numba.njit(**_OPTIONS)(scope["load_constants"])
+    return numba.njit(**_INLINED)(scope["load_constants"])
 
 
 load_constants = _make_load_constants()
 
 
-@numba.njit(**_OPTIONS)
+@numba.njit(**_INLINED)
 def _rates(p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, c):  # type: ignore[no-untyped-def]
-    warm = settle_cylinder(p_im, p_em, n_e, u_delta, x_r, T_1, c)
+    # Two sweeps of the cylinder's fixed point, warm from the stage before: one here, one in `quantities`. One alone
+    # lags and errs by 0.03 % of the mean; three change nothing above 1e-5.
+    W_ei = cylinder_inflow(eta_vol(p_im, n_e, c), p_im, n_e, c)
+    warm = cylinder_sweep(exhaust_to_intake_ratio(p_em, p_im), W_ei, fuel_flow(u_delta, n_e, c), x_r, T_1, c)
     q = quantities(p_im, p_em, omega_t, warm.x_r, warm.T_1, n_e, u_delta, u_egr, u_vgt, c)
     return q.dp_im, q.dp_em, q.domega_t, q.x_r_next, q.T_1_next
 
 
-@numba.njit(**_OPTIONS)
+@numba.njit(**_INLINED)
 def _limit(x, low, high):  # type: ignore[no-untyped-def]
-    x = x if x > low else low
-    return x if x < high else high
+    x = select(x > low, x, low)
+    return select(x < high, x, high)
 
 
-def _advance(state, inputs, constants, h):  # type: ignore[no-untyped-def]
-    """One RK4 step of all lanes; state (5 x LANES), inputs (3 times x 4 x LANES), constants (n x LANES), flat."""
+def _advance(work, h):  # type: ignore[no-untyped-def]
+    """One RK4 step of all lanes.
+
+    work: flat, LANES values each of the 5 states, 12 inputs (3 times x 4) and the constants. One array, because LLVM
+    vectorises a loop of eight rounds only if it needn't check at run time whether arrays overlap.
+    """
     for k in range(LANES):
-        c = load_constants(constants, k, LANES)
-        p_im = state[k]
-        p_em = state[LANES + k]
-        omega = state[2 * LANES + k]
-        x_r = state[3 * LANES + k]
-        T_1 = state[4 * LANES + k]
-        n_0 = inputs[k]
-        d_0 = inputs[LANES + k]
-        e_0 = inputs[2 * LANES + k]
-        v_0 = inputs[3 * LANES + k]
-        n_1 = inputs[4 * LANES + k]
-        d_1 = inputs[5 * LANES + k]
-        e_1 = inputs[6 * LANES + k]
-        v_1 = inputs[7 * LANES + k]
-        n_2 = inputs[8 * LANES + k]
-        d_2 = inputs[9 * LANES + k]
-        e_2 = inputs[10 * LANES + k]
-        v_2 = inputs[11 * LANES + k]
+        c = load_constants(work, CONSTANTS_AT * LANES + k, LANES)
+        p_im = work[k]
+        p_em = work[LANES + k]
+        omega = work[2 * LANES + k]
+        x_r = work[3 * LANES + k]
+        T_1 = work[4 * LANES + k]
+        n_0 = work[5 * LANES + k]
+        d_0 = work[6 * LANES + k]
+        e_0 = work[7 * LANES + k]
+        v_0 = work[8 * LANES + k]
+        n_1 = work[9 * LANES + k]
+        d_1 = work[10 * LANES + k]
+        e_1 = work[11 * LANES + k]
+        v_1 = work[12 * LANES + k]
+        n_2 = work[13 * LANES + k]
+        d_2 = work[14 * LANES + k]
+        e_2 = work[15 * LANES + k]
+        v_2 = work[16 * LANES + k]
         a1, b1, w1, x_r, T_1 = _rates(p_im, p_em, omega, x_r, T_1, n_0, d_0, e_0, v_0, c)
         a2, b2, w2, x_r, T_1 = _rates(
             p_im + 0.5 * h * a1, p_em + 0.5 * h * b1, omega + 0.5 * h * w1, x_r, T_1, n_1, d_1, e_1, v_1, c
@@ -113,11 +129,11 @@ def _advance(state, inputs, constants, h):  # type: ignore[no-untyped-def]
             p_im + 0.5 * h * a2, p_em + 0.5 * h * b2, omega + 0.5 * h * w2, x_r, T_1, n_1, d_1, e_1, v_1, c
         )
         a4, b4, w4, x_r, T_1 = _rates(p_im + h * a3, p_em + h * b3, omega + h * w3, x_r, T_1, n_2, d_2, e_2, v_2, c)
-        state[k] = _limit(p_im + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4), P_IM_LOW * c.p_amb, P_IM_HIGH * c.p_amb)
-        state[LANES + k] = _limit(p_em + h / 6.0 * (b1 + 2.0 * (b2 + b3) + b4), P_EM_LOW * c.p_amb, P_EM_HIGH * c.p_amb)
-        state[2 * LANES + k] = _limit(omega + h / 6.0 * (w1 + 2.0 * (w2 + w3) + w4), OMEGA_LOW, OMEGA_HIGH)
-        state[3 * LANES + k] = x_r
-        state[4 * LANES + k] = T_1
+        work[k] = _limit(p_im + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4), P_IM_LOW * c.p_amb, P_IM_HIGH * c.p_amb)
+        work[LANES + k] = _limit(p_em + h / 6.0 * (b1 + 2.0 * (b2 + b3) + b4), P_EM_LOW * c.p_amb, P_EM_HIGH * c.p_amb)
+        work[2 * LANES + k] = _limit(omega + h / 6.0 * (w1 + 2.0 * (w2 + w3) + w4), OMEGA_LOW, OMEGA_HIGH)
+        work[3 * LANES + k] = x_r
+        work[4 * LANES + k] = T_1
 
 
 def _integrate(grids, grid_of_lane, steps, time, constants, initial, out):  # type: ignore[no-untyped-def]
@@ -126,12 +142,11 @@ def _integrate(grids, grid_of_lane, steps, time, constants, initial, out):  # ty
     grids (G, 4, 2 N + 1), grid_of_lane (LANES,), steps (n - 1,), time (n,), constants (n_constants, LANES),
     initial (LANES, 3) -> out (LANES, n, 8): p_im, p_em, omega_t, x_r, T_1, W_egr, T_em, W_c.
     """
-    state = np.empty(N_STATES * LANES)
-    flat = np.empty(constants.shape[0] * LANES)
-    inputs = np.empty(12 * LANES)
+    work = np.empty((CONSTANTS_AT + constants.shape[0]) * LANES)
+    state = work[: N_STATES * LANES]
     for j in range(constants.shape[0]):
         for k in range(LANES):
-            flat[j * LANES + k] = constants[j, k]
+            work[(CONSTANTS_AT + j) * LANES + k] = constants[j, k]
     for k in range(LANES):
         for j in range(3):
             state[j * LANES + k] = initial[k, j]
@@ -140,7 +155,7 @@ def _integrate(grids, grid_of_lane, steps, time, constants, initial, out):  # ty
     at = 0
     for i in range(time.shape[0]):
         for k in range(LANES):  # x_r, T_1 converged at the sample, and what the sensors see
-            c = load_constants(flat, k, LANES)
+            c = load_constants(work, CONSTANTS_AT * LANES + k, LANES)
             g = grid_of_lane[k]
             n_e = grids[g, 0, at]
             u_delta = grids[g, 1, at]
@@ -170,8 +185,8 @@ def _integrate(grids, grid_of_lane, steps, time, constants, initial, out):  # ty
                 for m in range(3):
                     for j in range(4):
                         for k in range(LANES):
-                            inputs[(4 * m + j) * LANES + k] = grids[grid_of_lane[k], j, at + m]
-                advance(state, inputs, flat, h)
+                            work[(N_STATES + 4 * m + j) * LANES + k] = grids[grid_of_lane[k], j, at + m]
+                advance(work, h)
                 at += 2
 
 

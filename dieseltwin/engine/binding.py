@@ -21,6 +21,9 @@ _MODULES = (manifolds, cylinder, egr, turbocharger, actuators, model)
 MAPS = ("eta_vol", "f_egr", "F_vgt_Pi_t", "eta_tm", "eta_c", "Phi_c")
 """The six empirical maps that a learned surrogate may replace (paper, table of surrogates)."""
 
+COMPILED: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "forceinline": True}
+"""Options of a compiled equation: without forced inlining the 80 constants travel through memory at every call."""
+
 Backend = Literal["numpy", "torch", "numba"]
 
 
@@ -47,25 +50,25 @@ def equations() -> dict[str, Callable[..., Any]]:
 def _numba_primitives() -> dict[str, Any]:
     import numba
 
-    from dieseltwin.engine._fastmath import fast_exp, fast_positive_power
+    from dieseltwin.engine._fastmath import fast_exp, fast_positive_power, select
 
-    options: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
+    options = COMPILED
 
     @numba.njit(**options)
     def n_root(x):  # type: ignore[no-untyped-def]
-        return math.sqrt(x if x > 0.0 else 0.0)
+        return math.sqrt(select(x > 0.0, x, 0.0))
 
     @numba.njit(**options)
     def n_maximum(a, b):  # type: ignore[no-untyped-def]
-        return a if a > b else b
+        return select(a > b, a, b)
 
     @numba.njit(**options)
     def n_minimum(a, b):  # type: ignore[no-untyped-def]
-        return a if a < b else b
+        return select(a < b, a, b)
 
     @numba.njit(**options)
     def n_where(condition, a, b):  # type: ignore[no-untyped-def]
-        return a if condition else b
+        return select(condition, a, b)
 
     return {
         "exp": fast_exp,
@@ -107,7 +110,7 @@ def bind(backend: Backend, replace: Mapping[str, Callable[..., Any]] | None = No
     else:
         raise DieselTwinError(f"unknown backend {backend!r}; allowed: numpy, torch, numba")
 
-    shared: dict[str, Any] = {"__builtins__": __builtins__, "__name__": f"{__name__}.{backend}"}
+    shared: dict[str, Any] = {"__builtins__": __builtins__, "__name__": __name__}  # numba's cache imports it
     for module in _MODULES:  # constants (limiters) and result types that the functions name
         for name, value in vars(module).items():
             if isinstance(value, (int, float)) or (isinstance(value, type) and issubclass(value, tuple)):
@@ -121,7 +124,7 @@ def bind(backend: Backend, replace: Mapping[str, Callable[..., Any]] | None = No
         if backend == "numba":
             import numba
 
-            copy = numba.njit(error_model="numpy", fastmath={"contract"})(copy)
+            copy = numba.njit(**COMPILED)(copy)
         bound[name] = replace.get(name, copy)
     shared.update(bound)
     return Model(**bound, constants=parameters.constants)
