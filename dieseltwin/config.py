@@ -69,6 +69,8 @@ class EcuConfig(StrictModel):
     smoke_lambda_min: PositiveFloat
     egr_fraction_max: PositiveFloat
     turbo_speed_max_rad_s: PositiveFloat
+    smoke_reserve_rel: NonNegativeFloat = Field(description="kept above the smoke limit when inputs are made")
+    turbo_reserve_rel: NonNegativeFloat = Field(lt=0.5, description="kept below the turbo's limit when inputs are made")
     idle_u_egr_pct: NonNegativeFloat
     idle_shut_u_egr_pct: NonNegativeFloat
     idle_shut_after_s: PositiveFloat

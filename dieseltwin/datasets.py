@@ -177,17 +177,21 @@ def make_case(
         inputs = make_set(case.set, params.driving, laboratory_parameters(params.engine))
     sample_s = params.driving.sample_s if sample_s is None else sample_s
     parameters = case_parameters(name, params.driving, params.engine)
-    return simulated(inputs, parameters, sample_s, params.engine.step_s)
+    # the oxygen columns are for people who plot a recording; at the fine rate of eta_tm they would double the time
+    oxygen = sample_s >= params.driving.sample_s
+    return simulated(inputs, parameters, sample_s, params.engine.step_s, oxygen=oxygen)
 
 
-def simulated(inputs: pd.DataFrame, parameters: EngineParameters, sample_s: float, step_s: float) -> pd.DataFrame:
+def simulated(
+    inputs: pd.DataFrame, parameters: EngineParameters, sample_s: float, step_s: float, *, oxygen: bool = True
+) -> pd.DataFrame:
     """Simulate inputs that are linear between their rows; one row every `sample_s` [s], ambient columns included."""
     known = inputs["time_s"].to_numpy()
     n = round((known[-1] - known[0]) / sample_s) + 1
     # k * 0.2 has 17 digits; rounded, the times read 0.6 as a logger writes them
     time = np.round(known[0] + sample_s * np.arange(n), 6)
     columns = [np.interp(time, known, inputs[name]) for name in INPUT_NAMES]
-    frame = simulate(Inputs(time, *columns), parameters, step_s=step_s)
+    frame = simulate(Inputs(time, *columns), parameters, step_s=step_s, oxygen=oxygen)
     frame["p_amb_pa"] = parameters.p_amb
     frame["t_amb_k"] = parameters.T_amb
     frame["t_im_k"] = parameters.T_im

@@ -29,7 +29,8 @@ FREE_PASSES = 4  # passes in which limits may also open again (the fuel then mov
 MARGIN = 0.01  # relative distance that a tightened limit keeps
 SMOKE_EGR_CUT = 0.3  # wanted fuel this share above the allowed one shuts the EGR valve, as ECUs do on tip-in
 TURBO_LEAD_S = 4.0  # the turbo's lag: the VGT opens so long before the speed limit would be met
-VGT_STEP_PCT = 4.0  # of opening per pass where the turbo is too fast
+# VGT opening per pass where the turbo is too fast: at rest 10 % of opening slow it by 1 to 4 %
+VGT_STEP_PCT, VGT_GAIN_PCT = 3.0, 400.0
 # "marginally modified" positions of Set-III and Set-IV: spread about the middle and dithered more
 MODIFIED_GAIN, MODIFIED_DITHER_PCT = 1.15, 5.0
 MODIFIED_MIDDLE_PCT = {"u_egr": 40.0, "u_vgt": 48.0}
@@ -104,7 +105,7 @@ class _Loop:
         self, demand: Demand, config: DrivingConfig, parameters: EngineParameters, rng: np.random.Generator,
         modified: Modified,
     ) -> None:  # fmt: skip
-        self.demand, self.ecu, self.parameters, self.modified = demand, config.ecu, parameters, modified
+        self.demand, self.ecu, self.parameters, self.modified = demand, with_reserve(config.ecu), parameters, modified
         n = demand.time_s.size
         self.step_s = float(demand.time_s[1] - demand.time_s[0])
         self.n_e = np.clip(
@@ -183,9 +184,9 @@ class _Loop:
         lead = round(TURBO_LEAD_S / RESPONSE_STEP_S)
         # a maximum over the seconds to come: the origin shifts the window into the future
         ahead = maximum_filter1d(excess, 2 * lead + 1, mode="nearest")[:: self.every]
-        self.vgt_opening += np.where(ahead > 0.0, VGT_STEP_PCT, 0.0)
+        self.vgt_opening += np.where(ahead > 0.0, VGT_STEP_PCT + VGT_GAIN_PCT * ahead, 0.0)
         fully_open = self.inputs["u_vgt_pct"].to_numpy() >= self.parameters.u_vgt_range[1]
-        self.fuel_cap = np.where((ahead > 0.0) & fully_open, self.fuel_cap * (1.0 - ahead - MARGIN), self.fuel_cap)
+        self.fuel_cap = np.where((ahead > 0.0) & fully_open, self.fuel_cap * (1.0 - 2.0 * ahead - MARGIN), self.fuel_cap)
 
     def _worst(self, fine: np.ndarray, smallest: bool) -> np.ndarray:
         """Extreme value of a watched signal between the neighbouring rows of each row of the inputs, (n,)."""
@@ -194,6 +195,16 @@ class _Loop:
 
     def limited_share(self) -> float:
         return float(np.mean(self.inputs["u_delta_mg"].to_numpy() < self.wanted - 1e-6 * self.wanted))
+
+
+def with_reserve(ecu: EcuConfig) -> EcuConfig:
+    """The limits that inputs are made for, so that other parameters and ambients stay within the stated ones."""
+    return ecu.model_copy(
+        update={
+            "smoke_lambda_min": ecu.smoke_lambda_min * (1.0 + ecu.smoke_reserve_rel),
+            "turbo_speed_max_rad_s": ecu.turbo_speed_max_rad_s * (1.0 - ecu.turbo_reserve_rel),
+        }
+    )
 
 
 def limit_breaks(response: pd.DataFrame, ecu: EcuConfig) -> dict[str, np.ndarray]:
