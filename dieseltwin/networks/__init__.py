@@ -1,0 +1,17 @@
+"""Networks of the twin: perceptrons with dropout that stays on, multi-head networks, causality DeepONets.
+
+Nothing here knows the engine. Initialisation, structure and the use of dropout follow the paper (Nath et al., sections
+"Neural network surrogates for empirical formulae", "DeepONets for EGR and VGT states" and "Training of multi-head
+neural networks"). A network is made of its `spec()` (plain JSON) and its state dict; `save_network` and `load_network`
+keep both in one file that is written atomically.
+"""
+
+from dieseltwin.networks.deeponet import CausalityDeepONet, soft_clip
+from dieseltwin.networks.files import load_network, load_state, network_from_spec, save_network, save_state
+from dieseltwin.networks.multi_head import MultiHead
+from dieseltwin.networks.perceptron import ACTIVATIONS, MLP, no_dropout, stack_members
+
+__all__ = [
+    "ACTIVATIONS", "MLP", "CausalityDeepONet", "MultiHead", "load_network", "load_state", "network_from_spec",
+    "no_dropout", "save_network", "save_state", "soft_clip", "stack_members",
+]  # fmt: skip

@@ -1,0 +1,187 @@
+"""Perceptrons with dropout that stays on, one or many stacked in one tensor program."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from dieseltwin.errors import InputError
+
+ACTIVATIONS: Mapping[str, Callable[[Tensor], Tensor]] = {
+    "tanh": torch.tanh,
+    "sin": torch.sin,
+    "relu": torch.relu,
+    "silu": nn.functional.silu,
+    "softplus": nn.functional.softplus,
+    "algebraic": lambda z: z * torch.rsqrt(1.0 + z * z),  # a sigmoid of one root and one division: quick when compiled
+    "identity": lambda z: z,
+}
+HIDDEN_GAIN = 2.0  # weights ~ N(0, gain / (in + out)): paper, section on the multi-head networks
+
+
+class MLP(nn.Module):
+    """Fully connected network, or `members` of them stacked in one tensor program.
+
+    Args:
+        widths: (in, hidden ..., out) number of neurons of each layer.
+        activation: name in ACTIVATIONS, used after each layer but the last (see `activate_last`).
+        dropout: share of hidden neurons switched off. It stays on in `eval()` mode too, as in the paper; pass
+            `masks=no_dropout` to leave it out, or masks of `sample_masks` to keep one realisation.
+        members: None for a single network, else the number of stacked networks of equal widths.
+        last_gain: weights of the last layer are drawn from N(0, last_gain / (in + out)).
+        activate_last: apply the activation after the last layer too (the body of a multi-head network).
+        generator: source of the initial weights; the global one of torch where None.
+        dtype: of the weights.
+
+    Shapes: x is (..., n, in), or (n, in) shared by all members; the result is (..., n, out), with members
+    (members, n, out).
+    """
+
+    def __init__(
+        self,
+        widths: Sequence[int],
+        activation: str = "tanh",
+        dropout: float = 0.0,
+        *,
+        members: int | None = None,
+        last_gain: float = HIDDEN_GAIN,
+        activate_last: bool = False,
+        generator: torch.Generator | None = None,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        super().__init__()
+        if len(widths) < 2 or any(int(w) < 1 for w in widths):
+            raise InputError("MLP widths", list(widths), "two or more positive layer sizes", "correct the widths")
+        if activation not in ACTIVATIONS:
+            raise InputError("activation", repr(activation), sorted(ACTIVATIONS), "take one of these")
+        if not 0.0 <= dropout < 1.0:
+            raise InputError("dropout", dropout, "0 <= dropout < 1", "correct the share")
+        self.widths = tuple(int(w) for w in widths)
+        self.activation = activation
+        self.dropout = float(dropout)
+        self.members = members
+        self.last_gain = float(last_gain)
+        self.activate_last = activate_last
+        stack = () if members is None else (int(members),)
+        self.weights = nn.ParameterList()
+        self.biases = nn.ParameterList()
+        last = len(self.widths) - 2
+        for layer, (n_in, n_out) in enumerate(zip(self.widths[:-1], self.widths[1:], strict=True)):
+            gain = self.last_gain if layer == last else HIDDEN_GAIN
+            draw = torch.randn((*stack, n_in, n_out), generator=generator, dtype=dtype)
+            self.weights.append(nn.Parameter(draw * math.sqrt(gain / (n_in + n_out))))
+            self.biases.append(nn.Parameter(torch.zeros((*stack, 1, n_out), dtype=dtype)))
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden layers."""
+        return self.widths[1:-1]
+
+    def spec(self) -> dict[str, Any]:
+        """Plain JSON from which `from_spec` makes a network of the same structure."""
+        return {
+            "kind": "MLP",
+            "widths": list(self.widths),
+            "activation": self.activation,
+            "dropout": self.dropout,
+            "members": self.members,
+            "last_gain": self.last_gain,
+            "activate_last": self.activate_last,
+            "dtype": str(self.weights[0].dtype).removeprefix("torch."),
+        }
+
+    @classmethod
+    def from_spec(cls, spec: Mapping[str, Any]) -> MLP:
+        """Network of the structure of `spec()`, with new weights."""
+        options = {key: value for key, value in spec.items() if key != "kind"}
+        return cls(**{**options, "dtype": getattr(torch, options["dtype"])})
+
+    def sample_masks(
+        self, lead: Sequence[int] = (), *, generator: torch.Generator | None = None
+    ) -> tuple[Tensor, ...]:
+        """One dropout realisation: a mask for each hidden layer, 0 or 1 / (1 - dropout).
+
+        Args:
+            lead: leading shape of the masks. () gives (width,) for a single network and (members, 1, width) for a
+                stacked one: the same neurons are off for all rows, as one realised engine. (runs, 1) gives each of
+                `runs` batches its own realisation; (n,) a fresh one for each of n rows.
+            generator: source of the draws.
+        """
+        if not lead and self.members is not None:
+            lead = (self.members, 1)
+        keep = 1.0 - self.dropout
+        reference = self.weights[0]
+        masks = []
+        for width in self.hidden:
+            uniform = torch.rand((*lead, width), generator=generator, dtype=reference.dtype)
+            masks.append((uniform < keep).to(reference.dtype) / keep)
+        return tuple(masks)
+
+    def forward(
+        self,
+        x: Tensor,
+        masks: Sequence[Tensor] | None = None,
+        *,
+        generator: torch.Generator | None = None,
+    ) -> Tensor:
+        """Evaluate the network.
+
+        Args:
+            x: (..., n, in).
+            masks: of `sample_masks`, `no_dropout` (= ()) for none; None draws a fresh mask for each row and hidden
+                layer where dropout > 0.
+            generator: source of these fresh masks.
+        """
+        act = ACTIVATIONS[self.activation]
+        last = len(self.weights) - 1
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            # bias is (1, out), and (members, 1, out) for a stack, which broadcasts against (..., n, out)
+            x = torch.matmul(x, weight) + bias
+            if layer < last:
+                x = act(x)
+                if masks is None:
+                    if self.dropout > 0.0:
+                        keep = 1.0 - self.dropout
+                        uniform = torch.rand(x.shape, generator=generator, dtype=x.dtype)
+                        x = x * ((uniform < keep).to(x.dtype) / keep)
+                elif len(masks) > 0:
+                    x = x * masks[layer]
+            elif self.activate_last:
+                x = act(x)
+        return x
+
+    def member(self, index: int) -> MLP:
+        """Copy of one member of a stack as a single network."""
+        if self.members is None or not 0 <= index < self.members:
+            raise InputError("member", index, f"0 to {(self.members or 0) - 1} of a stacked network", "correct it")
+        single = MLP.from_spec({**self.spec(), "members": None})
+        with torch.no_grad():
+            for mine, stacked in zip(single.parameters(), self.parameters(), strict=True):
+                mine.copy_(stacked[index])
+        return single
+
+
+no_dropout: tuple[Tensor, ...] = ()
+
+
+def stack_members(networks: Sequence[MLP]) -> MLP:
+    """Stack single networks of equal structure into one with `members = len(networks)`."""
+    if not networks:
+        raise InputError("stack_members", "no network", "one or more", "give networks")
+    specs = {json.dumps(network.spec(), sort_keys=True) for network in networks}
+    if len(specs) != 1 or networks[0].members is not None:
+        raise InputError("stack_members", sorted(specs), "single networks of equal structure", "stack likes only")
+    stacked = MLP.from_spec({**networks[0].spec(), "members": len(networks)})
+    with torch.no_grad():
+        for target, *sources in zip(
+            stacked.parameters(), *(network.parameters() for network in networks), strict=True
+        ):
+            target.copy_(torch.stack([s.detach() for s in sources]))
+    return stacked
+
+
