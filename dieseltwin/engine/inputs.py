@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -44,14 +43,31 @@ class Inputs:
         for name in INPUT_COLUMNS:
             values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if values.shape != time.shape:
-                raise InputError(f"inputs: {name}", got=f"shape {values.shape}", allowed=f"{time.shape} as time_s", do="align the columns")
+                raise InputError(
+                    f"inputs: {name}",
+                    got=f"shape {values.shape}",
+                    allowed=f"{time.shape} as time_s",
+                    do="align the columns",
+                )
             if not np.isfinite(values).all():
-                raise InputError(f"inputs: {name}", got="values that are not finite", allowed="finite numbers", do="fill or cut the gaps")
+                raise InputError(
+                    f"inputs: {name}",
+                    got="values that are not finite",
+                    allowed="finite numbers",
+                    do="fill or cut the gaps",
+                )
             object.__setattr__(self, name, values)
         if time.size - self.n_history < 2 or self.n_history < 0:
-            raise InputError("inputs", got=f"{time.size - self.n_history} rows", allowed="two rows or more", do="give a longer recording")
+            raise InputError(
+                "inputs",
+                got=f"{time.size - self.n_history} rows",
+                allowed="two rows or more",
+                do="give a longer recording",
+            )
         if not (np.diff(time) > 0).all():
-            raise InputError("inputs: time_s", got="time stamps that don't increase", allowed="strictly increasing", do="sort or cut")
+            raise InputError(
+                "inputs: time_s", got="time stamps that don't increase", allowed="strictly increasing", do="sort or cut"
+            )
 
     @property
     def segment_time_s(self) -> np.ndarray:
@@ -74,13 +90,14 @@ class Inputs:
         time = self.time_s[rows]
         steps = steps_between(time, step_s)
         fine = np.concatenate(
-            [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(time[:-1], time[1:], steps, strict=True)] + [time[-1:]]
+            [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(time[:-1], time[1:], steps, strict=True)]
+            + [time[-1:]]
         )
         columns = {name: np.interp(fine, time, getattr(self, name)[rows]) for name in INPUT_COLUMNS}
         return Inputs(fine, **columns)
 
 
-def steps_between(time_s: np.ndarray, step_s: float) -> np.ndarray:
+def steps_between(time_s: np.ndarray, step_s: float | np.ndarray) -> np.ndarray:
     """Number of integration steps of at most `step_s` [s] between samples, shape (n - 1,)."""
     return np.maximum(np.ceil(np.diff(time_s) / step_s - 1e-9), 1.0).astype(np.int64)
 
@@ -114,7 +131,9 @@ def _half_step_times(time: np.ndarray, steps: np.ndarray) -> np.ndarray:
     return np.append(starts + offsets * widths, time[-1])
 
 
-def _delayed_lags(time: np.ndarray, u: np.ndarray, delay: float, taus: tuple[float, ...], wanted: np.ndarray) -> np.ndarray:
+def _delayed_lags(
+    time: np.ndarray, u: np.ndarray, delay: float, taus: tuple[float, ...], wanted: np.ndarray
+) -> np.ndarray:
     """States of first-order lags behind a dead time at the wanted times, shape (len(taus), len(wanted)) [%]."""
     start = min(time[0], wanted[0])
     breaks = time + delay
@@ -124,16 +143,18 @@ def _delayed_lags(time: np.ndarray, u: np.ndarray, delay: float, taus: tuple[flo
     return states[:, np.searchsorted(merged, wanted)]
 
 
-def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float = DEFAULT_STEP_S) -> Actuation:
+def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.ndarray = DEFAULT_STEP_S) -> Actuation:
     """Exact actuator states at the samples and at the half integration steps.
 
     Args:
         inputs: inputs with their history.
         parameters: gives dead times, lags and K_egr (A.16-A.18, A.25).
-        step_s: largest integration step [s].
+        step_s: largest integration step [s], one for all or one per sample interval, (n - 1,).
     """
-    if not (math.isfinite(step_s) and step_s > 0):
-        raise InputError("integration step", got=repr(step_s), allowed="a positive time in s", do=f"use {DEFAULT_STEP_S}")
+    if not (np.isfinite(step_s) & (np.asarray(step_s) > 0)).all():
+        raise InputError(
+            "integration step", got=repr(step_s), allowed="a positive time in s", do=f"use {DEFAULT_STEP_S}"
+        )
     time = inputs.segment_time_s
     steps = steps_between(time, step_s)
     half = _half_step_times(time, steps)
@@ -142,9 +163,12 @@ def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float = DEFAUL
     (u_vgt,) = _delayed_lags(inputs.time_s, inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,), half)
     u_egr = egr_valve_position(u_egr1, u_egr2, constants(p))
     grid = np.stack(
-        [np.interp(half, inputs.time_s, inputs.n_e_rpm), np.interp(half, inputs.time_s, inputs.u_delta_mg), u_egr, u_vgt]
+        [
+            np.interp(half, inputs.time_s, inputs.n_e_rpm),
+            np.interp(half, inputs.time_s, inputs.u_delta_mg),
+            u_egr,
+            u_vgt,
+        ]
     )
     at = np.concatenate([[0], np.cumsum(2 * steps)])
     return Actuation(time, steps, inputs, u_egr1[at], u_egr2[at], u_vgt[at], u_egr[at], np.ascontiguousarray(grid))
-
-
