@@ -1,25 +1,27 @@
 """How a flow is started from a command line: settings, server, bars, Ctrl-C, one-line errors.
 
-``launch(module, name, ...)`` takes the flow by name, since Prefect may be imported only once its settings stand.
+``prepare_environment`` must have run before Prefect is imported (``flows/__init__.py`` does that).
 """
 
 from __future__ import annotations
 
-import importlib
+import argparse
 import signal
 import sys
 import warnings
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
 
 from tasks import run_context
 from tasks.server import ServerFailed, prefect_server
+from tasks.settings import DEFAULT_PROFILE
 from tasks.workspace import prepare_environment
 
 _INTERRUPTED = 130
 
 
-def launch(module: str, flow: str, **parameters: Any) -> int:
+def launch(flow: Callable[..., Any], **parameters: Any) -> int:
     """Run a flow with a server of its own. Returns the exit status: 0 well, 2 wrong input, 130 Ctrl-C, else 1."""
     workspace = prepare_environment()
     warnings.filterwarnings("ignore")
@@ -28,7 +30,7 @@ def launch(module: str, flow: str, **parameters: Any) -> int:
     context = run_context.current()
     try:
         with context.display.showing(), prefect_server(workspace):
-            getattr(importlib.import_module(module), flow)(**parameters)
+            flow(**parameters)
     except KeyboardInterrupt:
         print("interrupted: what is finished is kept, the next run goes on from there", file=sys.stderr)
         return _INTERRUPTED
@@ -42,6 +44,13 @@ def launch(module: str, flow: str, **parameters: Any) -> int:
         print(f"error: {error}", file=sys.stderr)
         return int(code)
     return 0
+
+
+def run_alone(flow: Callable[..., Any], arguments: Sequence[str] | None = None) -> int:
+    """``python -m flows.NAME --profile quick|paper``: one flow as a command. Returns the exit status."""
+    parser = argparse.ArgumentParser(description=flow.__doc__)
+    parser.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml: quick or paper")
+    return launch(flow, profile=parser.parse_args(arguments).profile)
 
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:

@@ -39,7 +39,7 @@ class ServerFailed(RuntimeError):
 def prefect_server(workspace: Workspace) -> Iterator[str]:
     """Start a server (unless ``PREFECT_API_URL`` names one), point Prefect to it, stop it afterwards.
 
-    Must be entered before ``prefect`` is imported. Yields the API's address.
+    Yields the API's address.
     """
     given = os.environ.get("PREFECT_API_URL")
     if given:
@@ -62,15 +62,23 @@ def prefect_server(workspace: Workspace) -> Iterator[str]:
     try:
         os.environ["PREFECT_API_URL"] = address
         _wait_until_up(server, address, log)
+        _reread_settings()
         yield address
     finally:
         os.environ.pop("PREFECT_API_URL", None)
+        _reread_settings()
         server.terminate()
         try:
             server.wait(timeout=_STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             server.kill()
             server.wait()
+
+
+def _reread_settings() -> None:
+    from prefect.context import refresh_global_settings_context
+
+    refresh_global_settings_context()
 
 
 def _wait_until_up(server: subprocess.Popen[bytes], address: str, log: Path) -> None:

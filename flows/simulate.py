@@ -1,0 +1,28 @@
+"""params -> driving sets, laboratory recordings (Cases I-IV, VI, VII), field recordings (Case-V): ``data/``."""
+
+from __future__ import annotations
+
+import sys
+
+from prefect import flow
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from tasks import simulate as steps
+from tasks.launch import run_alone
+from tasks.publish import publish
+from tasks.run_context import WORKERS, current
+from tasks.settings import load_settings
+
+
+@flow(name="simulate", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
+def simulate(profile: str) -> str:
+    """Make the data. Returns the folder's hash."""
+    settings = load_settings(profile)
+    known = {name: settings[name] for name in ("driving", "engine")}
+    sets = steps.driving_sets.submit(**known).result()
+    recordings = steps.case_recordings.submit(sets=sets, **known, noise=settings["noise"]).result()
+    return publish(current().workspace.root / "data", {"sets": sets, "": recordings}).sha256
+
+
+if __name__ == "__main__":
+    sys.exit(run_alone(simulate))
