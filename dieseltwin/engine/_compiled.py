@@ -195,7 +195,7 @@ SAMPLE_SWEEPS = 2  # pairs of sweeps at a sample: the warm start is off by a ste
 START_SWEEPS = 6  # pairs of sweeps from the cold start
 
 
-def _variant(function: types.FunctionType, suffix: str, lanes: int, **functions: Any) -> Any:
+def _variant(function: Any, suffix: str, lanes: int, **functions: Any) -> Any:
     """The same kernel for another number of lanes: globals are compile-time constants to numba."""
     scope = {**function.__globals__, "LANES": lanes, **functions}
     copy = types.FunctionType(function.__code__, scope, function.__name__ + suffix)
@@ -215,7 +215,7 @@ integrate_one = numba.njit(cache=True, **_OPTIONS)(_variant(_integrate, "_one", 
 
 @numba.njit(cache=True, **_OPTIONS)
 def follow_lags(time, u, taus):  # type: ignore[no-untyped-def]
-    """States of first-order lags that follow u (linear between `time`), settled at the start; (len(taus), len(time))."""
+    """States (len(taus), len(time)) of first-order lags that follow u, linear between `time`, settled at the start."""
     out = np.empty((taus.shape[0], time.shape[0]))
     for j in range(taus.shape[0]):
         out[j, 0] = u[0]

@@ -75,7 +75,7 @@ class Quantities(NamedTuple):
 
 
 def cylinder_sweep(Pi_e: Array, W_ei: Array, W_f: Array, x_r: Array, T_1: Array, c: Constants) -> Sweep:
-    """One sweep of the fixed point of x_r and T_1 (A.13, A.11, A.12, A.10, A.7, A.9)."""
+    """One sweep of the fixed point of x_r and T_1: equations A.13, A.11, A.12, A.10, A.7, A.9 in this order."""
     q_in = specific_heat_of_combustion(W_f, W_ei, x_r, c)
     x_p = isochoric_pressure_ratio(q_in, T_1, c)
     x_v = isobaric_volume_ratio(q_in, T_1, c)

@@ -48,7 +48,9 @@ class EngineParameters(BaseModel):
     q_HV: float = Field(gt=0, description="heating value of the fuel [J/kg]")
     eta_sc: float = Field(gt=0, description="compensation factor for non-ideal cycles [-] (health parameter)")
     x_cv: float = Field(ge=0, le=1, description="share of fuel burnt at constant volume [-]")
-    h_tot: float = Field(ge=0, description="heat transfer coefficient of the exhaust pipes [W/(m2 K)] (health parameter)")
+    h_tot: float = Field(
+        ge=0, description="heat transfer coefficient of the exhaust pipes [W/(m2 K)] (health parameter)"
+    )
     d_pipe: float = Field(gt=0, description="pipe diameter [m]")
     l_pipe: float = Field(gt=0, description="pipe length [m]")
     n_pipe: int = Field(gt=0, description="number of pipes [-]")
@@ -109,14 +111,19 @@ def _validated(values: Mapping[str, Any], source: str) -> EngineParameters:
         if key not in known:
             close = difflib.get_close_matches(key, known, n=1)
             hint = f"did you mean {close[0]!r}?" if close else "see `dieseltwin engine show` for the names"
-            raise InputError(f"{source}: unknown engine parameter", got=repr(key), allowed="names of the engine model", do=hint)
+            raise InputError(
+                f"{source}: unknown engine parameter", got=repr(key), allowed="names of the engine model", do=hint
+            )
     try:
         return EngineParameters(**values)
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
         raise InputError(
-            f"{source}: engine parameter {name}", got=repr(first.get("input")), allowed=first["msg"], do="correct the value"
+            f"{source}: engine parameter {name}",
+            got=repr(first.get("input")),
+            allowed=first["msg"],
+            do="correct the value",
         ) from None
 
 
@@ -126,17 +133,24 @@ def load_engine(path: str | Path, base: EngineParameters | None = None) -> Engin
     Raises InputError for an unreadable file, an unknown name or a value out of range.
     """
     if base is None:
-        from dieseltwin.engine.we2011 import PARAMETERS as base
+        from dieseltwin.engine.we2011 import PARAMETERS
+
+        base = PARAMETERS
     try:
         document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
         message = str(error).splitlines()[0]
-        raise InputError(f"engine file {path}", got=message, allowed="a readable YAML mapping", do="check the path") from None
+        raise InputError(
+            f"engine file {path}", got=message, allowed="a readable YAML mapping", do="check the path"
+        ) from None
     if document is None:
         document = {}
     if not isinstance(document, dict):
         raise InputError(
-            f"engine file {path}", got=type(document).__name__, allowed="a mapping of parameter names to values", do="see README"
+            f"engine file {path}",
+            got=type(document).__name__,
+            allowed="a mapping of parameter names to values",
+            do="see README",
         )
     return _validated({**base.model_dump(), **document}, source=f"engine file {path}")
 
@@ -311,14 +325,21 @@ def parameter_batch(parameters: EngineParameters, size: int | None = None, **col
     """
     lengths = {np.size(value) for value in columns.values()}
     if len(lengths) > 1:
-        raise InputError("parameter batch", got=f"columns of lengths {sorted(lengths)}", allowed="one length B", do="align the columns")
+        raise InputError(
+            "parameter batch",
+            got=f"columns of lengths {sorted(lengths)}",
+            allowed="one length B",
+            do="align the columns",
+        )
     batch = lengths.pop() if lengths else (size or 1)
     values: dict[str, Any] = {name: np.full(batch, value) for name, value in _scalars(parameters).items()}
     for name, column in columns.items():
         if name not in _PUBLISHED:
             close = difflib.get_close_matches(name, _PUBLISHED, n=1)
             raise InputError(
-                "parameter batch: unknown parameter", got=repr(name), allowed="scalar engine parameters",
+                "parameter batch: unknown parameter",
+                got=repr(name),
+                allowed="scalar engine parameters",
                 do=f"did you mean {close[0]!r}?" if close else "see `dieseltwin engine show`",
             )
         values[name] = np.asarray(column, dtype=np.float64).reshape(batch)

@@ -60,7 +60,11 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 
 def simulate_states(
-    actuation: Actuation | Sequence[Actuation], batch: ParameterBatch, initial: np.ndarray, *, threads: int | None = None
+    actuation: Actuation | Sequence[Actuation],
+    batch: ParameterBatch,
+    initial: np.ndarray,
+    *,
+    threads: int | None = None,
 ) -> Observations:
     """Simulate B parameter sets, eight lanes in lockstep and blocks of lanes on all cores.
 
@@ -79,14 +83,18 @@ def simulate_states(
     lanes = batch.size
     actuations = [actuation] if isinstance(actuation, Actuation) else list(actuation)
     if len(actuations) not in (1, lanes):
-        raise InputError("simulate_states", got=f"{len(actuations)} actuations", allowed=f"1 or {lanes}", do="give one per lane")
+        raise InputError(
+            "simulate_states", got=f"{len(actuations)} actuations", allowed=f"1 or {lanes}", do="give one per lane"
+        )
     first = actuations[0]
     unique: list[Actuation] = []
     positions: dict[int, int] = {}
     for item in actuations:
         if id(item) not in positions:
             if item.grid.shape != first.grid.shape or not np.array_equal(item.steps, first.steps):
-                raise InputError("simulate_states", got="different sample times", allowed="one time grid", do="group by grid")
+                raise InputError(
+                    "simulate_states", got="different sample times", allowed="one time grid", do="group by grid"
+                )
             positions[id(item)] = len(unique)
             unique.append(item)
     grid_of_lane = np.array([positions[id(item)] for item in actuations], dtype=np.int64)
@@ -102,11 +110,19 @@ def simulate_states(
         return Observations(out[..., :5], out[..., _MEASURED_AT])
 
     def run(begin: int) -> None:
-        rows = np.minimum(np.arange(begin, begin + LANES), lanes - 1)  # a last block is filled with copies of its last lane
+        rows = np.minimum(
+            np.arange(begin, begin + LANES), lanes - 1
+        )  # a last block is filled with copies of its last lane
         block = out[begin : begin + LANES]
         target = block if block.shape[0] == LANES else np.empty((LANES, time.size, 8))
         integrate_block(
-            grids, grid_of_lane[rows], first.steps, time, np.ascontiguousarray(batch.values[:, rows]), start[rows], target
+            grids,
+            grid_of_lane[rows],
+            first.steps,
+            time,
+            np.ascontiguousarray(batch.values[:, rows]),
+            start[rows],
+            target,
         )
         if target is not block:
             block[:] = target[: block.shape[0]]
@@ -129,7 +145,8 @@ def settle(
     The engine is not stable everywhere (light load, high speed); there it returns a state on the limit cycle.
     """
     time = np.array([0.0, _SETTLE_S])
-    inputs = Inputs(time, *(np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct)))
+    n_e, u_delta, u_egr, u_vgt = (np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct))
+    inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt)
     result = simulate_states(actuate(inputs, parameters), parameter_batch(parameters), np.array(_SETTLE_START))
     return result.states[0, -1, :3].copy()
 
