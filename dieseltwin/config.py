@@ -128,33 +128,51 @@ class NoiseConfig(StrictModel):
 # --- pretraining -----------------------------------------------------------------------------------------------
 
 
-class MapsKindConfig(StrictModel):
-    """One kind of the six empirical surrogates."""
+class PaperMapsConfig(StrictModel):
+    """Empirical surrogates as printed."""
 
     hidden: Widths
+    activation: Literal["tanh", "sin", "relu", "silu", "softplus"]
     dropout_rel: NonNegativeFloat
-    adam_epochs: PositiveInt
-    adam_rate: PositiveFloat
-    lbfgs_steps: NonNegativeInt
-    points: PositiveInt = Field(description="training points a map")
+    steps: PositiveInt = Field(description="Adam steps, one mini-batch each")
+    batch: PositiveInt
+    rate: PositiveFloat
+    rate_end: PositiveFloat
+
+
+class ImprovedMapsConfig(StrictModel):
+    """Improved empirical surrogates: an ensemble of small networks, second-order least squares on averaged labels."""
+
+    hidden: dict[str, Widths]
+    cells: PositiveInt = Field(description="cells that the labels are averaged over")
+    starts: PositiveInt = Field(description="random starts; the best is the nominal network")
     members: PositiveInt
+    steps: PositiveInt = Field(description="Levenberg-Marquardt steps from a random start")
+    refine_steps: PositiveInt = Field(description="steps of every later fit")
+    rounds: NonNegativeInt = Field(description="corrections for the curvature within cells")
+    accepted_cost_ratio: PositiveFloat = Field(description="of a start's cost to the best, up to which members use it")
+    ridge: NonNegativeFloat
+    first_layer_scale: PositiveFloat
+    start_level: float
+    spread: PositiveFloat = Field(description="factor on the members' standard deviation")
 
 
 class MapsConfig(StrictModel):
     """Empirical surrogates: as printed, and improved."""
 
-    paper: MapsKindConfig
-    improved: MapsKindConfig
+    paper: PaperMapsConfig
+    improved: ImprovedMapsConfig
 
 
 class OperatorConfig(StrictModel):
     """One causality DeepONet."""
 
-    width: PositiveInt
-    depth: PositiveInt
+    input_hidden: Widths
+    initial_hidden: Widths
+    trunk_hidden: Widths
     basis: PositiveInt
-    epochs: PositiveInt
-    batch: PositiveInt
+    updates: PositiveInt = Field(description="of Adam; an epoch of the paper is one update on the full batch")
+    batch: PositiveInt = Field(description="rows of random windows in an update")
     rate: PositiveFloat
     loss_weights: tuple[PositiveFloat, ...]
 
@@ -163,7 +181,12 @@ class OperatorsConfig(StrictModel):
     """Actuator operators: EGR (two outputs) and VGT (one)."""
 
     window_s: PositiveFloat
+    sample_s: PositiveFloat
     slide_s: PositiveFloat = Field(description="shift of the sliding window that augments the training data")
+    memory_s: PositiveFloat = Field(description="older samples decay fastest")
+    memory_decay: NonNegativeFloat = Field(description="weight decay of the oldest samples, per learning rate")
+    forget_s: PositiveFloat = Field(description="shortest time constant that the trunk starts with")
+    start_share: NonNegativeFloat = Field(le=1.0, description="rows from the first samples of a window")
     egr: OperatorConfig
     vgt: OperatorConfig
 

@@ -1,0 +1,1 @@
+"""What is learned from laboratory data: empirical maps, actuator operators, multi-head bodies."""
