@@ -15,7 +15,8 @@ FILE_BYTES = 1_500_000  # reference tables are below a megabyte; data and models
 TEXT_SUFFIXES = {".py", ".md", ".toml", ".yaml", ".yml", ".cff", ".html", ".lock", ".txt", ".json", ".j2", ""}
 
 # Assembled, so that this file does not find itself. Unix system folders (/dev, /proc) are not a machine's own.
-MACHINE_PATH = re.compile(r"(?:file://|(?<![\w.:/]))/(?:" + "|".join(["work", "root", "home", "Users", "opt", "mnt"]) + r")/\w")
+_OWN_FOLDERS = "|".join(["work", "root", "home", "Users", "opt", "mnt"])
+MACHINE_PATH = re.compile(rf"(?:file://|(?<![\w.:/]))/(?:{_OWN_FOLDERS})/\w")
 LOCK_LINE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*==[A-Za-z0-9.]+$")
 CONFLICT = re.compile(r"^(<{7} |>{7} )", flags=re.MULTILINE)
 

@@ -13,7 +13,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +125,21 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
                 _remove_if_empty(folder)
             raise
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_writable(path: str | Path) -> None:
+    """Make sure that a file can be created beside `path`, before hours of work are spent on what goes into it.
+
+    Raises:
+        InputError: missing or read-only folder, full disk, or `path` is a folder.
+    """
+    with suppress(_OnlyTrying), atomic_path(path) as temporary:
+        temporary.touch()
+        raise _OnlyTrying
+
+
+class _OnlyTrying(Exception):
+    """Ends `check_writable` before the rename."""
 
 
 def _remove_if_empty(folder: Path) -> None:

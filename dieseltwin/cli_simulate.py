@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dieseltwin.atomic import check_writable
 from dieseltwin.channels import INPUTS
 from dieseltwin.engine import EngineParameters, Inputs, load_engine, settle, simulate, we2011
 from dieseltwin.errors import InputError
@@ -31,6 +32,7 @@ def run_simulate(inputs: Path, out: Path, *, engine: Path | None = None, channel
         raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(SUFFIXES), "choose one of them")
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
     recording = read_recording(inputs, channels, parameters, sensors=(), any_rate=True)
+    check_writable(out)
     parameters = parameters.replace(T_amb=recording.t_amb_k, p_amb=recording.p_amb_pa)
     table = simulate(_inputs(recording), parameters, initial=_initial(recording, parameters))
     if not np.isfinite(table.to_numpy(dtype=np.float64)).all():

@@ -13,6 +13,7 @@ from dieseltwin.atomic import (
     PARTIAL_PREFIX,
     atomic_folder,
     atomic_path,
+    check_writable,
     write_bytes,
     write_json,
     write_problem,
@@ -129,3 +130,13 @@ def test_a_defect_stays_what_it_is(tmp_path: Path) -> None:
     assert write_problem(OSError(errno.EIO, "disk broken"), "a") is None
     with pytest.raises(OSError, match="disk broken"), atomic_path(tmp_path / "a"):
         raise OSError(errno.EIO, "disk broken")
+
+
+def test_check_writable_leaves_nothing_and_keeps_the_old_file(tmp_path: Path) -> None:
+    check_writable(tmp_path / "a.txt")
+    assert names(tmp_path) == set()
+    write_text(tmp_path / "a.txt", "old")
+    check_writable(tmp_path / "a.txt")
+    assert (tmp_path / "a.txt").read_text() == "old" and names(tmp_path) == {"a.txt"}
+    with pytest.raises(InputError, match="no such file"):
+        check_writable(tmp_path / "none" / "a.txt")

@@ -1,0 +1,155 @@
+"""`dieseltwin identify`: a recording in, health parameters with their uncertainty out, as files and as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.config import IdentifyConfig, Params, load_params
+from dieseltwin.engine import MEASURED, EngineParameters, load_engine, we2011
+from dieseltwin.errors import InputError
+from dieseltwin.identification import (
+    METHODS,
+    Identification,
+    NoiseLevels,
+    SegmentProblem,
+    identify_segments,
+    problems_from_recording,
+)
+from dieseltwin.recordings import Recording, read_recording, rows_out_of_range
+from dieseltwin.strict import unknown_name
+
+
+def run_identify(
+    recording: Path,
+    out: Path,
+    *,
+    method: str,
+    runs: int | None = None,
+    engine: Path | None = None,
+    channels: Path | None = None,
+    models: Path | None = None,
+    seed: int | None = None,
+    params: Path | None = None,
+    profile: str = "quick",
+) -> list[str]:
+    """Identify the health parameters of a recording and write the results into a folder, all or nothing.
+
+    Args:
+        recording: CSV or Parquet.
+        out: folder for identification.json, runtime.json, states.parquet and figures/.
+        method: a key of `identification.METHODS`.
+        runs: independent starts a segment; None takes the settings' number for this method.
+        engine: YAML overriding engine parameters; its health parameters are where the search starts.
+        channels: channel map of the recording.
+        models: folder of pretrained networks.
+        seed: None takes the settings' seed.
+        params, profile: settings.
+
+    Returns:
+        The lines to print: the table of estimates, notes, where the files are.
+
+    Raises:
+        InputError: any file or option that cannot be used; nothing is written then.
+    """
+    settings = load_params(params, profile)
+    if method not in METHODS:
+        raise unknown_name("--method", method, list(METHODS))
+    runs = default_runs(settings.identify, method) if runs is None else runs
+    if runs < 1:
+        raise InputError("--runs", runs, "1 or more", "ask for at least one run")
+    parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
+    source = read_recording(recording, channels, parameters)
+    problems = problems_of(source, parameters, settings)
+    networks = load_networks(models, method)
+    notes = _notes(source, parameters)
+    # The folder is opened before the work: a place that cannot be written to is better known now.
+    with atomic_folder(out) as folder:
+        found = identify_segments(
+            problems,
+            method,
+            runs,
+            settings.seed if seed is None else seed,
+            config=settings.identify,
+            threshold=settings.identify.identifiable_bound_rel,
+            **networks,
+        )
+        about = {"params_sha256": settings.sha256, "recording_sha256": source.sha256, "notes": notes}
+        _write(folder, found, {**found.runtime(), **about}, problems)
+    return [*table(found.to_json()), *notes, f"results: {out}"]
+
+
+def default_runs(identify: IdentifyConfig, method: str) -> int:
+    """Runs a segment where the command line names none: Adam is dear and has a number of its own."""
+    return identify.adam.members if method == "few-shot-adam" else identify.runs
+
+
+def problems_of(source: Recording, parameters: EngineParameters, settings: Params) -> list[SegmentProblem]:
+    """Segments of the recording as estimation problems; noise is the settings' share of the whole recording's means."""
+    missing = np.full(source.time_s.shape, np.nan)
+    signals = np.column_stack([source.columns.get(name, missing) for name in MEASURED])
+    noise = NoiseLevels.from_signals(signals, relative=settings.noise.channels)
+    return problems_from_recording(source, parameters, noise=noise, duration_s=settings.identify.segment_s)
+
+
+def load_networks(models: Path | None, method: str) -> dict[str, Any]:
+    """Learned maps, actuator operators and bodies for `identify_segments`; empty without a folder.
+
+    Raises:
+        InputError: no such folder, or a few-shot method without bodies.
+    """
+    if models is None:
+        if method != "classical":
+            raise InputError(f"--method {method}", "no --models", "the folder of pretrained networks",
+                             "run `make run` first, then give --models models")
+        return {}
+    if not models.is_dir():
+        raise InputError(f"--models {models}", "no such folder", "the folder of pretrained networks",
+                         "run `make run` first or check the path")
+    raise NotImplementedError
+
+
+def _notes(source: Recording, parameters: EngineParameters) -> list[str]:
+    ranges = {
+        "n_e_rpm": parameters.n_e_range,
+        "u_delta_mg": parameters.u_delta_range,
+        "u_egr_pct": parameters.u_egr_range,
+        "u_vgt_pct": parameters.u_vgt_range,
+    }
+    counts = rows_out_of_range(source.columns, ranges)
+    return [f"note: {count} of {len(source.time_s)} rows of {name} are outside the engine's range "
+            f"{ranges[name][0]:g} to {ranges[name][1]:g}" for name, count in counts.items()]
+
+
+def _write(folder: Path, found: Identification, runtime: Mapping[str, Any], problems: list[SegmentProblem]) -> None:
+    from dieseltwin.report import curves_table, identification_figures
+
+    write_json(folder / "identification.json", found.to_json())
+    write_json(folder / "runtime.json", runtime)
+    found.states.to_parquet(folder / "states.parquet", index=False)
+    curves = curves_table(found)
+    if curves is not None:
+        curves.to_parquet(folder / "curves.parquet", index=False)
+    identification_figures(found, problems, folder / "figures")
+
+
+def table(document: Mapping[str, Any]) -> list[str]:
+    """The pooled estimates as lines of text: value, standard deviation, 90 % interval, bound, segments used."""
+    segments = document["segments"]
+    head = f"{'parameter':<10} {'estimate':>12} {'std':>10} {'90 % interval':>27} {'bound':>10}  unit       segments"
+    lines = [f"{document['method']}, {len(document['runs'])} runs, {len(segments)} segments", head]
+    for name, entry in document["parameters"].items():
+        used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in segments)
+        if entry["mean"] is None:
+            lines.append(f"{name:<10} not identifiable here (drive with more EGR, load or time)")
+            continue
+        low, high = entry["interval_90"] or (float("nan"), float("nan"))
+        interval = f"{low:.5g} to {high:.5g}"
+        bound = "-" if entry["bound"] is None else f"{entry['bound']:.3g}"
+        lines.append(f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {bound:>10}  "
+                     f"{entry['unit']:<9}  {used} of {len(segments)}")
+    return lines
