@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from dieseltwin.errors import InputError
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.identification.problem import (
     NOISE_FLOOR,
     PAPER_CHANNELS,
@@ -27,9 +29,6 @@ METHODS: dict[str, str] = {
 }
 """Method name -> module with `estimate(problems, runs, seed, bodies, operators, maps, config)`, imported
 when used."""
-
-IDENTIFIABLE_BELOW = 0.25
-"""Largest relative Cramer-Rao bound that counts as identifiable (PROTOCOL.md, Bound)."""
 
 __all__ = [
     "HEALTH",
@@ -106,8 +105,9 @@ def identify_segments(
     if runs < 1:
         raise InputError("runs", runs, "1 or more", "ask for at least one run")
     began = time.perf_counter()
-    segments = estimator(method)(
+    estimates = estimator(method)(
         list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config
     )
     seconds = time.perf_counter() - began
+    segments = [replace(e, identifiable=e.bound <= threshold * e.centre) for e in estimates]
     return Identification(method, tuple(segments), tuple(problems), seed, seconds, threshold)

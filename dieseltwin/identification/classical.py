@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.engine import simulate_states
-from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
+from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.least_squares import Fit, Linearisation, covariance, levenberg_marquardt
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
@@ -52,7 +52,6 @@ class ClassicalSettings:
         iterations_max: most evaluations of a run.
         tolerance: Newton decrement at which a run stops [standard deviations].
         damping_start: first Levenberg-Marquardt factor [-].
-        threshold: largest relative bound that counts as identifiable [-].
         samples: draws from the uncertainty of each segment that are simulated for the bands of the states.
     """
 
@@ -61,15 +60,15 @@ class ClassicalSettings:
     iterations_max: int = 60
     tolerance: float = 0.02
     damping_start: float = 1e-2
-    threshold: float = IDENTIFIABLE_BELOW
     samples: int = 24
 
     @classmethod
     def from_config(cls, config: Any) -> ClassicalSettings:
-        """Take the settings from `params.identify` (or None for the defaults).
+        """Take the settings from params.yaml.
 
         Args:
-            config: `config.IdentifyConfig`, `ClassicalSettings` or None.
+            config: `config.IdentifyConfig`, its section `classical`, `ClassicalSettings`, or None for the
+                defaults.
 
         Returns:
             The settings.
@@ -78,14 +77,15 @@ class ClassicalSettings:
             return cls()
         if isinstance(config, cls):
             return config
-        own = config.classical
+        own = getattr(config, "classical", config)
+        common = (
+            {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
+        )
         return cls(
-            start_at=config.start.at,
-            start_sigma=config.start.sd_masked,
             iterations_max=own.iterations_max,
             tolerance=own.tolerance,
             damping_start=own.damping_start,
-            threshold=config.identifiable_bound_rel,
+            **common,
         )
 
 
@@ -168,6 +168,7 @@ def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSet
                 step_max=STEP_MAX,
                 tolerance=settings.tolerance,
                 iterations_max=settings.iterations_max,
+                interest=slice(0, N_HEALTH),
                 damping=settings.damping_start,
             )
         )
@@ -224,7 +225,7 @@ def _segments(
                 interval_90=interval[s],
                 states=states[s],
                 bound=bounds[s].absolute,
-                identifiable=bounds[s].identifiable(settings.threshold),
+                identifiable=bounds[s].identifiable(),
                 converged=converged[s],
                 seconds_per_run=seconds,
                 method=METHOD,
@@ -239,12 +240,12 @@ def _segments(
 def _samples(
     shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array
 ) -> tuple[Array, Array]:
-    """Draws from the mixture of the runs' Gaussians, simulated at the coarse step: bands need no more."""
+    """Draws from the mixture of the runs' Gaussians, simulated."""
     run = np.arange(len(normal)) % len(unknowns)
     root = np.linalg.cholesky(log_covariance[run])
     move = np.clip(np.einsum("kij,kj->ki", root, normal), -SAMPLE_SPREAD, SAMPLE_SPREAD)
     drawn = unknowns[run] + move
-    states = shooting.simulate(np.full(len(drawn), s), drawn, shooting.coarse).states
+    states = shooting.simulate(np.full(len(drawn), s), drawn).states
     return np.asarray(states), np.exp(drawn[:, :N_HEALTH])
 
 
@@ -259,6 +260,7 @@ def _concatenated(parts: Sequence[Fit]) -> Fit:
         linear,
         np.concatenate([p.damping for p in parts]),
         np.concatenate([p.decrement for p in parts]),
+        np.concatenate([p.remaining for p in parts]),
         np.concatenate([p.iterations for p in parts]),
         np.concatenate([p.converged for p in parts]),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +40,12 @@ GOOD_GAIN, DAMPING_DOWN, DAMPING_UP = 0.5, 0.1, 8.0
 """Damping falls after a step that brought at least half of what was predicted, and rises after a refused
 one."""
 DAMPING_MIN, DAMPING_MAX = 1e-9, 1e9
-CONVERGED_BELOW = 0.25
-"""Decrement that still counts as converged [standard deviations]: at a kink the iteration may end above its
-tolerance."""
-NEGLIGIBLE = 1e-5
+CONVERGED_BELOW = 0.1
+"""Remaining move of an unknown that counts as converged [standard deviations]: it adds 1 % to a variance at
+most."""
+NEGLIGIBLE = 1e-4
 """A decrease of the negative log likelihood that nobody can tell from none."""
+ALL = slice(None)
 CURVATURE_MIN = 1.0
 """Least curvature that damping acts on: a log standard deviation of 1 counts as no knowledge at all."""
 
@@ -58,14 +59,16 @@ class Fit:
         linear: cost, gradient and Hessian there.
         damping: (L,) Levenberg-Marquardt factor.
         decrement: (L,) distance to the minimum that the quadratic model predicts, in standard deviations [-].
-        iterations: (L,) linearisations used.
-        converged: (L,) decrement below the tolerance.
+        remaining: (L,) largest move of an unknown of interest on that way, in its standard deviations [-].
+        iterations: (L,) evaluations used.
+        converged: (L,) gradient so small that no unknown of interest would move by `CONVERGED_BELOW`.
     """
 
     unknowns: Array
     linear: Linearisation
     damping: Array
     decrement: Array
+    remaining: Array
     iterations: Index
     converged: NDArray[np.bool_]
 
@@ -79,6 +82,7 @@ def levenberg_marquardt(
     step_max: Array,
     tolerance: float,
     iterations_max: int,
+    interest: slice = ALL,
     damping: float | Array = 1e-2,
 ) -> Fit:
     """Minimise L sums of squares, each with its own damping; a problem leaves the batch once it has
@@ -96,7 +100,8 @@ def levenberg_marquardt(
         lower, upper: (m,) or (L, m) box that trial points are clipped to.
         step_max: (m,) largest change of an unknown in one step.
         tolerance: largest decrement that counts as converged [standard deviations].
-        iterations_max: most linearisations after the first.
+        iterations_max: most evaluations after the first.
+        interest: unknowns whose convergence is judged; the others are nuisances, which may rest at a kink.
         damping: first factor, one for all or (L,).
 
     Returns:
@@ -145,32 +150,9 @@ def levenberg_marquardt(
         # A refused step that promised next to nothing: a kink of the model, not a way on.
         stuck = rises & ((predicted < NEGLIGIBLE) | (factor[active] >= DAMPING_MAX))
         active = active[(decrement[active] > tolerance) & ~stuck]
-    converged = np.isfinite(cost) & (decrement <= max(tolerance, CONVERGED_BELOW))
-    return Fit(x, Linearisation(cost, gradient, hessian), factor, decrement, iterations, converged)
-
-
-def take(fit: Fit, better: Fit, where: Index) -> Fit:
-    """Put the problems of `better` in place of those at the indices `where` of `fit`."""
-
-    def merged(old: NDArray, new: NDArray) -> NDArray:
-        result = old.copy()
-        result[where] = new
-        return result
-
-    linear = Linearisation(
-        merged(fit.linear.cost, better.linear.cost),
-        merged(fit.linear.gradient, better.linear.gradient),
-        merged(fit.linear.hessian, better.linear.hessian),
-    )
-    return replace(
-        fit,
-        unknowns=merged(fit.unknowns, better.unknowns),
-        linear=linear,
-        damping=merged(fit.damping, better.damping),
-        decrement=merged(fit.decrement, better.decrement),
-        iterations=merged(fit.iterations, fit.iterations[where] + better.iterations),
-        converged=merged(fit.converged, better.converged),
-    )
+    remaining = _remaining(gradient, hessian, x, lower, upper)[:, interest].max(axis=1)
+    converged = np.isfinite(cost) & (remaining <= CONVERGED_BELOW)
+    return Fit(x, Linearisation(cost, gradient, hessian), factor, decrement, remaining, iterations, converged)
 
 
 _TINY = np.finfo(np.float64).tiny
@@ -184,18 +166,30 @@ def _step(gradient: Array, hessian: Array, factor: Array, step_max: Array) -> Ar
     return np.asarray(step / np.maximum(1.0, np.max(np.abs(step) / step_max, axis=1))[:, None])
 
 
-def _decrement(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> Array:
-    """Newton decrement; a gradient that pushes against the box doesn't count."""
-    if not len(gradient):
-        return np.zeros(0)
+def _free_gradient(gradient: Array, x: Array, lower: Array, upper: Array) -> Array:
+    """Gradient without the parts that push against the box."""
     blocked = ((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))
-    free = np.where(blocked, 0.0, gradient)
+    return np.where(blocked, 0.0, gradient)
+
+
+def _decrement(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> Array:
+    free = _free_gradient(gradient, x, lower, upper)
     finite = np.isfinite(free).all(axis=1) & np.isfinite(hessian).all(axis=(1, 2))
     result = np.full(len(gradient), np.inf)
-    if finite.any():
-        variance = covariance(hessian[finite])
-        square = np.einsum("lj,ljk,lk->l", free[finite], variance, free[finite])
-        result[finite] = np.sqrt(np.maximum(square, 0.0))
+    variance = covariance(hessian[finite])
+    square = np.einsum("lj,ljk,lk->l", free[finite], variance, free[finite])
+    result[finite] = np.sqrt(np.maximum(square, 0.0))
+    return result
+
+
+def _remaining(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> Array:
+    """Newton step of each unknown over its standard deviation, (L, m)."""
+    free = _free_gradient(gradient, x, lower, upper)
+    finite = np.isfinite(free).all(axis=1) & np.isfinite(hessian).all(axis=(1, 2))
+    result = np.full(gradient.shape, np.inf)
+    variance = covariance(hessian[finite])
+    step = np.einsum("ljk,lk->lj", variance, free[finite])
+    result[finite] = np.abs(step) / np.sqrt(np.diagonal(variance, axis1=1, axis2=2))
     return result
 
 

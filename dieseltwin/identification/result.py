@@ -113,6 +113,11 @@ class SegmentEstimate:
         converged = np.asarray(self.converged, dtype=bool)
         return converged if converged.any() else np.ones_like(converged)
 
+    @property
+    def centre(self) -> Array:
+        """(4,) geometric mean of the used runs [m2, m2, -, W/(m2 K)]."""
+        return np.exp(np.mean(np.log(self.parameters[self.used]), axis=0))
+
     def summary(self) -> dict[str, ParameterSummary]:
         """Combine the runs of this segment.
 
@@ -183,10 +188,7 @@ class Identification:
         """
         values = np.stack([s.parameters for s in self.segments])
         weight = np.stack(
-            [
-                np.where(s.identifiable, (np.array(s.bound) / s.parameters.mean(0)) ** -2.0, 0.0)
-                for s in self.segments
-            ]
+            [np.where(s.identifiable, (s.bound / s.centre) ** -2.0, 0.0) for s in self.segments]
         )
         total = weight.sum(axis=0)
         mean = (weight[:, None, :] * np.log(values)).sum(axis=0) / np.where(total > 0.0, total, np.nan)

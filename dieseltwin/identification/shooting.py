@@ -27,13 +27,12 @@ relatively."""
 N_HEALTH = len(HEALTH)
 N_UNKNOWNS = len(UNKNOWNS)
 
-FINE_STEP_S = 0.0125
-"""Integration step of the likelihood [s]: shifts a parameter by at most 0.002 of its bound on the benchmark
-segments."""
+STEP_S = 0.0125
+"""Integration step [s]: shifts a parameter by at most 0.002 of its bound on the benchmark segments (25 ms:
+0.03)."""
 
-COARSE_STEP_S = 0.025
-"""Integration step of the sensitivities [s]: right to 0.3 %, which a Jacobian may be; 0.04 s is beyond
-stability."""
+FIRST_STEP_S = 0.00625
+"""Integration step of the first sample interval [s]: an initial p_em that is off decays within 11-41 ms."""
 
 DIFFERENCE = 1e-4
 """Step of the forward differences in the logarithm [-]: error of the order of 1e-4 of a sensitivity."""
@@ -46,16 +45,15 @@ class Shooting:
     Attributes:
         problems: S segments with the same sample times after the start.
         simulator: engine with the exact formulae, or with learned maps bound in.
-        fine, coarse: actuation of each segment for the likelihood and for the sensitivities.
+        step_s: largest integration step [s].
+        actuations: actuator states of each segment.
         weights: (S, n, 6) one over sigma, 0 where masked.
     """
 
     problems: tuple[SegmentProblem, ...]
     simulator: Simulator = simulate_states
-    fine_step_s: float = FINE_STEP_S
-    coarse_step_s: float = COARSE_STEP_S
-    fine: tuple[Actuation, ...] = field(init=False, repr=False)
-    coarse: tuple[Actuation, ...] = field(init=False, repr=False)
+    step_s: float = STEP_S
+    actuations: tuple[Actuation, ...] = field(init=False, repr=False)
     weights: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -63,20 +61,19 @@ class Shooting:
             raise InputError(
                 "segments of one batch", "different sample times", "one grid", "group them by `grid_key`"
             )
-        for name, step_s in (("fine", self.fine_step_s), ("coarse", self.coarse_step_s)):
-            object.__setattr__(
-                self, name, tuple(actuate(p.inputs, p.parameters, step_s) for p in self.problems)
-            )
+        steps_s = np.full(len(self.problems[0].time_s) - 1, self.step_s)
+        steps_s[0] = min(FIRST_STEP_S, self.step_s)
+        actuations = tuple(actuate(p.inputs, p.parameters, steps_s) for p in self.problems)
+        object.__setattr__(self, "actuations", actuations)
         weights = np.stack([np.where(p.observed, 1.0 / p.sigma, 0.0) for p in self.problems])
         object.__setattr__(self, "weights", weights)
 
-    def simulate(self, segment: Index, unknowns: Array, actuations: Sequence[Actuation] | None = None) -> Any:
+    def simulate(self, segment: Index, unknowns: Array) -> Any:
         """Simulate lanes, each with its own segment and unknowns.
 
         Args:
             segment: (B,) index into `problems`.
             unknowns: (B, 7) logarithms in the order of `UNKNOWNS` [log SI].
-            actuations: `fine` (default) or `coarse`.
 
         Returns:
             The engine's observations: states (B, n, 5), measured (B, n, 6).
@@ -90,8 +87,9 @@ class Shooting:
             if not batches.size:
                 batches = np.empty((part.shape[0], len(segment)))
             batches[:, lanes] = part
-        chosen = self.fine if actuations is None else actuations
-        return self.simulator([chosen[s] for s in segment], ParameterBatch(batches), values[:, N_HEALTH:])
+        return self.simulator(
+            [self.actuations[s] for s in segment], ParameterBatch(batches), values[:, N_HEALTH:]
+        )
 
     def degrees_of_freedom(self) -> Index:
         """(S,) readings minus unknowns of each segment, at least 1."""
@@ -118,11 +116,10 @@ class ShootingRuns:
     def __call__(self, index: Index, unknowns: Array, renew: NDArray[np.bool_]) -> Linearisation:
         """Cost, gradient and Gauss-Newton Hessian of chosen runs.
 
-        The residual comes from one simulation at the fine step, the Jacobian from forward differences at
-        the coarse step:
-        eight simulations (one nominal, seven perturbed) in one lockstep batch that start from the same
-        fixed-point
-        guess of x_r and T_1; other starts would bias eta_sc and h_tot (ESTIMATION.md).
+        The Jacobian comes from forward differences: eight simulations (one nominal, seven perturbed) in
+            lockstep that
+        start from the same fixed-point guess of x_r and T_1; other starts would bias eta_sc and h_tot
+        (ESTIMATION.md). A run that keeps its Jacobian costs one simulation.
 
         Args:
             index: (K,) runs to evaluate.
@@ -132,9 +129,20 @@ class ShootingRuns:
         Returns:
             The linearised problems; a diverged simulation has an infinite cost.
         """
-        if renew.any():
-            self._jacobian[index[renew]] = self._differences(index[renew], unknowns[renew])
-        predicted = self.shooting.simulate(self.segment[index], unknowns).measured.reshape(len(index), -1)
+        eight, single = np.flatnonzero(renew), np.flatnonzero(~renew)
+        lanes = np.repeat(unknowns[eight, None, :], N_UNKNOWNS + 1, axis=1)
+        lanes[:, 1:, :] += DIFFERENCE * np.eye(N_UNKNOWNS)
+        lanes = np.concatenate([lanes.reshape(-1, N_UNKNOWNS), unknowns[single]])
+        segment = np.concatenate(
+            [np.repeat(self.segment[index[eight]], N_UNKNOWNS + 1), self.segment[index[single]]]
+        )
+        measured = self.shooting.simulate(segment, lanes).measured.reshape(len(lanes), -1)
+        split = len(eight) * (N_UNKNOWNS + 1)
+        groups = measured[:split].reshape(len(eight), N_UNKNOWNS + 1, measured.shape[1])
+        predicted = np.empty((len(index), self._observed.shape[1]))
+        predicted[eight], predicted[single] = groups[:, 0], measured[split:]
+        scale = (self._weights[index[eight]] / DIFFERENCE)[:, None, :]
+        self._jacobian[index[eight]] = (groups[:, 1:] - groups[:, :1]) * scale
         residual = (predicted - self._observed[index]) * self._weights[index]
         jacobian = self._jacobian[index]
         cost = 0.5 * np.einsum("ln,ln->l", residual, residual)
@@ -142,14 +150,6 @@ class ShootingRuns:
         hessian = jacobian @ jacobian.transpose(0, 2, 1)
         finite = np.isfinite(cost) & np.isfinite(gradient).all(axis=1) & np.isfinite(hessian).all(axis=(1, 2))
         return Linearisation(np.where(finite, cost, np.inf), gradient, hessian)
-
-    def _differences(self, index: Index, unknowns: Array) -> Array:
-        lanes = np.repeat(unknowns[:, None, :], N_UNKNOWNS + 1, axis=1)
-        lanes[:, 1:, :] += DIFFERENCE * np.eye(N_UNKNOWNS)
-        segment = np.repeat(self.segment[index], N_UNKNOWNS + 1)
-        observations = self.shooting.simulate(segment, lanes.reshape(-1, N_UNKNOWNS), self.shooting.coarse)
-        predicted = observations.measured.reshape(len(index), N_UNKNOWNS + 1, -1)
-        return (predicted[:, 1:] - predicted[:, :1]) * (self._weights[index] / DIFFERENCE)[:, None, :]
 
 
 def grid_key(problem: SegmentProblem) -> bytes:
