@@ -10,11 +10,12 @@ Every function returns a DataFrame in the column names of the recordings; `write
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from dieseltwin.config import DrivingConfig, EngineConfig, NoiseConfig, Params
+from dieseltwin.config import CaseConfig, DrivingConfig, EngineConfig, NoiseConfig, Params
 from dieseltwin.duty_cycles import (
     Demand,
     Driving,
@@ -36,7 +37,7 @@ FIELD_CASE = "case_v"
 NOISE_NAMES = ("p_im", "p_em", "omega_t", "w_egr", "t_em", "w_c")
 
 JOINT_S = 4.0  # passage between blocks of driving: the longest ramp of the random driving
-# Set-II is arranged around the only long idle in the second half of the WHTC, seconds 1146-1195 with 1141-1145 nearly so
+# Set-II is arranged around the only long idle in the second half of the WHTC, seconds 1146-1195
 SET_II_START_S, SET_II_IDLE_END_S = 1061, 1195
 SET_II_IDLE_UNTIL_S = 181  # from there on it drives again: minute 2-3 is all idle
 SCHEDULE_HALF_S, SCHEDULE_END_S = 900, 1800
@@ -155,7 +156,7 @@ def case_parameters(name: str, driving: DrivingConfig, engine: EngineConfig) -> 
     return base.replace(T_amb=base.T_amb + case.delta_t_amb_k, p_amb=base.p_amb + case.delta_p_amb_pa)
 
 
-def _case(name: str, driving: DrivingConfig):  # type: ignore[no-untyped-def]
+def _case(name: str, driving: DrivingConfig) -> CaseConfig:
     if name not in driving.cases:
         raise unknown_name("case", name, list(driving.cases))
     return driving.cases[name]
@@ -190,8 +191,8 @@ def simulated(
     n = round((known[-1] - known[0]) / sample_s) + 1
     # k * 0.2 has 17 digits; rounded, the times read 0.6 as a logger writes them
     time = np.round(known[0] + sample_s * np.arange(n), 6)
-    columns = [np.interp(time, known, inputs[name]) for name in INPUT_NAMES]
-    frame = simulate(Inputs(time, *columns), parameters, step_s=step_s, oxygen=oxygen)
+    n_e, u_delta, u_egr, u_vgt = (np.interp(time, known, inputs[name]) for name in INPUT_NAMES)
+    frame = simulate(Inputs(time, n_e, u_delta, u_egr, u_vgt), parameters, step_s=step_s, oxygen=oxygen)
     frame["p_amb_pa"] = parameters.p_amb
     frame["t_amb_k"] = parameters.T_amb
     frame["t_im_k"] = parameters.T_im
@@ -256,7 +257,7 @@ def make_validation(
 
 
 def benchmark_segments(
-    path: str, parameters: EngineParameters, *, segment_s: float = 60.0, step_s: float = 0.0125
+    path: str | Path, parameters: EngineParameters, *, segment_s: float = 60.0, step_s: float = 0.0125
 ) -> tuple[Recording, tuple[Segment, ...]]:
     """The benchmark driving: the inputs of a reference trace, simulated with `parameters`, cut into segments.
 
@@ -267,7 +268,8 @@ def benchmark_segments(
         parameters: the engine to record, for instance the field values.
     """
     source = read_recording(path, engine=parameters, sensors=())
-    inputs = Inputs(source.time_s, *(source.columns[name] for name in INPUT_NAMES))
+    n_e, u_delta, u_egr, u_vgt = (source.columns[name] for name in INPUT_NAMES)
+    inputs = Inputs(source.time_s, n_e, u_delta, u_egr, u_vgt)
     start = ("p_im_pa", "p_em_pa", "omega_t_rad_s")
     initial = np.array([source.columns[n][0] for n in start]) if all(n in source.columns for n in start) else None
     frame = simulate(inputs, parameters, initial=initial, step_s=step_s)

@@ -153,14 +153,14 @@ class Recording:
         time = self.time_s
         before = int(np.searchsorted(time[piece_start:start], time[start] - HISTORY_S - _ROUNDING_S)) + piece_start
         rows = slice(before, stop)
-        filled = [_bridged(time[rows], self.columns[name][rows]) for name in INPUTS]
+        n_e, u_delta, u_egr, u_vgt = (_bridged(time[rows], self.columns[name][rows]) for name in INPUTS)
         columns = {name: values[start:stop] for name, values in self.columns.items()}
         n = stop - start
         measured = np.column_stack([columns.get(name, np.full(n, np.nan)) for name in MEASURED])
         return Segment(
             t0_s=float(time[start]),
             t1_s=float(time[stop - 1]),
-            inputs=Inputs(time[rows].copy(), *filled, n_history=start - before),
+            inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, n_history=start - before),
             measured=np.where(np.isfinite(measured), measured, np.nan),
             columns=MappingProxyType(columns),
             p_amb_pa=_median_or(columns.get("p_amb_pa"), self.p_amb_pa),

@@ -19,6 +19,6 @@ from dieseltwin.duty_cycles.schedules import (
 
 __all__ = [
     "FULL_LOAD_SPEED_RPM", "FULL_LOAD_TORQUE_NM", "SCHEDULES", "Demand", "Driving", "Schedule", "denormalised_speed",
-    "drive", "fuel_for_torque", "full_load_torque", "idle_weight", "joined", "limit_breaks", "load_schedule", "positions",
-    "random_demand", "schedule_demand", "slow_dither", "smoothed_demand", "speed_per_norm",
+    "drive", "fuel_for_torque", "full_load_torque", "idle_weight", "joined", "limit_breaks", "load_schedule",
+    "positions", "random_demand", "schedule_demand", "slow_dither", "smoothed_demand", "speed_per_norm",
 ]  # fmt: skip

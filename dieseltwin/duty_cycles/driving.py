@@ -1,8 +1,8 @@
 """From a demand to engine inputs: fuel through the engine's own torque, positions through the ECU map, limits kept.
 
 The smoke limit, the EGR limit and the turbo's speed limit depend on the engine's response, and the response on the
-inputs. A real ECU closes these loops while driving; here the whole drive is simulated, limited and simulated again until
-no limit is broken, which gives inputs that can be given to any other engine or ambient unchanged.
+inputs. A real ECU closes these loops while driving; here the whole drive is simulated, limited and simulated again
+until no limit is broken, which gives inputs that can be given to any other engine or ambient unchanged.
 """
 
 from __future__ import annotations
@@ -94,7 +94,8 @@ def drive(
             return Driving(loop.inputs, response, passes, loop.limited_share())
         loop.tighten(response, may_open=passes < FREE_PASSES)
     raise NotConvergedError(
-        f"driving {demand.name}: limits still broken after {MAX_PASSES} passes: {broken}; relax the limits in params.yaml"
+        f"driving {demand.name}: limits still broken after {MAX_PASSES} passes: {broken}; "
+        "relax the limits or the reserves in params.yaml"
     )
 
 
@@ -186,7 +187,7 @@ class _Loop:
         ahead = maximum_filter1d(excess, 2 * lead + 1, mode="nearest")[:: self.every]
         self.vgt_opening += np.where(ahead > 0.0, VGT_STEP_PCT + VGT_GAIN_PCT * ahead, 0.0)
         fully_open = self.inputs["u_vgt_pct"].to_numpy() >= self.parameters.u_vgt_range[1]
-        self.fuel_cap = np.where((ahead > 0.0) & fully_open, self.fuel_cap * (1.0 - 2.0 * ahead - MARGIN), self.fuel_cap)
+        self.fuel_cap *= np.where((ahead > 0.0) & fully_open, 1.0 - 2.0 * ahead - MARGIN, 1.0)
 
     def _worst(self, fine: np.ndarray, smallest: bool) -> np.ndarray:
         """Extreme value of a watched signal between the neighbouring rows of each row of the inputs, (n,)."""

@@ -1,9 +1,9 @@
 """ECU map: engine speed and fuel to EGR and VGT positions, idle included.
 
-A map of this shape is what series engines have: EGR at part load, shut towards full load where the air is needed; the turbine
-open at high flow, closed at low flow to hold the boost; at idle the valve nearly shut, and shut after some seconds
-against fouling. The numbers were laid out on the published engine: EGR fraction at most 0.3 at rest, turbo below
-12,000 rad/s, lambda above 1.2 at every steady point up to full load.
+A map of this shape is what series engines have: EGR at part load, shut towards full load where the air is needed; the
+turbine open at high flow, closed at low flow to hold the boost; at idle the valve nearly shut, and shut after some
+seconds against fouling. The numbers were laid out on the published engine at rest: lambda above 1.2 up to full load
+from 1000 rpm on, EGR fraction below 0.32, turbo below 12,000 rad/s (tests go over the map).
 """
 
 from __future__ import annotations

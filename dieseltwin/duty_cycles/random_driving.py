@@ -47,12 +47,11 @@ def random_demand(
     corners = np.column_stack([ends - holds, ends]).ravel()
     fine = np.arange(0.0, duration_s + 0.5 * MINIMUM_STEP_S, MINIMUM_STEP_S)
     every = round(step_s / MINIMUM_STEP_S)
-    columns = [
+    n_e, load_nm = (
         _smoothed(np.interp(fine, corners, np.repeat(values, 2)), MINIMUM_STEP_S, config)[::every]
         for values in (speed, torque)
-    ]
-    time = step_s * np.arange(columns[0].size)
-    return Demand(time, *columns, np.zeros(time.size), f"random {duration_s:g} s")
+    )
+    return Demand(step_s * np.arange(n_e.size), n_e, load_nm, np.zeros(n_e.size), f"random {duration_s:g} s")
 
 
 def _durations(

@@ -18,8 +18,8 @@ SCHEDULES = ("whtc", "whsc")
 _WEIGHTS_LO_PREF_HI = (0.45, 0.45, 0.10)
 _SPEED_SCALE = 2.0327
 
-# PROTOCOL "Driving": greatest torque with lambda >= 1.2, EGR valve closed and at most 250 mg/cycle. The published engine
-# at its best VGT position; 600 rpm is smoke-limited, the others are limited by the fuel (tests recompute them).
+# PROTOCOL "Driving": greatest torque with lambda >= 1.2, EGR valve closed and at most 250 mg/cycle. The published
+# engine at its best VGT position; 600 rpm is smoke-limited, the others are limited by the fuel (tests recompute them).
 FULL_LOAD_SPEED_RPM = (600.0, 1000.0, 1300.0, 1600.0, 1900.0)
 FULL_LOAD_TORQUE_NM = (1720.0, 2150.0, 2110.0, 2030.0, 1890.0)
 
