@@ -1,0 +1,57 @@
+"""Figures, tables and the self-contained HTML report, built from stored results.
+
+`build_report` makes the page from a folder, `identification_figures` the figures of one identification,
+`write_report_inputs` and `curves_table` the files that the page is rebuilt from, `summary_text` the table for a
+terminal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dieseltwin.report.html import build_report, render, result_figures
+from dieseltwin.report.inputs import curves_table, results_of, write_report_inputs
+from dieseltwin.report.results import MethodResult, Results, load_method, load_results
+from dieseltwin.report.tables import headline, segment_table, summary_table, summary_text
+
+if TYPE_CHECKING:
+    from dieseltwin.identification import Identification, SegmentProblem
+
+__all__ = [
+    "MethodResult",
+    "Results",
+    "build_report",
+    "curves_table",
+    "headline",
+    "identification_figures",
+    "load_method",
+    "load_results",
+    "render",
+    "result_figures",
+    "results_of",
+    "segment_table",
+    "summary_table",
+    "summary_text",
+    "write_report_inputs",
+]
+
+
+def identification_figures(
+    identification: Identification, problems: Sequence[SegmentProblem], out_dir: str | Path
+) -> list[Path]:
+    """Draw every figure that one identification has data for and write them as SVG (charts) and PNG (time series).
+
+    Works without truth. The paper's printed run times stay out: they belong to the comparison of methods.
+
+    Args:
+        identification: result of any method.
+        problems: the segments that it solved.
+        out_dir: folder for the figures, made where missing.
+
+    Returns:
+        The paths written.
+    """
+    figures = result_figures(results_of(identification, problems))
+    return [figure.save(Path(out_dir)) for figure in figures if figure.name != "run_times"]

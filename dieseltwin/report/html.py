@@ -1,0 +1,283 @@
+"""The self-contained HTML report: one page, everything embedded, nothing loaded from anywhere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from dieseltwin.atomic import write_text
+from dieseltwin.report import captions, charts, quantities, style, timeseries, training
+from dieseltwin.report.results import PARAMETERS, Results, load_results
+from dieseltwin.report.style import ReportFigure
+from dieseltwin.report.tables import headline, segment_table, summary_table
+
+SIZE_LIMIT_BYTES = 8 * 1024 * 1024
+_SMALLER_DPI = (110, 85, 60)  # the page is drawn again more coarsely rather than grow beyond the limit
+
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """One section of the page: its anchor, heading, a sentence, and its figures."""
+
+    id: str
+    title: str
+    words: str
+    figures: tuple[ReportFigure, ...]
+    pictures: tuple[Path, ...] = ()
+    table: Mapping[str, Any] | None = field(default=None)
+
+
+def result_figures(results: Results) -> list[ReportFigure]:
+    """All figures that ``results`` has data for, in the order of the page."""
+    return [figure for section in _sections(results) for figure in section.figures]
+
+
+def _kept(*figures: ReportFigure | None) -> tuple[ReportFigure, ...]:
+    return tuple(figure for figure in figures if figure is not None)
+
+
+def _sections(results: Results) -> list[Section]:
+    times = (
+        _kept(charts.run_times(results))
+        if any(math.isfinite(m.seconds_per_run) for m in results.methods)
+        else ()
+    )
+    residuals = _kept(*(timeseries.residual_figure(results, m) for m in results.methods))
+    sections = [
+        Section("summary", "Summary", "", ()),
+        Section("driving", "Driving", "The driving that the data sets are made of.", (), results.pictures),
+        Section(
+            "parameters",
+            "Health parameters",
+            "",
+            _kept(
+                charts.identifiability_map(results),
+                charts.violins(results),
+                charts.violins(results, close=True),
+            ),
+            table=_segment_rows(results),
+        ),
+        Section("accuracy", "Accuracy", "", _kept(charts.bound_ratio(results))),
+        Section(
+            "states",
+            "States and flows",
+            "",
+            _kept(timeseries.states(results), timeseries.flows(results), timeseries.empirical(results)),
+        ),
+        Section("residuals", "Residuals", "", residuals),
+        Section("times", "Run times", "", times),
+        Section(
+            "training",
+            "Training",
+            "",
+            _kept(
+                *(training.convergence(results, m) for m in results.methods), training.pretraining(results)
+            ),
+        ),
+    ]
+    return [s for s in sections if s.id == "summary" or s.figures or s.pictures]
+
+
+def _summary_rows(results: Results) -> Rows:
+    groups: Rows = []
+    table = summary_table(results)
+    for method in results.methods:
+        look = style.method_style(method.method)
+        rows = []
+        for row in table[table["method"] == method.method].itertuples():
+            scale, unit = quantities.factor(row.parameter), quantities.unit(row.parameter)
+            digits = quantities.decimals_for(row.std * scale)
+            truth = results.true_value(row.parameter)
+            interval = f"{row.low * scale:.{digits}f} – {row.high * scale:.{digits}f}"
+            rows.append(
+                {
+                    "symbol": quantities.html_symbol(row.parameter),
+                    "unit": unit,
+                    "identifiable": row.identifiable,
+                    "estimate": quantities.value_with_std(row.parameter, row.mean, row.std, with_unit=False),
+                    "interval": interval if math.isfinite(row.low + row.high) else "–",
+                    "truth": f"{truth * scale:.{digits}f}" if math.isfinite(truth) else "–",
+                    "error": quantities.percent(row.error, signed=True),
+                    "change": quantities.percent(row.nominal_change, signed=True),
+                    "ratio": quantities.significant(row.ratio_to_bound, 3),
+                    "used": f"{row.segments_identifiable} of {row.segments}",
+                    "runs": f"{row.runs}" + (f" ({row.diverged} diverged)" if row.diverged else ""),
+                    "seconds": quantities.significant(row.seconds_per_run, 2),
+                }
+            )
+        groups.append({"label": look.label, "colour": look.colour, "rows": rows})
+    return groups
+
+
+def _segment_rows(results: Results) -> dict[str, Any]:
+    table = segment_table(results)
+    groups: Rows = []
+    for method in results.methods:
+        look = style.method_style(method.method)
+        rows = []
+        chosen = table[table["method"] == method.method]
+        for _, part in chosen.groupby("t0_s", sort=True):
+            cells = []
+            for parameter in PARAMETERS:
+                row = part[part["parameter"] == parameter].iloc[0]
+                text = quantities.value_with_std(parameter, row["mean"], row["std"], with_unit=False)
+                if not row["identifiable"]:
+                    bound = row["relative_bound"]
+                    size = f" (bound {100 * bound:.0f} %)" if math.isfinite(bound) else ""
+                    text = f"not identifiable here{size}"
+                elif math.isfinite(row["error"]):
+                    text += f" ({quantities.percent(row['error'], signed=True)})"
+                cells.append({"text": text, "none": not row["identifiable"]})
+            rows.append({"segment": part["segment"].iloc[0], "cells": cells})
+        groups.append({"label": look.label, "colour": look.colour, "rows": rows})
+    heads = [f"{quantities.html_symbol(p)} [{quantities.unit(p)}]" for p in PARAMETERS]
+    return {"heads": heads, "groups": groups}
+
+
+def _provenance(results: Results) -> list[tuple[str, str]]:
+    about = results.about
+    names = {
+        "recording": "recording",
+        "sha256": "SHA-256 of the recording",
+        "profile": "profile",
+        "seed": "seed",
+        "params_sha256": "SHA-256 of the parameters",
+        "code_version": "code version",
+        "git": "revision",
+        "engine": "engine",
+        "noise": "noise",
+        "maps": "empirical maps",
+        "commands": "commands",
+    }
+    found = [
+        (words, _plain(about[key]))
+        for key, words in names.items()
+        if about.get(key) not in (None, "", [], {})
+    ]
+    for method in results.methods:
+        label = style.method_style(method.method).label
+        found.append(
+            (
+                label,
+                f"{method.number_of_runs} runs on each of {len(method.segments)} segments"
+                + "".join(f", {key} {_plain(value)}" for key, value in method.settings.items()),
+            )
+        )
+    return found
+
+
+def _machine(results: Results) -> list[tuple[str, str]]:
+    found: list[tuple[str, str]] = []
+    seen: set[str] = set()
+    for method in results.methods:
+        runtime = method.runtime
+        label = style.method_style(method.method).label
+        if runtime.get("seconds") is not None:
+            found.append((f"{label}, wall time", f"{quantities.significant(float(runtime['seconds']), 3)} s"))
+        for key in ("host", "platform", "cpus", "versions", "machine", "finished"):
+            value = runtime.get(key)
+            if value in (None, "", {}):
+                continue
+            text = _plain(value)
+            if f"{key}={text}" in seen:
+                continue
+            seen.add(f"{key}={text}")
+            found.append((f"{key}, {label}" if key == "finished" else key, text))
+    return found
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items() if item is not None)
+    if isinstance(value, list | tuple):
+        return "; ".join(_plain(item) for item in value)
+    return str(value)
+
+
+def _about_line(results: Results) -> str:
+    about = results.about
+    parts = [
+        f"Recording: {about['recording']}" if about.get("recording") else "",
+        f"{len(results.segments)} segments",
+    ]
+    parts.append("simulated, truth known" if results.truth is not None else "truth not known")
+    parts.append(f"profile {about['profile']}" if about.get("profile") else "")
+    return " · ".join(part for part in parts if part)
+
+
+def _picture(path: Path) -> dict[str, str]:
+    kind = path.suffix.removeprefix(".")
+    title = path.stem.replace("_", " ").replace("-", " ")
+    uri = style.data_uri(path.read_bytes(), kind)
+    return {"name": path.stem, "title": title[:1].upper() + title[1:], "caption": "", "uri": uri}
+
+
+def _figure(figure: ReportFigure, dpi: int) -> dict[str, str]:
+    uri = style.data_uri(figure.encode(dpi), figure.kind)
+    return {
+        "name": figure.name,
+        "title": figure.title,
+        "caption": quantities.with_symbols(figure.caption),
+        "uri": uri,
+    }
+
+
+def _page(results: Results, sections: Sequence[Section], dpi: int) -> str:
+    known = results.truth is not None
+    loader = PackageLoader("dieseltwin.report")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    note = captions.SUMMARY_KNOWN if known else captions.SUMMARY_UNKNOWN
+    return environment.get_template("report.html.j2").render(
+        title=str(results.about.get("title") or "Engine health from a recording"),
+        about=_about_line(results),
+        headline=headline(results),
+        summary_note=captions.SUMMARY.format(ratio=note),
+        known_truth=known,
+        known_nominal=bool(results.nominal),
+        ratio_title="error over bound" if known else "std over bound",
+        summary=_summary_rows(results),
+        sections=[
+            {
+                "id": s.id,
+                "title": s.title,
+                "words": s.words,
+                "table": s.table,
+                "figures": [_picture(p) for p in s.pictures] + [_figure(f, dpi) for f in s.figures],
+            }
+            for s in sections
+        ],
+        provenance=_provenance(results),
+        machine=_machine(results),
+    )
+
+
+def render(results: Results) -> str:
+    """The whole page as text; time series are drawn more coarsely where the page would exceed its size limit."""
+    sections = _sections(results)
+    page = ""
+    for dpi in _SMALLER_DPI:
+        page = _page(results, sections, dpi)
+        if len(page.encode("utf-8")) < SIZE_LIMIT_BYTES:
+            break
+    return page
+
+
+def build_report(results_dir: str | Path, out_html: str | Path) -> Path:
+    """Build the report from stored results and write it atomically.
+
+    ``results_dir`` holds one folder per method as ``dieseltwin identify --out`` writes it, and optionally report.json,
+    truth.json, truth.parquet, measured.parquet with measured.json, pretraining.json and driving/. Returns the path.
+
+    Errors: InputError where there are no results or a file is broken.
+    """
+    out = Path(out_html)
+    page = render(load_results(Path(results_dir)))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    return write_text(out, page)

@@ -1,0 +1,124 @@
+"""From a finished identification to the report: the structure it draws, and the files it is rebuilt from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.atomic import atomic_path, write_json
+from dieseltwin.report.results import PARAMETERS, Results, method_from_document
+from dieseltwin.report.statistics import MEASURED_COLUMNS
+
+if TYPE_CHECKING:
+    from dieseltwin.identification import Identification, SegmentProblem
+
+EPOCH = "epoch"
+
+
+def measured_table(problems: Sequence[SegmentProblem]) -> pd.DataFrame:
+    """The readings that the estimators saw: time_s, the inputs and the six measured columns [SI], NaN where masked."""
+    parts = []
+    for problem in problems:
+        start = problem.inputs.n_history
+        part = pd.DataFrame({"time_s": problem.time_s})
+        for column in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"):
+            part[column] = np.asarray(getattr(problem.inputs, column))[start:]
+        for index, column in enumerate(MEASURED_COLUMNS):
+            part[column] = problem.measured[:, index]
+        parts.append(part)
+    # segments share their boundary sample
+    return pd.concat(parts, ignore_index=True).drop_duplicates("time_s", ignore_index=True)
+
+
+def noise_levels(problems: Sequence[SegmentProblem]) -> dict[str, float]:
+    """Standard deviation of the noise of each measured column [SI]; the recording's, so the first segment's will do."""
+    return {column: float(value) for column, value in zip(MEASURED_COLUMNS, problems[0].sigma, strict=True)}
+
+
+def known_truth(problems: Sequence[SegmentProblem]) -> dict[str, float] | None:
+    """True health parameters [SI] where the problems carry them (simulated recordings)."""
+    truth = problems[0].truth
+    return None if truth is None else {p: float(truth[p]) for p in PARAMETERS if p in truth}
+
+
+def nominal_values(problems: Sequence[SegmentProblem]) -> dict[str, float]:
+    """Health parameters of the engine file [SI], where the search starts: what "nominal" means in the report."""
+    return {p: float(getattr(problems[0].parameters, p)) for p in PARAMETERS}
+
+
+def curves_table(identification: Identification) -> pd.DataFrame | None:
+    """Convergence curves of all segments in long form: epoch, segment, run, quantity, value; None without curves.
+
+    `SegmentEstimate.curves` holds arrays (n,) or (n, R) and, under "epoch", the epochs (n,) that belong to them.
+    """
+    parts = []
+    for number, segment in enumerate(identification.segments):
+        epochs = segment.curves.get(EPOCH)
+        for name, curve in segment.curves.items():
+            values = np.asarray(curve, dtype=np.float64)
+            if name == EPOCH or values.ndim not in (1, 2) or not len(values):
+                continue
+            axis = (
+                np.asarray(epochs)
+                if epochs is not None and len(epochs) == len(values)
+                else np.arange(len(values))
+            )
+            for run, column in enumerate(values.reshape(len(values), -1).T):
+                frame = {"epoch": axis, "segment": number, "run": run, "quantity": name, "value": column}
+                parts.append(pd.DataFrame(frame))
+    return pd.concat(parts, ignore_index=True) if parts else None
+
+
+def results_of(
+    identification: Identification,
+    problems: Sequence[SegmentProblem],
+    *,
+    truth_states: pd.DataFrame | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> Results:
+    """The report's structure from one identification in memory, with the same content as from its files."""
+    method = method_from_document(
+        identification.to_json(),
+        runtime=identification.runtime(),
+        states=identification.states,
+        curves=curves_table(identification),
+    )
+    return Results(
+        methods=(method,),
+        truth=known_truth(problems),
+        truth_states=truth_states,
+        measured=measured_table(problems),
+        sigma=noise_levels(problems),
+        nominal=nominal_values(problems),
+        about=dict(about or {}),
+    )
+
+
+def write_report_inputs(
+    folder: str | Path,
+    problems: Sequence[SegmentProblem],
+    *,
+    truth_states: pd.DataFrame | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> None:
+    """Write what `build_report` needs besides the methods' own folders, each file atomically.
+
+    measured.parquet and measured.json (noise levels), truth.json where the problems carry the truth, truth.parquet
+    where ``truth_states`` is given, report.json with the nominal values and ``about`` (title, recording, seed, ...).
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_path(folder / "measured.parquet") as path:
+        measured_table(problems).to_parquet(path, index=False)
+    write_json(folder / "measured.json", {"sigma": noise_levels(problems)})
+    truth = known_truth(problems)
+    if truth is not None:
+        write_json(folder / "truth.json", truth)
+    if truth_states is not None:
+        with atomic_path(folder / "truth.parquet") as path:
+            truth_states.to_parquet(path, index=False)
+    write_json(folder / "report.json", {"nominal": nominal_values(problems), **(about or {})})

@@ -1,0 +1,293 @@
+"""What the report is built from: documents and tables on disk, read into one frozen structure.
+
+The report never needs the objects of a running identification: everything comes from ``identification.json``,
+``runtime.json``, ``states.parquet``, ``curves.parquet`` and a few optional files, so that it can be rebuilt any time.
+All values are SI; missing values (``null``) become NaN.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.errors import InputError
+
+PARAMETERS = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+METHOD_ORDER = ("classical", "few-shot-newton", "few-shot-adam", "multi-stage", "baseline")
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter's estimate, in SI units: value, standard deviation, 90 % interval, Cramer-Rao bound (a std)."""
+
+    mean: float
+    std: float
+    interval_90: tuple[float, float]
+    bound: float
+    identifiable: bool
+
+    @property
+    def finite(self) -> bool:
+        """True where there is a value to show (diverged or masked estimates have none)."""
+        return math.isfinite(self.mean)
+
+
+@dataclass(frozen=True)
+class SegmentResult:
+    """The estimates of one segment, from ``t0_s`` to ``t1_s`` [s]."""
+
+    t0_s: float
+    t1_s: float
+    parameters: Mapping[str, Estimate]
+
+    @property
+    def minutes(self) -> str:
+        """The segment's name in the figures, e.g. ``2–3`` (minutes), as in the paper's tables."""
+        return f"{self.t0_s / 60:.4g}–{self.t1_s / 60:.4g}"
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """Everything that one method delivered for one recording.
+
+    ``runs`` is a long table (segment, run, parameter, value [SI], converged); ``states`` and ``curves`` may be absent.
+    """
+
+    method: str
+    pooled: Mapping[str, Estimate]
+    segments: tuple[SegmentResult, ...]
+    runs: pd.DataFrame
+    runtime: Mapping[str, Any] = field(default_factory=dict)
+    states: pd.DataFrame | None = None
+    curves: pd.DataFrame | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def number_of_runs(self) -> int:
+        """Runs per segment."""
+        if len(self.runs):
+            return int(self.runs.groupby("segment")["run"].nunique().max())
+        return int(self.runtime.get("runs", 0) or 0)
+
+    @property
+    def number_diverged(self) -> int:
+        """Runs, over all segments, that did not converge."""
+        if not len(self.runs):
+            return 0
+        return int((~self.runs.groupby(["segment", "run"])["converged"].all()).sum())
+
+    @property
+    def seconds_per_run(self) -> float:
+        """Wall seconds per run of one segment [s]; NaN where no run time was kept."""
+        return number(self.runtime.get("seconds_per_run"))
+
+
+@dataclass(frozen=True)
+class Results:
+    """All that one report shows. ``truth`` and ``truth_states`` exist for simulated recordings only."""
+
+    methods: tuple[MethodResult, ...]
+    truth: Mapping[str, float] | None = None
+    truth_states: pd.DataFrame | None = None
+    measured: pd.DataFrame | None = None
+    sigma: Mapping[str, float] = field(default_factory=dict)
+    nominal: Mapping[str, float] = field(default_factory=dict)
+    pretraining: Mapping[str, Any] = field(default_factory=dict)
+    about: Mapping[str, Any] = field(default_factory=dict)
+    pictures: tuple[Path, ...] = ()
+
+    @property
+    def segments(self) -> tuple[SegmentResult, ...]:
+        """The segments of the method that covers most of the recording (methods may have been given fewer)."""
+        return max((m.segments for m in self.methods), key=len, default=())
+
+    def segment_index(self, segment: SegmentResult) -> int:
+        """Position of ``segment`` on the common axis of all methods, by its start time."""
+        starts = [s.t0_s for s in self.segments]
+        return int(np.argmin(np.abs(np.asarray(starts) - segment.t0_s)))
+
+    def true_value(self, parameter: str) -> float:
+        """The true parameter [SI] or NaN where it is unknown."""
+        return number((self.truth or {}).get(parameter))
+
+
+def number(value: Any) -> float:
+    """A float from JSON: ``null``, text and absent values become NaN."""
+    if isinstance(value, bool) or value is None:
+        return math.nan
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def _estimate(entry: Mapping[str, Any]) -> Estimate:
+    interval = entry.get("interval_90") or (None, None)
+    return Estimate(
+        mean=number(entry.get("mean", entry.get("value"))),
+        std=number(entry.get("std")),
+        interval_90=(number(interval[0]), number(interval[1])),
+        bound=number(entry.get("bound")),
+        identifiable=bool(entry.get("identifiable", True)),
+    )
+
+
+def _runs_table(runs: Sequence[Mapping[str, Any]], segments: Sequence[SegmentResult]) -> pd.DataFrame:
+    """Flatten the document's runs: one start on one segment, or one start over all segments (a list inside)."""
+    rows: list[dict[str, Any]] = []
+    starts = [segment.t0_s for segment in segments]
+    counters: dict[int, int] = {}
+    for entry in runs:
+        for part in entry.get("segments", [entry]):
+            index = part.get("segment", entry.get("segment"))
+            if index is None and "t0_s" in part and starts:
+                index = int(np.argmin(np.abs(np.asarray(starts) - float(part["t0_s"]))))
+            index = int(index or 0)
+            run = part.get("run", entry.get("run"))
+            if run is None:
+                run = counters.get(index, 0)
+            counters[index] = counters.get(index, 0) + 1
+            converged = bool(part.get("converged", entry.get("converged", True)))
+            values = part.get("parameters", part)
+            for parameter in PARAMETERS:
+                value = values.get(parameter)
+                if isinstance(value, Mapping):
+                    value = value.get("mean", value.get("value"))
+                rows.append(
+                    {
+                        "segment": index,
+                        "run": int(run),
+                        "parameter": parameter,
+                        "value": number(value),
+                        "converged": converged and math.isfinite(number(value)),
+                    }
+                )
+    return pd.DataFrame(rows, columns=["segment", "run", "parameter", "value", "converged"])
+
+
+def method_from_document(
+    document: Mapping[str, Any],
+    *,
+    runtime: Mapping[str, Any] | None = None,
+    states: pd.DataFrame | None = None,
+    curves: pd.DataFrame | None = None,
+) -> MethodResult:
+    """Read one ``identification.json`` document (schema 1).
+
+    Errors: InputError where the document lacks ``method``, ``parameters`` or ``segments``.
+    """
+    if not isinstance(document, Mapping):
+        kind = type(document).__name__
+        raise InputError(
+            "identification document", f"a {kind}", "a JSON object", "write it with `dieseltwin identify`"
+        )
+    missing = [key for key in ("method", "parameters", "segments") if key not in document]
+    if missing:
+        raise InputError(
+            f"identification document: {', '.join(missing)}",
+            f"only {', '.join(sorted(document)) or 'an empty document'}",
+            "schema 1 (method, parameters, segments, runs)",
+            "write it with `dieseltwin identify`",
+        )
+    segments = tuple(
+        SegmentResult(
+            t0_s=number(entry.get("t0_s")),
+            t1_s=number(entry.get("t1_s")),
+            parameters={p: _estimate(entry["parameters"].get(p) or {}) for p in PARAMETERS},
+        )
+        for entry in document["segments"]
+    )
+    known = {"schema", "method", "parameters", "segments", "runs"}
+    return MethodResult(
+        method=str(document["method"]),
+        pooled={p: _estimate(document["parameters"].get(p) or {}) for p in PARAMETERS},
+        segments=segments,
+        runs=_runs_table(document.get("runs") or (), segments),
+        runtime=dict(runtime or {}),
+        states=states,
+        curves=curves,
+        settings={key: value for key, value in document.items() if key not in known},
+    )
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(
+            str(path), error, "a JSON document", "write it again with `dieseltwin identify`"
+        ) from error
+
+
+def _optional_json(path: Path) -> dict[str, Any]:
+    return dict(_read_json(path)) if path.exists() else {}
+
+
+def _optional_table(path: Path) -> pd.DataFrame | None:
+    if not path.exists():
+        return None
+    try:
+        return pd.read_parquet(path)
+    except (OSError, ValueError) as error:  # pyarrow's errors derive from these
+        raise InputError(str(path), error, "a Parquet table", "make it again") from error
+
+
+def load_method(directory: Path) -> MethodResult:
+    """Read what ``dieseltwin identify --out DIRECTORY`` wrote."""
+    directory = Path(directory)
+    path = directory / "identification.json"
+    if not path.exists():
+        raise InputError(
+            str(directory),
+            "no identification.json",
+            "a folder of `dieseltwin identify --out`",
+            "check the path",
+        )
+    return method_from_document(
+        _read_json(path),
+        runtime=_optional_json(directory / "runtime.json"),
+        states=_optional_table(directory / "states.parquet"),
+        curves=_optional_table(directory / "curves.parquet"),
+    )
+
+
+def _rank(result: MethodResult) -> tuple[int, str]:
+    order = METHOD_ORDER.index(result.method) if result.method in METHOD_ORDER else len(METHOD_ORDER)
+    return order, result.method
+
+
+def load_results(results_dir: Path) -> Results:
+    """Read a folder of stored results (every ``identification.json`` below it and the optional files beside them).
+
+    Errors: InputError where the folder holds no ``identification.json`` or a file is broken.
+    """
+    root = Path(results_dir)
+    folders = sorted({path.parent for path in root.rglob("identification.json")})
+    if not folders:
+        raise InputError(
+            str(root),
+            "no identification.json below it",
+            "a folder of results",
+            "run `dieseltwin identify` or `make run` first",
+        )
+    measured_notes = _optional_json(root / "measured.json")
+    about = _optional_json(root / "report.json")
+    truth = _optional_json(root / "truth.json")
+    return Results(
+        methods=tuple(sorted((load_method(folder) for folder in folders), key=_rank)),
+        truth={p: number(truth[p]) for p in PARAMETERS if p in truth} or None,
+        truth_states=_optional_table(root / "truth.parquet"),
+        measured=_optional_table(root / "measured.parquet"),
+        sigma={key: number(value) for key, value in dict(measured_notes.get("sigma", {})).items()},
+        nominal={key: number(value) for key, value in dict(about.get("nominal", {})).items()},
+        pretraining=_optional_json(root / "pretraining.json"),
+        about=about,
+        pictures=tuple(sorted(p for p in (root / "driving").glob("*") if p.suffix in (".png", ".svg"))),
+    )

@@ -1,0 +1,156 @@
+"""One look for every figure of the report: fonts, colours, line styles, file encoding.
+
+The palette is Okabe and Ito's (distinguishable with the common colour-vision deficiencies); each method keeps one
+colour, one marker and one line style in every figure, so that a print in grey can still be read.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from dieseltwin.atomic import write_bytes
+
+TRUTH = "#000000"
+MEASURED = "#8a8a8a"
+PAPER = "#b8b8b8"
+GRID = "#dcdcdc"
+PALETTE_COLOURS = 255
+NOT_IDENTIFIABLE = "#efefef"
+BAND_OF_TRUTH = "#e4e4e4"
+SEGMENT_LINE = "#9a9a9a"
+
+RC: dict[str, object] = {
+    "font.family": "DejaVu Sans",  # ships with matplotlib: the same letters on every machine
+    "font.size": 10.5,
+    "axes.titlesize": 11.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 10.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.labelsize": 9.5,
+    "ytick.labelsize": 9.5,
+    "legend.fontsize": 9.5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "hatch.linewidth": 0.6,
+    "svg.hashsalt": "dieseltwin",  # element ids without randomness: the same figure gives the same bytes
+    "svg.fonttype": "path",
+    "path.simplify_threshold": 0.5,
+}
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class MethodStyle:
+    """How one method is drawn: colour, marker, line style, and the name that a reader sees."""
+
+    colour: str
+    marker: str
+    line: str
+    label: str
+
+
+METHODS: dict[str, MethodStyle] = {
+    "classical": MethodStyle("#0072B2", "o", "-", "classical"),
+    "few-shot-newton": MethodStyle("#D55E00", "s", "--", "few-shot-newton"),
+    "few-shot-adam": MethodStyle("#009E73", "^", "-.", "few-shot-adam"),
+    "multi-stage": MethodStyle("#CC79A7", "D", ":", "multi-stage"),
+    "baseline": MethodStyle("#E69F00", "v", ":", "baseline PINN"),
+}
+_SPARE_COLOURS = ("#56B4E9", "#7a5195", "#b8860b", "#5c5c5c")
+_SPARE_MARKERS = ("P", "X", "<", ">")
+
+
+def method_style(method: str) -> MethodStyle:
+    """The style of ``method``; one that the palette doesn't know gets a spare colour that depends on its name only."""
+    if method in METHODS:
+        return METHODS[method]
+    number = sum(method.encode()) % len(_SPARE_COLOURS)
+    return MethodStyle(_SPARE_COLOURS[number], _SPARE_MARKERS[number], "-", method)
+
+
+def styled(function: Callable[P, R]) -> Callable[P, R]:
+    """Run a drawing function under the report's look without changing the caller's matplotlib settings."""
+
+    @wraps(function)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> R:
+        with mpl.rc_context(RC):
+            return function(*args, **kwargs)
+
+    return drawn
+
+
+def note(axes: Axes, text: str) -> None:
+    """Write ``text`` into the middle of an empty panel: a panel without data says so instead of staying blank."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="#555555", wrap=True)
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """One figure of the report with the words that belong to it.
+
+    ``kind`` is ``"svg"`` for charts and ``"png"`` for long time series, whose paths would make an SVG heavy.
+    """
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure
+    kind: str = "svg"
+
+    def encode(self, dpi: int = 110) -> bytes:
+        """Return the file's bytes; the same figure gives the same bytes (no date, no random ids)."""
+        with mpl.rc_context(RC):
+            if self.kind == "png":
+                return _png(self.figure, dpi)
+            buffer = io.BytesIO()
+            self.figure.savefig(buffer, format="svg", metadata={"Date": None})
+            return buffer.getvalue()
+
+    def save(self, directory: Path) -> Path:
+        """Write ``<directory>/<name>.<kind>`` atomically and return its path."""
+        Path(directory).mkdir(parents=True, exist_ok=True)
+        return write_bytes(Path(directory) / f"{self.name}.{self.kind}", self.encode())
+
+
+def _png(figure: Figure, dpi: int) -> bytes:
+    """A PNG with a palette: a third of the size, and no difference that an eye finds in a line drawing."""
+    figure.set_dpi(dpi)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    buffer = io.BytesIO()
+    palette = picture.quantize(PALETTE_COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    palette.save(buffer, format="png", compress_level=9)
+    return buffer.getvalue()
+
+
+def data_uri(content: bytes, kind: str) -> str:
+    """Return ``content`` of an SVG or PNG file as a data URI, so that the page loads nothing."""
+    media = "image/svg+xml" if kind == "svg" else "image/png"
+    return f"data:{media};base64,{base64.b64encode(content).decode('ascii')}"

@@ -1,0 +1,252 @@
+"""Figures about training: convergence of an iterative method, and pretraining errors beside the paper's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from dieseltwin.report import captions, quantities, style
+from dieseltwin.report.printed import PRINTED_BODIES, PRINTED_OPERATORS_TEST, PRINTED_OPERATORS_TRAINING
+from dieseltwin.report.results import PARAMETERS, MethodResult, Results, number
+
+WIDTH_IN = 11.0
+LOSS_PREFIX = "loss"
+_SEGMENT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7a5195", "#5c5c5c")
+_LOSS_COLOURS = ("#000000", *_SEGMENT_COLOURS, "#b8860b")
+OURS = {"train": "#0072B2", "held_out": "#56B4E9", "test": "#56B4E9", "pod_floor": "#5c5c5c"}
+WORDS = {
+    "train": "training",
+    "held_out": "held-out minutes",
+    "test": "test",
+    "pod_floor": "POD floor",
+    "paper": "as printed",
+}
+# one series of marks: label, values by row [%], colour, marker, filled
+Series = list[tuple[str, Mapping[str, Any], str, str, bool]]
+# printed numbers of one kind: label, (mean, std) by row [%]
+Printed = list[tuple[str, Mapping[str, tuple[float, float]]]]
+_MARKERS = ("o", "s", "^", "D", "v")
+
+
+def _range_over_runs(table: pd.DataFrame) -> tuple[pd.Index, pd.Series, pd.Series, pd.Series]:
+    grouped = table.groupby("epoch")["value"]
+    return grouped.median().index, grouped.median(), grouped.min(), grouped.max()
+
+
+@style.styled
+def convergence(results: Results, method: MethodResult) -> style.ReportFigure | None:
+    """Losses and unknown parameters over the epochs, the range over runs as a band. None without curves."""
+    curves = method.curves
+    if curves is None or not len(curves):
+        return None
+    losses = [q for q in curves["quantity"].unique() if str(q).startswith(LOSS_PREFIX)]
+    unknowns = [p for p in PARAMETERS if p in set(curves["quantity"])]
+    figure = Figure(figsize=(WIDTH_IN, (3.4 if losses else 0) + (2.4 * math.ceil(len(unknowns) / 2)) + 0.5))
+    heights = ([1.4] if losses else []) + [1.0] * math.ceil(len(unknowns) / 2)
+    layout = ([["loss", "loss"]] if losses else []) + [
+        unknowns[i : i + 2] for i in range(0, len(unknowns), 2)
+    ]
+    layout = [row if len(row) == 2 else [row[0], row[0]] for row in layout]
+    panels: dict[str, Axes] = figure.subplot_mosaic(layout, sharex=True, height_ratios=heights)
+    if losses:
+        axes = panels["loss"]
+        for index, name in enumerate(losses):
+            epochs, middle, low, high = _range_over_runs(curves[curves["quantity"] == name])
+            colour = _LOSS_COLOURS[index % len(_LOSS_COLOURS)]
+            if "total" in str(name):  # a band for each of ten terms would hide the lines
+                axes.fill_between(epochs, low, high, color=colour, alpha=0.12, linewidth=0)
+            axes.plot(
+                epochs,
+                middle,
+                color=colour,
+                linewidth=2.0 if "total" in name else 1.1,
+                label=_loss_words(str(name)),
+                linestyle="-" if index < len(_LOSS_COLOURS) // 2 else "--",
+            )
+        axes.set_yscale("log")
+        axes.set_ylabel("loss, unweighted [–]")
+        axes.set_title(
+            "losses: median over segments and runs (band: range of the total)", fontweight="normal"
+        )
+        axes.tick_params(labelbottom=True)
+        axes.legend(loc="upper right", ncols=2 if len(losses) > 5 else 1)
+    segments = sorted(curves["segment"].unique())
+    for name in unknowns:
+        axes = panels[name]
+        chosen = curves[curves["quantity"] == name]
+        for index, segment in enumerate(segments):
+            colour = _SEGMENT_COLOURS[index % len(_SEGMENT_COLOURS)]
+            epochs, middle, low, high = _range_over_runs(chosen[chosen["segment"] == segment])
+            edges = quantities.shown(name, low), quantities.shown(name, high)
+            axes.fill_between(epochs, *edges, color=colour, alpha=0.2, linewidth=0)
+            axes.plot(epochs, quantities.shown(name, middle), color=colour)
+        truth = results.true_value(name)
+        if math.isfinite(truth):
+            axes.axhline(
+                float(quantities.shown(name, truth)), color=style.TRUTH, linestyle="--", linewidth=1.1
+            )
+        axes.set_ylabel(quantities.axis_label(name))
+    last = layout[-1]
+    for name in set(last):
+        panels[name].set_xlabel("epoch [–]")
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=_SEGMENT_COLOURS[i % len(_SEGMENT_COLOURS)],
+            label=f"{_minutes(results, int(s))} min",
+        )
+        for i, s in enumerate(segments)
+    ]
+    if results.truth is not None:
+        handles.append(Line2D([], [], color=style.TRUTH, linestyle="--", label="truth"))
+    if unknowns:
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(8, len(handles)))
+    slug = "".join(c if c.isalnum() else "_" for c in method.method)
+    title = f"Convergence of {style.method_style(method.method).label}"
+    return style.ReportFigure(f"convergence_{slug}", title, captions.CONVERGENCE, figure)
+
+
+def _minutes(results: Results, segment: int) -> str:
+    return results.segments[segment].minutes if segment < len(results.segments) else str(segment)
+
+
+def _loss_words(name: str) -> str:
+    text = name.removeprefix(LOSS_PREFIX).strip("_. ")
+    for kind, words in (("ode", "physics"), ("physics", "physics"), ("data", "data"), ("ini", "initial")):
+        for form in (f"_{kind}", f"{kind}_"):
+            if text.endswith(form) or text.startswith(form):
+                column = text.removesuffix(form).removeprefix(form)
+                return f"{_any_symbol(column)} ({words})"
+    return text.replace("_", " ") or "loss"
+
+
+def _any_symbol(name: str) -> str:
+    """Symbol of a name, a column, or a column without its unit."""
+    if quantities.known(name):
+        return quantities.symbol(name)
+    lowered = {key.lower(): key for key in ("p_im", "p_em", "omega_t", "x_r", "T_1", "W_egr", "T_em", "W_c")}
+    return quantities.symbol(lowered[name.lower()]) if name.lower() in lowered else name
+
+
+def _error_panel(axes: Axes, rows: Sequence[str], series: Series, printed: Printed) -> None:
+    """Our errors as marks and the printed ones as bars on a logarithmic axis, one row per output."""
+    smallest, largest = [0.5], [2.0]
+    shades = (style.PAPER, "#8f8f8f")
+    height = 0.8 / max(1, len(printed))
+    for order, (label, values) in enumerate(printed):
+        for place, row in enumerate(rows):
+            if row in values:
+                mean, std = values[row]
+                y = place - 0.4 + height * (order + 0.5)
+                axes.barh(
+                    y,
+                    mean,
+                    height=0.85 * height,
+                    color=shades[order % 2],
+                    xerr=std,
+                    error_kw={"ecolor": "#666666", "lw": 1},
+                    label=label if place == 0 else None,
+                    left=0,
+                )
+                smallest.append(mean)
+                largest.append(mean + std)
+    for order, (label, values, colour, marker, filled) in enumerate(series):
+        points = [(number(values.get(row)), place) for place, row in enumerate(rows)]
+        points = [(x, y) for x, y in points if math.isfinite(x) and x > 0]
+        if not points:
+            continue
+        spread = 0.0 if len(series) == 1 else min(0.5, 0.2 * len(series)) * (order / (len(series) - 1) - 0.5)
+        axes.plot(
+            [x for x, _ in points],
+            [y + spread for _, y in points],
+            marker,
+            color=colour,
+            linestyle="none",
+            markersize=7,
+            markerfacecolor=colour if filled else "white",
+            label=label,
+            zorder=4,
+        )
+        smallest += [x for x, _ in points]
+        largest += [x for x, _ in points]
+    axes.set_xscale("log")
+    axes.set_xlim(min(smallest) / 2, 2 * max(largest))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_yticks(range(len(rows)), [quantities.symbol(_row_symbol(row)) for row in rows], fontsize=11)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.grid(False, axis="y")
+    axes.set_xlabel("relative $L_2$ error [%], logarithmic")
+    axes.set_ylabel("output")
+
+
+def _row_symbol(row: str) -> str:
+    return "u_vgt_act" if row == "u_vgt" else row
+
+
+def _variants(entry: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Split ``{"paper": {...}, "improved": {...}}`` from a plain ``{"p_im": {...}}``."""
+    nested = {
+        k: v for k, v in entry.items() if isinstance(v, Mapping) and k in ("paper", "improved", "conditioned")
+    }
+    return nested or {"": entry}
+
+
+def _series(entry: Mapping[str, Any]) -> tuple[list[str], Series]:
+    """Rows and series of one group; a value is a number [%] or a mapping of kinds (train, test, held_out, ..)."""
+    rows: list[str] = []
+    series: dict[tuple[str, str], dict[str, Any]] = {}
+    for variant, values in _variants(entry).items():
+        for row, value in values.items():
+            kinds = value if isinstance(value, Mapping) else {"": value}
+            for kind, error in kinds.items():
+                if kind not in ("", "train", "test", "held_out", "pod_floor"):
+                    continue
+                series.setdefault((variant, kind), {})[row] = error
+                if row not in rows:
+                    rows.append(row)
+    found: Series = []
+    variants = list(dict.fromkeys(variant for variant, _ in series))
+    for (variant, kind), values in series.items():
+        index = variants.index(variant)
+        name = (
+            ", ".join(part for part in (WORDS.get(variant, variant), WORDS.get(kind, kind)) if part)
+            or "error"
+        )
+        colour = OURS.get(kind, "#0072B2") if kind else ("#D55E00", "#0072B2", "#009E73")[index % 3]
+        found.append((name, values, colour, _MARKERS[index % len(_MARKERS)], kind != "pod_floor"))
+    return rows, found
+
+
+@style.styled
+def pretraining(results: Results) -> style.ReportFigure | None:
+    """Errors of operators, bodies and maps beside the paper's printed numbers. None where nothing was pretrained."""
+    operators = [("paper, training", PRINTED_OPERATORS_TRAINING), ("paper, test", PRINTED_OPERATORS_TEST)]
+    groups: dict[str, tuple[str, Printed]] = {
+        "operators": ("Actuator operators (DeepONets)", operators),
+        "bodies": ("Multi-head bodies", [("paper, training", PRINTED_BODIES)]),
+        "maps": ("Empirical maps (the paper prints no error)", []),
+    }
+    present = [(key, *_series(results.pretraining[key])) for key in groups if results.pretraining.get(key)]
+    present = [(key, rows, series) for key, rows, series in present if rows]
+    if not present:
+        return None
+    heights = [0.55 * len(rows) + 1.0 for _, rows, _ in present]
+    figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.3))
+    panels = np.atleast_1d(figure.subplots(len(present), 1, height_ratios=heights))
+    for axes, (key, rows, series) in zip(panels, present, strict=True):
+        title, printed = groups[key]
+        _error_panel(axes, rows, series, printed)
+        axes.set_title(title)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return style.ReportFigure("pretraining", "Pretraining errors", captions.PRETRAINING, figure)
