@@ -1,0 +1,297 @@
+"""Training of the six empirical maps on simulated laboratory recordings.
+
+Labels are the recordings' own columns with Gaussian noise of 3 % of the mean absolute label (paper, section "Neural
+network surrogates for empirical formulae"; PROTOCOL "Noise"). Both kinds see the same noisy labels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from dieseltwin.config import ImprovedMapsConfig, MapsConfig, PaperMapsConfig
+from dieseltwin.engine import MAPS, EngineParameters, constants, we2011
+from dieseltwin.errors import InputError
+from dieseltwin.networks import MLP
+from dieseltwin.strict import unknown_name
+from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, MapNetwork, map_arguments
+from dieseltwin.surrogates.empirical_forms import (
+    ETA_C_FLOOR,
+    ETA_TM_CAP,
+    ETA_TM_FLOOR,
+    KINDS,
+    Kind,
+    bound_forms,
+)
+from dieseltwin.surrogates.small_networks import (
+    Cells,
+    Output,
+    evaluate,
+    levenberg_marquardt,
+    make_cells,
+    n_parameters,
+    start,
+    unpack,
+)
+from dieseltwin.surrogates.speed_jump import find_jump
+
+TRAINING_CASES = ("case_i", "case_ii", "case_iii", "case_iv")  # paper, case table
+F_EGR_CASE = "case_i"  # paper: f_egr from Case-I only
+Progress = Callable[[str, float], None]
+"""Called with the map's name and the share of the training done."""
+
+CENTRAL = (0.5, 99.5)  # % of the rows whose inputs are scaled to [-1, 1]
+HARD_LIMITS = {"eta_tm": (ETA_TM_FLOOR, ETA_TM_CAP), "eta_c": (ETA_C_FLOOR, np.inf)}  # outputs z itself between them
+LIMIT_SIGMAS = 3.0  # standard deviations of a cell's mean label by which it is clearly inside
+LIMIT_MARGIN = 0.25  # of an input's range beyond the training data, where the improved maps stop to extrapolate
+Samples = dict[str, tuple[tuple[np.ndarray, ...], np.ndarray]]
+
+
+def train_maps(
+    lab_cases: Mapping[str, pd.DataFrame],
+    config: MapsConfig,
+    seed: int,
+    kind: Kind,
+    *,
+    eta_tm_cases: Mapping[str, pd.DataFrame] | None = None,
+    label_noise_rel: float = 0.03,
+    parameters: EngineParameters = we2011.PARAMETERS,
+    held_out: Mapping[str, pd.DataFrame] | None = None,
+    progress: Progress | None = None,
+) -> EmpiricalMaps:
+    """Train the six maps.
+
+    Args:
+        lab_cases: clean recordings case_i to case_iv (others are left aside) with ambient and actuator columns.
+        config: `pretrain.maps` of params.yaml.
+        seed: of label noise, starts and batches; the same seed gives the same bits on one thread.
+        kind: "paper" or "improved".
+        eta_tm_cases: the same cases sampled finer, for eta_tm (paper: 0.025 s); `lab_cases` where None.
+        label_noise_rel: standard deviation of the label noise over the mean absolute label.
+        parameters: the laboratory engine.
+        held_out: clean recordings that are only evaluated, for the table of errors.
+        progress: called as the training goes on.
+
+    Raises:
+        InputError: a case or column is missing. DieselTwinError: a fit has no finite start.
+    """
+    if kind not in KINDS:
+        raise unknown_name("kind of maps", kind, list(KINDS))
+    cases = _training_cases(lab_cases)
+    samples = _samples(kind, cases, _training_cases(eta_tm_cases or lab_cases), parameters)
+    noisy: Samples = {}
+    for number, (name, (arguments, label)) in enumerate(samples.items()):
+        rng = np.random.default_rng([seed, number])
+        noise = label_noise_rel * np.mean(np.abs(label)) * rng.standard_normal(label.size)
+        noisy[name] = (arguments, label + noise)
+    fit = _train_paper if kind == "paper" else _train_improved
+    maps = fit(noisy, config, seed, parameters, progress or (lambda name, share: None))
+    meta = {"seed": seed, "label_noise_rel": label_noise_rel, "rows": {n: s[1].size for n, s in noisy.items()}}
+    trained = EmpiricalMaps(kind, maps, parameters, meta)
+    table = trained.error_table({**cases, **(held_out or {})}, uncertainty=True)
+    return EmpiricalMaps(kind, maps, parameters, meta, tuple(table.to_dict("records")))
+
+
+def _training_cases(cases: Mapping[str, pd.DataFrame]) -> dict[str, pd.DataFrame]:
+    missing = [name for name in TRAINING_CASES if name not in cases]
+    if missing:
+        raise InputError("maps: laboratory data", f"no {missing[0]}", ", ".join(TRAINING_CASES), "simulate that case")
+    return {name: cases[name] for name in TRAINING_CASES}
+
+
+def _samples(
+    kind: Kind, cases: Mapping[str, pd.DataFrame], fine: Mapping[str, pd.DataFrame], parameters: EngineParameters
+) -> Samples:
+    """Arguments and clean labels of each map over the cases that it is trained on."""
+    by_case = {case: map_arguments(frame, parameters) for case, frame in cases.items()}
+    fine_by_case = {case: map_arguments(frame, parameters) for case, frame in fine.items()}
+    samples: Samples = {}
+    for name in MAPS:
+        frames, arguments = (fine, fine_by_case) if name == "eta_tm" else (cases, by_case)
+        chosen = [F_EGR_CASE] if name == "f_egr" and kind == "paper" else list(frames)
+        columns = zip(*(arguments[case][name] for case in chosen), strict=True)
+        label = np.concatenate([frames[case][LABELS[name]].to_numpy(dtype=np.float64) for case in chosen])
+        samples[name] = (tuple(np.concatenate(parts) for parts in columns), label)
+    return samples
+
+
+def _scaling(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and scale (d,) that bring the central part of (n, d) inputs to [-1, 1]."""
+    lower, upper = np.percentile(x, CENTRAL, axis=0)
+    return 0.5 * (lower + upper), np.maximum(0.5 * (upper - lower), np.finfo(np.float64).tiny)
+
+
+# --- as printed --------------------------------------------------------------------------------------------------
+
+
+def _train_paper(
+    samples: Samples, config: MapsConfig, seed: int, parameters: EngineParameters, progress: Progress
+) -> dict[str, MapNetwork]:
+    """Adam on the mean square error of the restricted outputs, dropout on; the six networks in one tensor program."""
+    settings: PaperMapsConfig = config.paper
+    forms = bound_forms("paper", "numpy")
+    restrict = [bound_forms("paper", "torch")[name].output for name in MAPS]
+    generator = torch.Generator().manual_seed(seed)
+    widest = max(form.n_inputs for form in forms.values())
+    stack = MLP(
+        (widest, *settings.hidden, 1), settings.activation, settings.dropout_rel, members=len(MAPS), generator=generator
+    )
+    inputs, labels, scaling = [], [], {}
+    c = constants(parameters)
+    for number, name in enumerate(MAPS):
+        arguments, label = samples[name]
+        x = np.stack(forms[name].inputs(*arguments, c), axis=-1)
+        centre, scale = _scaling(x)
+        scaling[name] = (centre, scale)
+        padded = np.zeros((label.size, widest))
+        padded[:, : x.shape[1]] = (x - centre) / scale
+        inputs.append(torch.as_tensor(padded, dtype=torch.float32))
+        labels.append(torch.as_tensor(label, dtype=torch.float32))
+        with torch.no_grad():
+            stack.weights[0][number, x.shape[1] :] = 0.0
+    optimiser = torch.optim.Adam(stack.parameters(), lr=settings.rate)
+    for step in range(settings.steps):
+        # from `rate` down to `rate_end` along half a cosine
+        fall = 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
+        optimiser.param_groups[0]["lr"] = settings.rate_end + (settings.rate - settings.rate_end) * fall
+        rows = [torch.randint(len(y), (settings.batch,), generator=generator) for y in labels]
+        x = torch.stack([a[r] for a, r in zip(inputs, rows, strict=True)])
+        z = stack(x, generator=generator)[..., 0]
+        loss = sum(
+            torch.mean((restrict[i](z[i], ()) - labels[i][rows[i]]) ** 2) for i in range(len(MAPS))
+        )
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        if step % 200 == 0:
+            progress("six maps", step / settings.steps)
+    maps = {}
+    for number, name in enumerate(MAPS):
+        d = forms[name].n_inputs
+        single = MLP((d, *settings.hidden, 1), settings.activation, settings.dropout_rel, members=1)
+        with torch.no_grad():
+            for target, source in zip(single.parameters(), stack.parameters(), strict=True):
+                target.copy_(source[number : number + 1, : target.shape[1]])
+        centre, scale = scaling[name]
+        maps[name] = MapNetwork(single, np.full(d, -np.inf), np.full(d, np.inf), centre, scale)
+    return maps
+
+
+# --- improved ----------------------------------------------------------------------------------------------------
+
+
+def _train_improved(
+    samples: Samples, config: MapsConfig, seed: int, parameters: EngineParameters, progress: Progress
+) -> dict[str, MapNetwork]:
+    maps = {}
+    for number, name in enumerate(MAPS):
+        progress(name, number / len(MAPS))
+        rng = np.random.default_rng([seed, number, 1])
+        maps[name] = _fit_map(name, *samples[name], config.improved, parameters, rng)
+    return maps
+
+
+def _limits(name: str, x: np.ndarray, label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Limits (d,) of the network inputs (n, d)."""
+    low, high = x.min(axis=0), x.max(axis=0)
+    if name == "f_egr":
+        return np.zeros(1), high  # beyond the widest position there is no data and hardly any more opening
+    margin = LIMIT_MARGIN * (high - low)
+    low, high = low - margin, high + margin
+    if name == "eta_tm":
+        jump = find_jump(x[:, 2], x[:, 0], label)
+        if jump is not None:
+            low[2], high[2] = jump
+    return low, high
+
+
+def _fit_map(
+    name: str, arguments: tuple[np.ndarray, ...], label: np.ndarray, settings: ImprovedMapsConfig,
+    parameters: EngineParameters, rng: np.random.Generator,
+) -> MapNetwork:  # fmt: skip
+    """Nominal network on the noisy labels, and members on labels with the noise drawn anew."""
+    form = bound_forms("improved", "numpy")[name]
+    x = np.stack(np.broadcast_arrays(*form.inputs(*arguments, constants(parameters))), axis=-1)
+    low, high = _limits(name, x, label)
+    x = np.clip(x, low, high)
+    centre, scale = _scaling(x)
+    widths = (x.shape[1], *settings.hidden[name], 1)
+    scaled = (x - centre) / scale
+    cells = make_cells(scaled, math.ceil(label.size / settings.cells))
+    at = np.stack([cells.mean(scaled[:, j]) for j in range(x.shape[1])])
+    raw = at * scale[:, None] + centre[:, None]
+    mean_label = cells.mean(label)
+    sigma = _noise_of(cells, label, mean_label)
+    weight = cells.count / sigma**2
+    output = _output_with_slope(name, raw, mean_label, LIMIT_SIGMAS * sigma / np.sqrt(cells.count))
+
+    first = start(widths, at, settings.starts, settings.first_layer_scale, settings.start_level, rng)
+    tried = levenberg_marquardt(
+        first, widths, at, mean_label[None], weight, output, steps=settings.steps, ridge=settings.ridge
+    )
+    order = np.argsort(tried.cost)
+    good = order[tried.cost[order] <= settings.accepted_cost_ratio * tried.cost[order[0]]]
+    nominal = tried.parameters[order[:1]]
+    bend = np.zeros_like(mean_label)
+    for _ in range(settings.rounds):
+        # what averaging did to the map itself: mean over the cell's rows less value at the mean of its inputs
+        by_row = form.output(evaluate(nominal, widths, scaled.T)[0], tuple(x.T))
+        bend = cells.mean(by_row) - output(evaluate(nominal, widths, at))[0][0]
+        nominal = levenberg_marquardt(
+            nominal, widths, at, (mean_label - bend)[None], weight, output, steps=settings.refine_steps, ridge=settings.ridge
+        ).parameters
+    redrawn = (mean_label - bend) + rng.standard_normal((settings.members, mean_label.size)) / np.sqrt(weight)
+    from_starts = tried.parameters[good[np.arange(settings.members) % good.size]]
+    members = levenberg_marquardt(
+        from_starts, widths, at, redrawn, weight, output, steps=settings.refine_steps, ridge=settings.ridge
+    ).parameters
+    network = _as_mlp(np.concatenate([nominal, members]), widths)
+    return MapNetwork(network, low, high, centre, scale, spread=settings.spread)
+
+
+def _noise_of(cells: Cells, label: np.ndarray, mean_label: np.ndarray) -> float:
+    """Standard deviation of the labels' noise: the usual scatter within a cell."""
+    scatter = cells.mean((label - mean_label[cells.of_row]) ** 2) * cells.count / np.maximum(cells.count - 1.0, 1.0)
+    return float(np.sqrt(np.median(scatter)))
+
+
+def _output_with_slope(name: str, raw: np.ndarray, label: np.ndarray, doubt: np.ndarray) -> Output:
+    """The map's output restriction at cells (d, k) with its slope, by automatic differentiation.
+
+    A cell whose label lies clearly (by `doubt`) inside the cap and floor is fitted without them: a network that starts
+    beyond a limit there has no slope and would never come back.
+    """
+    restrict = bound_forms("improved", "torch")[name].output
+    inputs = tuple(torch.as_tensor(row) for row in raw)
+    floor, cap = HARD_LIMITS.get(name, (np.inf, -np.inf))
+    inside = torch.as_tensor((label - doubt > floor) & (label + doubt < cap))
+
+    def output(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        tensor = torch.as_tensor(z).requires_grad_(True)
+        value = torch.where(inside, tensor, restrict(tensor, inputs))
+        (slope,) = torch.autograd.grad(value.sum(), tensor)
+        return value.detach().numpy(), slope.numpy()
+
+    return output
+
+
+def _as_mlp(p: np.ndarray, widths: tuple[int, ...]) -> MLP:
+    """Packed parameters (M, P) as a stack of networks."""
+    if p.shape[1] != n_parameters(widths):
+        raise InputError("parameters", p.shape, f"(M, {n_parameters(widths)})", "use the fit's widths")
+    stack = MLP(widths, "algebraic", members=len(p), dtype=torch.float64)
+    with torch.no_grad():
+        for number, (weights, biases) in enumerate(unpack(p, widths)):
+            stack.weights[number].copy_(torch.as_tensor(weights.transpose(0, 2, 1).copy()))
+            stack.biases[number].copy_(torch.as_tensor(biases.transpose(0, 2, 1).copy()))
+    return stack
+
+
+def describe(config: MapsConfig) -> dict[str, Any]:
+    """Network sizes of both kinds, for reports."""
+    return {"paper": list(config.paper.hidden), "improved": {n: list(h) for n, h in config.improved.hidden.items()}}

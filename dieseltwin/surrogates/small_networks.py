@@ -1,0 +1,208 @@
+"""Least squares for small networks: averaging labels over cells, Levenberg-Marquardt for a batch of networks.
+
+A map of two or three inputs is smooth between a few thousand places; a recording has a hundred times as many noisy
+labels. The labels are averaged over cells of neighbouring rows first, which loses nothing but the curvature within a
+cell (and that is corrected), and makes a second-order step on all the data a matter of milliseconds.
+
+On the same cells Levenberg-Marquardt reached in 0.2-0.8 s what L-BFGS after Adam had not reached after 20-50 s
+(eta_tm: chi2 per cell 1.07-1.11 in 100 steps against 1.03-1.16 in 1000-3000), so it takes the place of both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dieseltwin.errors import DieselTwinError
+
+Widths = Sequence[int]
+Output = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Network output z (M, k) -> value and slope dvalue/dz, each (M, k)."""
+
+DAMPING_START, DAMPING_UP, DAMPING_DOWN, DAMPING_MIN = 1e-2, 4.0, 3.0, 1e-9
+DAMPING_FLOOR = 1e-3  # of the mean curvature: weights without effect must not run away
+TRIES = 5  # dampings tried in one step
+STALL_STEPS = 4  # steps without progress after which all networks are taken as converged
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Rows grouped by neighbourhood.
+
+    Attributes:
+        of_row: (n,) cell of each row.
+        count: (k,) rows in each cell.
+    """
+
+    of_row: np.ndarray
+    count: np.ndarray
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Mean over each cell of (n,) values, (k,)."""
+        return np.bincount(self.of_row, values, minlength=self.count.size) / self.count
+
+
+def make_cells(x: np.ndarray, rows_per_cell: int) -> Cells:
+    """Cells of at most `rows_per_cell` rows: halved at the median of the widest input until small enough.
+
+    Args:
+        x: (n, d) inputs, scaled so that equal distances matter equally.
+    """
+    of_row = np.zeros(len(x), dtype=np.int64)
+    stack = [np.arange(len(x))]
+    n_cells = 0
+    while stack:
+        rows = stack.pop()
+        if rows.size <= rows_per_cell:
+            of_row[rows] = n_cells
+            n_cells += 1
+            continue
+        inside = x[rows]
+        widest = int(np.argmax(np.ptp(inside, axis=0)))
+        half = rows.size // 2
+        order = np.argpartition(inside[:, widest], half)
+        stack += [rows[order[:half]], rows[order[half:]]]
+    return Cells(of_row, np.bincount(of_row, minlength=n_cells).astype(np.float64))
+
+
+def algebraic(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """z / sqrt(1 + z^2) and its slope."""
+    r = 1.0 / np.sqrt(1.0 + z * z)
+    return z * r, r * r * r
+
+
+Layers = list[tuple[np.ndarray, np.ndarray]]
+"""Per layer: weights (M, out, in) and biases (M, out, 1)."""
+
+
+def n_parameters(widths: Widths) -> int:
+    """Weights and biases of one network."""
+    return sum((a + 1) * b for a, b in zip(widths[:-1], widths[1:], strict=True))
+
+
+def unpack(p: np.ndarray, widths: Widths) -> Layers:
+    """Layers as views of packed parameters (M, P)."""
+    layers: Layers = []
+    at = 0
+    for n_in, n_out in zip(widths[:-1], widths[1:], strict=True):
+        weights = p[:, at : at + n_in * n_out].reshape(-1, n_out, n_in)
+        at += n_in * n_out
+        layers.append((weights, p[:, at : at + n_out, None]))
+        at += n_out
+    return layers
+
+
+def start(widths: Widths, x: np.ndarray, members: int, scale: float, level: float, rng: np.random.Generator) -> np.ndarray:
+    """Random parameters (M, P): neurons of the first layer turn at rows of x (d, k); the output is `level` everywhere.
+
+    Args:
+        scale: standard deviation of the first layer's weights per unit of the scaled inputs.
+    """
+    p = np.zeros((members, n_parameters(widths)))
+    layers = unpack(p, widths)
+    for number, (weights, biases) in enumerate(layers[:-1]):
+        weights[:] = rng.normal(size=weights.shape) * (scale if number == 0 else weights.shape[2] ** -0.5)
+        if number == 0:
+            turn = x[:, rng.integers(x.shape[1], size=weights.shape[:2])]  # (d, M, out)
+            biases[..., 0] = -np.einsum("moi,imo->mo", weights, turn)
+    layers[-1][1][:] = level
+    return p
+
+
+def evaluate(p: np.ndarray, widths: Widths, x: np.ndarray) -> np.ndarray:
+    """Outputs (M, n) of the networks at x (d, n)."""
+    layers = unpack(p, widths)
+    a = x[None]
+    for weights, biases in layers[:-1]:
+        a = algebraic(weights @ a + biases)[0]
+    weights, biases = layers[-1]
+    return (weights @ a + biases)[:, 0]
+
+
+def evaluate_with_jacobian(p: np.ndarray, widths: Widths, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs (M, n) and their derivatives by the parameters (M, P, n)."""
+    layers = unpack(p, widths)
+    values, slopes = [np.broadcast_to(x, (len(p), *x.shape))], []
+    for weights, biases in layers[:-1]:
+        a, da = algebraic(weights @ values[-1] + biases)
+        values.append(a)
+        slopes.append(da)
+    z = (layers[-1][0] @ values[-1] + layers[-1][1])[:, 0]
+    blocks: list[np.ndarray] = []
+    delta = np.ones((len(p), 1, x.shape[1]))
+    for number in range(len(layers) - 1, -1, -1):
+        by_weights = (delta[:, :, None] * values[number][:, None]).reshape(len(p), -1, x.shape[1])
+        blocks[:0] = [by_weights, delta]
+        if number > 0:
+            delta = (layers[number][0].transpose(0, 2, 1) @ delta) * slopes[number - 1]
+    return z, np.concatenate(blocks, axis=1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fitted parameters (M, P), their cost (M,) and the steps taken."""
+
+    parameters: np.ndarray
+    cost: np.ndarray
+    steps: int
+
+
+def levenberg_marquardt(
+    p: np.ndarray, widths: Widths, x: np.ndarray, y: np.ndarray, weight: np.ndarray, output: Output,
+    *, steps: int, ridge: float, tolerance: float = 1e-6, damping: float = DAMPING_START,
+) -> Fit:  # fmt: skip
+    """Minimise sum(weight (y - output(network(x)))^2) + ridge |p|^2 for M networks at once, each with its damping.
+
+    Args:
+        p: start (M, P). x: (d, k) shared inputs. y: (M, k) or (1, k) labels. weight: (k,) one over variance.
+        steps: at most so many. tolerance: relative decrease of the cost that counts as progress.
+
+    Raises:
+        DieselTwinError: the start has no finite cost.
+    """
+    p = p.copy()
+    root_weight = np.sqrt(weight)
+    y = np.broadcast_to(y, (len(p), x.shape[1]))
+
+    def cost_of(q: np.ndarray) -> np.ndarray:
+        residual = root_weight * (y - output(evaluate(q, widths, x))[0])
+        return (residual * residual).sum(1) + ridge * (q * q).sum(1)
+
+    cost = cost_of(p)
+    if not np.all(np.isfinite(cost)):
+        raise DieselTwinError("Levenberg-Marquardt: the start has no finite cost; scale the inputs")
+    lam = np.full(len(p), damping)
+    stalled = np.zeros(len(p), dtype=np.int64)
+    diagonal = np.arange(p.shape[1])
+    taken = 0
+    for taken in range(1, steps + 1):  # noqa: B007  reported
+        z, jacobian = evaluate_with_jacobian(p, widths, x)
+        value, slope = output(z)
+        jacobian *= (root_weight * slope)[:, None]
+        residual = root_weight * (y - value)
+        curvature = jacobian @ jacobian.transpose(0, 2, 1)
+        gradient = (jacobian @ residual[..., None])[..., 0] - ridge * p
+        d = curvature[:, diagonal, diagonal]
+        d = d + DAMPING_FLOOR * d.mean(1, keepdims=True)
+        better = np.zeros(len(p), dtype=bool)
+        best, best_cost = p.copy(), cost.copy()
+        for _ in range(TRIES):
+            damped = curvature.copy()
+            damped[:, diagonal, diagonal] += lam[:, None] * d + ridge
+            trial = p + np.linalg.solve(damped, gradient[..., None])[..., 0]
+            trial_cost = cost_of(trial)
+            new = ~better & (trial_cost < cost)
+            best[new], best_cost[new] = trial[new], trial_cost[new]
+            better |= new
+            if better.all():
+                break
+            lam[~better] *= DAMPING_UP
+        lam[better] = np.maximum(lam[better] / DAMPING_DOWN, DAMPING_MIN)
+        progress = (cost - best_cost) > tolerance * cost
+        stalled = np.where(progress, 0, stalled + 1)
+        p, cost = best, best_cost
+        if np.all(stalled >= STALL_STEPS):
+            break
+    return Fit(p, cost, taken)
