@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from dieseltwin.engine import simulate_states
 from dieseltwin.identification.bound import cramer_rao
-from dieseltwin.identification.least_squares import Fit, Linearisation, covariance, levenberg_marquardt
+from dieseltwin.identification.least_squares import (
+    Fit,
+    concatenated,
+    covariance,
+    keep_better,
+    levenberg_marquardt,
+)
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
 from dieseltwin.identification.shooting import (
@@ -37,6 +43,8 @@ HEALTH_RANGE = 3.0
 without information."""
 INITIAL_RANGE = 1.0
 """Initial states stay within this logarithm of the first readings."""
+SECOND_LOOK = 0.4
+"""A health parameter that ends further than this logarithm from its nominal value is fitted a second time."""
 SAMPLE_SPREAD = 0.5
 """Draws for bands leave the estimate by at most this logarithm, so that an unidentifiable parameter stays
 plausible."""
@@ -141,6 +149,12 @@ def estimate(
 def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSettings) -> Fit:
     """Fit every run of every segment.
 
+    At idle the likelihood can have a second minimum far away (more eta_sc balanced by more h_tot) that is
+    nearly as good. A
+    run that has not converged, or has ended far from the nominal values, is fitted once more from the
+    nominal values, and
+    the better end is kept.
+
     Args:
         shooting: S segments.
         runs: runs R of each segment.
@@ -156,23 +170,31 @@ def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSet
     nominal = np.log(np.stack([health_of(p.parameters) for p in shooting.problems]))[segment]
     lower = np.concatenate([nominal - HEALTH_RANGE, start[:, N_HEALTH:] - INITIAL_RANGE], axis=1)
     upper = np.concatenate([nominal + HEALTH_RANGE, start[:, N_HEALTH:] + INITIAL_RANGE], axis=1)
+
+    def fitted(rows: NDArray[np.int_], at: Array) -> Fit:
+        return levenberg_marquardt(
+            ShootingRuns(shooting, segment[rows], readings[rows]),
+            at,
+            lower=lower[rows],
+            upper=upper[rows],
+            step_max=STEP_MAX,
+            tolerance=settings.tolerance,
+            iterations_max=settings.iterations_max,
+            interest=slice(0, N_HEALTH),
+            damping=settings.damping_start,
+        )
+
     parts = []
     for first in range(0, len(segment), BLOCK):
-        rows = slice(first, first + BLOCK)
-        parts.append(
-            levenberg_marquardt(
-                ShootingRuns(shooting, segment[rows], readings[rows]),
-                start[rows],
-                lower=lower[rows],
-                upper=upper[rows],
-                step_max=STEP_MAX,
-                tolerance=settings.tolerance,
-                iterations_max=settings.iterations_max,
-                interest=slice(0, N_HEALTH),
-                damping=settings.damping_start,
-            )
-        )
-    return _concatenated(parts)
+        rows = np.arange(first, min(first + BLOCK, len(segment)))
+        fit = fitted(rows, start[rows])
+        moved = np.abs(fit.unknowns[:, :N_HEALTH] - nominal[rows]).max(axis=1)
+        again = np.flatnonzero((moved > SECOND_LOOK) | ~fit.converged)
+        if len(again):
+            second = np.concatenate([nominal[rows[again]], start[rows[again], N_HEALTH:]], axis=1)
+            fit = keep_better(fit, fitted(rows[again], second), again)
+        parts.append(fit)
+    return concatenated(parts)
 
 
 def _starts(
@@ -247,20 +269,3 @@ def _samples(
     drawn = unknowns[run] + move
     states = shooting.simulate(np.full(len(drawn), s), drawn).states
     return np.asarray(states), np.exp(drawn[:, :N_HEALTH])
-
-
-def _concatenated(parts: Sequence[Fit]) -> Fit:
-    linear = Linearisation(
-        np.concatenate([p.linear.cost for p in parts]),
-        np.concatenate([p.linear.gradient for p in parts]),
-        np.concatenate([p.linear.hessian for p in parts]),
-    )
-    return Fit(
-        np.concatenate([p.unknowns for p in parts]),
-        linear,
-        np.concatenate([p.damping for p in parts]),
-        np.concatenate([p.decrement for p in parts]),
-        np.concatenate([p.remaining for p in parts]),
-        np.concatenate([p.iterations for p in parts]),
-        np.concatenate([p.converged for p in parts]),
-    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,6 +154,75 @@ def levenberg_marquardt(
     converged = np.isfinite(cost) & (remaining <= CONVERGED_BELOW)
     return Fit(x, Linearisation(cost, gradient, hessian), factor, decrement, remaining, iterations, converged)
 
+
+def keep_better(fit: Fit, other: Fit, where: Index) -> Fit:
+    """Replace problems by another fit of them where that is better.
+
+    Better is a likelihood that is higher, or as high with convergence that the first fit didn't reach.
+
+    Args:
+        fit: L problems.
+        other: K of them, fitted once more.
+        where: (K,) their indices in `fit`.
+
+    Returns:
+        The combined fit; iterations add up.
+    """
+    cost = fit.linear.cost[where]
+    equal = np.abs(other.linear.cost - cost) < EQUAL_COST
+    better = np.where(equal, other.converged & ~fit.converged[where], other.linear.cost < cost)
+    rows = where[better]
+
+    def merged(old: NDArray, new: NDArray) -> NDArray:
+        result = old.copy()
+        result[rows] = new[better]
+        return result
+
+    iterations = fit.iterations.copy()
+    iterations[where] += other.iterations
+    linear = Linearisation(
+        merged(fit.linear.cost, other.linear.cost),
+        merged(fit.linear.gradient, other.linear.gradient),
+        merged(fit.linear.hessian, other.linear.hessian),
+    )
+    return Fit(
+        merged(fit.unknowns, other.unknowns),
+        linear,
+        merged(fit.damping, other.damping),
+        merged(fit.decrement, other.decrement),
+        merged(fit.remaining, other.remaining),
+        iterations,
+        merged(fit.converged, other.converged),
+    )
+
+
+def concatenated(parts: Sequence[Fit]) -> Fit:
+    """One fit of all problems of several.
+
+    Args:
+        parts: fits with the same unknowns.
+
+    Returns:
+        Their problems in order.
+    """
+    linear = Linearisation(
+        np.concatenate([p.linear.cost for p in parts]),
+        np.concatenate([p.linear.gradient for p in parts]),
+        np.concatenate([p.linear.hessian for p in parts]),
+    )
+    return Fit(
+        np.concatenate([p.unknowns for p in parts]),
+        linear,
+        np.concatenate([p.damping for p in parts]),
+        np.concatenate([p.decrement for p in parts]),
+        np.concatenate([p.remaining for p in parts]),
+        np.concatenate([p.iterations for p in parts]),
+        np.concatenate([p.converged for p in parts]),
+    )
+
+
+EQUAL_COST = 0.01
+"""Negative log likelihoods this close are one minimum."""
 
 _TINY = np.finfo(np.float64).tiny
 
