@@ -349,7 +349,7 @@ def identifiability_map(results: Results) -> style.ReportFigure:
             table[row, column] = 100 * relative_bound(results, estimate, parameter)
             flagged[row, column] = not estimate.identifiable
     image = axes.imshow(
-        np.where(flagged, np.nan, table), aspect="auto", cmap="cividis", norm=LogNorm(0.05, 25.0)
+        np.where(flagged, np.nan, table), aspect="auto", cmap="viridis", norm=LogNorm(0.05, 25.0)
     )
     for row in range(len(PARAMETERS)):
         for column in range(len(segments)):
@@ -361,7 +361,7 @@ def identifiability_map(results: Results) -> style.ReportFigure:
             text = _bound_text(value)
             if flagged[row, column] and len(segments) <= 8:
                 text = f"not identifiable here\n({text})" if math.isfinite(value) else "not identifiable here"
-            dark_cell = not flagged[row, column] and math.isfinite(value) and value < 2.0
+            dark_cell = not flagged[row, column] and math.isfinite(value) and value < 4.0
             size = 9.5 if len(segments) <= 12 else 7
             axes.text(
                 column,
