@@ -21,7 +21,7 @@ def simulate(profile: str) -> str:
     known = {name: settings[name] for name in ("driving", "engine")}
     sets = steps.driving_sets.submit(**known).result()
     recordings = steps.case_recordings.submit(sets=sets, **known, noise=settings["noise"]).result()
-    return publish(current().workspace.root / "data", {"sets": sets, "": recordings}).sha256
+    return publish(current().workspace.root / "data", {"sets": sets.path, "": recordings.path}).sha256
 
 
 if __name__ == "__main__":

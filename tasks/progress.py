@@ -72,7 +72,7 @@ class Display:
             return
         live = Progress(
             SpinnerColumn(),
-            TextColumn("{task.description:<34}"),
+            TextColumn("{task.description:<44}"),
             BarColumn(bar_width=28),
             TextColumn("{task.percentage:>3.0f} %"),
             TimeElapsedColumn(),
@@ -108,16 +108,19 @@ class Display:
         if bar is not None:
             bar.fraction = fraction
 
-    def finish(self, step: str, note: str = "", label: str = "") -> None:
+    def finish(self, step: str, label: str = "") -> None:
         """A step ended well; remembers how long it took."""
         with self._lock:
             bar = self._bars.pop(step, None)
         seconds = time.monotonic() - bar.started if bar else 0.0
         if bar and self._live is not None:
             self._live.remove_task(bar.task_id)  # type: ignore[arg-type]
-        if bar:
-            self._remember(step, seconds)
-        self.console.print(f"[green]✓[/] {label or step:<34} {note or f'{seconds:.1f} s'}")
+        self._remember(step, seconds)
+        self.console.print(f"[green]✓[/] {label or step:<44} {seconds:7.1f} s")
+
+    def cached(self, label: str) -> None:
+        """A step's result was there already."""
+        self.console.print(f"[green]✓[/] {label:<44} [dim]already computed[/]")
 
     def fail(self, step: str) -> None:
         """A step ended badly."""

@@ -9,22 +9,36 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from tasks.run_context import StepFailed
 from tasks.store import MANIFEST, RUNTIME, Artifact, content_hash, replace_folder
 
 
-def publish(target: Path, parts: Mapping[str, Artifact]) -> Artifact:
-    """Make the folder ``target`` hold the files of ``parts`` (sub-folder, "" for the top -> result).
+def publish(target: Path, parts: Mapping[str, Path]) -> Artifact:
+    """Make the folder ``target`` hold ``parts`` (name inside it -> file or folder; "" is the folder itself).
 
     Written beside and renamed; a folder that agrees already is left alone. Returns it with its hash.
     """
     files: dict[str, Path] = {}
-    for name, artifact in parts.items():
-        for path in sorted(artifact.path.rglob("*")):
+    for name, source in parts.items():
+        if source.is_file():
+            files[name] = source
+            continue
+        for path in sorted(source.rglob("*")):
             if path.is_file() and path.name not in (MANIFEST, RUNTIME):
-                files[(Path(name) / path.relative_to(artifact.path)).as_posix()] = path
+                files[(Path(name) / path.relative_to(source)).as_posix()] = path
     if not _agrees(target, files):
         replace_folder(target, files)
     return Artifact.of(target)
+
+
+def published(path: Path, maker: str) -> Artifact:
+    """What an earlier flow published, hashed. Raises ``StepFailed`` (exit status 2) where it isn't there."""
+    if not path.exists():
+        raise StepFailed(
+            f"{path.name}: not found in {path.parent}; it is made by `python -m flows.{maker}` (or `make run`)",
+            exit_code=2,
+        )
+    return Artifact.of(path)
 
 
 def _agrees(target: Path, files: Mapping[str, Path]) -> bool:

@@ -138,6 +138,14 @@ class Step:
         text = json.dumps(parts, sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
 
+    def instance(self, parameters: Mapping[str, Any]) -> str:
+        """The step's name, with the kind where one step makes several."""
+        return f"{self.name}-{parameters['kind']}" if "kind" in parameters else self.name
+
+    def title(self, parameters: Mapping[str, Any]) -> str:
+        """The same in words."""
+        return f"{self.label}, {parameters['kind']}" if "kind" in parameters else self.label
+
     def submit(self, **arguments: Any) -> Pending:
         """Start the step in the running flow; :meth:`Pending.result` waits for it."""
         context = current()
@@ -146,13 +154,13 @@ class Step:
         hit = context.store.find(self.name, key)
         task = _prefect_task().with_options(
             name=self.name,
-            task_run_name=self.name,
+            task_run_name=self.instance(parameters),
             # Prefect's record is refused where the files it names are gone or changed.
             refresh_cache=hit is None,
         )
         plain = {name: artifact.to_dict(context.workspace.root) for name, artifact in inputs.items()}
         future = task.submit(self.name, plain, dict(parameters))
-        return Pending(self, future, context, cached=hit is not None)
+        return Pending(self.title(parameters), future, context, cached=hit is not None)
 
     def __call__(self, **arguments: Any) -> Artifact:
         """Run the step now, with the cache but without Prefect."""
@@ -165,7 +173,7 @@ class Step:
 class Pending:
     """A step that was submitted."""
 
-    step: Step
+    title: str
     future: Any
     context: RunContext
     cached: bool
@@ -174,7 +182,7 @@ class Pending:
         """Wait; returns path and hash, checked. Raises :class:`StepFailed`."""
         artifact = Artifact.from_dict(self.future.result(), self.context.workspace.root)
         if self.cached:
-            self.context.display.finish(self.step.name, "already computed", self.step.label)
+            self.context.display.cached(self.title)
         return artifact
 
 
@@ -231,16 +239,17 @@ def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], par
         "modules": dict(sorted(step.code(context).modules.items())),
         "packages": dict(step.code(context).packages),
     }
-    context.display.start(step.name, step.expected_s, step.label)
+    name, title = step.instance(parameters), step.title(parameters)
+    context.display.start(name, step.expected_s, title)
     started = time.perf_counter()
     try:
         with context.store.writing(step.name, key, provenance) as out:
             _run_worker(step, context, key, out, inputs, parameters)
     except BaseException:
-        context.display.fail(step.name)
+        context.display.fail(name)
         raise
-    context.timings[step.name] = time.perf_counter() - started
-    context.display.finish(step.name, label=step.label)
+    context.timings[name] = time.perf_counter() - started
+    context.display.finish(name, title)
     stored = context.store.find(step.name, key)
     if stored is None:
         raise StepFailed(f"{step.name}: what was just written to {context.store.folder(step.name, key)} cannot be read")
@@ -270,7 +279,7 @@ def _run_worker(
     }
     logs = context.workspace.cache / "logs"
     logs.mkdir(parents=True, exist_ok=True)
-    log = logs / f"{step.name}-{key[:8]}.log"
+    log = logs / f"{step.instance(parameters)}-{key[:8]}.log"
     paths = [str(context.library_root), str(PROJECT), *(path for path in sys.path if path)]
     environment = {**os.environ, **_ONE_THREAD, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
     with (
@@ -288,7 +297,7 @@ def _run_worker(
     ):
         _workers.add(worker)
         try:
-            failure = _talk(worker, specification, step, context)
+            failure = _talk(worker, specification, step.instance(parameters), context)
         except BaseException:
             worker.kill()
             raise
@@ -299,18 +308,18 @@ def _run_worker(
 
 
 def _talk(
-    worker: subprocess.Popen[str], specification: Mapping[str, Any], step: Step, context: RunContext
+    worker: subprocess.Popen[str], specification: Mapping[str, Any], name: str, context: RunContext
 ) -> dict[str, Any]:
     """Send the specification, pass progress on. Returns the worker's error message, if any."""
     failure: dict[str, Any] = {}
     if worker.stdin is None or worker.stdout is None:
-        raise StepFailed(f"{step.name}: no pipe to the worker")
+        raise StepFailed(f"{name}: no pipe to the worker")
     worker.stdin.write(json.dumps(specification) + "\n")
     worker.stdin.flush()
     for line in worker.stdout:
         message = json.loads(line)
         if "fraction" in message:
-            context.display.update(step.name, message["fraction"])
+            context.display.update(name, message["fraction"])
         else:
             failure = message
     worker.wait()

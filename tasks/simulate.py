@@ -10,6 +10,21 @@ from typing import Any
 
 from tasks.run_context import step
 
+# What the pictures of the sets show.
+_RESPONSE_COLUMNS = (
+    "time_s",
+    "n_e_rpm",
+    "u_delta_mg",
+    "u_egr_pct",
+    "u_vgt_pct",
+    "p_im_pa",
+    "p_em_pa",
+    "omega_t_rad_s",
+    "lambda",
+    "egr_fraction",
+    "torque_nm",
+)
+
 
 def _settings(**sections: dict[str, Any]) -> Any:
     """The sections as their validated models, under the names that ``Params`` gives them."""
@@ -23,16 +38,18 @@ def _settings(**sections: dict[str, Any]) -> Any:
 
 @step("driving-sets", "driving: Set-I to Set-IV", expected_s=30.0, data_files=("dieseltwin/data",))
 def driving_sets(out: Path, progress: Any, *, driving: dict[str, Any], engine: dict[str, Any]) -> None:
-    """``set_i.parquet`` ...: the inputs of every set."""
-    from dieseltwin.datasets import laboratory_parameters, make_set
+    """``set_i.parquet`` ...: the inputs of every set; ``response/``: what the engine did while they were made."""
+    from dieseltwin.datasets import drive_set, laboratory_parameters
     from dieseltwin.recordings import write_recording
 
     settings = _settings(driving=driving, engine=engine)
     durations = {name: config.duration_s for name, config in settings.driving.sets.items()}
+    (out / "response").mkdir()
     done = 0.0
     for name, duration_s in durations.items():
-        inputs = make_set(name, settings.driving, laboratory_parameters(settings.engine))
-        write_recording(inputs, out / f"{name}.parquet")
+        driven = drive_set(name, settings.driving, laboratory_parameters(settings.engine))
+        write_recording(driven.inputs, out / f"{name}.parquet")
+        write_recording(driven.response[list(_RESPONSE_COLUMNS)], out / "response" / f"{name}.parquet")
         done += duration_s
         progress(done, sum(durations.values()))
 

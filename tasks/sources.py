@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import importlib
 import inspect
 import sys
 import textwrap
@@ -145,7 +146,8 @@ def function_sources(function: Callable[..., Any], known: frozenset[str] | None 
     it imports inside itself.
 
     Returns (sha256, names of imported modules). What the module imports at its top level isn't followed: a step
-    imports what it computes with inside itself, which also keeps the flows quick to start.
+    imports what it computes with inside itself, which also keeps the flows quick to start. Functions of other task
+    modules that it imports inside itself count as its own.
     """
     module = inspect.getmodule(function)
     if module is None:
@@ -167,7 +169,22 @@ def function_sources(function: Callable[..., Any], known: frozenset[str] | None 
         used[name] = definitions[name]
         todo += [node.id for node in ast.walk(definitions[name]) if isinstance(node, ast.Name)]
     body = ast.Module(body=[_undecorated(used[name]) for name in sorted(used)], type_ignores=[])
-    return _code_digest(body), imported_modules(body, module.__name__, False, known or frozenset())
+    digest, imported = _code_digest(body), imported_modules(body, module.__name__, False, known or frozenset())
+    for helper in _task_functions(body):
+        helper_digest, helper_imports = function_sources(helper, known)
+        digest = hashlib.sha256(f"{digest} {helper_digest}".encode()).hexdigest()
+        imported |= helper_imports
+    return digest, imported
+
+
+def _task_functions(body: ast.Module) -> list[Callable[..., Any]]:
+    """Functions that the code imports from other modules of ``tasks``."""
+    found = []
+    for node in ast.walk(body):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tasks."):
+            module = importlib.import_module(node.module or "")
+            found += [getattr(module, alias.name) for alias in node.names]
+    return [item for item in found if inspect.isfunction(item)]
 
 
 def _undecorated(node: ast.stmt) -> ast.stmt:

@@ -1,0 +1,190 @@
+"""Steps of the flow ``pretrain``: labels at a fine rate, empirical maps, actuator operators, multi-head bodies.
+
+Each writes the trained file and ``errors.json`` (relative L2 errors in per cent, by output), and the training curves
+where it has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from tasks.run_context import step
+from tasks.store import Artifact
+
+ERRORS = "errors.json"
+CURVES = "curves.parquet"
+
+MAP_KINDS = ("paper", "improved")
+BODY_KINDS = ("paper", "conditioned")
+
+# What the maps' arguments and the label of eta_tm need: 300 MB of recordings are 100 MB then.
+_FINE_COLUMNS = (
+    "time_s",
+    "n_e_rpm",
+    "p_im_pa",
+    "p_em_pa",
+    "omega_t_rad_s",
+    "t_em_k",
+    "w_c_kg_s",
+    "u_egr1_pct",
+    "u_egr2_pct",
+    "u_vgt_act_pct",
+    "eta_tm",
+    "p_amb_pa",
+    "t_amb_k",
+)
+
+
+def _cases(folder: Path) -> dict[str, Any]:
+    import pandas as pd
+
+    return {path.stem: pd.read_parquet(path) for path in sorted(folder.glob("*.parquet"))}
+
+
+def _shares(progress: Callable[[float, float], None], parts: int) -> Callable[[str, float], None]:
+    """The library tells a part's name and its share done; all parts together are the step."""
+    seen: dict[str, float] = {}
+
+    def tell(part: str, share: float) -> None:
+        seen[part] = share
+        progress(sum(seen.values()), parts)
+
+    return tell
+
+
+def _write_json(path: Path, content: Any) -> None:
+    import json
+
+    path.write_text(json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
+
+
+@step("eta-tm-labels", "labels of eta_tm, 40 Hz", expected_s=15.0)
+def eta_tm_labels(out: Path, progress: Any, *, sets: Path, driving: dict[str, Any], engine: dict[str, Any]) -> None:
+    """The training cases of the maps, sampled finer, with the columns that the maps need."""
+    from types import SimpleNamespace
+
+    import pandas as pd
+
+    from dieseltwin.config import DrivingConfig, EngineConfig
+    from dieseltwin.datasets import make_case
+    from dieseltwin.recordings import write_recording
+    from dieseltwin.surrogates.empirical_training import TRAINING_CASES
+
+    settings: Any = SimpleNamespace(driving=DrivingConfig(**driving), engine=EngineConfig(**engine))
+    for done, name in enumerate(TRAINING_CASES, start=1):
+        inputs = pd.read_parquet(sets / f"{settings.driving.cases[name].set}.parquet")
+        frame = make_case(name, settings, inputs, sample_s=settings.driving.sample_eta_tm_s)
+        write_recording(frame[list(_FINE_COLUMNS)], out / f"{name}.parquet")
+        progress(done, len(TRAINING_CASES))
+
+
+@step("maps", "empirical maps", expected_s=40.0)
+def maps(
+    out: Path,
+    progress: Any,
+    *,
+    lab: Path,
+    fine: Path,
+    field: Path,
+    kind: str,
+    config: dict[str, Any],
+    engine: dict[str, Any],
+    label_noise_rel: float,
+    seed: int,
+) -> None:
+    """``maps.pt``, one kind of the six maps."""
+    from dieseltwin.config import EngineConfig, MapsConfig
+    from dieseltwin.datasets import laboratory_parameters
+    from dieseltwin.surrogates.empirical_training import train_maps
+
+    cases, unseen = _cases(lab), _cases(field)
+    trained = train_maps(
+        cases,
+        MapsConfig(**config),
+        seed,
+        kind,  # type: ignore[arg-type]
+        eta_tm_cases=_cases(fine),
+        label_noise_rel=label_noise_rel,
+        parameters=laboratory_parameters(EngineConfig(**engine)),
+        held_out={name: frame for name, frame in unseen.items() if name.endswith("_clean")},
+        progress=lambda part, share: progress(share, 1.0),
+    )
+    trained.save(out / "maps.pt")
+    table = trained.errors()
+    test = table[~table["recording"].isin(cases)]
+    rows = test.set_index("map")["l2_rel"]
+    _write_json(out / ERRORS, {name: {"test": 100.0 * float(value)} for name, value in rows.items()})
+    table.to_csv(out / "errors.csv", index=False)
+
+
+@step("operators", "actuator operators (DeepONets)", expected_s=110.0)
+def operators(
+    out: Path,
+    progress: Any,
+    *,
+    lab: Path,
+    field: Path,
+    config: dict[str, Any],
+    engine: dict[str, Any],
+    seed: int,
+) -> None:
+    """``operators.pt``."""
+    import numpy as np
+    import pandas as pd
+
+    from dieseltwin.config import EngineConfig, OperatorsConfig
+    from dieseltwin.datasets import laboratory_parameters
+    from dieseltwin.surrogates.operators import OPERATORS, TRAINING_CASES, train_operators
+
+    cases = _cases(lab)
+    parameters = laboratory_parameters(EngineConfig(**engine))
+    trained = train_operators(
+        cases, OperatorsConfig(**config), seed, parameters, progress=_shares(progress, len(OPERATORS))
+    )
+    trained.save(out / "operators.pt")
+    test = trained.errors(pd.read_parquet(field / "case_v_clean.parquet"))
+    train = {case: trained.errors(cases[case]) for names in TRAINING_CASES.values() for case in names}
+    errors = {}
+    for name, labels in OPERATORS.items():
+        for label in labels:
+            seen = float(np.mean([train[case][label] for case in TRAINING_CASES[name]]))
+            errors[_symbol(label)] = {"train": seen, "test": test[label]}
+    _write_json(out / ERRORS, errors)
+    curves = [
+        pd.DataFrame(getattr(trained, name).curve, columns=["epoch", "value"]).assign(quantity=f"loss_{name}")
+        for name in OPERATORS
+    ]
+    pd.concat(curves, ignore_index=True).to_parquet(out / CURVES, index=False)
+
+
+def _symbol(column: str) -> str:
+    return {"u_egr1_pct": "u_egr1", "u_egr2_pct": "u_egr2", "u_vgt_act_pct": "u_vgt"}[column]
+
+
+@step("bodies", "multi-head bodies", expected_s=60.0)
+def bodies(
+    out: Path,
+    progress: Any,
+    *,
+    lab: Path,
+    kind: str,
+    config: dict[str, Any],
+    engine: dict[str, Any],
+    seed: int,
+) -> None:
+    """``bodies.pt``, one kind of the four bodies."""
+    raise NotImplementedError
+
+
+def files_to_publish(trained: Mapping[str, Artifact]) -> dict[str, Path]:
+    """Names in ``models/`` -> files: ``NAME.pt``, ``errors/NAME.json``, ``curves/NAME.parquet``."""
+    files: dict[str, Path] = {}
+    for name, artifact in trained.items():
+        kind = name.partition("_")[0]
+        files[f"{name}.pt"] = artifact.path / f"{kind}.pt"
+        files[f"errors/{name}.json"] = artifact.path / ERRORS
+        if (artifact.path / CURVES).exists():
+            files[f"curves/{name}.parquet"] = artifact.path / CURVES
+    return files

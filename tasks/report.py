@@ -1,0 +1,125 @@
+"""Steps after the identification: the comparison of the methods (results/), pictures, the HTML report (reports/)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tasks.run_context import step
+
+PAGE = "index.html"
+METRICS = "metrics.json"
+SUMMARY = "summary.csv"
+TABLE = "summary.txt"
+
+
+@step("driving-pictures", "pictures of the driving", expected_s=15.0)
+def driving_pictures(out: Path, progress: Any, *, sets: Path, driving: dict[str, Any], dpi: int) -> None:
+    """``set_i.png`` ...: what each set looks like."""
+    import pandas as pd
+
+    from dieseltwin.config import EcuConfig
+    from dieseltwin.report.driving import set_figure
+
+    ecu = EcuConfig(**driving["ecu"])
+    paths = sorted((sets / "response").glob("*.parquet"))
+    for done, path in enumerate(paths, start=1):
+        figure = set_figure(path.stem, pd.read_parquet(path), ecu=ecu)
+        (out / f"{path.stem}.png").write_bytes(figure.encode(dpi))
+        progress(done, len(paths))
+
+
+def _linked(folder: Path, methods: dict[str, Path]) -> None:
+    """The methods' results under the names that the report expects."""
+    for name, path in methods.items():
+        (folder / name).symlink_to(path.resolve(), target_is_directory=True)
+
+
+@step("comparison", "comparison of the methods", expected_s=10.0)
+def comparison(
+    out: Path,
+    progress: Any,
+    *,
+    field: Path,
+    errors: Path,
+    classical: Path,
+    newton: Path,
+    adam: Path,
+    settings: dict[str, Any],
+    about: dict[str, Any],
+) -> None:
+    """What all methods share (readings, truth, pretraining errors) and how they compare: summary.csv, metrics.json."""
+    import json
+    import shutil
+    import tempfile
+
+    from dieseltwin.report import load_results, summary_table, write_report_inputs
+    from tasks.identify import problems_of
+
+    problems, truth_states = problems_of(field, settings)
+    write_report_inputs(out, problems, truth_states=truth_states, about=about)
+    groups: dict[str, dict[str, Any]] = {}
+    for path in sorted(errors.glob("*.json")):
+        group, _, kind = path.stem.partition("_")
+        content = json.loads(path.read_text(encoding="utf-8"))
+        groups[group] = {**groups.get(group, {}), kind: content} if kind else content
+    (out / "pretraining.json").write_text(json.dumps(groups, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "results"
+        shutil.copytree(out, folder)
+        _linked(folder, {"classical": classical, "few-shot-newton": newton, "few-shot-adam": adam})
+        table = summary_table(load_results(folder)).drop(columns="seconds_per_run")
+    table.to_csv(out / SUMMARY, index=False)
+    metrics: dict[str, dict[str, float | None]] = {}
+    for row in table.to_dict("records"):
+        name = row["parameter"]
+        metrics.setdefault(row["method"], {}).update(
+            {
+                name: _finite(row["mean"]),
+                f"{name}_std": _finite(row["std"]),
+                f"{name}_error_pct": _finite(100.0 * row["error"]),
+                f"{name}_ratio_to_bound": _finite(row["ratio_to_bound"]),
+            }
+        )
+    (out / METRICS).write_text(json.dumps(metrics, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _finite(value: float) -> float | None:
+    import math
+
+    return float(value) if math.isfinite(value) else None
+
+
+@step("report", "report", expected_s=20.0)
+def report(
+    out: Path,
+    progress: Any,
+    *,
+    common: Path,
+    pictures: Path,
+    classical: Path,
+    newton: Path,
+    adam: Path,
+    run_times: dict[str, str],
+) -> None:
+    """``index.html``, ``figures/``, and the table for the terminal.
+
+    ``run_times``: hashes of the methods' runtime.json, which are no part of their results' hashes but are shown.
+    """
+    import shutil
+    import tempfile
+
+    from dieseltwin.report import build_report, load_results, result_figures, summary_table, summary_text
+
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "results"
+        shutil.copytree(common, folder)
+        _linked(folder, {"classical": classical, "few-shot-newton": newton, "few-shot-adam": adam})
+        (folder / "driving").symlink_to(pictures.resolve(), target_is_directory=True)
+        build_report(folder, out / PAGE)
+        progress(1, 2)
+        results = load_results(folder)
+        (out / TABLE).write_text(summary_text(results) + "\n", encoding="utf-8")
+        summary_table(results).to_csv(out / SUMMARY, index=False)
+        for figure in result_figures(results):
+            figure.save(out / "figures")
