@@ -48,11 +48,8 @@ def made_up(trace: pd.DataFrame, truth: Mapping[str, float] | None) -> Identific
         )
         values = field * np.exp(0.004 * rng.standard_normal((RUNS, 4)))
         epochs = np.array([0.0, 100.0, 200.0])
-        curves = {
-            "epoch": epochs,
-            "loss_total": np.exp(-epochs / 50)[:, None] * np.ones((3, RUNS)),
-            "eta_sc": 1.2 + 0 * epochs,
-        }
+        losses = np.exp(-epochs / 50)[:, None] * np.ones((3, RUNS))
+        curves = {"epoch": epochs, "loss_total": losses, "eta_sc": 1.2 + 0 * epochs}
         segments.append(
             SegmentEstimate(
                 t0_s=t0, t1_s=t0 + 60.0, time_s=rows["time_s"].to_numpy(), parameters=values, std=np.tile(bound, (RUNS, 1)),
