@@ -52,7 +52,8 @@ def made_up(trace: pd.DataFrame, truth: Mapping[str, float] | None) -> Identific
         curves = {"epoch": epochs, "loss_total": losses, "eta_sc": 1.2 + 0 * epochs}
         segments.append(
             SegmentEstimate(
-                t0_s=t0, t1_s=t0 + 60.0, time_s=rows["time_s"].to_numpy(), parameters=values, std=np.tile(bound, (RUNS, 1)),
+                t0_s=t0, t1_s=t0 + 60.0, time_s=rows["time_s"].to_numpy(), parameters=values,
+                std=np.tile(bound, (RUNS, 1)),
                 interval_90=np.stack([values - 1.645 * bound, values + 1.645 * bound], axis=-1),
                 states=rows[STATES].to_numpy(), bound=bound, identifiable=np.array([True, True, True, t0 == 0.0]),
                 converged=np.ones(RUNS, dtype=bool), seconds_per_run=0.05, method="few-shot-adam", curves=curves,
