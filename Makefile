@@ -11,7 +11,6 @@ READY := $(VENV)/installed.lock
 # One thread in each process: two spinning pools on two shared cores are 10-70 times slower, and results repeat bit by bit.
 export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
-export NUMBA_NUM_THREADS ?= 2
 # Everything that tools keep stays in the project, and none of them calls home.
 export PREFECT_HOME := $(CURDIR)/.prefect
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
@@ -38,16 +37,14 @@ setup: $(READY)  ## .venv with the exact versions of requirements.lock
 
 # The stamp is a copy of the lock, written last: an interrupted set-up is done again.
 $(READY): requirements.lock pyproject.toml
-	@if [ -f $@ ] && cmp -s $@ requirements.lock && $(BIN)/python -c "import dieseltwin" 2>/dev/null; then \
-		cp requirements.lock $@; \
-	else \
+	@if ! { cmp -s $@ requirements.lock && $(BIN)/python -c "" 2>/dev/null; }; then \
 		rm -f $@; \
 		echo "Setting up $(VENV) from requirements.lock (about 3 minutes, once) ..."; \
-		{ [ -x $(BIN)/python ] && $(BIN)/python -m pip --version >/dev/null 2>&1; } || $(PYTHON) -m venv --clear $(VENV) || exit 1; \
+		$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV) || exit 1; \
 		$(BIN)/python -m pip install -qq -r requirements.lock || exit 1; \
-		$(BIN)/python -m pip install -qq --no-deps --no-build-isolation -e . || exit 1; \
-		cp requirements.lock $@; \
 	fi
+	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation -e .
+	@cp requirements.lock $@
 
 run: $(READY)  ## data, pretraining, the three identifications, report
 	@$(BIN)/python -m flows.run --profile $(PROFILE)
@@ -56,15 +53,15 @@ test: $(READY)  ## all tests on two processes
 	@$(BIN)/python -m pytest -n 2 -q
 
 check: $(READY)  ## style, types, directions, hygiene
-	@$(BIN)/ruff check --quiet --output-format concise .
-	@$(BIN)/mypy --no-error-summary
-	@$(BIN)/lint-imports --no-logo
+	@$(BIN)/python -m ruff check --quiet --output-format concise .
+	@$(BIN)/python -m mypy --no-error-summary
+	@$(BIN)/python -c "import sys; from importlinter.cli import lint_imports_command as lint; sys.exit(lint())" --no-logo
 	@$(BIN)/python .ci/hygiene.py
 	@echo "check: all good"
 
 ui: $(READY)  ## MLflow with the comparison of the methods
 	@echo "MLflow: http://127.0.0.1:$(PORT)  (Ctrl-C ends it)"
-	@$(BIN)/mlflow ui --backend-store-uri sqlite:///mlruns/mlflow.db --port $(PORT)
+	@$(BIN)/python -m mlflow ui --backend-store-uri sqlite:///mlruns/mlflow.db --port $(PORT)
 
 serve: $(READY)  ## retraining deployment with its schedule
 	@$(BIN)/python -m flows.retrain --serve

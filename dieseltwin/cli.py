@@ -105,11 +105,15 @@ def identify(
     channels: ChannelsFile = None,
     models: Annotated[
         Path | None,
+        typer.Option("--models", metavar="DIR", help="Pretrained networks of `make run`; ./models if none is named."),
+    ] = None,
+    maps: Annotated[
+        str | None,
         typer.Option(
-            "--models",
-            metavar="DIR",
-            help="Pretrained networks of `make run`: learned maps and actuators in place of the exact formulae; the "
-            "few-shot methods need their bodies.",
+            "--maps",
+            metavar="KIND",
+            help="Empirical maps: exact formulae, or learned ones, paper or improved. few-shot-adam takes paper, the "
+            "others exact.",
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = None,
@@ -127,6 +131,7 @@ def identify(
         engine=engine,
         channels=channels,
         models=models,
+        maps=maps,
         seed=seed,
         params=params,
         profile=profile,

@@ -23,6 +23,12 @@ from dieseltwin.identification import (
 from dieseltwin.recordings import Recording, read_recording, rows_out_of_range
 from dieseltwin.strict import unknown_name
 
+MODELS_FOLDER = Path("models")
+EXACT = "exact"
+MAPS = (EXACT, "paper", "improved")
+DEFAULT_MAPS = {"few-shot-adam": "paper"}
+BODIES_FILES = {"few-shot-newton": "bodies_conditioned.pt", "few-shot-adam": "bodies_paper.pt"}
+
 
 def run_identify(
     recording: Path,
@@ -33,6 +39,7 @@ def run_identify(
     engine: Path | None = None,
     channels: Path | None = None,
     models: Path | None = None,
+    maps: str | None = None,
     seed: int | None = None,
     params: Path | None = None,
     profile: str = "quick",
@@ -47,6 +54,7 @@ def run_identify(
         engine: YAML overriding engine parameters; its health parameters are where the search starts.
         channels: channel map of the recording.
         models: folder of pretrained networks.
+        maps: which empirical maps: exact, paper or improved.
         seed: None takes the settings' seed.
         params, profile: settings.
 
@@ -65,7 +73,7 @@ def run_identify(
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
     source = read_recording(recording, channels, parameters)
     problems = problems_of(source, parameters, settings)
-    networks = load_networks(models, method)
+    networks = load_networks(models, method, maps)
     notes = _notes(source, parameters)
     # The folder is opened before the work: a place that cannot be written to is better known now.
     with atomic_folder(out) as folder:
@@ -96,21 +104,53 @@ def problems_of(source: Recording, parameters: EngineParameters, settings: Param
     return problems_from_recording(source, parameters, noise=noise, duration_s=settings.identify.segment_s)
 
 
-def load_networks(models: Path | None, method: str) -> dict[str, Any]:
-    """Learned maps, actuator operators and bodies for `identify_segments`; empty without a folder.
+def load_networks(models: Path | None, method: str, maps: str | None) -> dict[str, Any]:
+    """Pretrained networks for `identify_segments`, as keyword arguments.
+
+    Args:
+        models: folder of `make run`; None takes `models` of the working folder.
+        method: few-shot-newton gets its conditioned bodies, few-shot-adam everything as printed.
+        maps: "exact", "paper" or "improved"; None takes the paper's for few-shot-adam, the exact formulae otherwise.
 
     Raises:
-        InputError: no such folder, or a few-shot method without bodies.
+        InputError: an unknown kind of maps, no such folder or file, or a file that holds something else.
     """
-    if models is None:
-        if method != "classical":
-            raise InputError(f"--method {method}", "no --models", "the folder of pretrained networks",
-                             "run `make run` first, then give --models models")
-        return {}
-    if not models.is_dir():
-        raise InputError(f"--models {models}", "no such folder", "the folder of pretrained networks",
-                         "run `make run` first or check the path")
-    raise NotImplementedError
+    maps = DEFAULT_MAPS.get(method, EXACT) if maps is None else maps
+    if maps not in MAPS:
+        raise unknown_name("--maps", maps, MAPS)
+    files = {"bodies": BODIES_FILES[method]} if method in BODIES_FILES else {}
+    if method == "few-shot-adam":
+        files["operators"] = "operators.pt"
+    if maps != EXACT:
+        files["maps"] = f"maps_{maps}.pt"
+    folder = MODELS_FOLDER if models is None else models
+    if (files or models is not None) and not folder.is_dir():
+        raise InputError(f"--models {folder}", "no such folder", "the folder of pretrained networks",
+                         "make them with `make run` or check the path")
+    for name in files.values():
+        if not (folder / name).is_file():
+            raise InputError(f"--models {folder}", f"no {name}", "the files that `make run` writes",
+                             "make them with `make run` or check the path")
+    loaders = {"bodies": _load_bodies, "operators": _load_operators, "maps": _load_maps}
+    return {kind: loaders[kind](folder / name) for kind, name in files.items()}
+
+
+def _load_bodies(path: Path) -> Any:
+    from dieseltwin.surrogates.bodies import Bodies
+
+    return Bodies.load(path)
+
+
+def _load_operators(path: Path) -> Any:
+    from dieseltwin.surrogates.operators import ActuatorOperators
+
+    return ActuatorOperators.load(path)
+
+
+def _load_maps(path: Path) -> Any:
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+
+    return EmpiricalMaps.load(path)
 
 
 def _notes(source: Recording, parameters: EngineParameters) -> list[str]:

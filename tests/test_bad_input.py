@@ -304,13 +304,28 @@ def test_options(tmp_path: Path, drive: Path, refuse: Callable[..., Refusal]) ->
     out = tmp_path / "out"
     assert "did you mean classical?" in refuse("identify", drive, "--out", out, "--method", "clasical").line
     assert "1 or more" in refuse("identify", drive, "--out", out, "--runs", "0").line
-    assert "--models" in refuse("identify", drive, "--out", out, "--method", "few-shot-adam").line
-    assert "no such folder" in refuse("identify", drive, "--out", out, "--models", tmp_path / "none").line
+    assert "did you mean paper?" in refuse("identify", drive, "--out", out, "--maps", "papper").line
     assert ".parquet" in refuse("simulate", drive, "--out", tmp_path / "out.xlsx").line
     assert "--out" in refuse("simulate", drive).line
     assert "--runs" in refuse("identify", drive, "--out", out, "--runs", "many").line
     assert "--help" in refuse("identify", drive, "--oot", out).line
     assert "identify" in refuse("identifi", drive).line
+
+
+METHODS_WITH_NETWORKS = [("--method", "few-shot-adam"), ("--method", "few-shot-newton"), ("--maps", "improved")]
+
+
+@pytest.mark.parametrize("option", METHODS_WITH_NETWORKS, ids=lambda o: o[1])
+def test_models(tmp_path: Path, drive: Path, refuse: Callable[..., Refusal], option: tuple[str, str]) -> None:
+    command = ("identify", drive, "--out", tmp_path / "out", *option)
+    assert "no such folder" in refuse(*command, "--models", tmp_path / "none").line
+    (tmp_path / "models").mkdir()
+    said = refuse(*command, "--models", tmp_path / "models")
+    assert has_four_parts(said.line) and ".pt" in said.line and "make run" in said.line
+    for name in ("maps_paper.pt", "maps_improved.pt", "operators.pt", "bodies_paper.pt", "bodies_conditioned.pt"):
+        (tmp_path / "models" / name).write_bytes(b"no network")
+    said = refuse(*command, "--models", tmp_path / "models")
+    assert has_four_parts(said.line) and ".pt" in said.line
 
 
 # --- places that cannot be written to
