@@ -371,7 +371,8 @@ def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:
                          "choose one of these endings")
     with atomic_path(path) as temporary:
         if suffix in CSV_SUFFIXES:
-            frame.to_csv(temporary, index=False)
+            with temporary.open("w", encoding="utf-8", newline="") as file:  # pandas would hide the kind of failure
+                frame.to_csv(file, index=False, lineterminator="\n")
         else:
             frame.to_parquet(temporary, index=False)
     return path

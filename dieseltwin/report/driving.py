@@ -168,7 +168,7 @@ def _limits(axes: Axes, frame: pd.DataFrame, ecu: EcuConfig | None) -> None:
     if ecu is not None:
         axes.axvline(ecu.smoke_lambda_min, color=LIMIT, lw=0.9, ls="--")
         axes.axhline(100.0 * ecu.egr_fraction_max, color=LIMIT, lw=0.9, ls="--", label="limits")
-        axes.legend(loc="upper right")
+        axes.legend(loc="center right")
 
 
 def caption(frame: pd.DataFrame, ecu: EcuConfig | None = None) -> str:
