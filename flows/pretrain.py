@@ -8,6 +8,7 @@ from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from tasks import pretrain as steps
+from tasks import records
 from tasks.launch import run_alone
 from tasks.publish import publish, published
 from tasks.run_context import WORKERS, current, seed_for
@@ -36,7 +37,7 @@ def pretrain(profile: str) -> str:
     fine = steps.eta_tm_labels.submit(sets=sets, driving=driving, engine=engine)
     for kind in steps.BODY_KINDS:
         pending[f"bodies_{kind}"] = steps.bodies.submit(
-            lab=lab, kind=kind, config=config["bodies"], engine=engine, seed=seed(f"bodies {kind}")
+            lab=lab, kind=kind, config=config["bodies"], seed=seed(f"bodies {kind}")
         )
     for kind in steps.MAP_KINDS:
         pending[f"maps_{kind}"] = steps.maps.submit(
@@ -50,7 +51,9 @@ def pretrain(profile: str) -> str:
             seed=seed(f"maps {kind}"),
         )
     trained = {name: waiting.result() for name, waiting in pending.items()}
-    return publish(root / "models", steps.files_to_publish(trained)).sha256
+    models = publish(root / "models", steps.files_to_publish(trained))
+    records.pretrained(trained, lab, settings)
+    return models.sha256
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import sys
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from tasks import records, report
 from tasks import simulate as steps
 from tasks.launch import run_alone
 from tasks.publish import publish
@@ -20,8 +21,12 @@ def simulate(profile: str) -> str:
     settings = load_settings(profile)
     known = {name: settings[name] for name in ("driving", "engine")}
     sets = steps.driving_sets.submit(**known).result()
-    recordings = steps.case_recordings.submit(sets=sets, **known, noise=settings["noise"]).result()
-    return publish(current().workspace.root / "data", {"sets": sets.path, "": recordings.path}).sha256
+    pending = steps.case_recordings.submit(sets=sets, **known, noise=settings["noise"])
+    pictures = report.driving_pictures.submit(sets=sets, driving=settings["driving"], dpi=settings["report"]["dpi"])
+    recordings = pending.result()
+    data = publish(current().workspace.root / "data", {"sets": sets.path, "": recordings.path})
+    records.simulated(sets, recordings, pictures.result(), settings)
+    return data.sha256
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def _config(settings: dict[str, Any]) -> Any:
     from dieseltwin.config import IdentifyConfig
 
     fields = {
-        name: TypeAdapter(IdentifyConfig.model_fields[name].annotation).validate_python(value)
+        name: TypeAdapter[Any](IdentifyConfig.model_fields[name].annotation).validate_python(value)  # type: ignore[arg-type]
         for name, value in settings["identify"].items()
     }
     return IdentifyConfig.model_construct(**fields)
@@ -148,7 +148,6 @@ def adam(
 ) -> None:
     """The paper's loop, everything as printed: bodies, maps with dropout, actuator operators."""
     from dieseltwin.surrogates.bodies import Bodies
-
     from dieseltwin.surrogates.empirical import EmpiricalMaps
     from dieseltwin.surrogates.operators import ActuatorOperators
 

@@ -53,6 +53,21 @@ def run_alone(flow: Callable[..., Any], arguments: Sequence[str] | None = None) 
     return launch(flow, profile=parser.parse_args(arguments).profile)
 
 
+def serve(flow: Any, cron: str, **parameters: Any) -> int:
+    """Register the flow with its schedule on a server of its own and run it when it is due, until Ctrl-C."""
+    workspace = prepare_environment()
+    try:
+        with prefect_server(workspace, scheduled=True) as address:
+            print(f"{flow.name}: scheduled '{cron}' on {address}; Ctrl-C ends it", flush=True)
+            flow.serve(name="scheduled", cron=cron, parameters=parameters, print_starting_message=False)
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    except ServerFailed as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
 def _interrupt(signum: int, frame: FrameType | None) -> None:
     """End the workers first: Prefect waits for its threads, and they wait for them."""
     run_context.stop_workers()

@@ -159,8 +159,21 @@ def operators(
     pd.concat(curves, ignore_index=True).to_parquet(out / CURVES, index=False)
 
 
+_SYMBOLS = {
+    "u_egr1_pct": "u_egr1",
+    "u_egr2_pct": "u_egr2",
+    "u_vgt_act_pct": "u_vgt",
+    "p_im_pa": "p_im",
+    "p_em_pa": "p_em",
+    "omega_t_rad_s": "omega_t",
+    "x_r": "x_r",
+    "t_1_k": "T_1",
+}
+
+
 def _symbol(column: str) -> str:
-    return {"u_egr1_pct": "u_egr1", "u_egr2_pct": "u_egr2", "u_vgt_act_pct": "u_vgt"}[column]
+    """The paper's symbol, as the report and the tracker show it."""
+    return _SYMBOLS[column]
 
 
 @step("bodies", "multi-head bodies", expected_s=60.0)
@@ -171,11 +184,39 @@ def bodies(
     lab: Path,
     kind: str,
     config: dict[str, Any],
-    engine: dict[str, Any],
     seed: int,
 ) -> None:
-    """``bodies.pt``, one kind of the four bodies."""
-    raise NotImplementedError
+    """``bodies.pt``, one kind of the four bodies; held out: the laboratory recordings with other driving."""
+    import numpy as np
+    import pandas as pd
+
+    from dieseltwin.config import BodiesConfig
+    from dieseltwin.surrogates.bodies import BODIES, TRAINING_CASES, pod_floor, train_bodies
+
+    cases = _cases(lab)
+    trained = train_bodies(
+        cases,
+        BodiesConfig(**config),
+        seed,
+        kind,  # type: ignore[arg-type]
+        progress=_shares(progress, len(BODIES)),
+    )
+    trained.save(out / "bodies.pt")
+    held_out = [cases[name] for name in ("case_vi", "case_vii")]
+    widths = {name: body.width for name, body in trained.items()}
+    tables = {
+        "train": trained.training_errors(cases),
+        "held_out": trained.errors(held_out, "linear"),
+        "pod_floor": pod_floor([cases[name] for name in TRAINING_CASES], held_out, widths, "linear"),
+    }
+    columns = [column for group in BODIES.values() for column in group]
+    errors = {_symbol(column): {kind: table[column] for kind, table in tables.items()} for column in columns}
+    _write_json(out / ERRORS, errors)
+    curves = [
+        pd.DataFrame(np.asarray(body.curve), columns=["epoch", "value"]).assign(quantity=f"loss_{name}")
+        for name, body in trained.items()
+    ]
+    pd.concat(curves, ignore_index=True).to_parquet(out / CURVES, index=False)
 
 
 def files_to_publish(trained: Mapping[str, Artifact]) -> dict[str, Path]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tasks.run_context import step
+from tasks.run_context import current, step
+from tasks.store import RUNTIME, Artifact, content_hash
 
 PAGE = "index.html"
 METRICS = "metrics.json"
@@ -123,3 +125,17 @@ def report(
         summary_table(results).to_csv(out / SUMMARY, index=False)
         for figure in result_figures(results):
             figure.save(out / "figures")
+
+
+def run_times(methods: Mapping[str, Artifact]) -> dict[str, str]:
+    """Hash of each method's runtime.json."""
+    return {name: content_hash(artifact.path / RUNTIME) for name, artifact in methods.items()}
+
+
+def show(page: Artifact, folder: Path) -> None:
+    """Print the table, and where the report is."""
+    display = current().display
+    display.say("")
+    display.say((page.path / TABLE).read_text(encoding="utf-8"))
+    display.say(f"report: {folder / PAGE}")
+    display.say("compare runs: make ui")

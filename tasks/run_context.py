@@ -28,7 +28,7 @@ from typing import Any
 
 from tasks.progress import Display
 from tasks.sources import LIBRARY, LibrarySources, Sources, function_sources
-from tasks.store import Artifact, Store
+from tasks.store import RUNTIME, Artifact, Store
 from tasks.workspace import PROJECT, Workspace
 
 # One thread of linear algebra per process: two spinning threads beside a busy neighbour were 10-70 times slower than
@@ -45,6 +45,9 @@ _ONE_THREAD = {
 WORKERS = max(1, min(2, os.cpu_count() or 1))
 
 _LOG_TAIL_LINES = 12
+
+# How long a step took, beside its result and no part of its hash.
+TIMING = f"step/{RUNTIME}"
 
 STEPS: dict[str, Step] = {}
 
@@ -245,10 +248,13 @@ def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], par
     try:
         with context.store.writing(step.name, key, provenance) as out:
             _run_worker(step, context, key, out, inputs, parameters)
+            seconds = time.perf_counter() - started
+            (out / TIMING).parent.mkdir()
+            (out / TIMING).write_text(json.dumps({"step": name, "seconds": round(seconds, 3)}), encoding="utf-8")
     except BaseException:
         context.display.fail(name)
         raise
-    context.timings[name] = time.perf_counter() - started
+    context.timings[name] = seconds
     context.display.finish(name, title)
     stored = context.store.find(step.name, key)
     if stored is None:
@@ -260,6 +266,11 @@ def stop_workers() -> None:
     """Kill the workers of this process (Ctrl-C); the threads that wait for them remove their temporary folders."""
     for worker in tuple(_workers):
         worker.kill()
+
+
+def seconds_of(artifact: Artifact) -> float:
+    """Wall seconds [s] that the step behind a stored result took."""
+    return float(json.loads((artifact.path / TIMING).read_text(encoding="utf-8"))["seconds"])
 
 
 def _run_worker(

@@ -25,9 +25,11 @@ _START_TIMEOUT_S = 180.0
 _STOP_TIMEOUT_S = 5.0
 
 # Nothing is scheduled on a server that lives for one run.
-_NO_SERVICES = {
-    f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false"
-    for name in ("SCHEDULER", "LATE_RUNS", "PAUSE_EXPIRATIONS", "REPOSSESSOR", "FOREMAN", "CANCELLATION_CLEANUP")
+_SERVICES = ("SCHEDULER", "LATE_RUNS", "PAUSE_EXPIRATIONS", "REPOSSESSOR", "FOREMAN", "CANCELLATION_CLEANUP")
+_FOR_ONE_RUN = {
+    "PREFECT_UI_ENABLED": "0",
+    "PREFECT__SERVER_EPHEMERAL": "1",
+    **{f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false" for name in _SERVICES},
 }
 
 
@@ -36,10 +38,10 @@ class ServerFailed(RuntimeError):
 
 
 @contextmanager
-def prefect_server(workspace: Workspace) -> Iterator[str]:
+def prefect_server(workspace: Workspace, *, scheduled: bool = False) -> Iterator[str]:
     """Start a server (unless ``PREFECT_API_URL`` names one), point Prefect to it, stop it afterwards.
 
-    Yields the API's address.
+    ``scheduled``: with the services that a schedule needs. Yields the API's address.
     """
     given = os.environ.get("PREFECT_API_URL")
     if given:
@@ -55,7 +57,7 @@ def prefect_server(workspace: Workspace) -> Iterator[str]:
             stdout=stream,
             stderr=subprocess.STDOUT,
             cwd=PROJECT,
-            env={**os.environ, **_NO_SERVICES, "PREFECT_UI_ENABLED": "0", "PREFECT__SERVER_EPHEMERAL": "1"},
+            env={**os.environ, **({} if scheduled else _FOR_ONE_RUN)},
             start_new_session=True,
         )
     address = f"http://127.0.0.1:{port}/api"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Mapping
 from typing import Any
 
-from tasks.run_context import StepFailed
-from tasks.workspace import Workspace
+from tasks.run_context import StepFailed, current
+from tasks.store import Artifact
 
 DEFAULT_PROFILE = "quick"
 
@@ -17,8 +20,25 @@ def load_settings(profile: str) -> dict[str, Any]:
     from dieseltwin.errors import InputError
 
     try:
-        params = load_params(Workspace.current().params, profile)
+        params = load_params(current().workspace.params, profile)
     except InputError as error:
         raise StepFailed(str(error), exit_code=2) from error
     plain: dict[str, Any] = params.model_dump(mode="json")
     return plain
+
+
+def about(settings: Mapping[str, Any], recording: Artifact) -> dict[str, Any]:
+    """What the report says about where its numbers come from; nothing that differs between two equal runs."""
+    from dieseltwin import __version__
+
+    canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return {
+        "title": "Health of a heavy-duty diesel from noisy driving",
+        "recording": "Case-V, field parameters, noisy (simulated)",
+        "sha256": recording.sha256,
+        "profile": settings["profile"],
+        "seed": settings["seed"],
+        "params_sha256": hashlib.sha256(canonical.encode()).hexdigest(),
+        "code_version": __version__,
+        "commands": "make run, dvc repro",
+    }

@@ -49,7 +49,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class Record:
-    """What one MLflow run shows. ``identity`` is the hash of the result; ``children`` become nested runs."""
+    """What one MLflow run shows. ``identity`` is the hash of the result; ``children`` become nested runs.
+
+    ``datasets``: name -> sha256 of what the result was made from.
+    """
 
     name: str
     identity: str
@@ -61,6 +64,7 @@ class Record:
     description: str = ""
     seconds: float = 0.0
     children: Sequence[Record] = ()
+    datasets: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -163,6 +167,8 @@ class Tracker:
             self.client.log_batch(run_id, params=params[start : start + _PARAMS_A_BATCH])
         for start in range(0, len(metrics), _METRICS_A_BATCH):
             self.client.log_batch(run_id, metrics=metrics[start : start + _METRICS_A_BATCH])
+        if record.datasets:
+            self.client.log_inputs(run_id, datasets=[_dataset(*item) for item in record.datasets.items()])
 
     def _copy(self, uri: str, artifacts: Mapping[str, Path]) -> None:
         folder = self.workspace.mlruns / "artifacts" / uri.removeprefix(_SCHEME).lstrip("/")
@@ -183,6 +189,14 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             result[f"{prefix}{name}"] = value
     return result
+
+
+def _dataset(name: str, sha256: str) -> Any:
+    from mlflow.entities import Dataset, DatasetInput
+
+    # MLflow's digests are at most 36 characters
+    source = json.dumps({"path": name, "sha256": sha256})
+    return DatasetInput(Dataset(name=name, digest=sha256[:12], source_type="local", source=source), tags=[])
 
 
 def _text(value: Any) -> str:

@@ -1,0 +1,76 @@
+"""Noisy field recording -> health parameters, three ways, compared: ``results/``, and the report in ``reports/``."""
+
+from __future__ import annotations
+
+import sys
+
+from prefect import flow
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from tasks import identify as methods
+from tasks import records
+from tasks import report as steps
+from tasks.launch import run_alone
+from tasks.publish import publish, published
+from tasks.run_context import WORKERS, current, seed_for
+from tasks.settings import about, load_settings
+
+
+@flow(name="identify", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
+def identify(profile: str) -> str:
+    """Identify with every method, compare, report. Returns the hash of ``results/``."""
+    context = current()
+    root = context.workspace.root
+    settings = load_settings(profile)
+    config = settings["identify"]
+    field = published(root / "data" / "field", "simulate")
+    sets = published(root / "data" / "sets", "simulate")
+    models = published(root / "models", "pretrain")
+
+    # One after the other: seconds per run are those of an idle machine.
+    found = {
+        "classical": methods.classical.submit(
+            field=field,
+            settings=methods.own_settings(settings, "classical"),
+            runs=config["runs"],
+            seed=seed_for(settings["seed"], "classical"),
+        ).result(),
+        "few-shot-newton": methods.newton.submit(
+            field=field,
+            bodies=models / "bodies_conditioned.pt",
+            settings=methods.own_settings(settings, "newton"),
+            runs=config["runs"],
+            seed=seed_for(settings["seed"], "newton"),
+        ).result(),
+        "few-shot-adam": methods.adam.submit(
+            field=field,
+            bodies=models / "bodies_paper.pt",
+            maps=models / "maps_paper.pt",
+            operators=models / "operators.pt",
+            settings=methods.own_settings(settings, "adam"),
+            runs=config["adam"]["members"],
+            seed=seed_for(settings["seed"], "adam"),
+        ).result(),
+    }
+    pending = steps.driving_pictures.submit(sets=sets, driving=settings["driving"], dpi=settings["report"]["dpi"])
+    by_name = {name.removeprefix("few-shot-"): artifact for name, artifact in found.items()}
+    common = steps.comparison.submit(
+        **by_name,
+        field=field,
+        errors=models / "errors",
+        settings=methods.own_settings(settings, "classical"),
+        about=about(settings, field),
+    ).result()
+    page = steps.report.submit(
+        **by_name, common=common, pictures=pending.result(), run_times=steps.run_times(found)
+    ).result()
+    parts = {name: artifact.path for name, artifact in found.items()}
+    results = publish(root / "results", {"": common.path, **parts})
+    publish(context.workspace.reports, {"": page.path})
+    records.identified(found, common, page, {"field recordings": field, "models": models}, settings)
+    steps.show(page, context.workspace.reports)
+    return results.sha256
+
+
+if __name__ == "__main__":
+    sys.exit(run_alone(identify))

@@ -1,0 +1,34 @@
+"""The whole chain on a schedule: ``python -m flows.retrain --serve`` (once now: without ``--serve``)."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from prefect import flow
+
+from flows.run import run
+from tasks.launch import launch, serve
+from tasks.settings import DEFAULT_PROFILE
+
+
+@flow(name="retrain", description=__doc__)
+def retrain(profile: str) -> None:
+    """What changed since the last time is computed again: new data, new settings, new code."""
+    run(profile)
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml")
+    parser.add_argument("--serve", action="store_true", help="stay and run on the schedule")
+    parser.add_argument("--cron", default="0 3 * * 0", help="schedule, five fields (default: Sundays at 3:00)")
+    arguments = parser.parse_args()
+    if arguments.serve:
+        return serve(retrain, arguments.cron, profile=arguments.profile)
+    return launch(retrain, profile=arguments.profile)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

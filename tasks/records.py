@@ -1,0 +1,219 @@
+"""What MLflow is told: one experiment a flow, metrics named as the paper's symbols, figures, run times, members.
+
+Everything is read from the results' files, so that a result from the cache is logged as a fresh one is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tasks.run_context import current, seconds_of
+from tasks.store import Artifact
+from tasks.tracking import Curve, Record, Tracker, flat
+
+# Experiments in the order of the chain; MLflow shows the note above the table.
+EXPERIMENTS = {
+    "simulate": "Driving sets and recordings (Cases I to VII). One run per data set made; pictures under Artifacts.",
+    "pretrain": "What is learned from laboratory data. `test_error_pct/…`: relative L2 error on Case-V, by output, in "
+    "per cent; `training/…`: curves.",
+    "identify": "Health parameters of the field engine from noisy recordings (Case-V). Compare the three methods: "
+    "`A_egrmax`, `A_vgtmax`, `eta_sc`, `h_tot` are pooled estimates (SI units), `…_std` their standard deviation, "
+    "`…_error_pct` the deviation from the truth, `…_ratio_to_bound` the error over the Cramér-Rao bound. Runs nested "
+    "below a method are its members. `comparison` holds the HTML report.",
+}
+
+
+def _tracker() -> Tracker:
+    return Tracker(current().workspace)
+
+
+def warm_up() -> None:
+    """Make or open the database: some seconds, best spent while the first step computes."""
+    tracker = _tracker()
+    for name, note in EXPERIMENTS.items():
+        tracker.experiment(name, note)
+
+
+def _log(experiment: str, *records: Record) -> None:
+    tracker = _tracker()
+    experiment_id = tracker.experiment(experiment, EXPERIMENTS[experiment])
+    for record in records:
+        tracker.log(experiment_id, record)
+
+
+def _identity(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _files(folder: Path, pattern: str, under: str = "") -> dict[str, Path]:
+    return {f"{under}{path.name}": path for path in sorted(folder.glob(pattern))}
+
+
+def simulated(sets: Artifact, recordings: Artifact, pictures: Artifact, settings: Mapping[str, Any]) -> None:
+    """Log the data: how much there is, how it was made, what it looks like."""
+    import pyarrow.parquet as parquet
+
+    rows = {
+        f"rows/{path.stem}": float(parquet.read_metadata(path).num_rows)
+        for folder in (sets.path, recordings.path / "lab", recordings.path / "field")
+        for path in sorted(folder.glob("*.parquet"))
+    }
+    record = Record(
+        "data",
+        _identity(sets.sha256, recordings.sha256, pictures.sha256),
+        params=flat({name: settings[name] for name in ("engine", "driving", "noise")}),
+        metrics={**rows, "seconds": seconds_of(sets) + seconds_of(recordings)},
+        artifacts=_files(pictures.path, "*.png", "pictures/"),
+        tags={"profile": settings["profile"]},
+        seconds=seconds_of(sets) + seconds_of(recordings),
+    )
+    _log("simulate", record)
+
+
+def pretrained(trained: Mapping[str, Artifact], data: Artifact, settings: Mapping[str, Any]) -> None:
+    """Log each training: errors by output, curves, settings, time."""
+    import pandas as pd
+
+    records = []
+    for name, artifact in trained.items():
+        group, _, kind = name.partition("_")
+        errors = _read(artifact.path / "errors.json")
+        metrics = {
+            f"{measure}_error_pct/{output}": value
+            for output, values in errors.items()
+            for measure, value in values.items()
+        }
+        curves = []
+        path = artifact.path / "curves.parquet"
+        if path.exists():
+            for quantity, rows in pd.read_parquet(path).groupby("quantity"):
+                curves.append(Curve(f"training/{quantity}", rows["epoch"].astype(int).tolist(), rows["value"].tolist()))
+        section = settings["pretrain"][group]
+        config = {key: value for key, value in section.items() if key not in ("paper", "improved", "conditioned")}
+        records.append(
+            Record(
+                name,
+                _identity(name, artifact.sha256),
+                params=flat({**config, **(section[kind] if kind else {})}),
+                metrics={**metrics, "seconds": seconds_of(artifact)},
+                curves=curves,
+                artifacts={path.name: path for path in sorted(artifact.path.glob("*.*")) if path.suffix != ".pt"},
+                tags={"profile": settings["profile"], "kind": kind or "-"},
+                seconds=seconds_of(artifact),
+                datasets={"laboratory recordings": data.sha256},
+            )
+        )
+    _log("pretrain", *records)
+
+
+def identified(
+    methods: Mapping[str, Artifact],
+    comparison: Artifact,
+    report: Artifact,
+    inputs: Mapping[str, Artifact],
+    settings: Mapping[str, Any],
+) -> None:
+    """Log each method with its members, and the comparison with the report."""
+    metrics = _read(comparison.path / "metrics.json")
+    figures = sorted((report.path / "figures").glob("*"))
+    datasets = {name: artifact.sha256 for name, artifact in inputs.items()}
+    tags = {"profile": settings["profile"]}
+    records = []
+    for name, artifact in methods.items():
+        document = _read(artifact.path / "identification.json")
+        runtime = _read(artifact.path / "runtime.json")
+        words = name.replace("-", "_")
+        records.append(
+            Record(
+                name,
+                _identity(name, artifact.sha256, metrics[name], runtime["seconds"]),
+                params={"method": name, "runs": runtime["runs"], "segments": runtime["segments"]}
+                | flat(_own(settings["identify"], name)),
+                metrics={
+                    **metrics[name],
+                    "seconds_per_run": runtime["seconds_per_run"],
+                    "seconds": runtime["seconds"],
+                    "converged_share": _converged(document),
+                },
+                curves=_curves(artifact.path / "curves.parquet"),
+                artifacts={
+                    "identification.json": artifact.path / "identification.json",
+                    **{f"figures/{path.name}": path for path in figures if words in path.name},
+                },
+                tags=tags,
+                seconds=seconds_of(artifact),
+                children=_members(document, name, artifact.sha256),
+                datasets=datasets,
+            )
+        )
+    table = (report.path / "summary.txt").read_text(encoding="utf-8")
+    records.append(
+        Record(
+            "comparison",
+            _identity("comparison", report.sha256),
+            artifacts={
+                "report.html": report.path / "index.html",
+                "summary.csv": report.path / "summary.csv",
+                **{f"figures/{path.name}": path for path in figures},
+            },
+            tags=tags,
+            description=f"```\n{table}```\nThe report is `report.html` under Artifacts.",
+            datasets=datasets,
+        )
+    )
+    _log("identify", *records)
+
+
+def _own(section: Mapping[str, Any], method: str) -> dict[str, Any]:
+    names = {"classical": "classical", "few-shot-newton": "newton", "few-shot-adam": "adam"}
+    shared = {key: value for key, value in section.items() if key not in names.values()}
+    return {**shared, **section[names[method]]}
+
+
+def _converged(document: Mapping[str, Any]) -> float:
+    runs = document["runs"]
+    return sum(bool(run["converged"]) for run in runs) / max(1, len(runs))
+
+
+def _curves(path: Path) -> list[Curve]:
+    """Median over segments and runs of every convergence curve."""
+    import pandas as pd
+
+    if not path.exists():
+        return []
+    curves = []
+    for quantity, rows in pd.read_parquet(path).groupby("quantity"):
+        middle = rows.groupby("epoch")["value"].median()
+        curves.append(Curve(f"training/{quantity}", [int(epoch) for epoch in middle.index], middle.tolist()))
+    return curves
+
+
+def _members(document: Mapping[str, Any], method: str, sha256: str) -> list[Record]:
+    """One nested run for each member: its pooled values, and its values by segment as steps."""
+    members = []
+    for run in document["runs"]:
+        number = run["run"]
+        by_segment = [segment.get("parameters", {}) for segment in run["segments"]]
+        curves = []
+        for name in run["parameters"]:
+            pairs = [(i, values.get(name)) for i, values in enumerate(by_segment)]
+            known = [(i, value) for i, value in pairs if isinstance(value, int | float)]
+            curves.append(Curve(f"segments/{name}", [i for i, _ in known], [float(value) for _, value in known]))
+        members.append(
+            Record(
+                f"{method} member {number:02d}",
+                _identity(sha256, number),
+                metrics=run["parameters"],
+                curves=[curve for curve in curves if curve.steps],
+                tags={"converged": str(run["converged"]).lower()},
+            )
+        )
+    return members
