@@ -68,19 +68,12 @@ def fast_exp(x):  # type: ignore[no-untyped-def]
     x = select(x > -_EXP_LIMIT, x, -_EXP_LIMIT)
     n = _round_to_even(x * _LOG2_E)
     r = (x - n * _LN2_HIGH) - n * _LN2_LOW
-    p = 1.0 / 479001600.0
-    p = p * r + 1.0 / 39916800.0
-    p = p * r + 1.0 / 3628800.0
-    p = p * r + 1.0 / 362880.0
-    p = p * r + 1.0 / 40320.0
-    p = p * r + 1.0 / 5040.0
-    p = p * r + 1.0 / 720.0
-    p = p * r + 1.0 / 120.0
-    p = p * r + 1.0 / 24.0
-    p = p * r + 1.0 / 6.0
-    p = p * r + 0.5
-    p = p * r + 1.0
-    p = p * r + 1.0
+    r2 = r * r  # Estrin's scheme: half the latency of Horner's, and the simulator waits for latency
+    r4 = r2 * r2
+    low = (1.0 + r) + (0.5 + r * (1.0 / 6.0)) * r2
+    middle = (1.0 / 24.0 + r * (1.0 / 120.0)) + (1.0 / 720.0 + r * (1.0 / 5040.0)) * r2
+    high = (1.0 / 40320.0 + r * (1.0 / 362880.0)) + (1.0 / 3628800.0 + r * (1.0 / 39916800.0)) * r2
+    p = (low + middle * r4) + (high + r4 * (1.0 / 479001600.0)) * (r4 * r4)
     return p * _float_of((numba.int64(n) + 1023) << 52)
 
 
@@ -95,17 +88,12 @@ def fast_log(x):  # type: ignore[no-untyped-def]
     e = numba.float64(exponent) + select(large, 1.0, 0.0)
     s = (m - 1.0) / (m + 1.0)
     z = s * s
-    p = 1.0 / 21.0
-    p = p * z + 1.0 / 19.0
-    p = p * z + 1.0 / 17.0
-    p = p * z + 1.0 / 15.0
-    p = p * z + 1.0 / 13.0
-    p = p * z + 1.0 / 11.0
-    p = p * z + 1.0 / 9.0
-    p = p * z + 1.0 / 7.0
-    p = p * z + 1.0 / 5.0
-    p = p * z + 1.0 / 3.0
-    p = p * z + 1.0
+    z2 = z * z
+    z4 = z2 * z2
+    low = (1.0 + z * (1.0 / 3.0)) + (1.0 / 5.0 + z * (1.0 / 7.0)) * z2
+    middle = (1.0 / 9.0 + z * (1.0 / 11.0)) + (1.0 / 13.0 + z * (1.0 / 15.0)) * z2
+    high = (1.0 / 17.0 + z * (1.0 / 19.0)) + z2 * (1.0 / 21.0)
+    p = (low + middle * z4) + high * (z4 * z4)
     return e * _LN2_HIGH + (2.0 * s * p + e * _LN2_LOW)
 
 

@@ -6,7 +6,7 @@ from dieseltwin.engine.array_namespace import Array, exp
 
 
 def actuator_rate(u_delayed: Array, u_state: Array, tau: Array) -> Array:
-    """Rate of a first-order actuator state [%/s] (A.16, A.17, A.25): EGR with tau_egr1 and tau_egr2, VGT with tau_vgt."""
+    """Rate of an actuator state [%/s] (A.16, A.17, A.25): EGR with tau_egr1 and tau_egr2, VGT with tau_vgt."""
     return (u_delayed - u_state) / tau
 
 
