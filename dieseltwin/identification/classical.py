@@ -24,6 +24,7 @@ from dieseltwin.identification.result import SegmentEstimate, intervals_from_log
 from dieseltwin.identification.shooting import (
     N_HEALTH,
     N_UNKNOWNS,
+    UNKNOWNS,
     Shooting,
     ShootingRuns,
     Simulator,
@@ -43,6 +44,8 @@ HEALTH_RANGE = 3.0
 without information."""
 INITIAL_RANGE = 1.0
 """Initial states stay within this logarithm of the first readings."""
+NOTHING = np.array([], dtype=np.int64)
+START_PRESSURES = np.array([UNKNOWNS.index("p_im"), UNKNOWNS.index("p_em")])
 SECOND_LOOK = 0.4
 """A health parameter that ends further than this logarithm from its nominal value is fitted a second time."""
 SAMPLE_SPREAD = 0.5
@@ -149,6 +152,10 @@ def estimate(
 def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSettings) -> Fit:
     """Fit every run of every segment.
 
+    The sensor of W_egr has a kink where the flow stops; a start at which p_em falls below p_im can sit on
+    it. A run that ends
+    unconverged goes on with p_im and p_em of the start pinned there.
+
     At idle the likelihood can have a second minimum far away (more eta_sc balanced by more h_tot) that is
     nearly as good. A
     run that has not converged, or has ended far from the nominal values, is fitted once more from the
@@ -171,12 +178,14 @@ def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSet
     lower = np.concatenate([nominal - HEALTH_RANGE, start[:, N_HEALTH:] - INITIAL_RANGE], axis=1)
     upper = np.concatenate([nominal + HEALTH_RANGE, start[:, N_HEALTH:] + INITIAL_RANGE], axis=1)
 
-    def fitted(rows: NDArray[np.int_], at: Array) -> Fit:
+    def fitted(rows: NDArray[np.int_], at: Array, pinned: NDArray[np.int_] = NOTHING) -> Fit:
+        low, high = lower[rows], upper[rows]
+        low[:, pinned] = high[:, pinned] = at[:, pinned]
         return levenberg_marquardt(
             ShootingRuns(shooting, segment[rows], readings[rows]),
             at,
-            lower=lower[rows],
-            upper=upper[rows],
+            lower=low,
+            upper=high,
             step_max=STEP_MAX,
             tolerance=settings.tolerance,
             iterations_max=settings.iterations_max,
@@ -188,6 +197,9 @@ def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSet
     for first in range(0, len(segment), BLOCK):
         rows = np.arange(first, min(first + BLOCK, len(segment)))
         fit = fitted(rows, start[rows])
+        stuck = np.flatnonzero(~fit.converged)
+        if len(stuck):
+            fit = keep_better(fit, fitted(rows[stuck], fit.unknowns[stuck], START_PRESSURES), stuck)
         moved = np.abs(fit.unknowns[:, :N_HEALTH] - nominal[rows]).max(axis=1)
         again = np.flatnonzero((moved > SECOND_LOOK) | ~fit.converged)
         if len(again):

@@ -114,20 +114,18 @@ def levenberg_marquardt(
     first = linearise(everything, x, np.ones(count, dtype=bool))
     cost, gradient, hessian = first.cost.copy(), first.gradient.copy(), first.hessian.copy()
     factor = np.broadcast_to(damping, (count,)).astype(np.float64)
-    decrement = _decrement(gradient, hessian, x, lower, upper)
+    decrement, _ = _newton(gradient, hessian, x, lower, upper)
     iterations = np.ones(count, dtype=np.int64)
     stale = np.zeros(count, dtype=bool)  # the Jacobian belongs to an earlier point
-    renewal = np.zeros(
-        count, dtype=bool
-    )  # no step: the next evaluation renews the Jacobian at the current point
+    renewal = np.zeros(count, dtype=bool)  # no step next: the Jacobian is renewed where the problem stands
     active = everything[np.isfinite(cost) & (decrement > tolerance)]
     for _ in range(iterations_max):
         if not len(active):
             break
         again = renewal[active]
-        step = np.where(
-            again[:, None], 0.0, _step(gradient[active], hessian[active], factor[active], step_max)
-        )
+        blocked = _blocked(gradient[active], x[active], lower[active], upper[active])
+        reduced = _reduced(gradient[active], hessian[active], blocked)
+        step = np.where(again[:, None], 0.0, _step(*reduced, factor[active], step_max))
         trial = np.clip(x[active] + step, lower[active], upper[active])
         step = trial - x[active]
         square = np.einsum("lj,ljk,lk->l", step, hessian[active], step)
@@ -146,11 +144,11 @@ def levenberg_marquardt(
         x[moved], cost[moved] = trial[accepted], there.cost[accepted]
         gradient[moved], hessian[moved] = there.gradient[accepted], there.hessian[accepted]
         stale[moved], renewal[active] = ~renew[accepted], ask
-        decrement[moved] = _decrement(gradient[moved], hessian[moved], x[moved], lower[moved], upper[moved])
+        decrement[moved], _ = _newton(gradient[moved], hessian[moved], x[moved], lower[moved], upper[moved])
         # A refused step that promised next to nothing: a kink of the model, not a way on.
         stuck = rises & ((predicted < NEGLIGIBLE) | (factor[active] >= DAMPING_MAX))
         active = active[(decrement[active] > tolerance) & ~stuck]
-    remaining = _remaining(gradient, hessian, x, lower, upper)[:, interest].max(axis=1)
+    remaining = _newton(gradient, hessian, x, lower, upper)[1][:, interest].max(axis=1)
     converged = np.isfinite(cost) & (remaining <= CONVERGED_BELOW)
     return Fit(x, Linearisation(cost, gradient, hessian), factor, decrement, remaining, iterations, converged)
 
@@ -227,6 +225,18 @@ EQUAL_COST = 0.01
 _TINY = np.finfo(np.float64).tiny
 
 
+def _blocked(gradient: Array, x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
+    """Unknowns that the gradient pushes against their box, (L, m); one with lower = upper is pinned."""
+    return ((x <= lower) & (gradient >= 0.0)) | ((x >= upper) & (gradient <= 0.0))
+
+
+def _reduced(gradient: Array, hessian: Array, blocked: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The problem without its blocked unknowns: no gradient, no coupling, a curvature that moves nothing."""
+    free = ~blocked
+    coupled = hessian * free[:, :, None] * free[:, None, :]
+    return np.where(blocked, 0.0, gradient), coupled + blocked[:, :, None] * np.eye(hessian.shape[-1])
+
+
 def _step(gradient: Array, hessian: Array, factor: Array, step_max: Array) -> Array:
     diagonal = np.maximum(np.diagonal(hessian, axis1=1, axis2=2), CURVATURE_MIN)
     damped = hessian + (factor[:, None] * diagonal)[:, :, None] * np.eye(hessian.shape[-1])
@@ -235,31 +245,17 @@ def _step(gradient: Array, hessian: Array, factor: Array, step_max: Array) -> Ar
     return np.asarray(step / np.maximum(1.0, np.max(np.abs(step) / step_max, axis=1))[:, None])
 
 
-def _free_gradient(gradient: Array, x: Array, lower: Array, upper: Array) -> Array:
-    """Gradient without the parts that push against the box."""
-    blocked = ((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))
-    return np.where(blocked, 0.0, gradient)
-
-
-def _decrement(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> Array:
-    free = _free_gradient(gradient, x, lower, upper)
-    finite = np.isfinite(free).all(axis=1) & np.isfinite(hessian).all(axis=(1, 2))
-    result = np.full(len(gradient), np.inf)
-    variance = covariance(hessian[finite])
-    square = np.einsum("lj,ljk,lk->l", free[finite], variance, free[finite])
-    result[finite] = np.sqrt(np.maximum(square, 0.0))
-    return result
-
-
-def _remaining(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> Array:
-    """Newton step of each unknown over its standard deviation, (L, m)."""
-    free = _free_gradient(gradient, x, lower, upper)
-    finite = np.isfinite(free).all(axis=1) & np.isfinite(hessian).all(axis=(1, 2))
-    result = np.full(gradient.shape, np.inf)
-    variance = covariance(hessian[finite])
-    step = np.einsum("ljk,lk->lj", variance, free[finite])
-    result[finite] = np.abs(step) / np.sqrt(np.diagonal(variance, axis1=1, axis2=2))
-    return result
+def _newton(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Newton decrement (L,) and each unknown's Newton step over its standard deviation (L, m); infinite
+    after a failure."""
+    reduced, curvature = _reduced(gradient, hessian, _blocked(gradient, x, lower, upper))
+    finite = np.isfinite(reduced).all(axis=1) & np.isfinite(curvature).all(axis=(1, 2))
+    decrement, remaining = np.full(len(x), np.inf), np.full(x.shape, np.inf)
+    variance = covariance(curvature[finite])
+    step = np.einsum("ljk,lk->lj", variance, reduced[finite])
+    decrement[finite] = np.sqrt(np.maximum(np.einsum("lj,lj->l", step, reduced[finite]), 0.0))
+    remaining[finite] = np.abs(step) / np.sqrt(np.diagonal(variance, axis1=1, axis2=2))
+    return decrement, remaining
 
 
 def covariance(hessian: Array) -> Array:
