@@ -53,7 +53,7 @@ def case_v(params, set_ii) -> pd.DataFrame:
     return make_case("case_v", params, set_ii.inputs)
 
 
-# --- sets ------------------------------------------------------------------------------------------------------------
+# --- sets -----------------------------------------------------------------------------------------------------------
 
 
 def test_durations_and_steps(params, set_ii, set_iii):
@@ -98,7 +98,8 @@ def test_limits_hold_with_reserve(params, set_ii, set_iii):
     for driven in (set_ii, set_iii):
         assert not any(rows.any() for rows in limit_breaks(driven.response, params.driving.ecu).values())
         assert driven.response["omega_t_rad_s"].max() < 0.88 * params.driving.ecu.turbo_speed_max_rad_s
-        for name, limits in zip(INPUTS, (LAB.n_e_range, LAB.u_delta_range, LAB.u_egr_range, LAB.u_vgt_range), strict=True):
+        ranges = (LAB.n_e_range, LAB.u_delta_range, LAB.u_egr_range, LAB.u_vgt_range)
+        for name, limits in zip(INPUTS, ranges, strict=True):
             assert driven.inputs[name].between(*limits).all()
 
 
@@ -130,7 +131,7 @@ def test_unknown_names_and_short_sets_are_one_line(params):
         set_demand("set_i", params.driving.model_copy(update={"sets": {"set_i": short}}))
 
 
-# --- cases -------------------------------------------------------------------------------------------------------------
+# --- cases ----------------------------------------------------------------------------------------------------------
 
 
 def test_ambients_are_the_papers(params):
@@ -193,7 +194,7 @@ def test_case_survives_the_file_and_is_a_recording(tmp_path, params, case_v):
     np.testing.assert_array_equal(cut[3].columns["eta_c"], case_v["eta_c"][900:1201])
 
 
-# --- noise -------------------------------------------------------------------------------------------------------------
+# --- noise ----------------------------------------------------------------------------------------------------------
 
 
 def test_noise_has_the_printed_size(params, case_v):
@@ -222,7 +223,7 @@ def test_noise_draws_repeat_and_differ(params, case_v):
     np.testing.assert_array_equal(fewer["t_em_k"], again["t_em_k"])
 
 
-# --- validation and benchmark --------------------------------------------------------------------------------------------
+# --- validation and benchmark ---------------------------------------------------------------------------------------
 
 
 def test_validation_has_other_health_and_refuses_used_seeds(params):
@@ -252,7 +253,7 @@ def test_benchmark_driving_is_the_reference_trace(params, project_root):
     assert np.abs(other.columns["p_em_pa"] - made.columns["p_em_pa"]).max() > 1000.0
 
 
-# --- pictures ------------------------------------------------------------------------------------------------------------
+# --- pictures -------------------------------------------------------------------------------------------------------
 
 
 def test_picture_of_a_set_says_what_it_shows(params, set_ii):
