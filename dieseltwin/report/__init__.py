@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dieseltwin.identification.curves import curves_table
 from dieseltwin.report.html import build_report, render, result_figures
-from dieseltwin.report.inputs import curves_table, results_of, write_report_inputs
+from dieseltwin.report.inputs import results_of, write_report_inputs
 from dieseltwin.report.results import MethodResult, Results, load_method, load_results
 from dieseltwin.report.tables import headline, segment_table, summary_table, summary_text
 

@@ -11,7 +11,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dieseltwin.atomic import write_text
-from dieseltwin.report import captions, charts, quantities, style, timeseries, training
+from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
+from dieseltwin.report.driving import SET_TITLES
 from dieseltwin.report.results import PARAMETERS, Results, load_results
 from dieseltwin.report.style import ReportFigure
 from dieseltwin.report.tables import headline, segment_table, summary_table
@@ -59,8 +60,8 @@ def _sections(results: Results) -> list[Section]:
             "",
             _kept(
                 charts.identifiability_map(results),
-                charts.violins(results),
-                charts.violins(results, close=True),
+                violins.violins(results),
+                violins.violins(results, close=True),
             ),
             table=_segment_rows(results),
         ),
@@ -141,6 +142,13 @@ def _segment_rows(results: Results) -> dict[str, Any]:
     return {"heads": heads, "groups": groups}
 
 
+def _given(results: Results) -> list[tuple[str, str]]:
+    """What each method was given (exact formulae or learned maps, ..), as report.json says under "methods"."""
+    words = results.about.get("methods") or {}
+    labels = {m.method: style.method_style(m.method).label for m in results.methods}
+    return [(labels[name], _plain(text)) for name, text in words.items() if name in labels]
+
+
 def _provenance(results: Results) -> list[tuple[str, str]]:
     about = results.about
     names = {
@@ -214,9 +222,9 @@ def _about_line(results: Results) -> str:
 
 def _picture(path: Path) -> dict[str, str]:
     kind = path.suffix.removeprefix(".")
-    title = path.stem.replace("_", " ").replace("-", " ")
-    uri = style.data_uri(path.read_bytes(), kind)
-    return {"name": path.stem, "title": title[:1].upper() + title[1:], "caption": "", "uri": uri}
+    plain = path.stem.replace("_", " ").replace("-", " ")
+    title = SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:])
+    return {"name": path.stem, "title": title, "caption": "", "uri": style.data_uri(path.read_bytes(), kind)}
 
 
 def _figure(figure: ReportFigure, dpi: int) -> dict[str, str]:
@@ -239,6 +247,7 @@ def _page(results: Results, sections: Sequence[Section], dpi: int) -> str:
         about=_about_line(results),
         headline=headline(results),
         summary_note=captions.SUMMARY.format(ratio=note),
+        given=_given(results),
         known_truth=known,
         known_nominal=bool(results.nominal),
         ratio_title="error over bound" if known else "std over bound",
@@ -258,9 +267,7 @@ def _page(results: Results, sections: Sequence[Section], dpi: int) -> str:
     )
 
 
-def render(results: Results) -> str:
-    """The whole page as text; time series are drawn more coarsely where the page would exceed its size limit."""
-    sections = _sections(results)
+def _fitting_page(results: Results, sections: Sequence[Section]) -> str:
     page = ""
     for dpi in _SMALLER_DPI:
         page = _page(results, sections, dpi)
@@ -269,15 +276,28 @@ def render(results: Results) -> str:
     return page
 
 
-def build_report(results_dir: str | Path, out_html: str | Path) -> Path:
+def render(results: Results) -> str:
+    """The whole page as text; time series are drawn more coarsely where the page would exceed its size limit."""
+    return _fitting_page(results, _sections(results))
+
+
+def build_report(
+    results_dir: str | Path, out_html: str | Path, *, figures_dir: str | Path | None = None
+) -> Path:
     """Build the report from stored results and write it atomically.
 
     ``results_dir`` holds one folder per method as ``dieseltwin identify --out`` writes it, and optionally report.json,
     truth.json, truth.parquet, measured.parquet with measured.json, pretraining.json and driving/. Returns the path.
+    ``figures_dir``: where to save the page's figures as files too (drawn once for both).
 
     Errors: InputError where there are no results or a file is broken.
     """
     out = Path(out_html)
-    page = render(load_results(Path(results_dir)))
+    results = load_results(Path(results_dir))
+    sections = _sections(results)
+    page = _fitting_page(results, sections)
     out.parent.mkdir(parents=True, exist_ok=True)
+    if figures_dir is not None:
+        for figure in (figure for section in sections for figure in section.figures):
+            figure.save(Path(figures_dir))
     return write_text(out, page)

@@ -10,13 +10,12 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.atomic import atomic_path, write_json
+from dieseltwin.identification.curves import curves_table
 from dieseltwin.report.results import PARAMETERS, Results, method_from_document
 from dieseltwin.report.statistics import MEASURED_COLUMNS
 
 if TYPE_CHECKING:
     from dieseltwin.identification import Identification, SegmentProblem
-
-EPOCH = "epoch"
 
 
 def measured_table(problems: Sequence[SegmentProblem]) -> pd.DataFrame:
@@ -48,29 +47,6 @@ def known_truth(problems: Sequence[SegmentProblem]) -> dict[str, float] | None:
 def nominal_values(problems: Sequence[SegmentProblem]) -> dict[str, float]:
     """Health parameters of the engine file [SI], where the search starts: what "nominal" means in the report."""
     return {p: float(getattr(problems[0].parameters, p)) for p in PARAMETERS}
-
-
-def curves_table(identification: Identification) -> pd.DataFrame | None:
-    """Convergence curves of all segments in long form: epoch, segment, run, quantity, value; None without curves.
-
-    `SegmentEstimate.curves` holds arrays (n,) or (n, R) and, under "epoch", the epochs (n,) that belong to them.
-    """
-    parts = []
-    for number, segment in enumerate(identification.segments):
-        epochs = segment.curves.get(EPOCH)
-        for name, curve in segment.curves.items():
-            values = np.asarray(curve, dtype=np.float64)
-            if name == EPOCH or values.ndim not in (1, 2) or not len(values):
-                continue
-            axis = (
-                np.asarray(epochs)
-                if epochs is not None and len(epochs) == len(values)
-                else np.arange(len(values))
-            )
-            for run, column in enumerate(values.reshape(len(values), -1).T):
-                frame = {"epoch": axis, "segment": number, "run": run, "quantity": name, "value": column}
-                parts.append(pd.DataFrame(frame))
-    return pd.concat(parts, ignore_index=True) if parts else None
 
 
 def results_of(

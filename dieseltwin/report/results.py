@@ -264,12 +264,14 @@ def _rank(result: MethodResult) -> tuple[int, str]:
 
 
 def load_results(results_dir: Path) -> Results:
-    """Read a folder of stored results (every ``identification.json`` below it and the optional files beside them).
+    """Read a folder of stored results (every ``identification.json`` up to two levels down, and the optional files).
 
     Errors: InputError where the folder holds no ``identification.json`` or a file is broken.
     """
     root = Path(results_dir)
-    folders = sorted({path.parent for path in root.rglob("identification.json")})
+    # not rglob: it doesn't enter linked folders, and a pipeline may link results instead of copying them
+    patterns = ("identification.json", "*/identification.json", "*/*/identification.json")
+    folders = sorted({path.parent for pattern in patterns for path in root.glob(pattern)})
     if not folders:
         raise InputError(
             str(root),

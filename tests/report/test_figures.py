@@ -13,17 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from dieseltwin.report import Results, quantities
-from dieseltwin.report.charts import (
-    SMALLEST_RATIO,
-    bound_ratio,
-    identifiability_map,
-    run_times,
-    swarm,
-    violins,
-)
+from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map, run_times
 from dieseltwin.report.results import PARAMETERS
 from dieseltwin.report.style import METHODS, TRUTH, ReportFigure, method_style
 from dieseltwin.report.timeseries import RESIDUAL_LIMIT, states, trajectories
+from dieseltwin.report.violins import swarm, violins
 
 # a label ends in a unit in brackets, e.g. "[kPa]", "[–]", "[% of value]", "[s], logarithmic"; categories have none
 UNIT = re.compile(r"\[[^\]]+\](, logarithmic)?$")

@@ -97,6 +97,17 @@ def test_recording_without_truth_one_segment_one_method(tmp_path: Path) -> None:
     assert "1 segment)" in text
 
 
+def test_linked_folders_and_figures_as_files(tmp_path: Path) -> None:
+    root = synthetic.write_results(
+        tmp_path / "r", ("classical",), segments=1, states=False, pretraining=False
+    )
+    (tmp_path / "linked").mkdir()
+    (tmp_path / "linked" / "classical").symlink_to(root / "classical", target_is_directory=True)
+    page = build_report(tmp_path / "linked", tmp_path / "x.html", figures_dir=tmp_path / "figures")
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert "violins.svg" in names and page.read_text(encoding="utf-8").count("<figure") == len(names)
+
+
 def test_nothing_identifiable_and_no_states(tmp_path: Path) -> None:
     root = synthetic.write_results(
         tmp_path / "r",
