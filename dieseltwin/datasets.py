@@ -39,7 +39,7 @@ NOISE_NAMES = ("p_im", "p_em", "omega_t", "w_egr", "t_em", "w_c")
 JOINT_S = 4.0  # passage between blocks of driving: the longest ramp of the random driving
 # Set-II is arranged around the only long idle in the second half of the WHTC, seconds 1146-1195
 SET_II_START_S, SET_II_IDLE_END_S = 1061, 1195
-SET_II_IDLE_UNTIL_S = 181  # from there on it drives again: minute 2-3 is all idle
+SET_II_IDLE_UNTIL_S, SET_II_BUSY_UNTIL_S = 181, 300  # minute 2-3 is all idle, minutes 3-5 are all driving
 SCHEDULE_HALF_S, SCHEDULE_END_S = 900, 1800
 # 24 minutes do not hold the WHSC (1895 s): the sets take its start (idle, full load, part load at one speed), ten
 # minutes of the WHTC and random driving for the rest
@@ -113,7 +113,8 @@ def _set_ii(config: DrivingConfig, duration_s: float, step_s: float, rng: np.ran
     rest_s = duration_s - rows * step_s
     _check_rest(rest_s)
     idle_s = SET_II_IDLE_UNTIL_S - start.time_s.size * step_s
-    middle = random_demand(rest_s, step_s, config.random, rng, idle_start_s=idle_s)
+    busy_s = SET_II_BUSY_UNTIL_S - start.time_s.size * step_s
+    middle = random_demand(rest_s, step_s, config.random, rng, idle_start_s=idle_s, busy_until_s=busy_s)
     return smoothed_demand(joined([start, middle, *tail], step_s, JOINT_S), config.random)
 
 

@@ -81,7 +81,7 @@ def test_set_ii_is_arranged_as_in_the_paper(params, set_ii):
         return frame[(time >= first_s) & (time < last_s)]
 
     driving = {span: (part(*span)["n_e_rpm"] > 700.0).mean() for span in [(0, 60), (180, 240), (240, 300)]}
-    assert driving[(0, 60)] == 1.0 and driving[(180, 240)] > 0.9 and driving[(240, 300)] > 0.5
+    assert driving[(0, 60)] == 1.0 and driving[(180, 240)] > 0.9 and driving[(240, 300)] == 1.0
     enters = part(60, 120)
     assert enters["n_e_rpm"].iloc[:50].min() > 900.0 and enters["n_e_rpm"].iloc[-50:].max() < 640.0
     idle = part(120, 180)

@@ -21,6 +21,7 @@ def random_demand(
     rng: np.random.Generator,
     *,
     idle_start_s: float = 0.0,
+    busy_until_s: float = 0.0,
 ) -> Demand:
     """Levels of speed and load held for some seconds, joined by ramps, a share of them idle.
 
@@ -30,12 +31,14 @@ def random_demand(
         config: ranges of the levels.
         rng: the only source of randomness.
         idle_start_s: begin with so many seconds of idle [s]; they do not count in the share of idle.
+        busy_until_s: no other level idles that starts before this time [s].
     """
     holds, ramps = _durations(duration_s - idle_start_s, config, rng)
     n = holds.size
     speed = rng.uniform(*config.speed_rpm, n)
     load = rng.uniform(*config.load_rel, n)
-    idle = _idle_levels(holds + ramps, config, rng)
+    starts = idle_start_s + np.cumsum(holds + ramps) - (holds + ramps)
+    idle = _idle_levels(holds + ramps, starts >= busy_until_s, config, rng)
     speed = np.where(idle, rng.uniform(*config.idle_speed_rpm, n), speed)
     torque = np.where(idle, 0.0, load * full_load_torque(speed))
     if idle_start_s > 0.0:
@@ -64,13 +67,15 @@ def _durations(
     return holds[:needed], ramps[:needed]
 
 
-def _idle_levels(lengths: np.ndarray, config: RandomDrivingConfig, rng: np.random.Generator) -> np.ndarray:
+def _idle_levels(
+    lengths: np.ndarray, may_idle: np.ndarray, config: RandomDrivingConfig, rng: np.random.Generator
+) -> np.ndarray:
     """Which levels idle: drawn one by one until the drawn share of the time is reached."""
     share = rng.uniform(*config.idle_share)
     idle = np.zeros(lengths.size, dtype=bool)
     for level in rng.permutation(lengths.size):
         with_it = lengths[idle].sum() + lengths[level]
-        if with_it <= share * lengths.sum():
+        if may_idle[level] and with_it <= share * lengths.sum():
             idle[level] = True
     return idle
 
