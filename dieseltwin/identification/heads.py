@@ -1,7 +1,10 @@
-"""Trajectories as heads on a frozen body: states and their rates are linear in the heads before the output transform.
+"""Trajectories as heads on a frozen body: states and their rates are linear in the heads before the output
+transform.
 
-Source: paper, section "Few-shot transfer learning", y = h W_out + b_out and dy/dt = (dh/dt) W_out, with the output
-transforms of the table "Neural network for PINN". The bias is one more head on a constant column. The columns are
+Source: paper, section "Few-shot transfer learning", y = h W_out + b_out and dy/dt = (dh/dt) W_out, with the
+    output
+transforms of the table "Neural network for PINN". The bias is one more head on a constant column. The
+columns are
 made orthonormal once (QR): a trained body's own columns have condition numbers of 1e8 to 1e16.
 """
 
@@ -23,7 +26,8 @@ SCALES = (1e5, 1e5, 5e3)
 RANK_TOLERANCE = 1e-9
 """Columns of a body whose singular value is below this share of the largest carry rounding errors only."""
 SPLINE_WIDTHS = {"pressures": 125, "omega_t": 70}
-"""Widths of the last hidden layers in the paper's table; splines of the same width stand in where no body is given."""
+"""Widths of the last hidden layers in the paper's table; splines of the same width stand in where no body
+is given."""
 SPLINE_DEGREE = 3
 
 
@@ -89,11 +93,15 @@ class Heads:
         scale = z.new_tensor(SCALES)
         slope = torch.sigmoid(z)
         return Trajectory(
-            scale * torch.nn.functional.softplus(z), scale * slope * dz, scale * slope, scale * slope * (1.0 - slope) * dz
+            scale * torch.nn.functional.softplus(z),
+            scale * slope * dz,
+            scale * slope,
+            scale * slope * (1.0 - slope) * dz,
         )
 
     def project(self, states: Tensor) -> Tensor:
-        """Heads (R, size) of the least-squares projection of states (R, n, 3) in inverse-transformed space."""
+        """Heads (R, size) of the least-squares projection of states (R, n, 3) in inverse-transformed
+        space."""
         z = inverse_transform(states)
         return torch.cat([z[..., j] @ q for j, q in enumerate(self.columns)], -1)
 
@@ -105,7 +113,8 @@ class Trajectory:
     Attributes:
         states: [Pa, Pa, rad/s].
         rates: their time derivatives [per s].
-        slope: derivative of a state with respect to the linear output z; of a rate with respect to dz/dt, too.
+        slope: derivative of a state with respect to the linear output z; of a rate with respect to dz/dt,
+            too.
         bend: derivative of a rate with respect to z.
     """
 
@@ -146,15 +155,20 @@ def heads_for(time_s: ArrayLike, bodies: Any | None = None) -> Heads:
 
 
 def _orthonormal(h: Any, dh: Any, name: str) -> tuple[Tensor, Tensor]:
-    """Orthonormal columns that span a constant and the body, and their rates: Q = [1, h] T, dQ/dt = [0, dh/dt] T."""
+    """Orthonormal columns that span a constant and the body, and their rates: Q = [1, h] T, dQ/dt = [0,
+    dh/dt] T."""
     h, dh = (torch.as_tensor(np.asarray(v), dtype=torch.float64) for v in (h, dh))
     if h.shape[0] < h.shape[1]:
         raise InputError(
-            f"few-shot heads of {name}", f"{h.shape[0]} samples", f"{h.shape[1]} or more", "use longer segments"
+            f"few-shot heads of {name}",
+            f"{h.shape[0]} samples",
+            f"{h.shape[1]} or more",
+            "use longer segments",
         )
     one = torch.ones(h.shape[0], 1, dtype=torch.float64)
     full, rate = torch.cat([one, h], 1), torch.cat([torch.zeros_like(one), dh], 1)
     u, s, vt = torch.linalg.svd(full, full_matrices=False)
     keep = s > RANK_TOLERANCE * s[0]
-    # U = full V / s: the same combination of the rates. Splines sum to one, so the constant adds nothing there.
+    # U = full V / s: the same combination of the rates. Splines sum to one, so the constant adds nothing
+    # there.
     return u[:, keep].contiguous(), (rate @ (vt[keep].T / s[keep])).contiguous()

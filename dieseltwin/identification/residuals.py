@@ -1,6 +1,7 @@
 """Physics residuals and predicted readings at given states, over (runs, time), with pointwise derivatives.
 
-Every formula is the engine's own (`engine.bind("torch")`): this module only asks for `quantities` and differentiates
+Every formula is the engine's own (`engine.bind("torch")`): this module only asks for `quantities` and
+differentiates
 them. Learned maps take the place of formulas by `bind("torch", replace=maps)`.
 """
 
@@ -11,19 +12,21 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
-import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
+from torch.func import jvp, vmap
 
 from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, bind, constants
 
 N_HEALTH = len(HEALTH)
 N_POINT = 3 + N_HEALTH
-"""Quantities that a point's derivatives are taken with respect to: p_im, p_em, omega_t and four log-parameters."""
+"""Quantities that a point's derivatives are taken with respect to: p_im, p_em, omega_t and four
+log-parameters."""
 
 X_R_START, T_1_START = 0.03, 310.0
 """Start of the cylinder's fixed point (NOTES), x_r [-] and T_1 [K]."""
 COLD_SWEEPS, WARM_SWEEPS = 4, 2
-"""Pairs of sweeps of the fixed point; each pair shrinks the error 400-fold, a warm start is off by a step's change."""
+"""Pairs of sweeps of the fixed point; each pair shrinks the error 400-fold, a warm start is off by a step's
+change."""
 
 
 class DrivenInputs(NamedTuple):
@@ -49,7 +52,7 @@ def driven_inputs(actuation: Actuation, dtype: torch.dtype = torch.float64) -> D
     columns = (
         actuation.inputs.n_e_rpm[rows], actuation.inputs.u_delta_mg[rows], actuation.u_egr, actuation.u_vgt
     )  # fmt: skip
-    return DrivenInputs(*(torch.as_tensor(c, dtype=torch.float64).to(dtype) for c in columns))
+    return DrivenInputs(*(torch.tensor(c, dtype=dtype) for c in columns))
 
 
 class Cylinder(NamedTuple):
@@ -67,7 +70,8 @@ class Point:
         rates: (.., n, 3) dp_im/dt, dp_em/dt [Pa/s], domega_t/dt [rad/s2].
         readings: (.., n, 3) W_egr [kg/s], T_em [K], W_c [kg/s]: the readings that are not states.
         cylinder: x_r and T_1, also the warm start of the next call.
-        d_rates: (.., n, 3, 7) derivatives with respect to p_im, p_em, omega_t and the log-parameters; None if not asked.
+        d_rates: (.., n, 3, 7) derivatives with respect to p_im, p_em, omega_t and the log-parameters; None
+            if not asked.
         d_readings: (.., n, 3, 7) the same of `readings`.
     """
 
@@ -81,26 +85,35 @@ class Point:
 class PointModel:
     """The engine's equations at points, x_r and T_1 eliminated exactly.
 
-    The fixed point of x_r and T_1 (A.9, A.10) is solved by the engine's own sweeps. Its derivative follows from the
-    implicit function theorem, (I - dg/d(x_r, T_1))^-1 dg/d(states, parameters), a 2 x 2 system at each point; nothing
-    is unrolled. Derivatives are forward mode: nine directions in one stacked tensor program.
+    The fixed point of x_r and T_1 (A.9, A.10) is solved by the engine's own sweeps. Its derivative follows
+    from the
+    implicit function theorem, (I - dg/d(x_r, T_1))^-1 dg/d(states, parameters), a 2 x 2 system at each
+    point; nothing
+    is unrolled. Derivatives are forward mode: nine directions share one evaluation of the values.
 
     Args:
         parameters: known parameters (the health values in it are not used).
         maps: equation name -> learned map over torch tensors, or None for the exact formulae.
+        lanes: runs R that the maps hold a member for each, 1 where all runs share one.
     """
 
     def __init__(
-        self, parameters: EngineParameters, maps: Mapping[str, Callable[..., Tensor]] | None = None
+        self,
+        parameters: EngineParameters,
+        maps: Mapping[str, Callable[..., Tensor]] | None = None,
+        lanes: int = 1,
     ) -> None:
         self.model = bind("torch", replace=maps)
+        self.lanes = lanes
         self.constants: Constants = constants(parameters)
 
     def with_health(self, health: tuple[Tensor, ...] | list[Tensor]) -> Constants:
         """The constants with tensors (broadcasting against the points) in place of the four health values."""
         return self.constants._replace(**dict(zip(HEALTH, health, strict=True)))
 
-    def cylinder(self, states: Tensor, health: list[Tensor], inputs: DrivenInputs, start: Cylinder | None) -> Cylinder:
+    def cylinder(
+        self, states: Tensor, health: list[Tensor], inputs: DrivenInputs, start: Cylinder | None
+    ) -> Cylinder:
         """Fixed point x_r, T_1 at states (.., n, 3); `start` None starts cold."""
         c = self.with_health(health)
         p_im, p_em = states[..., 0], states[..., 1]
@@ -140,22 +153,18 @@ class PointModel:
             return Point(torch.stack(rates, -1), torch.stack(readings, -1), cylinder)
 
         shape = states.shape[:-1]
-        n_dir = 5 + N_HEALTH
-        with forward_ad.dual_level():
-            duals = []
-            for i, value in enumerate([*x, *health]):
-                # A health value moves by itself in the direction of its logarithm.
-                tangent = torch.zeros((n_dir, *shape), dtype=states.dtype)
-                tangent[i] = 1.0 if i < 5 else value
-                duals.append(forward_ad.make_dual(value.expand((n_dir, *shape)).clone(), tangent))
-            rates, readings, fixed = _columns(self.model.quantities(*duals[:5], *inputs, self.with_health(duals[5:])))
-            values, tangents = [], []
-            for column in (*rates, *readings, *fixed):
-                primal, tangent = forward_ad.unpack_dual(column)
-                values.append(primal[0])
-                tangents.append(torch.zeros_like(primal) if tangent is None else tangent)
-        jacobian = torch.stack(tangents, -1).permute(*range(1, len(shape) + 1), -1, 0)  # (R, n, 8, 9)
-        total = _eliminate(jacobian)
+        point = (*x, *health)
+
+        def columns(*arguments: Tensor) -> tuple[Tensor, ...]:
+            q = self.model.quantities(*arguments[:5], *inputs, self.with_health(list(arguments[5:])))
+            return tuple(column.expand(shape) for group in _columns(q) for column in group)
+
+        # A health value moves by itself in the direction of its logarithm.
+        size = [torch.ones_like(v) for v in point[:5]] + list(point[5:])
+        unit = torch.eye(len(point), dtype=states.dtype)
+        directions = tuple(unit[:, i].reshape(-1, *(1 for _ in shape)) * v for i, v in enumerate(size))
+        values, tangents = vmap(lambda *d: jvp(columns, point, d), out_dims=(None, 0))(*directions)
+        total = _eliminate(torch.stack(tangents, -1).movedim(0, -1))
         value = torch.stack(values[:6], -1)
         return Point(value[..., :3], value[..., 3:], cylinder, total[..., :3, :], total[..., 3:, :])
 
@@ -165,7 +174,8 @@ def _columns(q: Any) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], tuple[Tens
 
 
 def _eliminate(jacobian: Tensor) -> Tensor:
-    """Total derivatives (R, n, 6, 7) from partial ones (R, n, 8, 9), rows 6-7 and columns 3-4 being the fixed point."""
+    """Total derivatives (R, n, 6, 7) from partial ones (R, n, 8, 9), rows 6-7 and columns 3-4 being the
+    fixed point."""
     outer = torch.cat([jacobian[..., :3], jacobian[..., 5:]], -1)
     gain = jacobian[..., 6:, 3:5]
     a, b = 1.0 - gain[..., 0, 0], -gain[..., 0, 1]
