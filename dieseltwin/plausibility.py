@@ -48,10 +48,10 @@ TINY_FUEL_MG = 0.1  # a median below this is no fuel of a running engine in mg/c
 
 FRACTION = 1.2  # positions whose largest value is below this are fractions, if the valve is not simply shut
 COLDEST_EXHAUST = 0.85  # of the ambient temperature [-]: colder exhaust gas is in Celsius
-# Exhaust temperature over ambient per fuel [K per mg/cycle and litre of one cylinder]: 7.5-14 for real engines,
-# about 3 when the column is in Celsius. Counted at medium fuel, where both numbers are steady.
-HEAT_PER_FUEL = 5.0
-MEDIUM_FUEL = (19.0, 61.0)  # mg/cycle per litre of one cylinder
+# Exhaust temperature over ambient per fuel [K per mg/cycle and litre of one cylinder]: 5.5-14 for real engines,
+# up to 4.5 when the column is in Celsius. Counted neither at idle nor at full load, where the two meet.
+HEAT_PER_FUEL = 4.6
+MEDIUM_FUEL = (19.0, 100.0)  # mg/cycle per litre of one cylinder
 MEDIUM_ROWS = 20
 LITRE = 1e-3  # m3
 
