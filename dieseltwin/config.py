@@ -197,13 +197,21 @@ class BodyConfig(StrictModel):
     hidden: Widths
 
 
-class BodiesKindConfig(StrictModel):
-    """Training of the four bodies, one kind."""
+class BodiesPaperConfig(StrictModel):
+    """Training of the four bodies as printed: Adam on all heads."""
 
     epochs: PositiveInt
     rate: PositiveFloat
-    first_layer_scale: PositiveFloat
+    finish_heads: bool = Field(description="solve the heads in closed form after the last epoch")
+
+
+class BodiesConditionedConfig(StrictModel):
+    """Training of the four bodies by variable projection: Adam, then L-BFGS."""
+
+    epochs: PositiveInt
+    rate: PositiveFloat
     lbfgs_steps: NonNegativeInt
+    first_layer_scale: Range = Field(description="slopes of the first layer on time scaled to [-1, 1]")
 
 
 class BodiesConfig(StrictModel):
@@ -211,8 +219,8 @@ class BodiesConfig(StrictModel):
 
     heads: PositiveInt
     sizes: dict[str, BodyConfig]
-    paper: BodiesKindConfig
-    conditioned: BodiesKindConfig
+    paper: BodiesPaperConfig
+    conditioned: BodiesConditionedConfig
 
 
 class PretrainConfig(StrictModel):
