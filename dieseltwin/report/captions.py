@@ -9,8 +9,8 @@ def _line(text: str) -> str:
 
 VIOLINS = _line("""
     Each dot is one run, divided by {centre}; the horizontal stroke is the segment's estimate, the vertical bar at its
-    left end the stated 90 % interval. Grey: ±7.5 %. Violins end at the smallest and largest run; where all runs agree,
-    the dots fall together and only the interval shows the uncertainty. Numbers with an arrow count runs outside the
+    left end the stated 90 % interval. Grey: ±7.5 %. Violins end at the smallest and largest run; where all runs
+    agree, one larger dot stands for them and only the interval shows the uncertainty. Numbers with an arrow count runs outside the
     panel.
 """)
 CENTRE_TRUTH = "the true value"
@@ -52,6 +52,9 @@ EMPIRICAL = "The six empirical maps of the engine model, evaluated along the est
 SEGMENTS = "Dotted lines separate the segments, each of which is estimated on its own."
 ERRORS = _line("""
     Below each quantity: estimate minus truth in % of the true signal's mean over the identified part; note its scale.
+""")
+BLIND = _line("""
+    Hatched: a segment in which some parameter is not identifiable; its bands don't count for the scale.
 """)
 
 RESIDUALS = _line("""

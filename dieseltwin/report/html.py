@@ -223,7 +223,8 @@ def _about_line(results: Results) -> str:
 def _picture(path: Path) -> dict[str, str]:
     kind = path.suffix.removeprefix(".")
     plain = path.stem.replace("_", " ").replace("-", " ")
-    title = SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:])
+    # the picture carries its whole title itself
+    title = SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:]).partition(":")[0]
     return {"name": path.stem, "title": title, "caption": "", "uri": style.data_uri(path.read_bytes(), kind)}
 
 

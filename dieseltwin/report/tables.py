@@ -131,25 +131,38 @@ def _join(parts: Sequence[str]) -> str:
 
 
 def _blind_spots(results: Results, method: MethodResult) -> list[str]:
-    """Sentences on segments where a parameter cannot be identified, with the size of the bound."""
-    found = []
+    """Sentences on segments where parameters cannot be identified, with the size of the bound; one per set of them."""
+    groups: dict[tuple[float, ...], list[str]] = {}
     for parameter in PARAMETERS:
-        blind = [s for s in method.segments if not s.parameters[parameter].identifiable]
-        if not blind:
+        blind = tuple(s.t0_s for s in method.segments if not s.parameters[parameter].identifiable)
+        if blind:
+            groups.setdefault(blind, []).append(parameter)
+    found = []
+    for starts, parameters in groups.items():
+        are = "is" if len(parameters) == 1 else "are"
+        their = "its value" if len(parameters) == 1 else "their values"
+        if len(starts) == len(method.segments):
+            names = _join([quantities.html_symbol(p) for p in parameters])
+            found.append(f"{names} {are} not identifiable in any segment of this driving.")
             continue
-        name = quantities.html_symbol(parameter)
-        if len(blind) == len(method.segments):
-            found.append(f"{name} is not identifiable in any segment of this driving.")
-            continue
-        bounds = [100 * relative_bound(results, s.parameters[parameter], parameter) for s in blind]
-        finite = [b for b in bounds if math.isfinite(b)]
-        size = ""
-        if finite:
-            lowest, highest = f"{min(finite):.0f}", f"{max(finite):.0f}"
-            size = f" (best possible std {lowest if lowest == highest else f'{lowest} to {highest}'} % of its value)"
-        where = _minutes(blind) if len(blind) <= 6 else f"{len(blind)} of {len(method.segments)} segments"
-        found.append(f"{name} is not identifiable in {where}{size}; that part is left out of its value.")
+        segments = [s for s in method.segments if s.t0_s in starts]
+        where = (
+            _minutes(segments)
+            if len(segments) <= 6
+            else f"{len(segments)} of {len(method.segments)} segments"
+        )
+        names = _join([quantities.html_symbol(p) + _best_possible(results, segments, p) for p in parameters])
+        found.append(f"In {where}, {names} {are} not identifiable; that part is left out of {their}.")
     return found
+
+
+def _best_possible(results: Results, segments: Sequence[SegmentResult], parameter: str) -> str:
+    bounds = [100 * relative_bound(results, s.parameters[parameter], parameter) for s in segments]
+    finite = [b for b in bounds if math.isfinite(b)]
+    if not finite:
+        return " (no information)"
+    lowest, highest = f"{min(finite):.0f}", f"{max(finite):.0f}"
+    return f" (best possible std {lowest if lowest == highest else f'{lowest} to {highest}'} %)"
 
 
 def _agreement(results: Results, chosen: MethodResult) -> list[str]:

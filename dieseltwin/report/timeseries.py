@@ -93,6 +93,46 @@ def _draw_value(axes: Axes, results: Results, column: str) -> None:
     axes.set_ylabel(quantities.axis_label(column))
 
 
+def _reach(values: NDArray[np.float64]) -> float:
+    """What an axis must show of ``values``: all but the rarest half per cent (segments start with a spike)."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(finite, 0.995)) if len(finite) else 0.0
+
+
+def _informed(results: Results, method: MethodResult) -> NDArray[np.bool_]:
+    """Rows of a method's states in segments where every parameter is identifiable; all rows where there are none.
+
+    A segment without information has bands that would set the scale of all others.
+    """
+    if method.states is None:
+        return np.zeros(0, dtype=bool)
+    time = method.states["time_s"].to_numpy(dtype=float)
+    rows = np.zeros(len(time), dtype=bool)
+    for segment in method.segments:
+        if all(estimate.identifiable for estimate in segment.parameters.values()):
+            rows |= (time > segment.t0_s) & (time < segment.t1_s)
+    return rows if rows.any() else np.ones(len(time), dtype=bool)
+
+
+def _shade_blind(axes: Axes, results: Results) -> None:
+    blind = {
+        (s.t0_s, s.t1_s)
+        for m in results.methods
+        for s in m.segments
+        if not all(e.identifiable for e in s.parameters.values())
+    }
+    for first, last in blind:
+        axes.axvspan(
+            first / 60,
+            last / 60,
+            facecolor=style.NOT_IDENTIFIABLE,
+            edgecolor="#cfcfcf",
+            hatch="///",
+            linewidth=0,
+            zorder=0,
+        )
+
+
 def _draw_error(axes: Axes, results: Results, column: str) -> None:
     truth = results.truth_states
     axes.axhline(0.0, color=style.TRUTH, linewidth=0.9)
@@ -115,13 +155,11 @@ def _draw_error(axes: Axes, results: Results, column: str) -> None:
             time, low = _with_breaks(method.states, 100 * (edges[0] - expected) / scale)
             _, high = _with_breaks(method.states, 100 * (edges[1] - expected) / scale)
             axes.fill_between(time, low, high, color=look.colour, alpha=0.2, linewidth=0)
-            reach = np.abs(np.concatenate([low, high]))
-            largest.append(float(np.nanquantile(reach, 0.99)) if np.isfinite(reach).any() else 0.0)
+            edge = np.maximum(np.abs(edges[0] - expected), np.abs(edges[1] - expected))
+            largest.append(_reach(100 * edge[_informed(results, method)] / scale))
         time, values = _with_breaks(method.states, error)
         axes.plot(time, values, color=look.colour, linewidth=0.9, linestyle=look.line)
-        finite = np.abs(error[np.isfinite(error)])
-        if len(finite):
-            largest.append(float(np.quantile(finite, 0.995)))
+        largest.append(_reach(error[_informed(results, method)]))
     axes.set_ylim(-1.25 * max(largest), 1.25 * max(largest))
 
 
@@ -165,10 +203,15 @@ def trajectories(
         if known:
             _draw_error(panels[2 * index + 1], results, column)
             _mark_segments(panels[2 * index + 1], results)
+            _shade_blind(panels[2 * index + 1], results)
     panels[-1].set_xlabel("time [min]")
     handles = _handles(results, present)
+    blind = any(
+        not e.identifiable for m in results.methods for s in m.segments for e in s.parameters.values()
+    )
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     caption = f"{words} {captions.SEGMENTS}" + (f" {captions.ERRORS}" if known else "")
+    caption += f" {captions.BLIND}" if known and blind else ""
     return style.ReportFigure(name, title, caption, figure, kind="png")
 
 

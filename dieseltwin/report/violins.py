@@ -95,16 +95,13 @@ def _draw_slot(
         for part in list(body["bodies"]):  # type: ignore[call-overload]
             part.set(facecolor=look.colour, edgecolor=look.colour, alpha=0.28 * alpha / 0.9)
     if len(inside):
-        size = 7 if len(inside) > VIOLIN_MIN_RUNS else 18
+        height = 0.016 * span
+        agreeing = len(inside) > 1 and np.ptp(inside) < height
+        # dots that fall together become one larger dot: spread sideways they would look like a result
+        places = x + (np.zeros(len(inside)) if agreeing else swarm(inside, 0.75 * half, height))
+        size = 22 if agreeing else (7 if len(inside) > VIOLIN_MIN_RUNS else 18)
         axes.scatter(
-            x + swarm(inside, 0.75 * half, 0.016 * span),
-            inside,
-            s=size,
-            color=look.colour,
-            marker=look.marker,
-            alpha=alpha,
-            linewidths=0,
-            zorder=3,
+            places, inside, s=size, color=look.colour, marker=look.marker, alpha=alpha, linewidths=0, zorder=3
         )
     if estimate.finite:
         low, high = (v / reference for v in estimate.interval_90)

@@ -69,7 +69,9 @@ def test_headline_says_values_changes_blind_spots_and_time(results: Results) -> 
     estimate = results.methods[0].pooled["A_egrmax"]
     assert quantities.value_with_std("A_egrmax", estimate.mean, estimate.std) in words
     assert "25 % below nominal" in words and "14 % below nominal" in words
-    assert "A</i><sub>egrmax</sub> is not identifiable in minute 2–3" in words
+    flagged = results.methods[0].segments[synthetic.SHUT].parameters["A_egrmax"]
+    bound = f"{100 * flagged.bound / flagged.mean:.0f} %"
+    assert f"In minute 2–3, <i>A</i><sub>egrmax</sub> (best possible std {bound})" in words
     assert "0.071 s per run (90 runs" in words
     assert "few-shot-newton" in words and "few-shot-adam" in words
 
