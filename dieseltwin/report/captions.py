@@ -10,8 +10,8 @@ def _line(text: str) -> str:
 VIOLINS = _line("""
     Each dot is one run, divided by {centre}; the horizontal stroke is the segment's estimate, the vertical bar at its
     left end the stated 90 % interval. Grey: ±7.5 %. Violins end at the smallest and largest run; where all runs
-    agree, one larger dot stands for them and only the interval shows the uncertainty. Numbers with an arrow count runs outside the
-    panel.
+    agree, one larger dot stands for them and only the interval shows the uncertainty. Numbers with an arrow count
+    runs outside the panel.
 """)
 CENTRE_TRUTH = "the true value"
 CENTRE_POOLED = "the pooled estimate of the first method (the truth is not known)"
