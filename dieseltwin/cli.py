@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -116,6 +117,9 @@ def identify(
             "others exact.",
         ),
     ] = None,
+    segment: Annotated[
+        float | None, typer.Option("--segment", metavar="S", help="Length of a segment [s]; 60 in params.yaml.")
+    ] = None,
     seed: Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
@@ -132,6 +136,7 @@ def identify(
         channels=channels,
         models=models,
         maps=maps,
+        segment_s=segment,
         seed=seed,
         params=params,
         profile=profile,
@@ -165,6 +170,8 @@ def _fail(message: str, code: int) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code (0 done, 2 the input cannot be used, 130 interrupted)."""
+    if not sys.warnoptions:  # numerical warnings are for developers: `python -W default -m dieseltwin`
+        warnings.simplefilter("ignore", RuntimeWarning)
     try:
         result = app(args=arguments, prog_name="dieseltwin", standalone_mode=False)
     except DieselTwinError as error:

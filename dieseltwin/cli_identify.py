@@ -23,6 +23,9 @@ from dieseltwin.identification import (
 from dieseltwin.recordings import Recording, read_recording, rows_out_of_range
 from dieseltwin.strict import unknown_name
 
+# Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
+SEGMENT_RANGE_S = (10.0, 3600.0)
+MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 MODELS_FOLDER = Path("models")
 EXACT = "exact"
 MAPS = (EXACT, "paper", "improved")
@@ -40,6 +43,7 @@ def run_identify(
     channels: Path | None = None,
     models: Path | None = None,
     maps: str | None = None,
+    segment_s: float | None = None,
     seed: int | None = None,
     params: Path | None = None,
     profile: str = "quick",
@@ -55,6 +59,7 @@ def run_identify(
         channels: channel map of the recording.
         models: folder of pretrained networks.
         maps: which empirical maps: exact, paper or improved.
+        segment_s: length of a segment [s]; None takes the settings'.
         seed: None takes the settings' seed.
         params, profile: settings.
 
@@ -70,11 +75,13 @@ def run_identify(
     runs = default_runs(settings.identify, method) if runs is None else runs
     if runs < 1:
         raise InputError("--runs", runs, "1 or more", "ask for at least one run")
+    if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
+        raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
     source = read_recording(recording, channels, parameters)
-    problems = problems_of(source, parameters, settings)
+    problems, left_out = _usable(problems_of(source, parameters, settings, segment_s), source)
     networks = load_networks(models, method, maps)
-    notes = _notes(source, parameters)
+    notes = [*_notes(source, parameters), *left_out]
     # The folder is opened before the work: a place that cannot be written to is better known now.
     with atomic_folder(out) as folder:
         found = identify_segments(
@@ -88,7 +95,8 @@ def run_identify(
         )
         about = {"params_sha256": settings.sha256, "recording_sha256": source.sha256, "notes": notes}
         _write(folder, found, {**found.runtime(), **about}, problems)
-    return [*table(found.to_json()), *notes, f"results: {out}"]
+    document = found.to_json()
+    return [*table(document), *notes, *misfits(document), f"results: {out}"]
 
 
 def default_runs(identify: IdentifyConfig, method: str) -> int:
@@ -96,12 +104,34 @@ def default_runs(identify: IdentifyConfig, method: str) -> int:
     return identify.adam.members if method == "few-shot-adam" else identify.runs
 
 
-def problems_of(source: Recording, parameters: EngineParameters, settings: Params) -> list[SegmentProblem]:
+def problems_of(
+    source: Recording, parameters: EngineParameters, settings: Params, segment_s: float | None = None
+) -> list[SegmentProblem]:
     """Segments of the recording as estimation problems; noise is the settings' share of the whole recording's means."""
     missing = np.full(source.time_s.shape, np.nan)
     signals = np.column_stack([source.columns.get(name, missing) for name in MEASURED])
     noise = NoiseLevels.from_signals(signals, relative=settings.noise.channels)
-    return problems_from_recording(source, parameters, noise=noise, duration_s=settings.identify.segment_s)
+    duration_s = settings.identify.segment_s if segment_s is None else segment_s
+    return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s)
+
+
+def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[SegmentProblem], list[str]]:
+    """Segments whose states can be started, and a note for each one left out.
+
+    Raises:
+        InputError: none is left.
+    """
+    usable, notes = [], []
+    for problem in problems:
+        dead = [name for i, name in enumerate(MEASURED[:3]) if not problem.observed[:, i].any()]
+        if dead:
+            notes.append(f"note: {problem.name} left out: no reading of {', '.join(dead)}")
+        else:
+            usable.append(problem)
+    if not usable:
+        raise InputError(f"{source.path}: {', '.join(MEASURED[:3])}", "no segment with readings of all three",
+                         "at least one", "record longer or ask for longer segments")
+    return usable, notes
 
 
 def load_networks(models: Path | None, method: str, maps: str | None) -> dict[str, Any]:
@@ -163,6 +193,17 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[str]:
     counts = rows_out_of_range(source.columns, ranges)
     return [f"note: {count} of {len(source.time_s)} rows of {name} are outside the engine's range "
             f"{ranges[name][0]:g} to {ranges[name][1]:g}" for name, count in counts.items()]
+
+
+def misfits(document: Mapping[str, Any]) -> list[str]:
+    """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
+    values = [s["chi2_per_sample"] for run in document["runs"] for s in run["segments"] if s["converged"]]
+    known = [value for value in values if value is not None]
+    if not known or float(np.median(known)) <= MISFIT:
+        return []
+    size = float(np.sqrt(np.median(known)))
+    return [f"note: the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine file or the "
+            "model is off, and the intervals are too narrow"]
 
 
 def _write(folder: Path, found: Identification, runtime: Mapping[str, Any], problems: list[SegmentProblem]) -> None:

@@ -321,6 +321,10 @@ def _read_csv(path: Path) -> pd.DataFrame:
     with path.open(encoding="utf-8-sig") as file:
         header = file.readline()
     separator = max(",;\t", key=header.count)
+    names = [name.strip().strip('"') for name in header.split(separator)]
+    twice = [name for name in dict.fromkeys(names) if name and names.count(name) > 1]
+    if twice:  # pandas would rename the second one and say nothing
+        raise InputError(f"{path}: column {twice[0]}", "a column given twice", "each name once", "drop one")
     table = pd.read_csv(path, sep=separator, encoding="utf-8-sig", float_precision="round_trip")
     return table.rename(columns=lambda name: str(name).strip())
 

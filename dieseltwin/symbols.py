@@ -71,7 +71,7 @@ _TABLE: tuple[Symbol, ...] = (
     # EGR valve
     Symbol("u_egr1", "u_egr1_pct", "%", -200.0, 300.0, "A.16", r"\tilde u_{egr1}", "quick EGR actuator state"),
     Symbol("u_egr2", "u_egr2_pct", "%", -200.0, 300.0, "A.17", r"\tilde u_{egr2}", "slow EGR actuator state"),
-    Symbol("W_egr", "w_egr_kg_s", "kg/s", -0.05, 0.6, "A.19", "W_{egr}", "EGR flow"),
+    Symbol("W_egr", "w_egr_kg_s", "kg/s", -0.002, 0.6, "A.19", "W_{egr}", "EGR flow"),
     Symbol("f_egr", "f_egr", "-", 0.0, 1.0, "A.23", "f_{egr}", "effective EGR area ratio"),
     # turbine
     Symbol("u_vgt_act", "u_vgt_act_pct", "%", -50.0, 150.0, "A.25", r"\tilde u_{vgt}", "VGT actuator state"),

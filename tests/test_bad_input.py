@@ -98,6 +98,18 @@ def only_u_vgt_as_fraction(t: pd.DataFrame) -> pd.DataFrame:
     return t.assign(u_vgt_pct=t["u_vgt_pct"] / 100)
 
 
+def w_egr_negative(t: pd.DataFrame) -> pd.DataFrame:
+    return t.assign(w_egr_kg_s=-t["w_egr_kg_s"])
+
+
+def w_egr_in_kg_per_hour(t: pd.DataFrame) -> pd.DataFrame:
+    return t.assign(w_egr_kg_s=3600 * t["w_egr_kg_s"])
+
+
+def turbo_in_rpm(t: pd.DataFrame) -> pd.DataFrame:
+    return t.assign(omega_t_rad_s=t["omega_t_rad_s"] * 30 / np.pi)
+
+
 def channel_all_nan(t: pd.DataFrame) -> pd.DataFrame:
     return t.assign(p_em_pa=np.nan)
 
@@ -152,6 +164,9 @@ DAMAGES: dict[Callable[[pd.DataFrame], pd.DataFrame], tuple[str, ...]] = {
     positions_as_fractions: ("u_vgt_pct", "%"),
     only_u_egr_as_fraction: ("u_egr_pct", "%"),
     only_u_vgt_as_fraction: ("u_vgt_pct", "%"),
+    w_egr_negative: ("w_egr_kg_s", "kg/s"),
+    w_egr_in_kg_per_hour: ("w_egr_kg_s", "kg/h"),
+    turbo_in_rpm: ("omega_t_rad_s", "rpm"),
     channel_all_nan: ("p_em_pa", "no value at all"),
     input_all_nan: ("u_delta_mg", "no value at all"),
     time_goes_back: ("time_s", "increasing", "row"),
@@ -162,16 +177,15 @@ DAMAGES: dict[Callable[[pd.DataFrame], pd.DataFrame], tuple[str, ...]] = {
     header_only: ("no rows",),
     too_short: ("20 s", "60 s"),
 }
-ONLY_CSV = {words_in_a_cell}
+ONLY_CSV = {words_in_a_cell}  # a Parquet column has one type
+FILES = [(damage, suffix) for damage in DAMAGES for suffix in (".csv", ".parquet")
+         if suffix == ".csv" or damage not in ONLY_CSV]  # fmt: skip
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-@pytest.mark.parametrize("damage", DAMAGES, ids=lambda f: f.__name__)
+@pytest.mark.parametrize(("damage", "suffix"), FILES, ids=lambda v: v if isinstance(v, str) else v.__name__)
 def test_identify_refuses(
     tmp_path: Path, good: pd.DataFrame, refuse: Callable[..., Refusal], damage: Callable, suffix: str
 ) -> None:
-    if damage in ONLY_CSV and suffix == ".parquet":
-        pytest.skip("a Parquet column has one type")
     path = tmp_path / f"drive{suffix}"
     damaged = damage(good)
     damaged.to_csv(path, index=False) if suffix == ".csv" else damaged.to_parquet(path, index=False)
@@ -221,6 +235,14 @@ def test_truncated_parquet(
     path.write_bytes(whole[: int(kept * len(whole))])
     said = refuse(*COMMANDS[command](path, tmp_path))
     assert has_four_parts(said.line) and "Parquet" in said.line and str(path) in said.line
+
+
+def test_a_column_given_twice(tmp_path: Path, good: pd.DataFrame, refuse: Callable[..., Refusal]) -> None:
+    text = good.assign(again=good["p_im_pa"]).to_csv(index=False)
+    path = tmp_path / "drive.csv"
+    path.write_text(text.replace("again", "p_im_pa", 1))
+    said = refuse(*COMMANDS["identify"](path, tmp_path))
+    assert has_four_parts(said.line) and "p_im_pa" in said.line and "twice" in said.line
 
 
 @pytest.mark.parametrize("content", [b"\x00\x01\x02\xff" * 200, b"time_s,n_e_rpm\n1,2,3,4\n\"unclosed", b"\n\n\n"])
@@ -304,6 +326,7 @@ def test_options(tmp_path: Path, drive: Path, refuse: Callable[..., Refusal]) ->
     out = tmp_path / "out"
     assert "did you mean classical?" in refuse("identify", drive, "--out", out, "--method", "clasical").line
     assert "1 or more" in refuse("identify", drive, "--out", out, "--runs", "0").line
+    assert "10 to 3600 s" in refuse("identify", drive, "--out", out, "--segment", "1").line
     assert "did you mean paper?" in refuse("identify", drive, "--out", out, "--maps", "papper").line
     assert ".parquet" in refuse("simulate", drive, "--out", tmp_path / "out.xlsx").line
     assert "--out" in refuse("simulate", drive).line

@@ -275,3 +275,26 @@ def test_rows_outside_the_engines_range_are_reported(run: Run, noisy: Path, tmp_
     recording.to_parquet(tmp_path / "drive.parquet", index=False)
     lines = run("identify", tmp_path / "drive.parquet", "--runs", "1", "--out", tmp_path / "out")
     assert "note: 10 of 301 rows of u_vgt_pct are outside the engine's range 20 to 100" in lines
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_segment_without_a_sensor_is_left_out(run: Run, noisy: Path, tmp_path: Path) -> None:
+    recording = pd.read_parquet(noisy)
+    recording.loc[recording["time_s"] >= 60.0, "p_im_pa"] = np.nan
+    recording.to_parquet(tmp_path / "drive.parquet", index=False)
+    lines = run("identify", tmp_path / "drive.parquet", "--runs", "1", "--out", tmp_path / "out")
+    assert "note: segment 60-120 s left out: no reading of p_im_pa" in lines
+    document = json.loads((tmp_path / "out" / "identification.json").read_text())
+    assert [s["t0_s"] for s in document["segments"]] == [0.0]
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_fit_that_misses_the_readings_is_reported(run: Run, noisy: Path, tmp_path: Path) -> None:
+    """A compressor that is best at another flow is not this engine, whatever its health parameters."""
+    (tmp_path / "engine.yaml").write_text("W_copt: 0.4\n")
+    command = ("identify", noisy, "--runs", "1", "--segment", "30")
+    wrong = run(*command, "--engine", tmp_path / "engine.yaml", "--out", tmp_path / "wrong")
+    right = run(*command, "--out", tmp_path / "right")
+    assert any("times the noise" in line for line in wrong)
+    assert not any("times the noise" in line for line in right)
+    assert len(json.loads((tmp_path / "right" / "identification.json").read_text())["segments"]) == 4
