@@ -107,7 +107,7 @@ def levenberg_marquardt(
     Returns:
         The best point of each problem.
     """
-    count, size = start.shape
+    count = len(start)
     everything = np.arange(count)
     lower, upper = np.broadcast_to(lower, start.shape), np.broadcast_to(upper, start.shape)
     x = np.clip(start, lower, upper)

@@ -225,7 +225,7 @@ class Identification:
 
     def runtime(self) -> dict[str, Any]:
         """Content of `runtime.json`: what may differ between two runs that agree in every result."""
-        versions = {}
+        versions: dict[str, str | None] = {}
         for package in ("dieseltwin", "numpy", "numba", "torch", "scipy"):
             try:
                 versions[package] = version(package)
@@ -262,10 +262,12 @@ def intervals_from_log_std(values: Array, log_std: Array) -> tuple[Array, Array]
         log_std: (..) standard deviation of the logarithm [-].
 
     Returns:
-        std (..) [same unit] and interval (.., 2) [same unit].
+        std (..) [same unit] and interval (.., 2) [same unit]; infinite, and (0, infinite), where nothing is
+        known.
     """
-    half = np.exp(Z_90 * log_std)
-    return values * log_std, np.stack([values / half, values * half], axis=-1)
+    known = log_std < _LARGE_LOG
+    half = np.exp(Z_90 * np.where(known, log_std, np.inf))
+    return values * np.where(known, log_std, np.inf), np.stack([values / half, values * half], axis=-1)
 
 
 def _combine_runs(values: Array, own: Array) -> tuple[float, float, tuple[float, float] | None]:

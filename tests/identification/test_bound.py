@@ -1,0 +1,65 @@
+"""Cramer-Rao bound against an independent computation, and the rule for "not identifiable here"."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dieseltwin.engine import HEALTH, MEASURED, simulate, we2011
+from dieseltwin.identification import SegmentProblem
+from dieseltwin.identification.bound import cramer_rao
+from tests.identification.conftest import driving, make_problem
+
+
+def start(problem: SegmentProblem) -> np.ndarray:
+    """True p_im, p_em, omega_t at the start."""
+    assert problem.true_initial is not None
+    return problem.true_initial[:3]
+
+
+def test_bound_is_the_inverse_fisher_information() -> None:
+    problem = make_problem(driving(0, 151), we2011.FIELD)
+    bound = cramer_rao([problem], we2011.FIELD.health(), start(problem))[0]
+
+    # The same from the data-frame simulator, by central differences of another size, in plain units.
+    def readings(values: np.ndarray) -> np.ndarray:
+        engine = we2011.FIELD.replace(**dict(zip(HEALTH, values[:4].tolist(), strict=True)))
+        frame = simulate(problem.inputs, engine, initial=values[4:], step_s=0.00625, oxygen=False)
+        return (frame[list(MEASURED[:5])].to_numpy() / problem.sigma[:5]).ravel()
+
+    centre = np.concatenate([we2011.FIELD.health(), start(problem)])
+    columns = []
+    for i in range(7):
+        step = np.zeros(7)
+        step[i] = 5e-4 * centre[i]
+        columns.append((readings(centre + step) - readings(centre - step)) / (2.0 * step[i]))
+    sensitivity = np.stack(columns, axis=1) * centre  # relative, for a well-scaled inverse
+    inverse = np.linalg.inv(sensitivity.T @ sensitivity)
+    np.testing.assert_allclose(bound.relative, np.sqrt(np.diag(inverse))[:4], rtol=2e-3)
+    np.testing.assert_allclose(bound.absolute, bound.relative * we2011.FIELD.health())
+
+
+def test_twice_the_noise_is_twice_the_bound(problem: SegmentProblem) -> None:
+    louder = replace(problem, sigma=2.0 * problem.sigma)
+    one, two = cramer_rao([problem, louder], we2011.FIELD.health(), start(problem))
+    np.testing.assert_allclose(two.relative, 2.0 * one.relative, rtol=1e-3)
+
+
+def test_masked_readings_carry_no_information(problem: SegmentProblem) -> None:
+    measured = problem.measured.copy()
+    measured[::2] = np.nan
+    thinner = replace(problem, measured=measured)
+    one, half = cramer_rao([problem, thinner], we2011.FIELD.health(), start(problem))
+    assert (half.relative > 1.2 * one.relative).all()
+
+
+def test_a_shut_egr_valve_makes_its_area_unidentifiable(idle_problem: SegmentProblem) -> None:
+    bound = cramer_rao([idle_problem], we2011.FIELD.health(), start(idle_problem))[0]
+    assert not bound.identifiable()[HEALTH.index("A_egrmax")]
+    assert np.isinf(bound.absolute[HEALTH.index("A_egrmax")])
+    assert np.isfinite(bound.relative[HEALTH.index("A_vgtmax")])
+
+
+def test_driving_identifies_everything(problem: SegmentProblem) -> None:
+    assert cramer_rao([problem], we2011.FIELD.health(), start(problem))[0].identifiable().all()

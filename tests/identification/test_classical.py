@@ -1,0 +1,106 @@
+"""Classical estimator: it finds what was planted, and says when it can't."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.errors import InputError
+from dieseltwin.identification import SegmentProblem, identify_segments
+from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.classical import ClassicalSettings
+from tests.identification.conftest import driving, make_problem
+
+factors = st.tuples(
+    st.floats(0.75, 1.25), st.floats(0.75, 1.25), st.floats(0.92, 1.08), st.floats(0.75, 1.25)
+)
+
+
+@settings(max_examples=4, deadline=None, derandomize=True)
+@given(factors)
+def test_planted_parameters_are_recovered_from_clean_readings(factor: tuple[float, ...]) -> None:
+    values = we2011.PARAMETERS.health() * np.array(factor)
+    truth = we2011.PARAMETERS.replace(**dict(zip(HEALTH, values.tolist(), strict=True)))
+    planted = make_problem(driving(300, 101), truth, noise_seed=None)
+    found = identify_segments([planted], "classical", 2, 0)
+    relative = cramer_rao([planted], values, planted.true_initial[:3])[0].relative
+    assert found.segments[0].converged.all()
+    # The tolerance of the iteration is a fiftieth of a standard deviation.
+    assert (np.abs(found.segments[0].parameters / values - 1.0) < 0.1 * relative).all()
+
+
+def test_noisy_estimates_scatter_as_the_bound_says() -> None:
+    clean = make_problem(driving(600, 101), we2011.FIELD, noise_seed=None)
+    noisy = clean.with_noise_draws(60, np.random.default_rng(4))
+    found = identify_segments([noisy], "classical", 60, 1).segments[0]
+    truth = we2011.FIELD.health()
+    relative = cramer_rao([clean], truth, clean.true_initial[:3])[0].relative
+    error = np.log(found.parameters / truth)
+    # 60 draws know a standard deviation to 9 %; three of those.
+    np.testing.assert_allclose(np.sqrt(np.mean(error**2, axis=0)) / relative, 1.0, atol=0.3)
+    covered = (found.interval_90[..., 0] < truth) & (truth < found.interval_90[..., 1])
+    assert (covered.mean(axis=0) > 0.75).all()
+    assert np.mean(found.chi2_per_sample) == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_same_seed_gives_the_same_document(problem: SegmentProblem) -> None:
+    first, second = (identify_segments([problem], "classical", 2, 5) for _ in range(2))
+    assert json.dumps(first.to_json()) == json.dumps(second.to_json())
+    other = identify_segments([problem], "classical", 2, 6)
+    assert not np.array_equal(other.segments[0].parameters, first.segments[0].parameters)
+    np.testing.assert_allclose(other.segments[0].parameters, first.segments[0].parameters, rtol=1e-3)
+
+
+def test_a_time_shift_changes_nothing() -> None:
+    here = make_problem(driving(300, 101), we2011.FIELD)
+    there = replace(here, inputs=driving(300, 101, shift_s=4096.0))
+    one, two = (identify_segments([p], "classical", 1, 0).segments[0] for p in (here, there))
+    np.testing.assert_allclose(two.parameters, one.parameters, rtol=1e-6)
+
+
+def test_short_gaps_are_masked_not_refused(problem: SegmentProblem) -> None:
+    measured = problem.measured.copy()
+    measured[40:50, 0] = np.nan
+    measured[90:, 4] = np.nan
+    found = identify_segments([replace(problem, measured=measured)], "classical", 1, 0).segments[0]
+    np.testing.assert_allclose(found.parameters[0], we2011.FIELD.health(), rtol=0.1)
+    full = identify_segments([problem], "classical", 1, 0).segments[0]
+    assert (found.std[0] > full.std[0]).all()
+
+
+def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None:
+    found = identify_segments([idle_problem], "classical", 2, 0)
+    area = HEALTH.index("A_egrmax")
+    assert not found.segments[0].identifiable[area]
+    assert found.pooled()["A_egrmax"].mean is None
+    assert found.segments[0].identifiable[HEALTH.index("A_vgtmax")]
+
+
+def test_an_unconverged_run_is_reported_not_dropped(problem: SegmentProblem) -> None:
+    from dieseltwin.identification.classical import estimate
+
+    found = estimate([problem], 3, 0, config=ClassicalSettings(iterations_max=1))[0]
+    assert not found.converged.any()
+    assert found.parameters.shape == (3, 4)
+
+
+def test_segments_of_different_sampling_are_estimated_together(problem: SegmentProblem) -> None:
+    shorter = make_problem(driving(900, 101), we2011.FIELD)
+    both = identify_segments([problem, shorter], "classical", 1, 0)
+    assert [len(s.time_s) for s in both.segments] == [151, 101]
+    for segment in both.segments:
+        np.testing.assert_allclose(segment.parameters[0], we2011.FIELD.health(), rtol=0.15)
+
+
+@pytest.mark.parametrize(("method", "runs"), [("clasical", 1), ("classical", 0)])
+def test_bad_requests_are_refused(problem: SegmentProblem, method: str, runs: int) -> None:
+    with pytest.raises(InputError):
+        identify_segments([problem], method, runs, 0)
+    with pytest.raises(InputError):
+        identify_segments([], "classical", 1, 0)

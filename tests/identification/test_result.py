@@ -1,0 +1,115 @@
+"""Pooling, summaries and the schema of identification.json."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from dieseltwin.engine import HEALTH
+from dieseltwin.identification import Identification, SegmentEstimate, SegmentProblem, identify_segments
+from dieseltwin.identification.result import Z_90, intervals_from_log_std
+
+TRUE = np.array([3e-4, 7e-4, 1.2, 96.0])
+
+
+def segment(
+    relative_std: float, shift: float = 0.0, *, runs: int = 3, identifiable: bool = True, claims: bool = True
+) -> SegmentEstimate:
+    """An estimate off by `shift`, with a claimed relative standard deviation, from identical runs."""
+    values = np.tile(TRUE * (1.0 + shift), (runs, 1))
+    std, interval = intervals_from_log_std(values, np.full(values.shape, relative_std))
+    if not claims:
+        std, interval = np.full_like(std, np.nan), np.full_like(interval, np.nan)
+    return SegmentEstimate(
+        0.0, 60.0, np.zeros(2), values, std, interval, np.zeros((2, 5)), relative_std * values[0],
+        np.full(4, identifiable), np.ones(runs, dtype=bool), 0.1, "classical",
+    )  # fmt: skip
+
+
+def whole(*segments: SegmentEstimate) -> Identification:
+    """An identification of given segments."""
+    return Identification("classical", segments, (), 0, 1.0, 0.25)
+
+
+def test_pooling_weights_by_inverse_variance() -> None:
+    pooled = whole(segment(0.01, 0.02), segment(0.02, -0.02)).pooled()["eta_sc"]
+    expected = np.exp((4.0 * np.log(1.02) + np.log(0.98)) / 5.0) * 1.2
+    assert pooled.mean == pytest.approx(expected, rel=1e-9)
+    assert pooled.std == pytest.approx(expected / np.sqrt(1e4 + 2500.0), rel=1e-6)
+    assert pooled.bound == pytest.approx(pooled.std, rel=1e-6)
+
+
+def test_unidentifiable_segments_are_left_out_of_the_pool() -> None:
+    pooled = whole(segment(0.01), segment(0.5, 3.0, identifiable=False)).pooled()["h_tot"]
+    assert pooled.mean == pytest.approx(96.0)
+    assert pooled.identifiable
+
+
+def test_nothing_identifiable_is_said_plainly() -> None:
+    document = whole(segment(0.5, identifiable=False)).to_json()
+    entry = document["parameters"]["A_egrmax"]
+    assert entry["mean"] is None and entry["std"] is None and entry["interval_90"] is None
+    assert entry["identifiable"] is False
+    assert document["segments"][0]["parameters"]["A_egrmax"]["mean"] is not None
+    assert document["runs"][0]["parameters"]["A_egrmax"] is None
+
+
+def test_identical_runs_keep_the_claimed_uncertainty() -> None:
+    summary = segment(0.01).summary()["A_vgtmax"]
+    assert summary.std == pytest.approx(0.01 * 7e-4)
+    assert summary.interval_90 == pytest.approx((7e-4 * np.exp(-0.01 * Z_90), 7e-4 * np.exp(0.01 * Z_90)))
+
+
+def test_members_without_a_claim_give_their_spread() -> None:
+    rng = np.random.default_rng(0)
+    many = segment(0.01, runs=400, claims=False)
+    spread = SegmentEstimate(
+        **{**vars(many), "parameters": TRUE * np.exp(0.05 * rng.standard_normal((400, 4)))}
+    )
+    summary = spread.summary()["eta_sc"]
+    assert summary.std == pytest.approx(0.06, rel=0.15)
+    assert summary.interval_90[0] == pytest.approx(1.2 * np.exp(-0.05 * Z_90), rel=0.02)
+    assert summary.interval_90[1] == pytest.approx(1.2 * np.exp(0.05 * Z_90), rel=0.02)
+
+
+def test_a_run_that_has_not_converged_is_listed_but_not_averaged() -> None:
+    part = segment(0.01)
+    values = part.parameters.copy()
+    values[2] *= 2.0
+    mixed = SegmentEstimate(
+        **{**vars(part), "parameters": values, "converged": np.array([True, True, False])}
+    )
+    document = whole(mixed).to_json()
+    assert document["parameters"]["h_tot"]["mean"] == pytest.approx(96.0)
+    assert [run["converged"] for run in document["runs"]] == [True, True, False]
+    assert document["runs"][2]["segments"][0]["parameters"]["h_tot"]["value"] == pytest.approx(192.0)
+
+
+def test_document_follows_the_schema(problem: SegmentProblem) -> None:
+    found = identify_segments([problem], "classical", 2, 0)
+    document = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert set(document) == {"schema", "method", "parameters", "segments", "runs"}
+    assert document["schema"] == 1 and document["method"] == "classical"
+    assert set(document["segments"][0]) == {"t0_s", "t1_s", "parameters"}
+    for parameters in (document["parameters"], document["segments"][0]["parameters"]):
+        assert list(parameters) == list(HEALTH)
+        for entry in parameters.values():
+            assert set(entry) == {"mean", "std", "interval_90", "unit", "bound", "identifiable"}
+            assert entry["interval_90"][0] < entry["mean"] < entry["interval_90"][1]
+    assert len(document["runs"]) == 2
+    runtime = json.loads(json.dumps(found.runtime(), allow_nan=False))
+    assert runtime["seconds_per_run"] > 0.0 and runtime["runs"] == 2
+
+
+def test_states_table_holds_states_flows_and_bands(problem: SegmentProblem) -> None:
+    table = identify_segments([problem], "classical", 2, 0).states
+    assert len(table) == len(problem.time_s)
+    np.testing.assert_array_equal(table["time_s"], problem.time_s)
+    for name in ("p_im_pa", "omega_t_rad_s", "x_r", "w_egr_kg_s", "t_em_k", "eta_c"):
+        assert (table[f"{name}_lo"] <= table[f"{name}_hi"]).all()
+    # The model fits its own data: readings scatter about the table by their noise.
+    z = (table["omega_t_rad_s"] - problem.measured[:, 2]) / problem.sigma[2]
+    assert np.std(z) == pytest.approx(1.0, abs=0.15)
+    assert (table["p_im_pa_hi"] - table["p_im_pa_lo"]).mean() < problem.sigma[0]
