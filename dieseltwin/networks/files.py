@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -43,7 +42,7 @@ def load_state(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise InputError(str(path), "no such file", "a trained network", "run the pretraining first") from None
-    except (RuntimeError, EOFError, pickle.UnpicklingError, OSError) as error:
+    except Exception as error:  # the unpickler answers damaged bytes with whatever it stumbles over
         raise InputError(str(path), f"{error}"[:120], "a trained network's file", "train it again") from error
     if not isinstance(content, dict) or content.get("schema") != FILE_SCHEMA:
         raise InputError(str(path), "another format", f"a network file of schema {FILE_SCHEMA}", "train it again")
