@@ -10,16 +10,8 @@ from typing import Any
 
 from tasks.run_context import step
 
-# Modules that stand for ``dieseltwin.identification``, whose registry names all methods: what they import counts.
-_SHARED = (
-    "dieseltwin.config",
-    "dieseltwin.datasets",
-    "dieseltwin.recordings",
-    "dieseltwin.identification.curves",
-    "dieseltwin.identification.problem",
-    "dieseltwin.identification.result",
-    "dieseltwin.identification.states",
-)
+# ``dieseltwin.identification`` names all methods in its registry; a step rests on its own method alone, which stands
+# in ``entries``.
 
 
 def own_settings(settings: dict[str, Any], section: str) -> dict[str, Any]:
@@ -100,7 +92,7 @@ def _identify(
     "identify-classical",
     "identification, classical",
     expected_s=30.0,
-    entries=(*_SHARED, "dieseltwin.identification.classical"),
+    entries=("dieseltwin.identification.classical",),
 )
 def classical(out: Path, progress: Any, *, field: Path, settings: dict[str, Any], runs: int, seed: int) -> None:
     """Maximum likelihood by shooting, exact formulae."""
@@ -111,7 +103,7 @@ def classical(out: Path, progress: Any, *, field: Path, settings: dict[str, Any]
     "identify-newton",
     "identification, few-shot-newton",
     expected_s=60.0,
-    entries=(*_SHARED, "dieseltwin.surrogates.bodies", "dieseltwin.identification.fewshot_newton"),
+    entries=("dieseltwin.identification.fewshot_newton",),
 )
 def newton(
     out: Path, progress: Any, *, field: Path, bodies: Path, settings: dict[str, Any], runs: int, seed: int
@@ -126,13 +118,7 @@ def newton(
     "identify-adam",
     "identification, few-shot-adam",
     expected_s=90.0,
-    entries=(
-        *_SHARED,
-        "dieseltwin.surrogates.bodies",
-        "dieseltwin.surrogates.empirical",
-        "dieseltwin.surrogates.operators",
-        "dieseltwin.identification.fewshot_adam",
-    ),
+    entries=("dieseltwin.identification.fewshot_adam",),
 )
 def adam(
     out: Path,

@@ -118,14 +118,19 @@ class Step:
     function: Callable[..., None]
     expected_s: float = 5.0
     data_files: tuple[str, ...] = ()
-    entries: tuple[str, ...] | None = None
+    entries: tuple[str, ...] = ()
 
     def code(self, context: RunContext) -> Sources:
         """The code that the step's result rests on."""
         if self.name not in context.codes:
             known = context.sources.modules
             own, imported = function_sources(self.function, known)
-            entries = self.entries if self.entries is not None else tuple(sorted(imported & known))
+            entries = {
+                module: names
+                for module, names in imported.items()
+                if module in known and not any(entry.startswith(f"{module}.") for entry in self.entries)
+            }
+            entries |= {entry: {"*"} for entry in self.entries}
             context.codes[self.name] = context.sources.collect(entries, {f"step {self.name}": own})
         return context.codes[self.name]
 
@@ -195,12 +200,12 @@ def step(
     *,
     expected_s: float = 5.0,
     data_files: tuple[str, ...] = (),
-    entries: tuple[str, ...] | None = None,
+    entries: tuple[str, ...] = (),
 ) -> Callable[[Callable[..., None]], Step]:
     """Make a step of a function, see :class:`Step`.
 
     ``data_files``: files or folders of the library (relative to the project) that it reads; ``entries``: library
-    modules that stand for what it imports, where following the function's imports would take in too much.
+    modules that stand for the packages they lie in, where a package's registry would take in too much.
     """
 
     def decorate(function: Callable[..., None]) -> Step:

@@ -4,7 +4,9 @@ Prefect's ``TASK_SOURCE`` sees only the task's own text, so a changed helper ret
 library throws hours of pretraining away for a new colour in the report. Here the digest covers exactly the modules of
 ``dieseltwin`` that a step's entry modules import, directly or through others, inside functions too.
 
-What counts is a module's code, not its text: comments, docstrings and layout are left out of the digest.
+What counts is a module's code, not its text: comments, docstrings and layout are left out of the digest. Of the
+settings' module, which every other imports, only the models that are really imported count: a new field for the report
+doesn't run the pretraining again.
 """
 
 from __future__ import annotations
@@ -23,6 +25,11 @@ from pathlib import Path
 from typing import Any
 
 LIBRARY = "dieseltwin"
+
+# Modules of declarations: of these only the imported names and what they use count.
+_DECLARATIONS = frozenset({"config", "symbols"})
+
+_WHOLE = "*"
 
 # Dunder assignments of a package's __init__ that cannot change a result.
 _INERT_NAMES = frozenset({"__all__", "__version__", "__author__"})
@@ -71,13 +78,18 @@ class LibrarySources:
         """Names of all modules of the package."""
         return frozenset(self._files)
 
-    def collect(self, entries: Iterable[str], own_code: Mapping[str, str] | None = None) -> Sources:
-        """Digest everything the modules ``entries`` import.
+    def collect(
+        self, entries: Iterable[str] | Mapping[str, set[str]], own_code: Mapping[str, str] | None = None
+    ) -> Sources:
+        """Digest everything the modules ``entries`` import; a mapping says which names are taken from them.
 
         ``own_code``: further code by a label of its own (the step's function). Raises ``ModuleNotFoundError`` where an
         entry isn't a module of the package: a silent omission would return stale results.
         """
-        todo = list(entries)
+        names: dict[str, set[str]] = {}
+        for entry in entries:
+            names[entry] = set(entries[entry]) if isinstance(entries, Mapping) else {_WHOLE}
+        todo = list(names)
         for name in todo:
             if name not in self._files:
                 raise ModuleNotFoundError(f"no module {name!r} below {self.package}; entries: {sorted(todo)}")
@@ -88,10 +100,13 @@ class LibrarySources:
             if name in inside:
                 continue
             inside.add(name)
-            imports = self._imports(name)
-            todo += [module for module in imports if module in self._files]
-            outside |= {module for module in imports if module not in self._files}
-        modules = {name: _code_digest(self._tree(name)) for name in inside}
+            for module, imported in self._imports(name).items():
+                if module in self._files:
+                    todo.append(module)
+                    names.setdefault(module, set()).update(imported)
+                else:
+                    outside.add(module)
+        modules = {name: self._digest(name, names[name]) for name in inside}
         for name in sorted({parent for module in inside for parent in _parents(module)} - inside):
             # A parent package's __init__ runs too, but its re-exports aren't used: only its own statements count.
             if name in self._files:
@@ -102,78 +117,98 @@ class LibrarySources:
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
         return Sources(modules=modules, packages=_versions(frozenset(outside)), python=version)
 
+    def _digest(self, name: str, imported: set[str]) -> str:
+        tree = self._tree(name)
+        if name.removeprefix(f"{self.package}.") in _DECLARATIONS and _WHOLE not in imported:
+            return _code_digest(ast.Module(body=_used_definitions(tree, imported), type_ignores=[]))
+        return _code_digest(tree)
+
     def _tree(self, name: str) -> ast.Module:
         if name not in self._trees:
             self._trees[name] = ast.parse(self._files[name].read_text(encoding="utf-8"))
         return self._trees[name]
 
-    def _imports(self, name: str) -> set[str]:
-        """Module names that ``name`` imports: of the package in full, of others the top level only."""
+    def _imports(self, name: str) -> dict[str, set[str]]:
+        """What ``name`` imports, as :func:`imported_names` gives it."""
         is_package = self._files[name].name == "__init__.py"
-        return imported_modules(self._tree(name), name, is_package, frozenset(self._files))
+        return imported_names(self._tree(name), name, is_package, frozenset(self._files))
 
 
-def imported_modules(tree: ast.AST, name: str, is_package: bool, known: frozenset[str]) -> set[str]:
-    """Modules that ``tree`` imports, at any depth.
+def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[str]) -> dict[str, set[str]]:
+    """Modules that ``tree`` imports, at any depth, with the names that it takes from them (``*``: the whole module).
 
+    Modules in ``known`` are named in full, of others the top level.
     A string constant that is a known module's name counts as well ("pkg.module" or "pkg.module:function"): that is how
-    lazy registries import.
+    lazy registries import. What is imported for type checkers alone doesn't count, nor does a name that stands in
+    function annotations alone.
     """
-    found: set[str] = set()
+    found: dict[str, set[str]] = {}
 
-    def add(module: str) -> None:
-        found.add(module if module in known else module.split(".")[0])
+    def add(module: str, imported: str) -> None:
+        found.setdefault(module if module in known else module.split(".")[0], set()).add(imported)
 
-    for node in ast.walk(tree):
+    code = _Running().visit(ast.parse(ast.unparse(tree)))
+    used = {node.id for node in ast.walk(code) if isinstance(node, ast.Name)}
+    exported = is_package or any(isinstance(node, ast.Name) and node.id == "__all__" for node in ast.walk(code))
+    for node in ast.walk(code):
         if isinstance(node, ast.Import):
             for alias in node.names:
-                add(alias.name)
+                add(alias.name, _WHOLE)
         elif isinstance(node, ast.ImportFrom):
             base = _resolve(node, name, is_package)
             for alias in node.names:
-                submodule = f"{base}.{alias.name}"
-                add(submodule if submodule in known else base)
+                if f"{base}.{alias.name}" in known:
+                    add(f"{base}.{alias.name}", _WHOLE)
+                elif exported or (alias.asname or alias.name) in used or alias.name == _WHOLE:
+                    add(base, alias.name)
+                else:
+                    add(base, "")
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             text = node.value.split(":")[0]
             if "." in text and text in known:
-                found.add(text)
-    found.discard("__future__")
+                add(text, _WHOLE)
+    found.pop("__future__", None)
     return found
 
 
-def function_sources(function: Callable[..., Any], known: frozenset[str] | None = None) -> tuple[str, set[str]]:
+class _Running(ast.NodeTransformer):
+    """Leaves what runs: without function annotations and ``if TYPE_CHECKING:`` blocks."""
+
+    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
+        if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            return node.orelse
+        return self.generic_visit(node)
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        node.returns = None
+        return self.generic_visit(node)
+
+    def visit_arg(self, node: ast.arg) -> ast.AST:
+        node.annotation = None
+        return node
+
+
+def function_sources(
+    function: Callable[..., Any], known: frozenset[str] | None = None
+) -> tuple[str, dict[str, set[str]]]:
     """Digest of a function and of the functions, classes and constants of its own module that it uses, and the modules
     it imports inside itself.
 
-    Returns (sha256, names of imported modules). What the module imports at its top level isn't followed: a step
-    imports what it computes with inside itself, which also keeps the flows quick to start. Functions of other task
-    modules that it imports inside itself count as its own.
+    Returns (sha256, imports as :func:`imported_names` gives them). What the module imports at its top level isn't
+    followed: a step imports what it computes with inside itself, which also keeps the flows quick to start. Functions
+    of other task modules that it imports inside itself count as its own.
     """
     module = inspect.getmodule(function)
     if module is None:
         raise ValueError(f"{function!r} has no module")
     source = ast.parse(textwrap.dedent(inspect.getsource(module)))
-    definitions: dict[str, ast.stmt] = {}
-    for statement in source.body:
-        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-            definitions[statement.name] = statement
-        elif isinstance(statement, ast.Assign | ast.AnnAssign):
-            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-            definitions |= {target.id: statement for target in targets if isinstance(target, ast.Name)}
-    used: dict[str, ast.stmt] = {}
-    todo = [function.__name__]
-    while todo:
-        name = todo.pop()
-        if name in used or name not in definitions:
-            continue
-        used[name] = definitions[name]
-        todo += [node.id for node in ast.walk(definitions[name]) if isinstance(node, ast.Name)]
-    body = ast.Module(body=[_undecorated(used[name]) for name in sorted(used)], type_ignores=[])
-    digest, imported = _code_digest(body), imported_modules(body, module.__name__, False, known or frozenset())
+    body = ast.Module(body=_used_definitions(source, {function.__name__}), type_ignores=[])
+    digest, imported = _code_digest(body), imported_names(body, module.__name__, False, known or frozenset())
     for helper in _task_functions(body):
         helper_digest, helper_imports = function_sources(helper, known)
         digest = hashlib.sha256(f"{digest} {helper_digest}".encode()).hexdigest()
-        imported |= helper_imports
+        for name, names in helper_imports.items():
+            imported.setdefault(name, set()).update(names)
     return digest, imported
 
 
@@ -185,6 +220,29 @@ def _task_functions(body: ast.Module) -> list[Callable[..., Any]]:
             module = importlib.import_module(node.module or "")
             found += [getattr(module, alias.name) for alias in node.names]
     return [item for item in found if inspect.isfunction(item)]
+
+
+def _used_definitions(source: ast.Module, wanted: set[str]) -> list[ast.stmt]:
+    """The module's functions, classes and constants that ``wanted`` names and what those use; and what else it runs."""
+    definitions: dict[str, ast.stmt] = {}
+    for statement in source.body:
+        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            definitions[statement.name] = statement
+        elif isinstance(statement, ast.Assign | ast.AnnAssign):
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            definitions |= {target.id: statement for target in targets if isinstance(target, ast.Name)}
+    used: dict[str, ast.stmt] = {}
+    todo = list(wanted)
+    while todo:
+        name = todo.pop()
+        if name in used or name not in definitions:
+            continue
+        used[name] = definitions[name]
+        running = _Running().visit(ast.parse(ast.unparse(definitions[name])))
+        todo += [node.id for node in ast.walk(running) if isinstance(node, ast.Name)]
+    plain = ast.FunctionDef | ast.ClassDef | ast.Assign | ast.AnnAssign
+    others = [node for node in source.body if not isinstance(node, plain) and not _is_inert(node)]
+    return [_undecorated(used[name]) for name in sorted(used)] + others
 
 
 def _undecorated(node: ast.stmt) -> ast.stmt:

@@ -73,6 +73,7 @@ def quiet_settings(workspace: Workspace) -> dict[str, str]:
         "PREFECT_CLI_WRAP_LINES": "false",
         "DO_NOT_TRACK": "true",
         "MLFLOW_DISABLE_TELEMETRY": "true",
+        "MLFLOW_LOGGING_LEVEL": "ERROR",
         "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
         "MLFLOW_TRACKING_URI": f"sqlite:///{workspace.mlruns / 'mlflow.db'}",
         "DVC_NO_ANALYTICS": "true",

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 import toy_steps
 from toy_library import write_toylib
 
+from tasks import identify, pretrain
+from tasks.progress import Display
+from tasks.run_context import RunContext
 from tasks.sources import LibrarySources, function_sources
-from tasks.workspace import PROJECT
+from tasks.workspace import PROJECT, Workspace
 
 
 @pytest.fixture
@@ -74,6 +78,48 @@ def test_a_steps_own_code_is_its_function_and_what_that_uses() -> None:
     code, imported = function_sources(toy_steps.total.function, known)
     assert "toylib.scaling" in imported and "toylib.draw" not in imported
     assert code != function_sources(toy_steps.make.function, known)[0]
+
+
+def test_of_the_settings_only_the_imported_models_count(library: Path) -> None:
+    config = library / "toylib" / "config.py"
+    config.write_text(
+        "SIZE = 3\n\nclass Shared:\n    n = SIZE\n\nclass Maps(Shared):\n    a = 1\n\nclass Report:\n    b = 1\n"
+    )
+    user = library / "toylib" / "user.py"
+    user.write_text(
+        "from __future__ import annotations\nfrom .config import Maps, Report\n\ndef f(r: Report):\n    return Maps\n"
+    )
+    before, text = digest(library, "toylib.user"), config.read_text()
+    config.write_text(text.replace("b = 1", "b = 2"))
+    assert digest(library, "toylib.user") == before
+    for old, new in (("a = 1", "a = 2"), ("SIZE = 3", "SIZE = 4")):
+        config.write_text(text.replace(old, new))
+        assert digest(library, "toylib.user") != before
+
+
+def test_imports_for_type_checkers_do_not_count(library: Path) -> None:
+    (library / "toylib" / "user.py").write_text(
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from toylib.report import COLOUR\n"
+    )
+    assert set(LibrarySources(library, "toylib").collect(["toylib.user"]).modules) == {"toylib.user"}
+
+
+def test_a_steps_entry_stands_for_its_package_and_its_other_imports_stay(library: Path) -> None:
+    modules = identify.classical.code(RunContext(Workspace(library), Display(library / "x"))).modules
+    assert "dieseltwin.identification.classical" in modules and "dieseltwin.recordings" in modules
+    assert "dieseltwin.identification.fewshot_newton" not in modules
+
+
+def test_a_new_field_of_the_report_leaves_pretraining_alone(library: Path) -> None:
+    (library / "dieseltwin").symlink_to(PROJECT / "dieseltwin")
+    before = pretrain.bodies.code(RunContext(Workspace(library), Display(library / "x"), library_root=library)).digest
+    (library / "dieseltwin").unlink()
+    shutil.copytree(PROJECT / "dieseltwin", library / "dieseltwin", ignore=shutil.ignore_patterns("__pycache__"))
+    config = library / "dieseltwin" / "config.py"
+    config.write_text(config.read_text().replace("    picture_s:", "    another: int = 3\n    picture_s:"))
+    assert "another: int" in config.read_text()
+    after = pretrain.bodies.code(RunContext(Workspace(library), Display(library / "x"), library_root=library)).digest
+    assert after == before
 
 
 def test_the_engine_does_not_rest_on_the_report() -> None:

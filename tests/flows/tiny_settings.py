@@ -1,0 +1,45 @@
+"""params.yaml with a profile ``tiny``: the same chain in seconds; its numbers mean nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from tasks.workspace import PROJECT
+
+TINY = {
+    "driving": {
+        "sets": {
+            "set_i": {"duration_s": 3000},
+            "set_iii": {"duration_s": 1200},
+            "set_iv": {"duration_s": 1200},
+        }
+    },
+    "pretrain": {
+        "maps": {
+            "paper": {"steps": 30, "batch": 64},
+            "improved": {"cells": 200, "starts": 2, "members": 2, "steps": 4, "refine_steps": 2, "rounds": 1},
+        },
+        "operators": {"egr": {"updates": 120, "batch": 64}, "vgt": {"updates": 120, "batch": 64}},
+        "bodies": {
+            "heads": 80,
+            "paper": {"epochs": 5},
+            "conditioned": {"epochs": 3, "lbfgs_steps": 2, "slide_s": 10.0},
+        },
+    },
+    "identify": {
+        "runs": 2,
+        "minutes": 1.0,
+        "adam": {"epochs": 20, "weights_until_epoch": 10, "members": 2},
+    },
+}
+
+
+def write_params(root: Path) -> Path:
+    """The project's params.yaml with the profile ``tiny`` in the workspace ``root``."""
+    settings = yaml.safe_load((PROJECT / "params.yaml").read_text(encoding="utf-8"))
+    settings["profiles"]["tiny"] = TINY
+    path = root / "params.yaml"
+    path.write_text(yaml.safe_dump(settings, sort_keys=False), encoding="utf-8")
+    return path
