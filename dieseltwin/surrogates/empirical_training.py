@@ -21,7 +21,6 @@ from dieseltwin.networks import MLP
 from dieseltwin.strict import unknown_name
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, MapNetwork, map_arguments
 from dieseltwin.surrogates.empirical_forms import (
-    ETA_C_FLOOR,
     ETA_TM_CAP,
     ETA_TM_FLOOR,
     KINDS,
@@ -46,8 +45,8 @@ Progress = Callable[[str, float], None]
 """Called with the map's name and the share of the training done."""
 
 CENTRAL = (0.5, 99.5)  # % of the rows whose inputs are scaled to [-1, 1]
-HARD_LIMITS = {"eta_tm": (ETA_TM_FLOOR, ETA_TM_CAP), "eta_c": (ETA_C_FLOOR, np.inf)}  # outputs z itself between them
-LIMIT_SIGMAS = 3.0  # standard deviations of a cell's mean label by which it is clearly inside
+HARD_LIMITS = {"eta_tm": (ETA_TM_FLOOR, ETA_TM_CAP)}  # its output is z itself between them
+LIMIT_SIGMAS = 5.0  # standard deviations of a cell's mean label by which it is clearly inside
 LIMIT_MARGIN = 0.25  # of an input's range beyond the training data, where the improved maps stop to extrapolate
 Samples = dict[str, tuple[tuple[np.ndarray, ...], np.ndarray]]
 
