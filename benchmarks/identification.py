@@ -2,7 +2,7 @@
 
     python benchmarks/identification.py --methods classical --draws 100
     python benchmarks/identification.py --methods classical few-shot-newton --draws 100 --models models
-    python benchmarks/identification.py --methods classical few-shot-newton --models models --learned
+    python benchmarks/identification.py --methods classical few-shot-newton --models models --maps improved
 
 Inputs of tests/reference/field_random_300s.csv, field parameters, five segments of 301 points, noise
 3/3/1/5/3 % of the means
@@ -31,9 +31,7 @@ TRACE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.c
 START_STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k")
 
 
-def benchmark_problems(
-    draws: int, seed: int, trace: Path = TRACE
-) -> tuple[list[SegmentProblem], list[Bound]]:
+def benchmark_problems(draws: int, seed: int, trace: Path = TRACE) -> tuple[list[SegmentProblem], list[Bound]]:
     """The five benchmark segments with noise draws, and their bounds at the truth.
 
     Args:
@@ -103,35 +101,25 @@ def _row(name: str, values: Sequence[Any] | np.ndarray) -> str:
 
 def main() -> None:
     """Print one table for each method."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--methods", nargs="+", default=["classical"])
     parser.add_argument("--draws", type=int, default=100, help="noise draws of each segment")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--models", type=Path, default=None, help="folder of pretrained networks")
-    parser.add_argument(
-        "--learned", action="store_true", help="learned maps from --models instead of the formulae"
-    )
+    parser.add_argument("--learned", action="store_true", help="learned maps from --models instead of the formulae")
     parser.add_argument("--profile", default="quick")
     arguments = parser.parse_args()
+
+    from dieseltwin.cli_identify import load_networks
 
     params = load_params(None, arguments.profile)
     problems, bounds = benchmark_problems(arguments.draws, arguments.seed)
     for method in arguments.methods:
-        networks = {}
-        if arguments.models is not None:
-            from dieseltwin.cli_identify import load_networks
-
-            networks = load_networks(arguments.models, method)
-            if not arguments.learned:
-                networks.update(maps=None, operators=None)
+        networks = load_networks(arguments.models, method, arguments.maps)
         warm = [p.with_noise_draws(1, np.random.default_rng(0)) for p in problems[:1]]
         identify_segments(warm, method, 1, 0, config=params.identify, **networks)
         cpu = time.process_time()
-        found = identify_segments(
-            problems, method, arguments.draws, arguments.seed, config=params.identify, **networks
-        )
+        found = identify_segments(problems, method, arguments.draws, arguments.seed, config=params.identify, **networks)
         print("\n".join(table(found, bounds, time.process_time() - cpu)), flush=True)
 
 

@@ -222,7 +222,8 @@ def concatenated(parts: Sequence[Fit]) -> Fit:
 EQUAL_COST = 0.01
 """Negative log likelihoods this close are one minimum."""
 
-_TINY = np.finfo(np.float64).tiny
+_TINY = 1e-12
+"""A predicted decrease below this is rounding."""
 
 
 def _blocked(gradient: Array, x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
