@@ -4,8 +4,9 @@
     python benchmarks/coverage.py --methods classical few-shot-newton --models models
 
 Coverage: the five benchmark segments (benchmarks/identification.py), runs / 5 noise draws and starts of each; counted
-over the runs whose own bound calls the parameter identifiable. Flags: a minute of idle with the EGR valve shut and at 0.3 %, and
-segments of random driving with other health values (`datasets.make_validation`), whose bound at the truth is known.
+over the runs whose own bound calls the parameter identifiable. Flags: a minute of idle with the EGR valve shut and at
+0.3 %, and segments of random driving with other health values (`datasets.make_validation`), whose bound at the truth is
+known.
 """
 
 from __future__ import annotations

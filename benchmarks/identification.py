@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=100, help="noise draws of each segment")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--models", type=Path, default=None, help="folder of pretrained networks")
-    parser.add_argument("--learned", action="store_true", help="learned maps from --models instead of the formulae")
+    parser.add_argument("--maps", default="exact", help="exact (formulae), paper or improved (learned)")
     parser.add_argument("--profile", default="quick")
     arguments = parser.parse_args()
 
