@@ -39,6 +39,10 @@ setup: $(READY)  ## .venv with the exact versions of requirements.lock
 $(READY): requirements.lock pyproject.toml
 	@if ! { cmp -s $@ requirements.lock && $(BIN)/python -c "" 2>/dev/null; }; then \
 		rm -f $@; \
+		$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] != (3, 11))" 2>/dev/null || { \
+			echo "Python 3.11 is needed, got $$($(PYTHON) --version 2>&1 | head -1): make PYTHON=/path/to/python3.11" >&2; \
+			exit 1; \
+		}; \
 		echo "Setting up $(VENV) from requirements.lock (about 3 minutes, once) ..."; \
 		$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV) || exit 1; \
 		$(BIN)/python -m pip install -qq -r requirements.lock || exit 1; \

@@ -128,7 +128,7 @@ def test_a_forbidden_import_is_noticed(project_root: Path, tmp_path: Path) -> No
     for package in ("dieseltwin", "dieseltwin/engine", "flows", "tasks"):
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").write_text("")
-    for module in ("config", "symbols", "strict", "atomic", "errors", "networks"):
+    for module in ("cli", "config", "symbols", "strict", "atomic", "errors", "networks"):
         (tmp_path / "dieseltwin" / f"{module}.py").write_text("")
     lint = [str(Path(sys.executable).with_name("lint-imports")), "--no-cache", "--no-logo"]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
