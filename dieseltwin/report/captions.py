@@ -75,6 +75,12 @@ PRETRAINING = _line("""
     minutes, so a body is good when its held-out mark is close to it.
 """)
 
+BESIDE_PAPER = _line("""
+    Error of each cell in % of the truth, sqrt((mean − truth)² + std²) over the runs; paper: few-shot table, noisy
+    data, 301 points, its own driving and starts near the truth. Cells in brackets are not identifiable here and not
+    scored.
+""")
+
 SUMMARY = _line("""
     Each method's value pools the segments where the parameter is identifiable, weighted by their certainty. {ratio}
     Seconds per run: wall time of one start on one segment.

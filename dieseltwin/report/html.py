@@ -15,7 +15,7 @@ from dieseltwin.report import captions, charts, quantities, style, timeseries, t
 from dieseltwin.report.driving import SET_TITLES
 from dieseltwin.report.results import PARAMETERS, Results, load_results
 from dieseltwin.report.style import ReportFigure
-from dieseltwin.report.tables import headline, segment_table, summary_table
+from dieseltwin.report.tables import headline, paper_table, segment_table, summary_table
 
 SIZE_LIMIT_BYTES = 8 * 1024 * 1024
 _SMALLER_DPI = (110, 85, 60)  # the page is drawn again more coarsely rather than grow beyond the limit
@@ -33,6 +33,7 @@ class Section:
     figures: tuple[ReportFigure, ...]
     pictures: tuple[Path, ...] = ()
     table: Mapping[str, Any] | None = field(default=None)
+    beside_paper: Mapping[str, Any] | None = field(default=None)
 
 
 def result_figures(results: Results) -> list[ReportFigure]:
@@ -65,7 +66,9 @@ def _sections(results: Results) -> list[Section]:
             ),
             table=_segment_rows(results),
         ),
-        Section("accuracy", "Accuracy", "", _kept(charts.bound_ratio(results))),
+        Section(
+            "accuracy", "Accuracy", "", _kept(charts.bound_ratio(results)), beside_paper=_paper_rows(results)
+        ),
         Section(
             "states",
             "States and flows",
@@ -147,6 +150,34 @@ def _given(results: Results) -> list[tuple[str, str]]:
     words = results.about.get("methods") or {}
     labels = {m.method: style.method_style(m.method).label for m in results.methods}
     return [(labels[name], _plain(text)) for name, text in words.items() if name in labels]
+
+
+def _paper_rows(results: Results) -> dict[str, Any] | None:
+    """The cells beside the paper's table, as text; None where there is nothing to compare."""
+    table = paper_table(results)
+    if table.empty:
+        return None
+    methods = [m.method for m in results.methods if m.method in table]
+    rows = []
+    for minute, part in table.groupby("minute", sort=True):
+        for name, label in (("paper", "paper"), *((m, style.method_style(m).label) for m in methods)):
+            cells = []
+            for parameter in PARAMETERS:
+                cell = part[part["parameter"] == parameter].iloc[0]
+                text = quantities.percent(cell[name])
+                cells.append(
+                    {"text": text if cell["identifiable"] else f"({text})", "none": not cell["identifiable"]}
+                )
+            colour = style.PAPER if name == "paper" else style.method_style(name).colour
+            rows.append(
+                {
+                    "minute": minute if name == "paper" else "",
+                    "label": label,
+                    "colour": colour,
+                    "cells": cells,
+                }
+            )
+    return {"heads": [quantities.html_symbol(p) for p in PARAMETERS], "rows": rows}
 
 
 def _provenance(results: Results) -> list[tuple[str, str]]:
@@ -249,6 +280,7 @@ def _page(results: Results, sections: Sequence[Section], dpi: int) -> str:
         headline=headline(results),
         summary_note=captions.SUMMARY.format(ratio=note),
         given=_given(results),
+        paper_words=captions.BESIDE_PAPER,
         known_truth=known,
         known_nominal=bool(results.nominal),
         ratio_title="error over bound" if known else "std over bound",
@@ -259,6 +291,7 @@ def _page(results: Results, sections: Sequence[Section], dpi: int) -> str:
                 "title": s.title,
                 "words": s.words,
                 "table": s.table,
+                "beside_paper": s.beside_paper,
                 "figures": [_picture(p) for p in s.pictures] + [_figure(f, dpi) for f in s.figures],
             }
             for s in sections

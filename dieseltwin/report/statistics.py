@@ -37,22 +37,26 @@ def std_over_bound(estimate: Estimate) -> float:
     return estimate.std / estimate.bound if estimate.bound > 0 else math.nan
 
 
-def error_over_bound(method: MethodResult, segment: int, parameter: str, truth: float) -> float:
-    """Root-mean-square error of one segment's runs against ``truth``, over that segment's bound [-].
+def error_of_runs(method: MethodResult, segment: int, parameter: str, truth: float) -> float:
+    """Root-mean-square error of one segment's runs against ``truth`` [SI].
 
     Runs that did not converge don't count while any did, as in the segment's own estimate.
     """
-    estimate = method.segments[segment].parameters[parameter]
-    if not (math.isfinite(truth) and estimate.bound > 0):
-        return math.nan
     runs = method.runs
     chosen = runs[
         (runs["segment"] == segment) & (runs["parameter"] == parameter) & np.isfinite(runs["value"])
     ]
     if len(chosen) and chosen["converged"].any():
         chosen = chosen[chosen["converged"]]
-    values = chosen["value"].to_numpy(dtype=float) if len(chosen) else np.array([estimate.mean])
-    return float(np.sqrt(np.mean((values - truth) ** 2))) / estimate.bound
+    mean = method.segments[segment].parameters[parameter].mean
+    values = chosen["value"].to_numpy(dtype=float) if len(chosen) else np.array([mean])
+    return float(np.sqrt(np.mean((values - truth) ** 2)))
+
+
+def error_over_bound(method: MethodResult, segment: int, parameter: str, truth: float) -> float:
+    """`error_of_runs` over that segment's Cramer-Rao bound [-]; NaN where either is missing."""
+    bound = method.segments[segment].parameters[parameter].bound
+    return error_of_runs(method, segment, parameter, truth) / bound if bound > 0 else math.nan
 
 
 def typical_ratio(method: MethodResult, parameter: str, truth: float) -> float:

@@ -75,6 +75,7 @@ def test_page_has_every_section_and_the_numbers(one: Path, page: Path) -> None:
         assert title in text
     estimate = load_results(one).methods[0].pooled["A_vgtmax"]
     assert quantities.value_with_std("A_vgtmax", estimate.mean, estimate.std, with_unit=False) in text
+    assert "Beside the paper's table" in text and "7.19 %" in text  # its A_egrmax in the first minute
     assert "0" * 64 in text and "seed" in text  # provenance
     assert parser.loads[0].startswith("data:image/svg+xml")  # the picture of the driving
 
