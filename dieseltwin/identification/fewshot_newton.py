@@ -26,7 +26,7 @@ from dieseltwin.identification.damped_newton import Runs, minimise
 from dieseltwin.identification.defects import STEP_S, Defects, Windows, defects, simulate_windows, windows_for
 from dieseltwin.identification.heads import Heads, heads_for
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.process_noise import ProcessNoise, calibrate
+from dieseltwin.identification.process_noise import calibrate
 from dieseltwin.identification.residuals import N_HEALTH, Cylinder, DrivenInputs, PointModel, driven_inputs
 from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
 from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts

@@ -25,16 +25,16 @@ SCALES = (1e5, 1e5, 5e3)
 """Output scaling of p_im, p_em [Pa] and omega_t [rad/s] behind the softplus (paper, table of networks)."""
 RANK_TOLERANCE = 1e-9
 """Columns of a body whose singular value is below this share of the largest carry rounding errors only."""
-SPLINE_WIDTHS = {"pressures": 125, "omega_t": 70}
+SPLINE_WIDTHS = {"pressures": 125, "omega_t": 70, "x_r": 50, "T_1": 20}
 """Widths of the last hidden layers in the paper's table; splines of the same width stand in where no body
 is given."""
 SPLINE_DEGREE = 3
 
 
 class Body(Protocol):
-    """A frozen body: `basis(time01)` gives h (n, k) and dh/dt (n, k) [1/s]."""
+    """A frozen body: h (n, k) and dh/dt (n, k) [1/s] at times in [0, 1] of a segment of `duration_s`."""
 
-    def basis(self, time01: Any) -> tuple[Any, Any]: ...
+    def basis(self, time01: Any, duration_s: float = ...) -> tuple[Any, Any]: ...
 
 
 @dataclass(frozen=True)
@@ -43,19 +43,26 @@ class SplineBody:
 
     Attributes:
         width: number of columns k.
-        duration_s: length of the segment [s].
     """
 
     width: int
-    duration_s: float
 
-    def basis(self, time01: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Columns and their rates at times in [0, 1] of the segment: (n, k) [-] and (n, k) [1/s]."""
+    def basis(self, time01: ArrayLike, duration_s: float = 60.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Columns (n, k) [-] and their rates (n, k) [1/s]."""
         t = np.asarray(time01, dtype=np.float64)
         inner = np.linspace(0.0, 1.0, self.width - SPLINE_DEGREE + 1)
         knots = np.concatenate([np.zeros(SPLINE_DEGREE), inner, np.ones(SPLINE_DEGREE)])
         spline = BSpline(knots, np.eye(self.width), SPLINE_DEGREE)
-        return spline(t), spline.derivative()(t) / self.duration_s
+        return spline(t), spline.derivative()(t) / duration_s
+
+
+def body_basis(name: str, time_s: ArrayLike, bodies: Any | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Columns (n, k) and rates (n, k) [1/s] of one body at sample times [s]; splines where `bodies` is None."""
+    t = np.asarray(time_s, dtype=np.float64)
+    span = float(t[-1] - t[0])
+    body: Body = SplineBody(SPLINE_WIDTHS[name]) if bodies is None else bodies[name]
+    h, dh = body.basis((t - t[0]) / span, span)
+    return np.asarray(h, dtype=np.float64), np.asarray(dh, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -143,13 +150,7 @@ def heads_for(time_s: ArrayLike, bodies: Any | None = None) -> Heads:
     Raises:
         InputError: fewer samples than heads.
     """
-    t = np.asarray(time_s, dtype=np.float64)
-    span = float(t[-1] - t[0])
-    time01 = (t - t[0]) / span
-    made = {}
-    for name, width in SPLINE_WIDTHS.items():
-        body: Body = SplineBody(width, span) if bodies is None else bodies[name]
-        made[name] = _orthonormal(*body.basis(time01), name)
+    made = {name: _orthonormal(*body_basis(name, time_s, bodies), name) for name in ("pressures", "omega_t")}
     p, w = made["pressures"], made["omega_t"]
     return Heads((p[0], p[0], w[0]), (p[1], p[1], w[1]))
 
@@ -157,7 +158,7 @@ def heads_for(time_s: ArrayLike, bodies: Any | None = None) -> Heads:
 def _orthonormal(h: Any, dh: Any, name: str) -> tuple[Tensor, Tensor]:
     """Orthonormal columns that span a constant and the body, and their rates: Q = [1, h] T, dQ/dt = [0,
     dh/dt] T."""
-    h, dh = (torch.as_tensor(np.asarray(v), dtype=torch.float64) for v in (h, dh))
+    h, dh = torch.from_numpy(h), torch.from_numpy(dh)
     if h.shape[0] < h.shape[1]:
         raise InputError(
             f"few-shot heads of {name}",
