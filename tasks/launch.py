@@ -15,7 +15,7 @@ from typing import Any
 
 from tasks import run_context
 from tasks.server import ServerFailed, prefect_server
-from tasks.settings import DEFAULT_PROFILE
+from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.workspace import prepare_environment
 
 _INTERRUPTED = 130
@@ -50,7 +50,13 @@ def run_alone(flow: Callable[..., Any], arguments: Sequence[str] | None = None) 
     """``python -m flows.NAME --profile quick|paper``: one flow as a command. Returns the exit status."""
     parser = argparse.ArgumentParser(description=flow.__doc__)
     parser.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml: quick or paper")
-    return launch(flow, profile=parser.parse_args(arguments).profile)
+    profile = parser.parse_args(arguments).profile
+    try:
+        load_settings(profile)  # a typing error in params.yaml needs no server, and no traceback of Prefect's
+    except run_context.StepFailed as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    return launch(flow, profile=profile)
 
 
 def serve(flow: Any, cron: str, **parameters: Any) -> int:
