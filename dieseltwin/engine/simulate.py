@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -65,6 +65,7 @@ def simulate_states(
     initial: np.ndarray,
     *,
     threads: int | None = None,
+    kernels: tuple[Callable[..., None], Callable[..., None]] = (integrate_block, integrate_one),
 ) -> Observations:
     """Simulate B parameter sets, eight lanes in lockstep and blocks of lanes on all cores.
 
@@ -73,6 +74,8 @@ def simulate_states(
         batch: B parameter sets. The actuator constants are those the actuation was made with.
         initial: p_im, p_em [Pa], omega_t [rad/s] at the first sample, shape (B, 3) or (3,).
         threads: threads to use (default `thread_count`); the result doesn't depend on it.
+        kernels: for a block of lanes and for one lane; others than the exact engine's may want further rows of
+            constants (`surrogates.map_compiled`).
 
     Returns:
         `Observations` of shapes (B, n, 5) and (B, n, 6).
@@ -80,6 +83,7 @@ def simulate_states(
     Raises:
         InputError: shapes that don't fit each other.
     """
+    integrate_lanes, integrate_alone = kernels
     lanes = batch.size
     actuations = [actuation] if isinstance(actuation, Actuation) else list(actuation)
     if len(actuations) not in (1, lanes):
@@ -106,7 +110,7 @@ def simulate_states(
 
     out = np.empty((lanes, time.size, 8))
     if lanes == 1:
-        integrate_one(grids, grid_of_lane, first.steps, time, batch.values, np.ascontiguousarray(start), out)
+        integrate_alone(grids, grid_of_lane, first.steps, time, batch.values, np.ascontiguousarray(start), out)
         return Observations(out[..., :5], out[..., _MEASURED_AT])
 
     def run(begin: int) -> None:
@@ -115,7 +119,7 @@ def simulate_states(
         )  # a last block is filled with copies of its last lane
         block = out[begin : begin + LANES]
         target = block if block.shape[0] == LANES else np.empty((LANES, time.size, 8))
-        integrate_block(
+        integrate_lanes(
             grids,
             grid_of_lane[rows],
             first.steps,

@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 from dieseltwin.engine import turbocharger
 from dieseltwin.engine.array_namespace import Array, exp, maximum, minimum, positive_power, root
-from dieseltwin.engine.binding import Backend, bind
+from dieseltwin.engine.binding import COMPILED, Backend, bind
 from dieseltwin.engine.parameters import Constants
 from dieseltwin.engine.turbocharger import blade_speed_ratio, energy_transfer_coefficient
 
@@ -186,7 +186,7 @@ def bound_forms(kind: Kind, backend: Backend) -> dict[str, Form]:
             return copy
         import numba
 
-        return numba.njit(error_model="numpy", fastmath={"contract"})(copy)
+        return numba.njit(**COMPILED)(copy)
 
     scope["sigmoid"] = rebind(sigmoid)
     return {name: Form(rebind(form[0]), rebind(form[1]), form[2]) for name, form in FORMS[kind].items()}
