@@ -132,6 +132,8 @@ def estimate(
         One estimate for each segment, in order.
     """
     settings = ClassicalSettings.from_config(config)
+    if maps is not None:
+        simulator = maps.simulator()
     rng = np.random.default_rng(seed)
     begin = [_starts(problem, runs, settings, rng) for problem in problems]
     normal = [rng.standard_normal((settings.samples, N_UNKNOWNS)) for _ in problems]
