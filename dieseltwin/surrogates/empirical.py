@@ -53,7 +53,9 @@ def map_arguments(frame: pd.DataFrame, parameters: EngineParameters) -> dict[str
     """
     missing = [name for name in _NEEDED if name not in frame]
     if missing:
-        raise InputError("maps: laboratory data", f"no column {missing[0]}", ", ".join(_NEEDED), "simulate the case again")
+        raise InputError(
+            "maps: laboratory data", f"no column {missing[0]}", ", ".join(_NEEDED), "simulate the case again"
+        )
     column = {name: frame[name].to_numpy(dtype=np.float64) for name in _NEEDED}
     engine = backend_globals("numpy")
     c = constants(parameters)._replace(p_amb=column["p_amb_pa"], T_amb=column["t_amb_k"])
@@ -120,7 +122,9 @@ class EmpiricalMaps:
 
     # --- weights -----------------------------------------------------------------------------------------------
 
-    def layers(self, name: str, member: int | Sequence[int] | None = None, dtype: torch.dtype = torch.float64) -> list[Layer]:
+    def layers(
+        self, name: str, member: int | Sequence[int] | None = None, dtype: torch.dtype = torch.float64
+    ) -> list[Layer]:
         """Weights of one map with the input scaling and the dropout mask folded in.
 
         Args:
@@ -148,7 +152,9 @@ class EmpiricalMaps:
     def _one_member(self, item: MapNetwork, name: str, number: int | None) -> list[Layer]:
         stack = item.network
         at = 0 if number is None or self.members == 0 else 1 + (int(number) - 1) % self.members
-        layers = [(w[at].detach().double(), b[at].detach().double()) for w, b in zip(stack.weights, stack.biases, strict=True)]
+        layers = [
+            (w[at].detach().double(), b[at].detach().double()) for w, b in zip(stack.weights, stack.biases, strict=True)
+        ]
         scale, centre = torch.as_tensor(item.scale), torch.as_tensor(item.centre)
         weight, bias = layers[0]
         layers[0] = (weight / scale[:, None], bias - (centre / scale) @ weight)
@@ -188,6 +194,12 @@ class EmpiricalMaps:
             raise unknown_name("backend", backend, ["torch", "numpy", "numba"])
         make = self._torch_map if backend == "torch" else self._numpy_map
         return {name: make(name, member, generator, dtype, slopes) for name in MAPS}
+
+    def simulator(self, member: int | None = None) -> Callable[..., Any]:
+        """`engine.simulate_states` with these maps in place of the formulae (improved only), compiled and batched."""
+        from dieseltwin.surrogates.map_compiled import compiled_simulator
+
+        return compiled_simulator(self, member)
 
     def _numpy_map(self, name: str, member: Any, *_: Any) -> Callable[..., np.ndarray]:
         form, item = bound_forms(self.kind, "numpy")[name], self.maps[name]
@@ -275,7 +287,9 @@ class EmpiricalMaps:
                 )
         return pd.DataFrame(rows)
 
-    def _errors_of(self, name: str, arguments: tuple[np.ndarray, ...], label: np.ndarray, uncertainty: bool) -> dict[str, Any]:
+    def _errors_of(
+        self, name: str, arguments: tuple[np.ndarray, ...], label: np.ndarray, uncertainty: bool
+    ) -> dict[str, Any]:
         error = self.evaluate(name, *arguments) - label
         size = float(np.mean(np.abs(label)))
         row: dict[str, Any] = {
@@ -323,6 +337,4 @@ class EmpiricalMaps:
             stack.load_state_dict({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
             ends = {key: state[f"{name}.{key}"].numpy() for key in ("low", "high", "centre", "scale")}
             maps[name] = MapNetwork(stack, **ends, spread=spec["spread"])
-        return cls(
-            meta["kind"], maps, EngineParameters(**meta["parameters"]), meta["meta"], tuple(meta["errors"])
-        )
+        return cls(meta["kind"], maps, EngineParameters(**meta["parameters"]), meta["meta"], tuple(meta["errors"]))

@@ -59,7 +59,7 @@ def two_inputs(a: Array, b: Array, c: Constants) -> tuple[Array, ...]:
 
 
 def three_inputs(a: Array, b: Array, d: Array, c: Constants) -> tuple[Array, ...]:
-    """The arguments as printed: N_4 (omega_t [rad/s], T_em [K], Pi_t [-]), N_6 (T_amb [K], Pi_c [-], omega_t [rad/s])."""
+    """The arguments as printed: N_4 (omega_t [rad/s], T_em [K], Pi_t), N_6 (T_amb [K], Pi_c, omega_t [rad/s])."""
     return a, b, d
 
 

@@ -161,9 +161,7 @@ def _train_paper(
         rows = [torch.randint(len(y), (settings.batch,), generator=generator) for y in labels]
         x = torch.stack([a[r] for a, r in zip(inputs, rows, strict=True)])
         z = stack(x, generator=generator)[..., 0]
-        loss = sum(
-            torch.mean((restrict[i](z[i], ()) - labels[i][rows[i]]) ** 2) for i in range(len(MAPS))
-        )
+        loss = sum(torch.mean((restrict[i](z[i], ()) - labels[i][rows[i]]) ** 2) for i in range(len(MAPS)))
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -242,7 +240,14 @@ def _fit_map(
         by_row = form.output(evaluate(nominal, widths, scaled.T)[0], tuple(x.T))
         bend = cells.mean(by_row) - output(evaluate(nominal, widths, at))[0][0]
         nominal = levenberg_marquardt(
-            nominal, widths, at, (mean_label - bend)[None], weight, output, steps=settings.refine_steps, ridge=settings.ridge
+            nominal,
+            widths,
+            at,
+            (mean_label - bend)[None],
+            weight,
+            output,
+            steps=settings.refine_steps,
+            ridge=settings.ridge,
         ).parameters
     redrawn = (mean_label - bend) + rng.standard_normal((settings.members, mean_label.size)) / np.sqrt(weight)
     from_starts = tried.parameters[good[np.arange(settings.members) % good.size]]

@@ -33,12 +33,17 @@ Sizes = tuple[tuple[str, int, int], ...]
 """Name, number of inputs and number of neurons of each map."""
 
 
-def numba_replacements(maps: EmpiricalMaps, member: int | None = None) -> dict[str, Callable[..., Any]]:
+def numba_replacements(maps: EmpiricalMaps, member: int | Sequence[int] | None = None) -> dict[str, Callable[..., Any]]:
     """Compiled scalar functions of the engine's signatures, weights frozen in; networks of any depth.
 
     Args:
         maps: the maps. member: see `EmpiricalMaps.layers`; one only.
+
+    Raises:
+        InputError: several members.
     """
+    if isinstance(member, Sequence):
+        raise InputError("compiled maps", f"{len(member)} members", "one", "compile each by itself")
     forms = bound_forms(maps.kind, "numba")
     return {name: _scalar_map(maps, name, member, forms[name]) for name in MAPS}
 
@@ -77,7 +82,10 @@ def _scalar_map(maps: EmpiricalMaps, name: str, member: int | None, form: Any) -
     # written out for its number of arguments: compiled code knows no *arguments
     names = ", ".join(f"a{i}" for i in range(_N_ARGUMENTS[name]))
     limited = ", ".join(f"min(max(x[{i}], low[{i}]), high[{i}])" for i in range(int(widths[0])))
-    source = f"def {name}({names}, c):\n    x = inputs({names}, c)\n    y = ({limited},)\n    return output(evaluate(y), y)\n"
+    source = (
+        f"def {name}({names}, c):\n    x = inputs({names}, c)\n    y = ({limited},)\n"
+        "    return output(evaluate(y), y)\n"
+    )
     scope = {"inputs": inputs, "output": output, "evaluate": evaluate, "low": low, "high": high}
     exec(source, scope)
     return numba.njit(error_model="numpy", fastmath={"contract"})(scope[name])
@@ -103,7 +111,11 @@ def compiled_simulator(maps: EmpiricalMaps, member: int | None = None) -> Callab
     weights = flat_weights(maps, member)[:, None]
 
     def simulate(
-        actuation: Actuation | Sequence[Actuation], batch: ParameterBatch, initial: np.ndarray, *, threads: int | None = None
+        actuation: Actuation | Sequence[Actuation],
+        batch: ParameterBatch,
+        initial: np.ndarray,
+        *,
+        threads: int | None = None,
     ) -> Observations:
         rows = np.broadcast_to(weights, (weights.shape[0], batch.size))
         extended = ParameterBatch(np.concatenate([batch.values, rows]))

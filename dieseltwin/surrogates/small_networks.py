@@ -10,6 +10,7 @@ On the same cells Levenberg-Marquardt reached in 0.2-0.8 s what L-BFGS after Ada
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -79,14 +80,14 @@ Layers = list[tuple[np.ndarray, np.ndarray]]
 
 def n_parameters(widths: Widths) -> int:
     """Weights and biases of one network."""
-    return sum((a + 1) * b for a, b in zip(widths[:-1], widths[1:], strict=True))
+    return sum((a + 1) * b for a, b in itertools.pairwise(widths))
 
 
 def unpack(p: np.ndarray, widths: Widths) -> Layers:
     """Layers as views of packed parameters (M, P)."""
     layers: Layers = []
     at = 0
-    for n_in, n_out in zip(widths[:-1], widths[1:], strict=True):
+    for n_in, n_out in itertools.pairwise(widths):
         weights = p[:, at : at + n_in * n_out].reshape(-1, n_out, n_in)
         at += n_in * n_out
         layers.append((weights, p[:, at : at + n_out, None]))
@@ -94,7 +95,9 @@ def unpack(p: np.ndarray, widths: Widths) -> Layers:
     return layers
 
 
-def start(widths: Widths, x: np.ndarray, members: int, scale: float, level: float, rng: np.random.Generator) -> np.ndarray:
+def start(
+    widths: Widths, x: np.ndarray, members: int, scale: float, level: float, rng: np.random.Generator
+) -> np.ndarray:
     """Random parameters (M, P): neurons of the first layer turn at rows of x (d, k); the output is `level` everywhere.
 
     Args:

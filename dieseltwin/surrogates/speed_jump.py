@@ -44,7 +44,7 @@ class _Sums:
         return float(self.yy.sum() / n - (self.y.sum() / n) ** 2)
 
     def rest(self, low: float, high: float) -> float:
-        """Mean square of the labels less a parabola over the ratio below `low`, another above `high`, blended between."""
+        """Mean square of the labels less a parabola over the ratio below `low` and another above `high`, blended."""
         after = np.clip((self.speed - low) / (high - low), 0.0, 1.0)
         before = 1.0 - after
         gram = np.empty((6, 6))
@@ -75,7 +75,8 @@ def find_jump(speed: np.ndarray, ratio: np.ndarray, label: np.ndarray) -> tuple[
     """
     sums = _summed(speed, ratio, label)
     best_gain, best_at = 0.0, np.nan
-    for at in np.geomspace(*np.quantile(speed, (0.01, 0.99)), GRID):
+    slowest, fastest = np.quantile(speed, (0.01, 0.99))
+    for at in np.geomspace(slowest, fastest, GRID):
         near = sums.near(at, WINDOW)
         below = near.n[near.speed < at].sum()
         if min(below, near.n.sum() - below) < ROWS_MIN:
@@ -103,7 +104,9 @@ def _refined(near: _Sums, knots: tuple[float, float]) -> tuple[float, float]:
         return float(middle * (1.0 + q[0]) - width), float(middle * (1.0 + q[0]) + width)
 
     trials = [
-        minimize(lambda q: near.rest(*at(q)), [shift, width], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 0.0})
+        minimize(
+            lambda q: near.rest(*at(q)), [shift, width], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 0.0}
+        )
         for shift in (-0.005, 0.0, 0.005)
         for width in (1.0, 3.0)
     ]
