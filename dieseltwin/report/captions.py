@@ -63,6 +63,12 @@ RESIDUALS = _line("""
     autocorrelation stays inside its grey band. A wave over time or a slowly falling autocorrelation means that the
     model misses something; a std below 1 means that the noise is overstated or fitted.
 """)
+WHITE = "They look like the sensors' noise: no channel stands out in spread or in correlation."
+ODD = {
+    "large": "More scatter than the noise in {channels}: the model misses something there, or the noise is larger.",
+    "small": "Less scatter than the noise in {channels}: it is overstated, or the fit follows it.",
+    "coloured": "Not white in {channels}: neighbouring residuals go together, so something slow is missing.",
+}
 
 CONVERGENCE = _line("""
     Loss terms without their self-adaptive weights, and the four unknowns by segment; bands span the smallest and the

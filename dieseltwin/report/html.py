@@ -75,7 +75,7 @@ def _sections(results: Results) -> list[Section]:
             "",
             _kept(timeseries.states(results), timeseries.flows(results), timeseries.empirical(results)),
         ),
-        Section("residuals", "Residuals", "", residuals),
+        Section("residuals", "Residuals", captions.RESIDUALS, residuals),
         Section("times", "Run times", "", times),
         Section(
             "training",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -126,6 +127,31 @@ def autocorrelation(values: NDArray[np.float64], lags: int) -> NDArray[np.float6
     if scale <= 0:
         return np.full(lags + 1, math.nan)
     return np.array([np.dot(centred[: len(centred) - k], centred[k:]) / scale for k in range(lags + 1)])
+
+
+STD_TOLERANCE = 0.1  # a residual's std may leave 1 by this much: the noise level itself is known no better
+WHITE_LIMIT = (
+    4.0  # standard deviations of white noise's autocorrelation at one sample; rarer than chance over channels
+)
+
+
+def odd_channels(
+    found: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]],
+) -> dict[str, list[str]]:
+    """Channels whose residuals (see `residuals`) don't look like the noise, by what is wrong.
+
+    Keys: "large" and "small" (std against 1) and "coloured" (neighbouring residuals go together).
+    """
+    odd: dict[str, list[str]] = {"large": [], "small": [], "coloured": []}
+    for column, (_, values) in found.items():
+        spread = float(np.sqrt(np.mean(values**2)))
+        if spread > 1 + STD_TOLERANCE:
+            odd["large"].append(column)
+        elif spread < 1 - STD_TOLERANCE:
+            odd["small"].append(column)
+        if len(values) > 2 and abs(autocorrelation(values, 1)[1]) > WHITE_LIMIT / math.sqrt(len(values)):
+            odd["coloured"].append(column)
+    return odd
 
 
 def agree(one: Estimate, other: Estimate, standard_deviations: float = 2.0) -> bool | None:

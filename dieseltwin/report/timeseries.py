@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.report import captions, quantities, style
 from dieseltwin.report.results import MethodResult, Results
-from dieseltwin.report.statistics import autocorrelation, band, residuals
+from dieseltwin.report.statistics import autocorrelation, band, odd_channels, residuals
 
 STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k")
 FLOWS = ("w_egr_kg_s", "w_c_kg_s", "w_t_kg_s", "w_ei_kg_s", "t_em_k", "t_e_k")
@@ -253,9 +253,8 @@ def residual_figure(results: Results, method: MethodResult) -> style.ReportFigur
         over_time.set_ylabel(f"{quantities.symbol(column)}  [σ]")
         _mark_segments(over_time, results)
         beyond = int((np.abs(values) > RESIDUAL_LIMIT).sum())
-        text = f"mean {values.mean():+.2f} σ, std {values.std():.2f} σ" + (
-            f", {beyond} beyond ±5 σ" if beyond else ""
-        )
+        mean = f"{values.mean():+.2f}".replace("-", "−")
+        text = f"mean {mean} σ, std {values.std():.2f} σ" + (f", {beyond} beyond ±5 σ" if beyond else "")
         over_time.set_title(text, fontweight="normal", fontsize=9.5, loc="right")
         histogram.hist(
             inside,
@@ -300,4 +299,14 @@ def residual_figure(results: Results, method: MethodResult) -> style.ReportFigur
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     slug = "".join(c if c.isalnum() else "_" for c in method.method)
     title = f"Residuals of {look.label}"
-    return style.ReportFigure(f"residuals_{slug}", title, captions.RESIDUALS, figure, kind="png")
+    return style.ReportFigure(f"residuals_{slug}", title, _verdict(look.label, found), figure, kind="png")
+
+
+def _verdict(label: str, found: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]) -> str:
+    """What the residuals say, in words."""
+    sentences = []
+    for kind, columns in odd_channels(found).items():
+        if columns:
+            names = [symbol.name if (symbol := quantities.known(c)) else c for c in columns]
+            sentences.append(captions.ODD[kind].format(channels=", ".join(names)))
+    return f"Measured minus predicted of {label}. " + " ".join(sentences or [captions.WHITE])

@@ -20,7 +20,8 @@ from dieseltwin.report import (
     summary_table,
     write_report_inputs,
 )
-from dieseltwin.report.statistics import MEASURED_COLUMNS, residuals
+from dieseltwin.report.statistics import MEASURED_COLUMNS, odd_channels, residuals
+from dieseltwin.report.timeseries import residual_figure
 
 RUNS = 6
 SIGMA = np.array([4500.0, 5000.0, 60.0, 0.002, 20.0, 0.006])
@@ -126,3 +127,15 @@ def test_residuals_by_hand(found: Identification) -> None:
     by_hand = (problem.measured[:, 0] - segment.states[:, 0]) / SIGMA[0]
     assert np.allclose(values[: len(by_hand)], by_hand) and np.allclose(time[: len(by_hand)], problem.time_s)
     assert 0.9 < values.std() < 1.1
+
+
+def test_residuals_that_are_not_noise_are_named(found: Identification) -> None:
+    results = results_of(found, found.problems)
+    columns = residuals(results, results.methods[0])
+    assert odd_channels(columns) == {"large": [], "small": [], "coloured": []}
+    time, values = columns["t_em_k"]
+    wave = values + 0.8 * np.sin(time / 3)
+    odd = odd_channels({**columns, "t_em_k": (time, wave), "p_im_pa": (time, 0.5 * columns["p_im_pa"][1])})
+    assert odd == {"large": ["t_em_k"], "small": ["p_im_pa"], "coloured": ["t_em_k"]}
+    figure = residual_figure(results, results.methods[0])
+    assert figure is not None and "look like the sensors' noise" in figure.caption
