@@ -6,19 +6,24 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import signal
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from dieseltwin.atomic import check_writable
+from dieseltwin.errors import InputError
 from tasks import run_context
 from tasks.server import ServerFailed, prefect_server
 from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.workspace import prepare_environment
 
 _INTERRUPTED = 130
+_ROOM_BYTES = 500_000_000  # data, models, cache and reports of the quick profile take about half of it
 
 
 def launch(flow: Callable[..., Any], **parameters: Any) -> int:
@@ -51,12 +56,23 @@ def run_alone(flow: Callable[..., Any], arguments: Sequence[str] | None = None) 
     parser = argparse.ArgumentParser(description=flow.__doc__)
     parser.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml: quick or paper")
     profile = parser.parse_args(arguments).profile
-    try:
-        load_settings(profile)  # a typing error in params.yaml needs no server, and no traceback of Prefect's
-    except run_context.StepFailed as error:
+    try:  # what the user can mend needs no server, and no traceback of Prefect's
+        load_settings(profile)
+        _check_place(run_context.current().workspace.root)
+    except (run_context.StepFailed, InputError) as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     return launch(flow, profile=profile)
+
+
+def _check_place(root: Path) -> None:
+    """Raise ``InputError`` where a run cannot write its results or has no room for them."""
+    check_writable(root / "probe")
+    free = shutil.disk_usage(root).free
+    if free < _ROOM_BYTES:
+        raise InputError(
+            f"disk of {root}", f"{free / 1e6:.0f} MB free", f"{_ROOM_BYTES / 1e6:.0f} MB", "free some space"
+        )
 
 
 def serve(flow: Any, cron: str, **parameters: Any) -> int:
