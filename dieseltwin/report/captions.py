@@ -71,8 +71,9 @@ ODD = {
 }
 
 CONVERGENCE = _line("""
-    Loss terms without their self-adaptive weights, and the four unknowns by segment; bands span the smallest and the
-    largest run. A parameter that still moves at the last epoch has not converged, whatever the loss says.
+    The loss, and the four unknowns by segment; bands span the smallest and the largest run. Named loss terms are
+    without their self-adaptive weights. A parameter that still moves at the last epoch has not converged, whatever
+    the loss says.
 """)
 
 PRETRAINING = _line("""

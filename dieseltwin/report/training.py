@@ -61,7 +61,7 @@ def convergence(results: Results, method: MethodResult) -> style.ReportFigure | 
         for index, name in enumerate(losses):
             epochs, middle, low, high = _range_over_runs(curves[curves["quantity"] == name])
             colour = _LOSS_COLOURS[index % len(_LOSS_COLOURS)]
-            if "total" in str(name):  # a band for each of ten terms would hide the lines
+            if "total" in str(name) or len(losses) == 1:  # a band for each of ten terms would hide the lines
                 axes.fill_between(epochs, low, high, color=colour, alpha=0.12, linewidth=0)
             axes.plot(
                 epochs,
@@ -72,10 +72,8 @@ def convergence(results: Results, method: MethodResult) -> style.ReportFigure | 
                 linestyle="-" if index < len(_LOSS_COLOURS) // 2 else "--",
             )
         axes.set_yscale("log")
-        axes.set_ylabel("loss, unweighted [–]")
-        axes.set_title(
-            "losses: median over segments and runs (band: range of the total)", fontweight="normal"
-        )
+        axes.set_ylabel("loss [–]")
+        axes.set_title("loss: median over segments and runs, with their range", fontweight="normal")
         axes.tick_params(labelbottom=True)
         axes.legend(loc="upper right", ncols=2 if len(losses) > 5 else 1)
     segments = sorted(curves["segment"].unique())
@@ -126,7 +124,7 @@ def _loss_words(name: str) -> str:
             if text.endswith(form) or text.startswith(form):
                 column = text.removesuffix(form).removeprefix(form)
                 return f"{_any_symbol(column)} ({words})"
-    return text.replace("_", " ") or "loss"
+    return text.replace("_", " ") or "total, as minimised"
 
 
 def _any_symbol(name: str) -> str:
