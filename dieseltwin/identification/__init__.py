@@ -27,8 +27,7 @@ METHODS: dict[str, str] = {
     "few-shot-newton": "dieseltwin.identification.fewshot_newton",
     "few-shot-adam": "dieseltwin.identification.fewshot_adam",
 }
-"""Method name -> module with `estimate(problems, runs, seed, bodies, operators, maps, config)`, imported
-when used."""
+"""Method name -> module with `estimate(problems, runs, seed, bodies, operators, maps, config)`, imported when used."""
 
 __all__ = [
     "HEALTH",
@@ -99,9 +98,7 @@ def identify_segments(
         InputError: no segment, unknown method, or fewer than one run.
     """
     if not problems:
-        raise InputError(
-            "segments", "none", "one or more", "give a recording that is at least one segment long"
-        )
+        raise InputError("segments", "none", "one or more", "give a recording that is at least one segment long")
     if runs < 1:
         raise InputError("runs", runs, "1 or more", "ask for at least one run")
     began = time.perf_counter()

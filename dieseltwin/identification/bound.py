@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dieseltwin.engine import simulate_states
 from dieseltwin.identification.least_squares import covariance
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.shooting import N_HEALTH, Shooting, ShootingRuns, Simulator, by_grid
+from dieseltwin.identification.shooting import N_HEALTH, Shooting, ShootingRuns, Simulator, by_grid, exact_engine
 
 Array = NDArray[np.float64]
 
@@ -26,8 +25,7 @@ NO_INFORMATION = 100.0
 class Bound:
     """Cramer-Rao bound of one segment: smallest standard deviation of an unbiased estimator.
 
-    Four parameters and three initial states are free, actuators are known, noise is Gaussian with
-    `problem.sigma`
+    Four parameters and three initial states are free, actuators are known, noise is Gaussian with `problem.sigma`
     (PROTOCOL.md, Bound).
 
     Attributes:
@@ -53,7 +51,7 @@ def cramer_rao(
     health: ArrayLike,
     initial: ArrayLike,
     *,
-    simulator: Simulator = simulate_states,
+    simulator: Simulator = exact_engine,
 ) -> list[Bound]:
     """Bound of each segment at given values.
 
@@ -73,9 +71,7 @@ def cramer_rao(
     for group in by_grid(problems):
         chosen = [problems[i] for i in group]
         everything = np.arange(len(group))
-        runs = ShootingRuns(
-            Shooting(tuple(chosen), simulator), everything, np.stack([p.measured for p in chosen])
-        )
+        runs = ShootingRuns(Shooting(tuple(chosen), simulator), everything, np.stack([p.measured for p in chosen]))
         linear = runs(everything, np.log(values[group]), np.ones(len(group), dtype=bool))
         for i, fisher in zip(group, linear.hessian, strict=True):
             result[i] = bound_from_fisher(fisher, values[i, :N_HEALTH])

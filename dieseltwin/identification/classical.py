@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dieseltwin.engine import simulate_states
 from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.learned import LearnedSimulator
 from dieseltwin.identification.least_squares import (
     Fit,
     concatenated,
@@ -29,10 +29,12 @@ from dieseltwin.identification.shooting import (
     ShootingRuns,
     Simulator,
     by_grid,
+    exact_engine,
 )
 from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int_]
 METHOD = "classical"
 
 BLOCK = 256
@@ -40,17 +42,15 @@ BLOCK = 256
 STEP_MAX = np.array([0.5] * N_HEALTH + [0.2] * (N_UNKNOWNS - N_HEALTH))
 """Largest change of a logarithm in one step: the linear model is trusted no further."""
 HEALTH_RANGE = 3.0
-"""Health parameters stay within this logarithm of their nominal values: a factor of twenty, only met
-without information."""
+"""Health parameters stay within this logarithm of their nominal values: a factor of twenty, met without information."""
 INITIAL_RANGE = 1.0
 """Initial states stay within this logarithm of the first readings."""
-NOTHING = np.array([], dtype=np.int64)
-START_PRESSURES = np.array([UNKNOWNS.index("p_im"), UNKNOWNS.index("p_em")])
 SECOND_LOOK = 0.4
 """A health parameter that ends further than this logarithm from its nominal value is fitted a second time."""
 SAMPLE_SPREAD = 0.5
-"""Draws for bands leave the estimate by at most this logarithm, so that an unidentifiable parameter stays
-plausible."""
+"""Draws for bands leave the estimate by at most this logarithm, so that an unidentifiable parameter stays plausible."""
+NOTHING = np.array([], dtype=np.int64)
+START_PRESSURES = np.array([UNKNOWNS.index("p_im"), UNKNOWNS.index("p_em")])
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,7 @@ class ClassicalSettings:
         """Take the settings from params.yaml.
 
         Args:
-            config: `config.IdentifyConfig`, its section `classical`, `ClassicalSettings`, or None for the
-                defaults.
+            config: `config.IdentifyConfig`, its section `classical`, `ClassicalSettings`, or None for the defaults.
 
         Returns:
             The settings.
@@ -89,14 +88,9 @@ class ClassicalSettings:
         if isinstance(config, cls):
             return config
         own = getattr(config, "classical", config)
-        common = (
-            {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
-        )
+        common = {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
         return cls(
-            iterations_max=own.iterations_max,
-            tolerance=own.tolerance,
-            damping_start=own.damping_start,
-            **common,
+            iterations_max=own.iterations_max, tolerance=own.tolerance, damping_start=own.damping_start, **common
         )
 
 
@@ -109,82 +103,76 @@ def estimate(
     operators: Any = None,
     maps: Any = None,
     config: Any = None,
-    simulator: Simulator = simulate_states,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment by maximum likelihood.
 
-    Four parameters and the initial p_im, p_em, omega_t are free; x_r and T_1 start at their fixed point;
-    actuators follow
-    from the inputs with their history. Standard deviations and 90 % intervals come from the inverse
-    Hessian, for the
-    logarithm of each parameter.
+    Four parameters and the initial p_im, p_em, omega_t are free; x_r and T_1 start at their fixed point; actuators
+    follow from the inputs with their history. Standard deviations and 90 % intervals come from the inverse Hessian, for
+    the logarithm of each parameter.
 
     Args:
         problems: segments; `problem.parameters` gives the known parameters and the start.
-        runs: runs R on each segment: other starts, and other readings where the problem has noise draws.
+        runs: runs R on each segment: other starts, other readings where the problem has noise draws, other members of
+            learned maps.
         seed: seed of the starts and of the draws for the bands.
         bodies, operators: not used by this method.
-        maps: learned empirical maps in place of the formulae; None = exact.
+        maps: learned empirical maps (improved kind) in place of the formulae; None = exact.
         config: `params.identify`, or None.
-        simulator: simulator of the exact engine (replaced where `maps` are given).
 
     Returns:
         One estimate for each segment, in order.
     """
     settings = ClassicalSettings.from_config(config)
-    if maps is not None:
-        simulator = maps.simulator()
+    learned = None if maps is None else LearnedSimulator(maps)
+    member = np.zeros(runs, dtype=np.int64) if learned is None else learned.members(runs)
+    simulator: Simulator = exact_engine if learned is None else learned
     rng = np.random.default_rng(seed)
     begin = [_starts(problem, runs, settings, rng) for problem in problems]
     normal = [rng.standard_normal((settings.samples, N_UNKNOWNS)) for _ in problems]
     result: dict[int, SegmentEstimate] = {}
     for group in by_grid(problems):
         began = time.perf_counter()
-        chosen = [problems[i] for i in group]
-        shooting = Shooting(tuple(chosen), simulator)
-        fit = fit_runs(shooting, runs, np.stack([begin[i] for i in group]), settings)
+        shooting = Shooting(tuple(problems[i] for i in group), simulator)
+        fit = fit_runs(shooting, member, np.stack([begin[i] for i in group]), settings)
         seconds = (time.perf_counter() - began) / (runs * len(group))
-        for i, part in zip(
-            group, _segments(shooting, fit, runs, [normal[i] for i in group], seconds, settings), strict=True
-        ):
-            result[i] = part
+        parts = _segments(shooting, fit, member, [normal[i] for i in group], seconds)
+        result.update(zip(group, parts, strict=True))
     return [result[i] for i in range(len(problems))]
 
 
-def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSettings) -> Fit:
+def fit_runs(shooting: Shooting, member: Index, begin: Array, settings: ClassicalSettings) -> Fit:
     """Fit every run of every segment.
 
-    The sensor of W_egr has a kink where the flow stops; a start at which p_em falls below p_im can sit on
-    it. A run that ends
-    unconverged goes on with p_im and p_em of the start pinned there.
+    The sensor of W_egr has a kink where the flow stops, and a start at which p_em falls below p_im can sit on it. A run
+    that ends unconverged goes on with p_im and p_em of the start pinned there.
 
-    At idle the likelihood can have a second minimum far away (more eta_sc balanced by more h_tot) that is
-    nearly as good. A
-    run that has not converged, or has ended far from the nominal values, is fitted once more from the
-    nominal values, and
-    the better end is kept.
+    At idle the likelihood can have a second minimum far away (more eta_sc balanced by more h_tot) that is nearly as
+    good. A run that still hasn't converged, or has ended far from the nominal values, is fitted once more from the
+    nominal values, and the better end is kept.
 
     Args:
         shooting: S segments.
-        runs: runs R of each segment.
+        member: (R,) member of the learned maps of each run; zeros for the exact formulae.
         begin: (S, R, 7) logarithms to start from.
         settings: iteration settings.
 
     Returns:
         Fit of S R problems, segment by segment.
     """
+    runs = len(member)
     segment = np.repeat(np.arange(len(shooting.problems)), runs)
+    members = np.tile(member, len(shooting.problems))
     readings = np.concatenate([p.readings(runs) for p in shooting.problems])
     start = begin.reshape(-1, N_UNKNOWNS)
     nominal = np.log(np.stack([health_of(p.parameters) for p in shooting.problems]))[segment]
     lower = np.concatenate([nominal - HEALTH_RANGE, start[:, N_HEALTH:] - INITIAL_RANGE], axis=1)
     upper = np.concatenate([nominal + HEALTH_RANGE, start[:, N_HEALTH:] + INITIAL_RANGE], axis=1)
 
-    def fitted(rows: NDArray[np.int_], at: Array, pinned: NDArray[np.int_] = NOTHING) -> Fit:
+    def fitted(rows: Index, at: Array, pinned: Index = NOTHING) -> Fit:
         low, high = lower[rows], upper[rows]
         low[:, pinned] = high[:, pinned] = at[:, pinned]
         return levenberg_marquardt(
-            ShootingRuns(shooting, segment[rows], readings[rows]),
+            ShootingRuns(shooting, segment[rows], readings[rows], members[rows]),
             at,
             lower=low,
             upper=high,
@@ -211,9 +199,7 @@ def fit_runs(shooting: Shooting, runs: int, begin: Array, settings: ClassicalSet
     return concatenated(parts)
 
 
-def _starts(
-    problem: SegmentProblem, runs: int, settings: ClassicalSettings, rng: np.random.Generator
-) -> Array:
+def _starts(problem: SegmentProblem, runs: int, settings: ClassicalSettings, rng: np.random.Generator) -> Array:
     centre = health_of(problem.parameters)
     if settings.start_at == "truth" and problem.truth is not None:
         centre = health_of(problem.truth)
@@ -222,19 +208,13 @@ def _starts(
 
 
 def _segments(
-    shooting: Shooting,
-    fit: Fit,
-    runs: int,
-    normal: Sequence[Array],
-    seconds: float,
-    settings: ClassicalSettings,
+    shooting: Shooting, fit: Fit, member: Index, normal: Sequence[Array], seconds: float
 ) -> list[SegmentEstimate]:
-    count = len(shooting.problems)
+    count, runs = len(shooting.problems), len(member)
     unknowns = fit.unknowns.reshape(count, runs, N_UNKNOWNS)
-    hessian = fit.linear.hessian.reshape(count, runs, N_UNKNOWNS, N_UNKNOWNS)
     converged = fit.converged.reshape(count, runs)
     chi2 = 2.0 * fit.linear.cost.reshape(count, runs) / shooting.degrees_of_freedom()[:, None]
-    log_covariance = covariance(hessian)
+    log_covariance = covariance(fit.linear.hessian).reshape(count, runs, N_UNKNOWNS, N_UNKNOWNS)
     log_std = np.sqrt(np.diagonal(log_covariance, axis1=2, axis2=3))[..., :N_HEALTH]
     values = np.exp(unknowns[..., :N_HEALTH])
     std, interval = intervals_from_log_std(values, log_std)
@@ -242,15 +222,14 @@ def _segments(
     pooled = np.einsum("srk,sr->sk", unknowns, used) / used.sum(axis=1, keepdims=True)
     states = shooting.simulate(np.arange(count), pooled).states
     bounds = cramer_rao(
-        shooting.problems,
-        np.exp(pooled[:, :N_HEALTH]),
-        np.exp(pooled[:, N_HEALTH:]),
-        simulator=shooting.simulator,
+        shooting.problems, np.exp(pooled[:, :N_HEALTH]), np.exp(pooled[:, N_HEALTH:]), simulator=shooting.simulator
     )
     result = []
-    mixture = [(unknowns[s, used[s]], log_covariance[s, used[s]]) for s in range(count)]
     for s, problem in enumerate(shooting.problems):
-        sample_states, sample_health = _samples(shooting, s, *mixture[s], normal[s])
+        rows = np.flatnonzero(used[s])[np.arange(len(normal[s])) % used[s].sum()]
+        sample_states, sample_health = _samples(
+            shooting, s, unknowns[s, rows], log_covariance[s, rows], normal[s], member[rows]
+        )
         result.append(
             SegmentEstimate(
                 t0_s=problem.t0_s,
@@ -274,12 +253,10 @@ def _segments(
 
 
 def _samples(
-    shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array
+    shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array, member: Index
 ) -> tuple[Array, Array]:
-    """Draws from the mixture of the runs' Gaussians, simulated."""
-    run = np.arange(len(normal)) % len(unknowns)
-    root = np.linalg.cholesky(log_covariance[run])
-    move = np.clip(np.einsum("kij,kj->ki", root, normal), -SAMPLE_SPREAD, SAMPLE_SPREAD)
-    drawn = unknowns[run] + move
-    states = shooting.simulate(np.full(len(drawn), s), drawn).states
-    return np.asarray(states), np.exp(drawn[:, :N_HEALTH])
+    """K draws from the mixture of the runs' Gaussians, simulated: states (K, n, 5) and parameters (K, 4)."""
+    move = np.einsum("kij,kj->ki", np.linalg.cholesky(log_covariance), normal)
+    drawn = unknowns + np.clip(move, -SAMPLE_SPREAD, SAMPLE_SPREAD)
+    states = shooting.simulate(np.full(len(drawn), s), drawn, member).states
+    return states, np.exp(drawn[:, :N_HEALTH])

@@ -28,21 +28,17 @@ class Linearisation:
 
 
 Linearise = Callable[[Index, Array, NDArray[np.bool_]], Linearisation]
-"""(K indices, (K, m) unknowns, (K,) renew) -> cost, gradient, Hessian; where `renew` is false the last
-Jacobian serves."""
+"""(K indices, (K, m) unknowns, (K,) renew) -> cost, gradient, Hessian; without `renew` the last Jacobian serves."""
 
 CHORD_DISTANCE = 1.0
-"""A move of fewer standard deviations than this keeps its Jacobian, which changes by some tenths of a per
-cent."""
+"""A move of fewer standard deviations than this keeps its Jacobian, which changes by some tenths of a per cent."""
 ACCEPT_GAIN = 1e-3
 """Smallest share of the predicted decrease that a step must bring."""
 GOOD_GAIN, DAMPING_DOWN, DAMPING_UP = 0.5, 0.1, 8.0
-"""Damping falls after a step that brought at least half of what was predicted, and rises after a refused
-one."""
+"""Damping falls after a step that brought at least half of what was predicted, and rises after a refused one."""
 DAMPING_MIN, DAMPING_MAX = 1e-9, 1e9
 CONVERGED_BELOW = 0.1
-"""Remaining move of an unknown that counts as converged [standard deviations]: it adds 1 % to a variance at
-most."""
+"""Remaining move of an unknown that counts as converged [standard deviations]: it adds 1 % to a variance at most."""
 NEGLIGIBLE = 1e-4
 """A decrease of the negative log likelihood that nobody can tell from none."""
 ALL = slice(None)
@@ -85,14 +81,11 @@ def levenberg_marquardt(
     interest: slice = ALL,
     damping: float | Array = 1e-2,
 ) -> Fit:
-    """Minimise L sums of squares, each with its own damping; a problem leaves the batch once it has
-    converged.
+    """Minimise L sums of squares, each with its own damping; a problem leaves the batch once it has converged.
 
-    A trial point is linearised together with its cost: almost every trial is accepted, and then nothing is
-        computed twice.
-    Converged means a Newton decrement sqrt(g' H^-1 g) below `tolerance`: the rest of the way is that share
-    of a
-    standard deviation, whatever the units.
+    A trial point is linearised together with its cost: almost every trial is accepted, and then nothing is computed
+    twice. Converged means a Newton decrement sqrt(g' H^-1 g) below `tolerance`: the rest of the way is that share of
+    a standard deviation, whatever the units.
 
     Args:
         linearise: evaluates chosen problems.
@@ -247,8 +240,7 @@ def _step(gradient: Array, hessian: Array, factor: Array, step_max: Array) -> Ar
 
 
 def _newton(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Newton decrement (L,) and each unknown's Newton step over its standard deviation (L, m); infinite
-    after a failure."""
+    """Newton decrement (L,), and the Newton step of each unknown over its standard deviation (L, m)."""
     reduced, curvature = _reduced(gradient, hessian, _blocked(gradient, x, lower, upper))
     finite = np.isfinite(reduced).all(axis=1) & np.isfinite(curvature).all(axis=(1, 2))
     decrement, remaining = np.full(len(x), np.inf), np.full(x.shape, np.inf)
@@ -262,8 +254,7 @@ def _newton(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Arra
 def covariance(hessian: Array) -> Array:
     """Covariance from a Fisher information matrix that may be singular.
 
-    A prior of standard deviation `UNINFORMED` replaces missing information, so that a shut EGR valve gives
-    a huge
+    A prior of standard deviation `UNINFORMED` replaces missing information, so that a shut EGR valve gives a huge
     standard deviation of A_egrmax and leaves the others untouched.
 
     Args:

@@ -15,17 +15,14 @@ from dieseltwin.errors import InputError
 Array = NDArray[np.float64]
 
 PAPER_NOISE: tuple[float, ...] = (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
-"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and W_c (PROTOCOL, Noise)
-[-]."""
+"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and W_c (PROTOCOL, Noise) [-]."""
 
 NOISE_FLOOR: tuple[float, ...] = (200.0, 200.0, 5.0, 5e-4, 1.0, 1e-3)
 """Smallest noise that is believed [Pa, Pa, rad/s, kg/s, K, kg/s].
 
-About 0.1 % of full scale (0.5 % for the EGR venturi). Noise that is a percentage of a vanishing flow
-pretends information:
-without a floor a recording with a shut EGR valve would claim to know A_egrmax (ESTIMATION.md). The floor is
-far
-below the paper's percentages wherever a channel carries a signal.
+About 0.1 % of full scale (0.5 % for the EGR venturi). Noise that is a percentage of a vanishing flow pretends
+information: without a floor a recording with a shut EGR valve would claim to know A_egrmax (ESTIMATION.md). The floor
+is far below the paper's percentages wherever a channel carries a signal.
 """
 
 PAPER_CHANNELS: tuple[str, ...] = MEASURED[:5]

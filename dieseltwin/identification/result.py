@@ -121,11 +121,9 @@ class SegmentEstimate:
     def summary(self) -> dict[str, ParameterSummary]:
         """Combine the runs of this segment.
 
-        The mean is that of the used runs. Runs with a standard deviation of their own (same recording,
-        other starts) are a
-        mixture: the variance is the mean of the claimed variances plus the variance between runs. Runs
-            without one
-        give the spread of the members.
+        The mean is that of the used runs. Runs with a standard deviation of their own (same recording, other starts)
+        are a mixture: the variance is the mean of the claimed variances plus the variance between runs. Runs without
+        one give the spread of the members.
 
         Returns:
             Parameter name -> summary.
@@ -134,9 +132,7 @@ class SegmentEstimate:
         for i, name in enumerate(HEALTH):
             values, own = self.parameters[self.used, i], self.std[self.used, i]
             mean, std, interval = _combine_runs(values, own)
-            result[name] = ParameterSummary(
-                mean, std, interval, float(self.bound[i]), bool(self.identifiable[i])
-            )
+            result[name] = ParameterSummary(mean, std, interval, float(self.bound[i]), bool(self.identifiable[i]))
         return result
 
 
@@ -168,11 +164,9 @@ class Identification:
     def pooled(self) -> dict[str, ParameterSummary]:
         """Pool the identifiable segments of each parameter by inverse variance.
 
-        Done in logarithms: a standard deviation is proportional to its value, and weights that follow the
-            value would pull
-        the mean down. A weight is never larger than the bound allows, so a lucky small spread of few
-        members doesn't
-        take over. Where no segment is identifiable there is no value, only the bound.
+        Done in logarithms: a standard deviation is proportional to its value, and weights that follow the value would
+        pull the mean down. A weight is never larger than the bound allows, so a lucky small spread of few members
+        doesn't take over. Where no segment is identifiable there is no value, only the bound.
 
         Returns:
             Parameter name -> pooled summary.
@@ -187,9 +181,7 @@ class Identification:
             (R, 4) values [m2, m2, -, W/(m2 K)].
         """
         values = np.stack([s.parameters for s in self.segments])
-        weight = np.stack(
-            [np.where(s.identifiable, (s.bound / s.centre) ** -2.0, 0.0) for s in self.segments]
-        )
+        weight = np.stack([np.where(s.identifiable, (s.bound / s.centre) ** -2.0, 0.0) for s in self.segments])
         total = weight.sum(axis=0)
         mean = (weight[:, None, :] * np.log(values)).sum(axis=0) / np.where(total > 0.0, total, np.nan)
         return np.exp(mean)

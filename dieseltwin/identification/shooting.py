@@ -4,32 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dieseltwin.engine import HEALTH, Actuation, ParameterBatch, actuate, parameter_batch, simulate_states
+from dieseltwin.engine import (
+    HEALTH,
+    Actuation,
+    Observations,
+    ParameterBatch,
+    actuate,
+    parameter_batch,
+    simulate_states,
+)
 from dieseltwin.errors import InputError
 from dieseltwin.identification.least_squares import Linearisation
 from dieseltwin.identification.problem import SegmentProblem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
-Simulator = Callable[[Sequence[Actuation], ParameterBatch, Array], Any]
-"""(actuation of each lane, B parameter sets, (B, 3) initial states) -> states (B, n, 5), measured (B, n,
-6)."""
+Simulator = Callable[[Sequence[Actuation], ParameterBatch, Array, Index], Observations]
+"""(actuation of each lane, B parameter sets, (B, 3) initial states, (B,) member of the maps) -> observations."""
 
 UNKNOWNS: tuple[str, ...] = (*HEALTH, "p_im", "p_em", "omega_t")
-"""Order of the free quantities; all are estimated as logarithms, because all are positive and matter
-relatively."""
+"""Order of the free quantities; all are estimated as logarithms, because all are positive and matter relatively."""
 
 N_HEALTH = len(HEALTH)
 N_UNKNOWNS = len(UNKNOWNS)
 
 STEP_S = 0.0125
-"""Integration step [s]: shifts a parameter by at most 0.002 of its bound on the benchmark segments (25 ms:
-0.03)."""
+"""Integration step [s]: shifts a parameter by at most 0.002 of its bound on the benchmark segments (25 ms: 0.03)."""
 
 FIRST_STEP_S = 0.00625
 """Integration step of the first sample interval [s]: an initial p_em that is off decays within 11-41 ms."""
@@ -37,9 +41,14 @@ FIRST_STEP_S = 0.00625
 DIFFERENCE = 1e-5
 """Step of the forward differences in the logarithm [-].
 
-Small, because the EGR flow has a kink at Pi_egr = 1: a step of 1e-4 across it moved a bound by 3 %.
-Rounding leaves 1e-9.
+Small, because the EGR flow has a kink at Pi_egr = 1: a step of 1e-4 across it moved a bound by 3 %. Rounding leaves
+1e-9.
 """
+
+
+def exact_engine(actuations: Sequence[Actuation], batch: ParameterBatch, initial: Array, member: Index) -> Observations:
+    """The `Simulator` of the exact formulae, which have no members."""
+    return simulate_states(actuations, batch, initial)
 
 
 @dataclass(frozen=True)
@@ -48,23 +57,21 @@ class Shooting:
 
     Attributes:
         problems: S segments with the same sample times after the start.
-        simulator: engine with the exact formulae, or with learned maps bound in.
+        simulator: engine with the exact formulae, or with learned maps.
         step_s: largest integration step [s].
         actuations: actuator states of each segment.
         weights: (S, n, 6) one over sigma, 0 where masked.
     """
 
     problems: tuple[SegmentProblem, ...]
-    simulator: Simulator = simulate_states
+    simulator: Simulator = exact_engine
     step_s: float = STEP_S
     actuations: tuple[Actuation, ...] = field(init=False, repr=False)
     weights: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if len({grid_key(p) for p in self.problems}) != 1:
-            raise InputError(
-                "segments of one batch", "different sample times", "one grid", "group them by `grid_key`"
-            )
+            raise InputError("segments of one batch", "different sample times", "one grid", "group them by `grid_key`")
         steps_s = np.full(len(self.problems[0].time_s) - 1, self.step_s)
         steps_s[0] = min(FIRST_STEP_S, self.step_s)
         actuations = tuple(actuate(p.inputs, p.parameters, steps_s) for p in self.problems)
@@ -72,12 +79,13 @@ class Shooting:
         weights = np.stack([np.where(p.observed, 1.0 / p.sigma, 0.0) for p in self.problems])
         object.__setattr__(self, "weights", weights)
 
-    def simulate(self, segment: Index, unknowns: Array) -> Any:
+    def simulate(self, segment: Index, unknowns: Array, member: Index | None = None) -> Observations:
         """Simulate lanes, each with its own segment and unknowns.
 
         Args:
             segment: (B,) index into `problems`.
             unknowns: (B, 7) logarithms in the order of `UNKNOWNS` [log SI].
+            member: (B,) member of the learned maps; None = the nominal maps.
 
         Returns:
             The engine's observations: states (B, n, 5), measured (B, n, 6).
@@ -87,13 +95,13 @@ class Shooting:
         for s in np.unique(segment):
             lanes = segment == s
             columns = {name: values[lanes, i] for i, name in enumerate(HEALTH)}
-            part = parameter_batch(self.problems[s].parameters, **columns).values
+            part = parameter_batch(self.problems[s].parameters, size=None, **columns).values
             if not batches.size:
                 batches = np.empty((part.shape[0], len(segment)))
             batches[:, lanes] = part
-        return self.simulator(
-            [self.actuations[s] for s in segment], ParameterBatch(batches), values[:, N_HEALTH:]
-        )
+        actuations = [self.actuations[s] for s in segment]
+        members = np.zeros(len(segment), dtype=np.int64) if member is None else member
+        return self.simulator(actuations, ParameterBatch(batches), values[:, N_HEALTH:], members)
 
     def degrees_of_freedom(self) -> Index:
         """(S,) readings minus unknowns of each segment, at least 1."""
@@ -101,18 +109,19 @@ class Shooting:
 
 
 class ShootingRuns:
-    """Least-squares problems of L runs that share a `Shooting`; keeps each run's Jacobian between
-    evaluations.
+    """Least-squares problems of L runs that share a `Shooting`; keeps each run's Jacobian between evaluations.
 
     Args:
         shooting: the segments.
         segment: (L,) segment of each run.
         readings: (L, n, 6) what each run sees [SI], NaN where masked.
+        member: (L,) member of the learned maps that each run uses; None = the nominal maps.
     """
 
-    def __init__(self, shooting: Shooting, segment: Index, readings: Array) -> None:
+    def __init__(self, shooting: Shooting, segment: Index, readings: Array, member: Index | None = None) -> None:
         self.shooting, self.segment = shooting, segment
         count = len(segment)
+        self.member = np.zeros(count, dtype=np.int64) if member is None else member
         self._weights = shooting.weights[segment].reshape(count, -1)
         self._observed = np.where(self._weights > 0.0, readings.reshape(count, -1), 0.0)
         self._jacobian = np.zeros((count, N_UNKNOWNS, self._observed.shape[1]))
@@ -120,10 +129,9 @@ class ShootingRuns:
     def __call__(self, index: Index, unknowns: Array, renew: NDArray[np.bool_]) -> Linearisation:
         """Cost, gradient and Gauss-Newton Hessian of chosen runs.
 
-        The Jacobian comes from forward differences: eight simulations (one nominal, seven perturbed) in
-            lockstep that
-        start from the same fixed-point guess of x_r and T_1; other starts would bias eta_sc and h_tot
-        (ESTIMATION.md). A run that keeps its Jacobian costs one simulation.
+        The Jacobian comes from forward differences: eight simulations (one nominal, seven perturbed) in lockstep that
+        start from the same fixed-point guess of x_r and T_1; other starts would bias eta_sc and h_tot (ESTIMATION.md).
+        A run that keeps its Jacobian costs one simulation.
 
         Args:
             index: (K,) runs to evaluate.
@@ -137,10 +145,8 @@ class ShootingRuns:
         lanes = np.repeat(unknowns[eight, None, :], N_UNKNOWNS + 1, axis=1)
         lanes[:, 1:, :] += DIFFERENCE * np.eye(N_UNKNOWNS)
         lanes = np.concatenate([lanes.reshape(-1, N_UNKNOWNS), unknowns[single]])
-        segment = np.concatenate(
-            [np.repeat(self.segment[index[eight]], N_UNKNOWNS + 1), self.segment[index[single]]]
-        )
-        measured = self.shooting.simulate(segment, lanes).measured.reshape(len(lanes), -1)
+        run = index[np.concatenate([np.repeat(eight, N_UNKNOWNS + 1), single])]
+        measured = self.shooting.simulate(self.segment[run], lanes, self.member[run]).measured.reshape(len(run), -1)
         split = len(eight) * (N_UNKNOWNS + 1)
         groups = measured[:split].reshape(len(eight), N_UNKNOWNS + 1, measured.shape[1])
         predicted = np.empty((len(index), self._observed.shape[1]))
@@ -157,8 +163,7 @@ class ShootingRuns:
 
 
 def grid_key(problem: SegmentProblem) -> bytes:
-    """Sample times after the start, to the microsecond: segments with the same key can be simulated in one
-    batch."""
+    """Sample times after the start, to the microsecond: segments with the same key can be simulated in one batch."""
     return np.round((problem.time_s - problem.time_s[0]) * 1e6).astype(np.int64).tobytes()
 
 

@@ -34,9 +34,7 @@ def states_table(identification: Identification) -> pd.DataFrame:
         samples: the 90 % band over runs and their uncertainty.
     """
     parts = []
-    for i, (segment, problem) in enumerate(
-        zip(identification.segments, identification.problems, strict=True)
-    ):
+    for i, (segment, problem) in enumerate(zip(identification.segments, identification.problems, strict=True)):
         table = segment_table(segment, problem)
         table.insert(0, "segment", i)
         parts.append(table)

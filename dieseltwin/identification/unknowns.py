@@ -64,9 +64,7 @@ def to_masked(physical: ArrayLike) -> NDArray[np.float64]:
             "unknown parameters", f"shape {values.shape}", f"(.., 4) in the order {HEALTH}", "give all four"
         )
     if not np.all(np.isfinite(values) & (values > 0.0)):
-        raise InputError(
-            f"values of {HEALTH}", values.tolist(), "positive finite numbers", "check the engine file"
-        )
+        raise InputError(f"values of {HEALTH}", values.tolist(), "positive finite numbers", "check the engine file")
     scaled = values / SCALES
     masked = np.log(scaled)
     eta_sc = scaled[..., _SOFTPLUS]
@@ -88,13 +86,11 @@ def health_of(parameters: Any) -> NDArray[np.float64]:
     return np.array([float(getattr(parameters, name)) for name in HEALTH])
 
 
-def starts(
-    centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float = START_SIGMA
-) -> NDArray[np.float64]:
+def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float = START_SIGMA) -> NDArray[np.float64]:
     """Draw starting values of the unknowns: Gaussian in masked space around a centre.
 
-    The centre is the laboratory set, as PROTOCOL says; only the extra set of runs that repeats the paper's
-    "near the true values" passes the truth.
+    The centre is the laboratory set, as PROTOCOL says; only the extra set of runs that repeats the paper's "near the
+    true values" passes the truth.
 
     Args:
         centre: (4,) values around which to start [m2, m2, -, W/(m2 K)].

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -71,3 +72,15 @@ def problem() -> SegmentProblem:
 def idle_problem() -> SegmentProblem:
     """Idle with the EGR valve shut."""
     return make_problem(idle(), we2011.FIELD)
+
+
+@pytest.fixture(scope="session")
+def simulated() -> Callable[..., SegmentProblem]:
+    """The function `make_problem`."""
+    return make_problem
+
+
+@pytest.fixture(scope="session")
+def drive() -> Callable[..., Inputs]:
+    """The function `driving`."""
+    return driving

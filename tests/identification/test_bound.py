@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from dieseltwin.engine import HEALTH, MEASURED, simulate, we2011
+from dieseltwin.engine import HEALTH, MEASURED, Inputs, simulate, we2011
 from dieseltwin.identification import SegmentProblem
 from dieseltwin.identification.bound import cramer_rao
-from tests.identification.conftest import driving, make_problem
+
+Make = Callable[..., SegmentProblem]
+Drive = Callable[..., Inputs]
 
 
 def start(problem: SegmentProblem) -> np.ndarray:
@@ -18,8 +21,8 @@ def start(problem: SegmentProblem) -> np.ndarray:
     return problem.true_initial[:3]
 
 
-def test_bound_is_the_inverse_fisher_information() -> None:
-    problem = make_problem(driving(0, 151), we2011.FIELD)
+def test_bound_is_the_inverse_fisher_information(simulated: Make, drive: Drive) -> None:
+    problem = simulated(drive(0, 151), we2011.FIELD)
     bound = cramer_rao([problem], we2011.FIELD.health(), start(problem))[0]
 
     # The same from the data-frame simulator, by central differences of another size, in plain units.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,24 +11,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.identification import SegmentProblem, identify_segments
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.classical import ClassicalSettings
-from tests.identification.conftest import driving, make_problem
 
-factors = st.tuples(
-    st.floats(0.75, 1.25), st.floats(0.75, 1.25), st.floats(0.92, 1.08), st.floats(0.75, 1.25)
-)
+Make = Callable[..., SegmentProblem]
+Drive = Callable[..., Inputs]
+
+factors = st.tuples(st.floats(0.75, 1.25), st.floats(0.75, 1.25), st.floats(0.92, 1.08), st.floats(0.75, 1.25))
 
 
 @settings(max_examples=4, deadline=None, derandomize=True)
 @given(factors)
-def test_planted_parameters_are_recovered_from_clean_readings(factor: tuple[float, ...]) -> None:
+def test_planted_parameters_are_recovered_from_clean_readings(
+    simulated: Make, drive: Drive, factor: tuple[float, ...]
+) -> None:
     values = we2011.PARAMETERS.health() * np.array(factor)
     truth = we2011.PARAMETERS.replace(**dict(zip(HEALTH, values.tolist(), strict=True)))
-    planted = make_problem(driving(300, 101), truth, noise_seed=None)
+    planted = simulated(drive(300, 101), truth, noise_seed=None)
     found = identify_segments([planted], "classical", 2, 0)
     relative = cramer_rao([planted], values, planted.true_initial[:3])[0].relative
     assert found.segments[0].converged.all()
@@ -35,8 +38,8 @@ def test_planted_parameters_are_recovered_from_clean_readings(factor: tuple[floa
     assert (np.abs(found.segments[0].parameters / values - 1.0) < 0.1 * relative).all()
 
 
-def test_noisy_estimates_scatter_as_the_bound_says() -> None:
-    clean = make_problem(driving(600, 101), we2011.FIELD, noise_seed=None)
+def test_noisy_estimates_scatter_as_the_bound_says(simulated: Make, drive: Drive) -> None:
+    clean = simulated(drive(600, 101), we2011.FIELD, noise_seed=None)
     noisy = clean.with_noise_draws(60, np.random.default_rng(4))
     found = identify_segments([noisy], "classical", 60, 1).segments[0]
     truth = we2011.FIELD.health()
@@ -57,9 +60,9 @@ def test_the_same_seed_gives_the_same_document(problem: SegmentProblem) -> None:
     np.testing.assert_allclose(other.segments[0].parameters, first.segments[0].parameters, rtol=1e-3)
 
 
-def test_a_time_shift_changes_nothing() -> None:
-    here = make_problem(driving(300, 101), we2011.FIELD)
-    there = replace(here, inputs=driving(300, 101, shift_s=4096.0))
+def test_a_time_shift_changes_nothing(simulated: Make, drive: Drive) -> None:
+    here = simulated(drive(300, 101), we2011.FIELD)
+    there = replace(here, inputs=drive(300, 101, shift_s=4096.0))
     one, two = (identify_segments([p], "classical", 1, 0).segments[0] for p in (here, there))
     np.testing.assert_allclose(two.parameters, one.parameters, rtol=1e-6)
 
@@ -90,8 +93,10 @@ def test_an_unconverged_run_is_reported_not_dropped(problem: SegmentProblem) -> 
     assert found.parameters.shape == (3, 4)
 
 
-def test_segments_of_different_sampling_are_estimated_together(problem: SegmentProblem) -> None:
-    shorter = make_problem(driving(900, 101), we2011.FIELD)
+def test_segments_of_different_sampling_are_estimated_together(
+    simulated: Make, drive: Drive, problem: SegmentProblem
+) -> None:
+    shorter = simulated(drive(900, 101), we2011.FIELD)
     both = identify_segments([problem, shorter], "classical", 1, 0)
     assert [len(s.time_s) for s in both.segments] == [151, 101]
     for segment in both.segments:
