@@ -68,9 +68,20 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
 
 
 def _identify(
-    out: Path, method: str, field: Path, settings: dict[str, Any], runs: int, seed: int, **networks: Any
+    out: Path,
+    method: str,
+    field: Path,
+    settings: dict[str, Any],
+    runs: int,
+    seed: int,
+    *,
+    compiles: bool = False,
+    **networks: Any,
 ) -> None:
-    """Identify the first minutes of the noisy field recording with one method and write the results."""
+    """Identify the first minutes of the noisy field recording with one method and write the results.
+
+    ``compiles``: the method compiles on its first use, which is done beforehand.
+    """
     import json
 
     from dieseltwin.identification import identify_segments
@@ -79,6 +90,8 @@ def _identify(
     config = _config(settings)
     problems, _ = problems_of(field, settings)
     threshold = config.identifiable_bound_rel
+    if compiles:  # seconds per run are those of a warm machine
+        identify_segments(problems[:1], method, 1, seed, config=config, threshold=threshold, **networks)
     found = identify_segments(problems, method, runs, seed, config=config, threshold=threshold, **networks)
     for name, content in (("identification.json", found.to_json()), ("runtime.json", found.runtime())):
         (out / name).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -96,7 +109,7 @@ def _identify(
 )
 def classical(out: Path, progress: Any, *, field: Path, settings: dict[str, Any], runs: int, seed: int) -> None:
     """Maximum likelihood by shooting, exact formulae."""
-    _identify(out, "classical", field, settings, runs, seed)
+    _identify(out, "classical", field, settings, runs, seed, compiles=True)
 
 
 @step(
@@ -111,7 +124,7 @@ def newton(
     """Gauss-Newton on heads and parameters: conditioned bodies, exact formulae."""
     from dieseltwin.surrogates.bodies import Bodies
 
-    _identify(out, "few-shot-newton", field, settings, runs, seed, bodies=Bodies.load(bodies))
+    _identify(out, "few-shot-newton", field, settings, runs, seed, compiles=True, bodies=Bodies.load(bodies))
 
 
 @step(

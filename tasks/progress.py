@@ -16,12 +16,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 # Below this fraction the extrapolation of a reported progress is worth less than last time's duration.
 _TRUSTED_FRACTION = 0.05
+
+
+_PIPE_WIDTH = 140
 
 
 class TimeLeft(ProgressColumn):
@@ -58,7 +61,7 @@ class Display:
     """Progress of the steps of one run. Thread-safe: steps run in threads."""
 
     history: Path
-    console: Console = field(default_factory=lambda: Console(stderr=False, highlight=False))
+    console: Console = field(default_factory=lambda: _console())
     _bars: dict[str, _Bar] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _live: Progress | None = None
@@ -129,8 +132,8 @@ class Display:
         if bar and self._live is not None:
             self._live.remove_task(bar.task_id)  # type: ignore[arg-type]
 
-    def say(self, text: str) -> None:
-        """A line of text above the bars."""
+    def say(self, text: RenderableType) -> None:
+        """A line of text or a table above the bars."""
         self.console.print(text)
 
     def _tick(self) -> None:
@@ -155,6 +158,12 @@ class Display:
             partial = self.history.with_name(f"{self.history.name}.{os.getpid()}.partial")
             partial.write_text(json.dumps(history, indent=1, sort_keys=True))
             partial.replace(self.history)
+
+
+def _console() -> Console:
+    """The terminal; a pipe or file has no width, lines stay whole there."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=_PIPE_WIDTH)
 
 
 def _clock(seconds: float) -> str:

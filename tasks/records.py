@@ -13,7 +13,7 @@ from typing import Any
 
 from tasks.run_context import current, seconds_of
 from tasks.store import Artifact
-from tasks.tracking import Curve, Record, Tracker, flat
+from tasks.tracking import Curve, Record, Tracker, flat, view
 
 # Experiments in the order of the chain; MLflow shows the note above the table.
 EXPERIMENTS = {
@@ -27,6 +27,31 @@ EXPERIMENTS = {
 }
 
 
+_HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+
+# Columns that each experiment's page shows.
+VIEWS = {
+    "simulate": view(["seconds", "rows/case_i", "rows/case_v_noisy"]),
+    "pretrain": view(
+        [
+            "seconds",
+            *(f"test_error_pct/{name}" for name in ("u_egr1", "u_egr2", "u_vgt")),
+            *(f"test_error_pct/{name}" for name in ("eta_vol", "f_egr", "F_vgt_Pi_t", "eta_tm", "eta_c", "Phi_c")),
+            *(f"held_out_error_pct/{name}" for name in ("p_im", "p_em", "omega_t", "x_r", "T_1")),
+        ]
+    ),
+    "identify": view(
+        [
+            *(f"{name}_error_pct" for name in _HEALTH),
+            *(f"{name}_ratio_to_bound" for name in _HEALTH),
+            "seconds_per_run",
+            *_HEALTH,
+        ],
+        ["runs", "segments"],
+    ),
+}
+
+
 def _tracker() -> Tracker:
     return Tracker(current().workspace)
 
@@ -34,13 +59,13 @@ def _tracker() -> Tracker:
 def warm_up() -> None:
     """Make or open the database: some seconds, best spent while the first step computes."""
     tracker = _tracker()
-    for name, note in EXPERIMENTS.items():
-        tracker.experiment(name, note)
+    for name in EXPERIMENTS:
+        tracker.experiment(name, EXPERIMENTS[name], VIEWS[name])
 
 
 def _log(experiment: str, *records: Record) -> None:
     tracker = _tracker()
-    experiment_id = tracker.experiment(experiment, EXPERIMENTS[experiment])
+    experiment_id = tracker.experiment(experiment, EXPERIMENTS[experiment], VIEWS[experiment])
     for record in records:
         tracker.log(experiment_id, record)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ PAGE = "index.html"
 METRICS = "metrics.json"
 SUMMARY = "summary.csv"
 TABLE = "summary.txt"
+
+_BETWEEN_COLUMNS = r"\s{2,}"
 
 
 @step("driving-pictures", "pictures of the driving", expected_s=15.0)
@@ -134,8 +137,21 @@ def run_times(methods: Mapping[str, Artifact]) -> dict[str, str]:
 
 def show(page: Artifact, folder: Path) -> None:
     """Print the table, and where the report is."""
+    from rich.table import Table
+
     display = current().display
+    head, *lines = (page.path / TABLE).read_text(encoding="utf-8").splitlines()
+    table = Table(title="Health parameters of the field engine (Case-V, noisy)", title_justify="left")
+    for column in re.split(_BETWEEN_COLUMNS, head):
+        table.add_column(column, no_wrap=True)
+    method = ""
+    for line in lines:
+        cells = re.split(_BETWEEN_COLUMNS, line)
+        if cells[0] != method:
+            table.add_section()
+        table.add_row("" if cells[0] == method else cells[0], *cells[1:])
+        method = cells[0]
     display.say("")
-    display.say((page.path / TABLE).read_text(encoding="utf-8"))
+    display.say(table)
     display.say(f"report: {folder / PAGE}")
     display.say("compare runs: make ui")

@@ -30,6 +30,10 @@ README = "README.md"
 _SCHEME = "mlflow-artifacts:/"
 _IDENTITY = "dieseltwin.result"
 
+# MLflow's "share view": columns and order of a table, stored with the experiment under a key that the address names.
+_VIEW_TAG = "mlflow.sharedViewState."
+_VIEW = "columns"
+
 # MLflow's limits of one log_batch call.
 _METRICS_A_BATCH = 1000
 _PARAMS_A_BATCH = 100
@@ -89,7 +93,9 @@ class Tracker:
             from mlflow import MlflowClient
 
             client = MlflowClient(tracking_uri=self.uri)
-            client.search_experiments(max_results=1)
+            empty = client.get_experiment("0")
+            if empty.lifecycle_stage == "active":
+                client.delete_experiment("0")  # "Default", which nobody logs to
         return client
 
     def experiment(self, name: str, description: str, tags: Mapping[str, str] | None = None) -> str:
@@ -99,12 +105,25 @@ class Tracker:
             found = client.get_experiment_by_name(name)
             folder = name.replace(" ", "-")
             experiment_id = found.experiment_id if found else client.create_experiment(name, _SCHEME + folder)
-        wanted = {"mlflow.note.content": description, **(tags or {})}
+        wanted = {
+            "mlflow.note.content": description,
+            # without it MLflow shows its pages for chat programs first
+            "mlflow.experimentKind": "custom_model_development",
+            **(tags or {}),
+        }
         present = found.tags if found else {}
         for key, value in wanted.items():
             if present.get(key) != value:
                 client.set_experiment_tag(experiment_id, key, value)
         return str(experiment_id)
+
+    def page(self, name: str) -> str:
+        """Address (path) of the page of an experiment, with its columns chosen where it has a view."""
+        found = self.client.get_experiment_by_name(name)
+        if found is None:
+            return "/"
+        view = f"?viewStateShareKey={_VIEW}" if f"{_VIEW_TAG}{_VIEW}" in found.tags else ""
+        return f"/#/experiments/{found.experiment_id}/runs{view}"
 
     def log(self, experiment_id: str, record: Record, parent: str | None = None) -> str:
         """Log a record and its children; returns the run id. An equal record that is complete is left as it is."""
@@ -178,6 +197,37 @@ class Tracker:
             partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
             shutil.copyfile(source, partial)
             partial.replace(target)
+
+
+def view(metrics: Sequence[str], params: Sequence[str] = ()) -> dict[str, str]:
+    """Tags of an experiment whose page shows these columns (see :meth:`Tracker.page`)."""
+    columns = [f"metrics.`{name}`" for name in metrics] + [f"params.`{name}`" for name in params]
+    state = {
+        "searchFilter": "",
+        "orderByKey": "attributes.start_time",
+        "orderByAsc": False,
+        "startTime": "ALL",
+        "lifecycleFilter": "Active",
+        "datasetsFilter": [],
+        "modelVersionFilter": "All Runs",
+        "selectedColumns": columns,
+        "columnOrder": [],
+        "columnWidths": {},
+        "runsExpanded": {},
+        "runsPinned": [],
+        "runsHidden": [],
+        "runsVisibilityMap": {},
+        "runsHiddenMode": "SHOW_ALL",
+        "viewMaximized": False,
+        "runListHidden": False,
+        "isAccordionReordered": False,
+        "groupBy": None,
+        "groupsExpanded": {},
+        "autoRefreshEnabled": True,
+        "useGroupedValuesInCharts": True,
+        "hideEmptyCharts": True,
+    }
+    return {f"{_VIEW_TAG}{_VIEW}": json.dumps(state)}
 
 
 def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

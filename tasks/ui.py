@@ -1,0 +1,41 @@
+"""MLflow's pages over ``mlruns/``: ``python -m tasks.ui --port 5000`` (``make ui``)."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from tasks.records import EXPERIMENTS
+from tasks.tracking import Tracker
+from tasks.workspace import prepare_environment
+
+
+def main() -> int:
+    """Open the database, print the addresses of the pages, become the server."""
+    parser = argparse.ArgumentParser(prog="make ui", description=__doc__)
+    parser.add_argument("--port", type=int, default=5000)
+    parser.add_argument("--host", default="127.0.0.1")
+    arguments = parser.parse_args()
+    workspace = prepare_environment()
+    tracker = Tracker(workspace)
+    if not (workspace.mlruns / "mlflow.db").exists():
+        print("nothing to show yet: `make run` first", file=sys.stderr)
+        return 2
+    address = f"http://{arguments.host}:{arguments.port}"
+    for name in EXPERIMENTS:
+        print(f"{name:<10} {address}{tracker.page(name)}")
+    print("Ctrl-C ends it", flush=True)
+    command = [
+        *(sys.executable, "-m", "mlflow", "server"),
+        *("--backend-store-uri", tracker.uri),
+        *("--artifacts-destination", str(workspace.mlruns / "artifacts")),
+        *("--host", arguments.host),
+        *("--port", str(arguments.port)),
+        *("--workers", "1"),
+    ]
+    os.execv(command[0], command)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
