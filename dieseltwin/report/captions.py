@@ -32,6 +32,10 @@ BOUND = _line("""
     draw); filled marks far above the hollow ones are a bias that the method does not admit. Marks below 0.1 are drawn
     at 0.1. Segments where a parameter is not identifiable are left out.
 """)
+TOO_SURE = _line("""
+    {label} states well below the bound for {places}: no unbiased method can be that sure, so its intervals are too
+    narrow there.
+""")
 
 IDENTIFIABILITY = _line("""
     Smallest relative standard deviation that any unbiased method can reach in each segment (Cramér–Rao bound, four

@@ -17,6 +17,7 @@ from dieseltwin.report.results import PARAMETERS, Results
 from dieseltwin.report.segment_axis import MOST_NAMES, WIDTH_IN, method_handles, offsets_of, segment_axis
 from dieseltwin.report.statistics import error_over_bound, relative_bound, std_over_bound
 
+LEAST_STATED = 0.7  # a stated std below this share of the bound claims more than the readings can tell
 SMALLEST_RATIO = 0.1  # an error far below the bound is luck of one noise draw: drawn at the edge
 
 
@@ -78,7 +79,28 @@ def bound_ratio(results: Results) -> style.ReportFigure:
     handles.append(Line2D([], [], color=style.TRUTH, linestyle="--", label="Cramér–Rao bound"))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     words = captions.BOUND.format(marks=captions.BOUND_KNOWN if known else captions.BOUND_UNKNOWN)
+    words = " ".join([words, *_too_sure(results)])
     return style.ReportFigure("bound_ratio", "Accuracy against the Cramér–Rao bound", words, figure)
+
+
+def _too_sure(results: Results) -> list[str]:
+    """Sentences on methods that state less than the bound allows, by parameter and segment; needs no truth."""
+    found = []
+    for method in results.methods:
+        places = []
+        for parameter in PARAMETERS:
+            minutes = [
+                s.minutes
+                for s in method.segments
+                if s.parameters[parameter].identifiable
+                and std_over_bound(s.parameters[parameter]) < LEAST_STATED
+            ]
+            if minutes:
+                places.append(f"{parameter} ({', '.join(minutes)} min)")
+        if places:
+            label = style.method_style(method.method).label
+            found.append(captions.TOO_SURE.format(label=label, places=", ".join(places)))
+    return found
 
 
 @style.styled

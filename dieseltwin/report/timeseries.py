@@ -253,7 +253,7 @@ def residual_figure(results: Results, method: MethodResult) -> style.ReportFigur
         over_time.set_ylabel(f"{quantities.symbol(column)}  [σ]")
         _mark_segments(over_time, results)
         beyond = int((np.abs(values) > RESIDUAL_LIMIT).sum())
-        mean = f"{values.mean():+.2f}".replace("-", "−")
+        mean = f"{round(values.mean(), 2) + 0.0:+.2f}".replace("-", "−")
         text = f"mean {mean} σ, std {values.std():.2f} σ" + (f", {beyond} beyond ±5 σ" if beyond else "")
         over_time.set_title(text, fontweight="normal", fontsize=9.5, loc="right")
         histogram.hist(

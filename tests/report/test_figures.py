@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 
 from dieseltwin.report import Results, quantities
 from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map, run_times
-from dieseltwin.report.results import PARAMETERS
+from dieseltwin.report.results import PARAMETERS, method_from_document
 from dieseltwin.report.style import METHODS, TRUTH, ReportFigure, method_style
 from dieseltwin.report.timeseries import RESIDUAL_LIMIT, states, trajectories
 from dieseltwin.report.violins import swarm, violins
@@ -136,6 +136,15 @@ def test_bound_chart_puts_error_over_bound(results: Results) -> None:
     assert any(value == pytest.approx(max(ratio, SMALLEST_RATIO)) for value in drawn)
 
 
+def test_a_std_below_the_bound_is_called_too_sure(results: Results) -> None:
+    assert "too narrow" not in bound_ratio(results).caption
+    document = synthetic.document("classical", segments=2)
+    entry = document["segments"][1]["parameters"]["eta_sc"]
+    entry["std"] = 0.4 * entry["bound"]
+    sure = Results(methods=(method_from_document(document),))
+    assert "classical states well below the bound for eta_sc (1–2 min)" in bound_ratio(sure).caption
+
+
 def test_run_times_are_logarithmic_and_beside_the_paper(figures: dict[str, ReportFigure]) -> None:
     axes = data_axes(figures["run_times"])[0]
     assert axes.get_xscale() == "log"
@@ -200,8 +209,6 @@ def test_swarm_separates_equal_dots_and_stays_inside() -> None:
 
 def test_many_segments_stay_readable() -> None:
     root = {m: synthetic.document(m, segments=30) for m in ("classical",)}
-    from dieseltwin.report.results import method_from_document
-
     many = Results(methods=tuple(method_from_document(d) for d in root.values()), truth=synthetic.TRUTH)
     axes = data_axes(violins(many))[-1]
     assert len(axes.get_xticks()) <= 24
