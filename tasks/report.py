@@ -114,20 +114,18 @@ def report(
     import shutil
     import tempfile
 
-    from dieseltwin.report import build_report, load_results, result_figures, summary_table, summary_text
+    from dieseltwin.report import build_report, load_results, summary_table, summary_text
 
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "results"
         shutil.copytree(common, folder)
         _linked(folder, {"classical": classical, "few-shot-newton": newton, "few-shot-adam": adam})
         (folder / "driving").symlink_to(pictures.resolve(), target_is_directory=True)
-        build_report(folder, out / PAGE)
+        build_report(folder, out / PAGE, figures_dir=out / "figures")
         progress(1, 2)
         results = load_results(folder)
         (out / TABLE).write_text(summary_text(results) + "\n", encoding="utf-8")
         summary_table(results).to_csv(out / SUMMARY, index=False)
-        for figure in result_figures(results):
-            figure.save(out / "figures")
 
 
 def run_times(methods: Mapping[str, Artifact]) -> dict[str, str]:
