@@ -64,8 +64,7 @@ check: $(READY)  ## style, types, directions, hygiene
 	@echo "check: all good"
 
 ui: $(READY)  ## MLflow with the comparison of the methods
-	@echo "MLflow: http://127.0.0.1:$(PORT)  (Ctrl-C ends it)"
-	@$(BIN)/python -m mlflow ui --backend-store-uri sqlite:///mlruns/mlflow.db --port $(PORT)
+	@$(BIN)/python -m tasks.ui --port $(PORT)
 
 serve: $(READY)  ## retraining deployment with its schedule
 	@$(BIN)/python -m flows.retrain --serve

@@ -150,7 +150,7 @@ def adam(
     from dieseltwin.surrogates.empirical import EmpiricalMaps
     from dieseltwin.surrogates.operators import ActuatorOperators
 
-    networks = {
+    networks: dict[str, Any] = {
         "bodies": Bodies.load(bodies),
         "maps": EmpiricalMaps.load(maps),
         "operators": ActuatorOperators.load(operators),

@@ -45,9 +45,8 @@ VIEWS = {
             *(f"{name}_error_pct" for name in _HEALTH),
             *(f"{name}_ratio_to_bound" for name in _HEALTH),
             "seconds_per_run",
-            *_HEALTH,
         ],
-        ["runs", "segments"],
+        ["runs"],
     ),
 }
 
@@ -163,9 +162,9 @@ def identified(
                 params={"method": name, "runs": runtime["runs"], "segments": runtime["segments"]}
                 | flat(_own(settings["identify"], name)),
                 metrics={
-                    **metrics[name],
-                    "seconds_per_run": runtime["seconds_per_run"],
-                    "seconds": runtime["seconds"],
+                    **{key: _shown(key, value) for key, value in metrics[name].items()},
+                    "seconds_per_run": round(runtime["seconds_per_run"], 4),
+                    "seconds": round(runtime["seconds"], 2),
                     "converged_share": _converged(document),
                 },
                 curves=_curves(artifact.path / "curves.parquet"),
@@ -195,6 +194,11 @@ def identified(
         )
     )
     _log("identify", *records)
+
+
+def _shown(metric: str, value: float | None) -> float | None:
+    """Errors and ratios as they are read: MLflow shows every digit it gets."""
+    return value if value is None or metric in _HEALTH or metric.endswith("_std") else round(value, 3)
 
 
 def _own(section: Mapping[str, Any], method: str) -> dict[str, Any]:
