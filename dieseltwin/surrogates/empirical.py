@@ -32,6 +32,9 @@ LABELS = {
 """Column of a simulated recording that holds each map's value."""
 
 DROPOUT_MEMBERS = 30  # realisations of the paper's dropout behind its uncertainty: the paper's number of runs
+ERROR_COLUMNS = (
+    "kind", "map", "recording", "n", "l2_rel", "mean_rel", "bias_rel", "max_rel", "std_rel", "z_rms",
+)  # fmt: skip
 RELATIVE_FLOOR = 0.01  # of the mean label: below it a relative error says nothing (shut valves)
 STD_SEEN = 1e-4  # of the mean label: standard deviations below it count as agreement at a limit
 
@@ -267,7 +270,7 @@ class EmpiricalMaps:
 
     def errors(self) -> pd.DataFrame:
         """Errors of the nominal maps as found after training: one row per map and recording, see `error_table`."""
-        return pd.DataFrame(list(self.error_rows))
+        return pd.DataFrame(list(self.error_rows), columns=list(ERROR_COLUMNS))
 
     def error_table(self, cases: Mapping[str, pd.DataFrame], *, uncertainty: bool = False) -> pd.DataFrame:
         """Errors of the nominal maps on clean recordings.
@@ -329,7 +332,8 @@ class EmpiricalMaps:
         if "maps" not in meta:
             raise InputError(str(path), "another kind of network", "a file of empirical maps", "train the maps")
         maps: dict[str, MapNetwork] = {}
-        for name, spec in meta["maps"].items():
+        for name in MAPS:
+            spec = meta["maps"][name]
             stack = network_from_spec(spec["network"])
             if not isinstance(stack, MLP):
                 raise InputError(str(path), f"a {type(stack).__name__} as {name}", "an MLP", "train the maps again")

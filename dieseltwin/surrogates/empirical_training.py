@@ -46,6 +46,7 @@ Progress = Callable[[str, float], None]
 
 CENTRAL = (0.5, 99.5)  # % of the rows whose inputs are scaled to [-1, 1]
 HARD_LIMITS = {"eta_tm": (ETA_TM_FLOOR, ETA_TM_CAP)}  # its output is z itself between them
+NOISE_MIN = 1e-4  # of the mean absolute label: clean labels have the map's own curvature as noise
 LIMIT_SIGMAS = 5.0  # standard deviations of a cell's mean label by which it is clearly inside
 LIMIT_MARGIN = 0.25  # of an input's range beyond the training data, where the improved maps stop to extrapolate
 Samples = dict[str, tuple[tuple[np.ndarray, ...], np.ndarray]]
@@ -261,7 +262,7 @@ def _fit_map(
 def _noise_of(cells: Cells, label: np.ndarray, mean_label: np.ndarray) -> float:
     """Standard deviation of the labels' noise: the usual scatter within a cell."""
     scatter = cells.mean((label - mean_label[cells.of_row]) ** 2) * cells.count / np.maximum(cells.count - 1.0, 1.0)
-    return float(np.sqrt(np.median(scatter)))
+    return max(float(np.sqrt(np.median(scatter))), NOISE_MIN * float(np.mean(np.abs(label))))
 
 
 def _output_with_slope(name: str, raw: np.ndarray, label: np.ndarray, doubt: np.ndarray) -> Output:

@@ -17,6 +17,7 @@ WINDOW = 0.12  # of the speed, on both sides of a place, in which the labels are
 REFINED_WINDOWS = (0.12, 0.02)  # the same for the two refinements
 GRID = 200  # places tried
 ROWS_MIN = 500  # rows in the window below which nothing is claimed
+VARIANCE_MIN = 1e-10  # labels that hardly change in the window
 GAIN_MIN = 0.02  # of the variance in the window that the jump must explain
 NARROWEST = 2e-3  # of the speed: half distance of the knots in the search
 SINGULAR = 1e-9  # of the trace, added to the normal matrix: labels may be flat on one side
@@ -79,7 +80,7 @@ def find_jump(speed: np.ndarray, ratio: np.ndarray, label: np.ndarray) -> tuple[
     for at in np.geomspace(slowest, fastest, GRID):
         near = sums.near(at, WINDOW)
         below = near.n[near.speed < at].sum()
-        if min(below, near.n.sum() - below) < ROWS_MIN:
+        if min(below, near.n.sum() - below) < ROWS_MIN or near.variance() < VARIANCE_MIN:
             continue
         # against a slow change over the whole window, so that a mere slope doesn't count
         slow = near.rest((1.0 - WINDOW) * at, (1.0 + WINDOW) * at)
