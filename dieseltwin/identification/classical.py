@@ -47,6 +47,8 @@ INITIAL_RANGE = 1.0
 """Initial states stay within this logarithm of the first readings."""
 SECOND_LOOK = 0.4
 """A health parameter that ends further than this logarithm from its nominal value is fitted a second time."""
+WORSE = 0.5
+"""Negative log likelihood above that of another run of the same readings that makes a minimum a local one."""
 SAMPLE_SPREAD = 0.5
 """Draws for bands leave the estimate by at most this logarithm, so that an unidentifiable parameter stays plausible."""
 NOTHING = np.array([], dtype=np.int64)
@@ -212,8 +214,9 @@ def _segments(
 ) -> list[SegmentEstimate]:
     count, runs = len(shooting.problems), len(member)
     unknowns = fit.unknowns.reshape(count, runs, N_UNKNOWNS)
-    converged = fit.converged.reshape(count, runs)
-    chi2 = 2.0 * fit.linear.cost.reshape(count, runs) / shooting.degrees_of_freedom()[:, None]
+    cost = fit.linear.cost.reshape(count, runs)
+    converged = fit.converged.reshape(count, runs) & _best_of_same_data(shooting.problems, cost, member)
+    chi2 = 2.0 * cost / shooting.degrees_of_freedom()[:, None]
     log_covariance = covariance(fit.linear.hessian).reshape(count, runs, N_UNKNOWNS, N_UNKNOWNS)
     log_std = np.sqrt(np.diagonal(log_covariance, axis1=2, axis2=3))[..., :N_HEALTH]
     values = np.exp(unknowns[..., :N_HEALTH])
@@ -250,6 +253,19 @@ def _segments(
             )
         )
     return result
+
+
+def _best_of_same_data(problems: Sequence[SegmentProblem], cost: Array, member: Index) -> NDArray[np.bool_]:
+    """(S, R) false for a run that ended in a worse minimum than another run of the same readings and maps."""
+    best = np.ones(cost.shape, dtype=bool)
+    for s, problem in enumerate(problems):
+        draws = 1 if problem.noise_draws is None else len(problem.noise_draws)
+        data = np.stack([np.arange(cost.shape[1]) % draws, member])
+        _, same = np.unique(data, axis=1, return_inverse=True)
+        lowest = np.full(same.max() + 1, np.inf)
+        np.minimum.at(lowest, same.ravel(), cost[s])
+        best[s] = cost[s] <= lowest[same.ravel()] + WORSE
+    return best
 
 
 def _samples(
