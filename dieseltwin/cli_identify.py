@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,8 @@ def run_identify(
     problems, left_out = _usable(problems_of(source, parameters, settings, segment_s), source)
     networks = load_networks(models, method, maps)
     notes = [*_notes(source, parameters), *left_out]
+    if sys.stderr.isatty():  # a person waits; a log file needs no promise
+        print(f"{recording}: {len(problems)} segments, {runs} runs each, {method} ...", file=sys.stderr)
     # The folder is opened before the work: a place that cannot be written to is better known now.
     with atomic_folder(out) as folder:
         found = identify_segments(
