@@ -17,15 +17,20 @@ TEXT_SUFFIXES = {".py", ".md", ".toml", ".yaml", ".yml", ".cff", ".html", ".lock
 # Assembled, so that this file does not find itself. Unix system folders (/dev, /proc) are not a machine's own.
 _OWN_FOLDERS = "|".join(["work", "root", "home", "Users", "opt", "mnt"])
 MACHINE_PATH = re.compile(rf"(?:file://|(?<![\w.:/]))/(?:{_OWN_FOLDERS})/\w")
+MADE = {"data", "models", "results", "reports", "mlruns", "dieseltwin.egg-info"}
 LOCK_LINE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*==[A-Za-z0-9.]+$")
 CONFLICT = re.compile(r"^(<{7} |>{7} )", flags=re.MULTILINE)
 
 
 def tracked_files(root: Path) -> list[Path]:
-    """Files that git knows or would add (untracked ones that are not ignored included)."""
+    """Files that git knows or would add; without git (an unpacked archive) everything but hidden and made folders."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    listed = subprocess.run(command, cwd=root, check=True, capture_output=True).stdout.decode()
-    return sorted(root / name for name in listed.split("\0") if name and (root / name).is_file())
+    listed = subprocess.run(command, cwd=root, check=False, capture_output=True)
+    if listed.returncode == 0:
+        return sorted(root / name for name in listed.stdout.decode().split("\0") if name and (root / name).is_file())
+    names = (path.relative_to(root) for path in root.rglob("*") if path.is_file())
+    kept = (name for name in names if name.parts[0] not in MADE and not any(p.startswith(".") for p in name.parts[:-1]))
+    return sorted(root / name for name in kept if "__pycache__" not in name.parts)
 
 
 def file_problems(path: Path, name: str) -> Iterator[str]:

@@ -99,6 +99,14 @@ def test_no_module_outgrows_and_no_machine_path_is_committed(hygiene: ModuleType
     assert hygiene.problems() == []
 
 
+def test_hygiene_works_without_git(tmp_path: Path, hygiene: ModuleType) -> None:
+    for name in ("dieseltwin/a.py", "README.md", ".venv/lib/b.py", "data/c.parquet", "dieseltwin/__pycache__/a.pyc"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("x")
+    found = [path.relative_to(tmp_path).as_posix() for path in hygiene.tracked_files(tmp_path)]
+    assert found == ["README.md", "dieseltwin/a.py"]
+
+
 @pytest.mark.parametrize(
     ("content", "word"),
     [
