@@ -12,7 +12,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -91,11 +91,12 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_folder(path: str | Path) -> Iterator[Path]:
+def atomic_folder(path: str | Path, owned: Collection[str] = ()) -> Iterator[Path]:
     """Yield an empty temporary folder; on success its files replace those of the same name in `path`.
 
     All or nothing up to the renames at the end, which need no space: an error before them leaves `path` as it was
-    (not even created). Files of other names in `path` stay. Sub-folders are carried over with their files.
+    (not even created). Sub-folders are carried over with their files. Files of other names in `path` stay, except below
+    `owned`: names (of files or whole sub-folders) in which leftovers of an earlier result would mislead.
 
     Raises:
         InputError: full disk, read-only folder, `path` is a file.
@@ -118,6 +119,9 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
                 target = path / file.relative_to(temporary)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, target)
+            new = {path / file.relative_to(temporary) for file in files}
+            for name in owned:
+                _remove_others(path / name, new)
             sync_file(path)
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -125,6 +129,12 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
                 _remove_if_empty(folder)
             raise
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _remove_others(path: Path, kept: Collection[Path]) -> None:
+    for file in [path] if path.is_file() else list(path.rglob("*")):
+        if file.is_file() and file not in kept:
+            file.unlink()
 
 
 def check_writable(path: str | Path) -> None:

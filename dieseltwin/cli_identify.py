@@ -27,6 +27,7 @@ from dieseltwin.strict import unknown_name
 # Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
+OPTIONAL_RESULTS = ("curves.parquet", "figures")  # another method in the same folder must not leave its own behind
 MODELS_FOLDER = Path("models")
 EXACT = "exact"
 MAPS = (EXACT, "paper", "improved")
@@ -86,7 +87,7 @@ def run_identify(
     if sys.stderr.isatty():  # a person waits; a log file needs no promise
         print(f"{recording}: {len(problems)} segments, {runs} runs each, {method} ...", file=sys.stderr)
     # The folder is opened before the work: a place that cannot be written to is better known now.
-    with atomic_folder(out) as folder:
+    with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
         found = identify_segments(
             problems,
             method,

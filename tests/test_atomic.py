@@ -88,6 +88,18 @@ def test_folder_replaces_same_names_and_keeps_others(tmp_path: Path) -> None:
     assert names(out) == {"a", "mine"}
 
 
+def test_leftovers_of_an_earlier_result_go_where_they_would_mislead(tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    for name in ("curves", "figures/old.svg", "figures/a.svg", "mine", "a"):
+        (tmp_path / name).write_text("old")
+    with atomic_folder(tmp_path, owned=("curves", "figures", "none")) as folder:
+        (folder / "figures").mkdir()
+        (folder / "figures" / "a.svg").write_text("new")
+        (folder / "a").write_text("new")
+    assert names(tmp_path) == {"figures/a.svg", "mine", "a"}
+    assert (tmp_path / "figures" / "a.svg").read_text() == "new" and (tmp_path / "mine").read_text() == "old"
+
+
 @pytest.mark.parametrize("error", [ValueError, Interrupted])
 def test_an_error_leaves_no_new_folder_and_no_new_file(tmp_path: Path, error: type[BaseException]) -> None:
     with pytest.raises(error), atomic_folder(tmp_path / "deep" / "out") as folder:
