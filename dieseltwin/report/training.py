@@ -19,6 +19,7 @@ from dieseltwin.report.results import PARAMETERS, MethodResult, Results, number
 
 WIDTH_IN = 11.0
 LOSS_PREFIX = "loss"
+SVG_MAX_SEGMENTS = 8  # more lines make an SVG heavier than a picture
 _SEGMENT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7a5195", "#5c5c5c")
 _LOSS_COLOURS = ("#000000", *_SEGMENT_COLOURS, "#b8860b")
 OURS = {"train": "#0072B2", "held_out": "#56B4E9", "test": "#56B4E9", "pod_floor": "#5c5c5c"}
@@ -110,7 +111,8 @@ def convergence(results: Results, method: MethodResult) -> style.ReportFigure | 
         figure.legend(handles=handles, loc="outside lower center", ncols=min(8, len(handles)))
     slug = "".join(c if c.isalnum() else "_" for c in method.method)
     title = f"Convergence of {style.method_style(method.method).label}"
-    return style.ReportFigure(f"convergence_{slug}", title, captions.CONVERGENCE, figure)
+    kind = "svg" if len(segments) <= SVG_MAX_SEGMENTS else "png"
+    return style.ReportFigure(f"convergence_{slug}", title, captions.CONVERGENCE, figure, kind)
 
 
 def _minutes(results: Results, segment: int) -> str:

@@ -18,6 +18,7 @@ from dieseltwin.report.statistics import reference_values, relative_bound
 
 PAPER_BAND = 0.075  # the paper's error band around the true value, caption of its violin plots
 VIOLIN_MIN_RUNS = 5  # fewer points give no density worth drawing
+SVG_MAX_DOTS = 600  # dots in a panel; more make an SVG heavier than a picture
 VIOLIN_MAX_SLOTS = 60  # more violins than this in one row are too thin to read; points and intervals stay
 
 
@@ -221,10 +222,11 @@ def violins(results: Results, *, close: bool = False) -> style.ReportFigure:
             )
         )
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    dots = sum(len(method.runs) for method in results.methods) // len(PARAMETERS)
+    kind = "svg" if dots <= SVG_MAX_DOTS else "png"
+    title = "Health parameters per segment"
     if close:
         words = captions.VIOLINS_CLOSE.format(expectation=captions.EXPECTATION if known else "")
-        return style.ReportFigure(
-            "violins_close", "Health parameters per segment, seen closely", words, figure
-        )
+        return style.ReportFigure("violins_close", f"{title}, seen closely", words, figure, kind)
     words = captions.VIOLINS.format(centre=captions.CENTRE_TRUTH if known else captions.CENTRE_POOLED)
-    return style.ReportFigure("violins", "Health parameters per segment", words, figure)
+    return style.ReportFigure("violins", title, words, figure, kind)
