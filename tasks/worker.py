@@ -38,6 +38,7 @@ def main() -> int:
         traceback.print_exc()
         _send(channel, {"error": str(error) or repr(error), "kind": _kinds(error)})
         return 1
+    _send(channel, {"cpu_s": time.process_time()})
     return 0
 
 

@@ -25,7 +25,7 @@ TINY = {
         "bodies": {
             "heads": 80,
             "paper": {"epochs": 5},
-            "conditioned": {"epochs": 3, "lbfgs_steps": 2, "slide_s": 10.0},
+            "conditioned": {"epochs": 3, "lbfgs_steps": 2},
         },
     },
     "identify": {

@@ -1,0 +1,164 @@
+"""The whole chain in the profile ``tiny``: end to end, again, after a kill; DVC's stages name what they rest on."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import tiny_settings
+import yaml
+
+from tasks import run_context
+from tasks.progress import Display
+from tasks.run_context import STEPS, RunContext
+from tasks.store import content_hash
+from tasks.workspace import PROJECT, Workspace, quiet_settings
+
+# A busy machine: what is tested is what comes out, not when.
+pytestmark = pytest.mark.timeout(900)
+
+STAGES = {
+    "simulate": ("driving-sets", "recordings"),
+    "pretrain": ("eta-tm-labels", "maps", "operators", "bodies"),
+    "identify": ("identify-classical", "identify-newton", "identify-adam", "comparison"),
+}
+
+
+def new_context(root: Path) -> RunContext:
+    display = Display(root / ".cache" / "expected_seconds.json")
+    display.console.quiet = True
+    made = RunContext(Workspace(root), display)
+    run_context.use(made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory, prefect: None) -> Iterator[tuple[Path, set[str]]]:
+    """A workspace in which the chain ran once, and the steps that ran."""
+    from flows.run import run
+
+    root = tmp_path_factory.mktemp("chain")
+    tiny_settings.write_params(root)
+    context = new_context(root)
+    run("tiny")
+    yield root, set(context.timings)
+    run_context.use(None)
+
+
+@pytest.mark.flow
+def test_the_chain_ends_with_results_report_and_records(finished: tuple[Path, set[str]]) -> None:
+    root, ran = finished
+    assert {"driving-sets", "recordings", "maps-improved", "operators", "bodies-paper", "identify-adam"} <= ran
+    metrics = json.loads((root / "results" / "metrics.json").read_text())
+    assert set(metrics) == {"classical", "few-shot-newton", "few-shot-adam"}
+    # The classical estimator is the same in every profile: a minute of driving gives the areas to a few per cent.
+    assert abs(metrics["classical"]["A_vgtmax_error_pct"]) < 5.0
+    page = (root / "reports" / "index.html").read_text()
+    assert "few-shot-newton" in page or "Few-shot" in page
+    assert list((root / "reports" / "figures").glob("*.svg"))
+    assert not list((root / "results").rglob("runtime.json"))
+
+    from tasks.tracking import Tracker
+
+    client = Tracker(Workspace(root)).client
+    identify = client.get_experiment_by_name("identify")
+    runs = client.search_runs([identify.experiment_id])
+    names = {run.info.run_name for run in runs}
+    assert {"classical", "few-shot-newton", "few-shot-adam", "comparison", "few-shot-adam member 01"} <= names
+    classical = next(run for run in runs if run.info.run_name == "classical")
+    assert classical.data.metrics["A_egrmax"] == metrics["classical"]["A_egrmax"]
+    assert classical.data.metrics["seconds_per_run"] > 0.0
+    assert {item.dataset.name for item in classical.inputs.dataset_inputs} == {"field recordings", "models"}
+
+
+@pytest.mark.flow
+def test_a_second_run_computes_nothing_and_changes_nothing(finished: tuple[Path, set[str]]) -> None:
+    from flows.run import run
+    from tasks.tracking import Tracker
+
+    root, _ = finished
+    client = Tracker(Workspace(root)).client
+    experiments = [experiment.experiment_id for experiment in client.search_experiments()]
+    before = {name: content_hash(root / name) for name in ("data", "models", "results", "reports")}
+    records = len(client.search_runs(experiments))
+    context = new_context(root)
+    run("tiny")
+    assert not context.timings
+    assert {name: content_hash(root / name) for name in before} == before
+    assert len(client.search_runs(experiments)) == records
+
+
+@pytest.mark.flow
+def test_published_folders_are_made_again_from_the_cache(finished: tuple[Path, set[str]]) -> None:
+    """DVC deletes a stage's outs before it runs the stage; and somebody may spoil a file."""
+    import shutil
+
+    from flows.simulate import simulate
+
+    root, _ = finished
+    before = content_hash(root / "data")
+    shutil.rmtree(root / "data" / "lab")
+    (root / "data" / "sets" / "set_i.parquet").write_bytes(b"spoilt")
+    context = new_context(root)
+    simulate("tiny")
+    assert not context.timings
+    assert content_hash(root / "data") == before
+
+
+@pytest.mark.flow
+def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(
+    finished: tuple[Path, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed while the recordings are made, with its own server; what is whole is kept, the rest is made again."""
+    from flows.simulate import simulate
+
+    undisturbed = content_hash(finished[0] / "data")
+    tiny_settings.write_params(tmp_path)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PREFECT_", "MLFLOW_"))}
+    environment |= {**quiet_settings(Workspace(tmp_path)), "DIESELTWIN_WORKSPACE": str(tmp_path)}
+    command = [sys.executable, "-m", "flows.simulate", "--profile", "tiny"]
+    process = subprocess.Popen(command, cwd=PROJECT, env=environment, stdout=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 180.0
+    while not list(tmp_path.glob(".cache/recordings/.partial-*/lab/case_i.parquet")):
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (tmp_path / "data").exists()
+    assert not [path for path in (tmp_path / ".cache" / "recordings").iterdir() if path.name[0] != "."]
+    context = new_context(tmp_path)
+    simulate("tiny")
+    assert "driving-sets" not in context.timings and "recordings" in context.timings
+    assert content_hash(tmp_path / "data") == undisturbed
+
+
+def test_a_stage_depends_on_every_module_that_its_steps_rest_on() -> None:
+    stages = yaml.safe_load((PROJECT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]
+    context = RunContext(Workspace(PROJECT), Display(PROJECT / "unused"))
+    for stage, steps in STAGES.items():
+        covered = tuple(dep for dep in stages[stage]["deps"] if dep.endswith(".py"))
+        folders = tuple(f"{dep}/" for dep in stages[stage]["deps"] if not dep.endswith(".py"))
+        for step in steps:
+            for module in STEPS[step].code(context).modules:
+                if not module.startswith("dieseltwin"):
+                    continue
+                path = module.replace(".", "/")
+                files = [f"{path}.py"] if (PROJECT / f"{path}.py").exists() else [f"{path}/__init__.py"]
+                assert files[0] in covered or files[0].startswith(folders), f"{stage}: {files[0]} isn't among the deps"
+        assert f"tasks/{stage}.py" in covered and f"flows/{stage}.py" in covered
+        assert all((PROJECT / dep).exists() for dep in covered)
+
+
+def test_flows_hold_order_only() -> None:
+    """No arithmetic, no library, no files: a flow names steps."""
+    for path in (PROJECT / "flows").glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"^\s*(import|from) (dieseltwin|numpy|pandas|torch)\b", text, flags=re.MULTILINE), path
