@@ -112,12 +112,18 @@ def _summary_rows(results: Results) -> Rows:
                     "change": quantities.percent(row.nominal_change, signed=True),
                     "ratio": quantities.significant(row.ratio_to_bound, 3),
                     "used": f"{row.segments_identifiable} of {row.segments}",
-                    "runs": f"{row.runs}" + (f" ({row.diverged} diverged)" if row.diverged else ""),
+                    "runs": f"{row.runs}{_stopped(row.not_converged, row.runs * row.segments)}",
                     "seconds": quantities.significant(row.seconds_per_run, 2),
                 }
             )
         groups.append({"label": look.label, "colour": look.colour, "rows": rows})
     return groups
+
+
+def _stopped(not_converged: int, runs: int) -> str:
+    if not not_converged:
+        return ""
+    return " (none converged)" if not_converged == runs else f" ({not_converged} of {runs} not converged)"
 
 
 def _segment_rows(results: Results) -> dict[str, Any]:

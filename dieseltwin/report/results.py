@@ -77,7 +77,7 @@ class MethodResult:
         return int(self.runtime.get("runs", 0) or 0)
 
     @property
-    def number_diverged(self) -> int:
+    def number_not_converged(self) -> int:
         """Runs, over all segments, that did not converge."""
         if not len(self.runs):
             return 0

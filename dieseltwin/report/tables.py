@@ -29,7 +29,7 @@ def summary_table(results: Results) -> pd.DataFrame:
     """One row per method and parameter: pooled estimate, std, interval, error, ratio to the bound, seconds per run.
 
     Columns: method, parameter, mean, std, low, high, bound [SI], identifiable, error [-], nominal_change [-],
-    ratio_to_bound [-], segments_identifiable, segments, runs, diverged, seconds_per_run [s].
+    ratio_to_bound [-], segments_identifiable, segments, runs, not_converged, seconds_per_run [s].
     """
     rows = []
     for method in results.methods:
@@ -53,7 +53,7 @@ def summary_table(results: Results) -> pd.DataFrame:
                     "segments_identifiable": sum(flags),
                     "segments": len(flags),
                     "runs": method.number_of_runs,
-                    "diverged": method.number_diverged,
+                    "not_converged": method.number_not_converged,
                     "seconds_per_run": method.seconds_per_run,
                 }
             )
@@ -213,6 +213,9 @@ def _agreement(results: Results, chosen: MethodResult) -> list[str]:
         verdicts = {p: agree(chosen.pooled[p], other.pooled[p]) for p in PARAMETERS}
         apart = [quantities.html_symbol(p) for p, same in verdicts.items() if same is False]
         label = style.method_style(other.method).label
+        runs = other.number_of_runs * len(other.segments)
+        if runs and other.number_not_converged == runs:
+            label += " (none of whose runs had converged)"
         if all(same is None for same in verdicts.values()):
             found.append(f"{label} gave nothing that can be compared.")
         elif apart:
@@ -269,9 +272,11 @@ def headline(results: Results) -> str:
         sentences.append(
             f"It took {quantities.significant(method.seconds_per_run, 2)} s per run{count_words}."
         )
-    if method.number_diverged:
+    if method.number_not_converged:
         every = method.number_of_runs * count
-        sentences.append(f"{method.number_diverged} of {every} runs did not converge and don't count.")
+        sentences.append(
+            f"{method.number_not_converged} of {every} runs did not converge; they count only where no other did."
+        )
     return " ".join(sentences + _agreement(results, method))
 
 

@@ -107,9 +107,19 @@ def test_diverged_runs_are_counted_and_left_out() -> None:
     method = method_from_document(synthetic.document("classical", diverged=True))
     results = Results(methods=(method,), truth=synthetic.TRUTH)
     table = summary_table(results)
-    assert set(table["diverged"]) == {10 * len(method.segments)}
+    assert set(table["not_converged"]) == {10 * len(method.segments)}
     assert table["ratio_to_bound"].max() < 5  # the diverged runs are 30-300 % off: hundreds of bounds
     assert "50 of 150 runs did not converge" in headline(results)
+
+
+def test_a_method_that_never_converged_is_told() -> None:
+    document = synthetic.document("few-shot-adam")
+    for run in document["runs"]:
+        for part in run["segments"]:
+            part["converged"] = False
+    other = method_from_document(synthetic.document("classical"))
+    words = headline(Results(methods=(other, method_from_document(document))))
+    assert "few-shot-adam (none of whose runs had converged)" in words
 
 
 def test_nothing_identifiable_is_said() -> None:
