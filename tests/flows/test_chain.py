@@ -16,19 +16,19 @@ import pytest
 import tiny_settings
 import yaml
 
-from tasks import run_context
+from tasks import identify, pretrain, report, run_context, simulate
 from tasks.progress import Display
-from tasks.run_context import STEPS, RunContext
+from tasks.run_context import RunContext, Step
 from tasks.store import content_hash
 from tasks.workspace import PROJECT, Workspace, quiet_settings
 
 # A busy machine: what is tested is what comes out, not when.
 pytestmark = pytest.mark.timeout(900)
 
-STAGES = {
-    "simulate": ("driving-sets", "recordings"),
-    "pretrain": ("eta-tm-labels", "maps", "operators", "bodies"),
-    "identify": ("identify-classical", "identify-newton", "identify-adam", "comparison"),
+STAGES: dict[str, tuple[Step, ...]] = {
+    "simulate": (simulate.driving_sets, simulate.case_recordings),
+    "pretrain": (pretrain.eta_tm_labels, pretrain.maps, pretrain.operators, pretrain.bodies),
+    "identify": (identify.classical, identify.newton, identify.adam, report.comparison),
 }
 
 
@@ -101,14 +101,14 @@ def test_published_folders_are_made_again_from_the_cache(finished: tuple[Path, s
     """DVC deletes a stage's outs before it runs the stage; and somebody may spoil a file."""
     import shutil
 
-    from flows.simulate import simulate
+    from flows.simulate import simulate as simulate_flow
 
     root, _ = finished
     before = content_hash(root / "data")
     shutil.rmtree(root / "data" / "lab")
     (root / "data" / "sets" / "set_i.parquet").write_bytes(b"spoilt")
     context = new_context(root)
-    simulate("tiny")
+    simulate_flow("tiny")
     assert not context.timings
     assert content_hash(root / "data") == before
 
@@ -118,7 +118,7 @@ def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(
     finished: tuple[Path, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Killed while the recordings are made, with its own server; what is whole is kept, the rest is made again."""
-    from flows.simulate import simulate
+    from flows.simulate import simulate as simulate_flow
 
     undisturbed = content_hash(finished[0] / "data")
     tiny_settings.write_params(tmp_path)
@@ -135,7 +135,7 @@ def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(
     assert not (tmp_path / "data").exists()
     assert not [path for path in (tmp_path / ".cache" / "recordings").iterdir() if path.name[0] != "."]
     context = new_context(tmp_path)
-    simulate("tiny")
+    simulate_flow("tiny")
     assert "driving-sets" not in context.timings and "recordings" in context.timings
     assert content_hash(tmp_path / "data") == undisturbed
 
@@ -147,7 +147,7 @@ def test_a_stage_depends_on_every_module_that_its_steps_rest_on() -> None:
         covered = tuple(dep for dep in stages[stage]["deps"] if dep.endswith(".py"))
         folders = tuple(f"{dep}/" for dep in stages[stage]["deps"] if not dep.endswith(".py"))
         for step in steps:
-            for module in STEPS[step].code(context).modules:
+            for module in step.code(context).modules:
                 if not module.startswith("dieseltwin"):
                     continue
                 path = module.replace(".", "/")
