@@ -224,6 +224,10 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
         last = number >= len(settings.stages) - 1
         if number:
             found = _defects(setting, unknowns)
+        if number >= len(settings.stages):
+            # Heads from the simulated states leave the kinks that the minimiser's own path was caught in.
+            simulated = heads.project(torch.maximum(found.states, torch.tensor(LEAST_STATE, dtype=found.states.dtype)))
+            unknowns = torch.cat([simulated, unknowns[:, -N_HEALTH:]], -1)
         data = Data(clean, weights, multiple * noise.at(found.rate), found.rate, found.reading)
         warm: Cylinder | None = None if state is None else state.quadratic.cylinder
         state = minimise(

@@ -29,6 +29,8 @@ SPLINE_WIDTHS = {"pressures": 125, "omega_t": 70, "x_r": 50, "T_1": 20}
 """Widths of the last hidden layers in the paper's table; splines of the same width stand in where no body
 is given."""
 SPLINE_DEGREE = 3
+PAPER_SEGMENT_S = 60.0
+"""Length of the segments that the paper's widths belong to [s]."""
 
 
 class Body(Protocol):
@@ -60,7 +62,8 @@ def body_basis(name: str, time_s: ArrayLike, bodies: Any | None) -> tuple[NDArra
     """Columns (n, k) and rates (n, k) [1/s] of one body at sample times [s]; splines where `bodies` is None."""
     t = np.asarray(time_s, dtype=np.float64)
     span = float(t[-1] - t[0])
-    body: Body = SplineBody(SPLINE_WIDTHS[name]) if bodies is None else bodies[name]
+    width = max(SPLINE_DEGREE + 1, round(SPLINE_WIDTHS[name] * span / PAPER_SEGMENT_S))  # the same knots a second
+    body: Body = SplineBody(width) if bodies is None else bodies[name]
     h, dh = body.basis((t - t[0]) / span, span)
     return np.asarray(h, dtype=np.float64), np.asarray(dh, dtype=np.float64)
 

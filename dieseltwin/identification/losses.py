@@ -43,6 +43,7 @@ class Scales:
     Attributes:
         p: pressures [Pa], and their rates [Pa/s]; omega: turbo speed [rad/s], and its rate [rad/s2].
         T_1, T_em: temperatures [K]; w_egr: EGR flow [kg/s].
+        rate: further divisor of the three rates [-]: below 1 the differential equations count more against the data.
     """
 
     p: float = 1e5
@@ -50,6 +51,12 @@ class Scales:
     T_1: float = 300.0
     T_em: float = 300.0
     w_egr: float = 1.0
+    rate: float = 1.0
+
+    @property
+    def physics(self) -> tuple[float, ...]:
+        """Scales of the five physics residuals."""
+        return (self.p * self.rate, self.p * self.rate, self.omega * self.rate, 1.0, self.T_1)
 
     @property
     def states(self) -> tuple[float, ...]:
@@ -139,7 +146,7 @@ def total_loss(residuals: PhysicsResiduals, states: tuple[Tensor, ...], weights:
         The loss; gradients flow into `residuals` and `states`.
     """
     scale = observed.scales
-    physics = [(r / s).square().mean(-1) for r, s in zip(residuals[:5], scale.states, strict=True)]
+    physics = [(r / s).square().mean(-1) for r, s in zip(residuals[:5], scale.physics, strict=True)]
     initial = sum(
         w * ((x[:, 0] - observed.initial[:, i]) / s).square()
         for i, (x, s, w) in enumerate(zip(states, scale.states, INITIAL_WEIGHTS, strict=True))

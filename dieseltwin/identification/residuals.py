@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.func import jvp, vmap
 
 from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, bind, constants
 
@@ -89,7 +88,7 @@ class PointModel:
     from the
     implicit function theorem, (I - dg/d(x_r, T_1))^-1 dg/d(states, parameters), a 2 x 2 system at each
     point; nothing
-    is unrolled. Derivatives are forward mode: nine directions share one evaluation of the values.
+    is unrolled. Derivatives are reverse mode, one sweep an output: each touches its own part of the equations only.
 
     Args:
         parameters: known parameters (the health values in it are not used).
@@ -153,19 +152,19 @@ class PointModel:
             return Point(torch.stack(rates, -1), torch.stack(readings, -1), cylinder)
 
         shape = states.shape[:-1]
-        point = (*x, *health)
-
-        def columns(*arguments: Tensor) -> tuple[Tensor, ...]:
-            q = self.model.quantities(*arguments[:5], *inputs, self.with_health(list(arguments[5:])))
-            return tuple(column.expand(shape) for group in _columns(q) for column in group)
-
+        with torch.enable_grad():
+            point = [v.detach().expand(shape).clone().requires_grad_() for v in (*x, *health)]
+            q = self.model.quantities(*point[:5], *inputs, self.with_health(point[5:]))
+            columns = [column.expand(shape) for group in _columns(q) for column in group]
+            # Points don't mix: the gradient of a sum over points is each point's own row of the Jacobian.
+            rows = [
+                torch.autograd.grad(column.sum(), point, retain_graph=True, materialize_grads=True) for column in columns
+            ]
         # A health value moves by itself in the direction of its logarithm.
-        size = [torch.ones_like(v) for v in point[:5]] + list(point[5:])
-        unit = torch.eye(len(point), dtype=states.dtype)
-        directions = tuple(unit[:, i].reshape(-1, *(1 for _ in shape)) * v for i, v in enumerate(size))
-        values, tangents = vmap(lambda *d: jvp(columns, point, d), out_dims=(None, 0))(*directions)
-        total = _eliminate(torch.stack(tangents, -1).movedim(0, -1))
-        value = torch.stack(values[:6], -1)
+        size = [1.0] * 5 + [v.detach() for v in point[5:]]
+        jacobian = torch.stack([torch.stack([g * s for g, s in zip(row, size, strict=True)], -1) for row in rows], -2)
+        total = _eliminate(jacobian)
+        value = torch.stack([column.detach() for column in columns[:6]], -1)
         return Point(value[..., :3], value[..., 3:], cylinder, total[..., :3, :], total[..., 3:, :])
 
 
