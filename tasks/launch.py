@@ -9,6 +9,7 @@ import argparse
 import shutil
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,12 +18,20 @@ from typing import Any
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.errors import InputError
-from tasks import run_context
+from tasks import records, run_context
 from tasks.server import ServerFailed, prefect_server
 from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.workspace import prepare_environment
 
 _INTERRUPTED = 130
+
+# How long a flow takes where it never ran here [s]: quick profile, two idle cores.
+_EXPECTED_S = {"flow simulate": 50.0, "flow pretrain": 180.0, "flow identify": 200.0, "flow run": 430.0}
+_STEP_S = 430.0
+
+# Results of steps that nothing asked for within this time are removed.
+_UNUSED_S = 30 * 24 * 3600.0
+
 _ROOM_BYTES = 500_000_000  # data, models, cache and reports of the quick profile take about half of it
 
 
@@ -33,9 +42,17 @@ def launch(flow: Callable[..., Any], **parameters: Any) -> int:
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
     context = run_context.current()
+    # A profile has its own run times.
+    context.display.history = workspace.cache / f"expected_seconds-{parameters.get('profile', 'default')}.json"
+    name = f"flow {getattr(flow, 'name', 'flow')}"
+    title = f"all of {getattr(flow, 'name', 'it')}"
     try:
         with context.display.showing(), prefect_server(workspace):
+            context.display.start(name, _EXPECTED_S.get(name, _STEP_S), title)
+            threading.Thread(target=records.warm_up, daemon=True).start()
             flow(**parameters)
+            context.display.finish(name, title)
+        context.store.prune(_UNUSED_S)
     except KeyboardInterrupt:
         print("interrupted: what is finished is kept, the next run goes on from there", file=sys.stderr)
         return _INTERRUPTED

@@ -40,5 +40,6 @@ def about(settings: Mapping[str, Any], recording: Artifact) -> dict[str, Any]:
         "seed": settings["seed"],
         "params_sha256": hashlib.sha256(canonical.encode()).hexdigest(),
         "code_version": __version__,
+        "maps": "classical and few-shot-newton: exact formulae; few-shot-adam: learned, with dropout, as printed",
         "commands": "make run, dvc repro",
     }

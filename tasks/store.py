@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -77,7 +78,18 @@ class Store:
             return None
         if manifest.get("key") != key or wanted != {**_hashes(folder), **_hashes(folder, runtime=True)}:
             return None
+        os.utime(folder)  # when it was last of use, for `prune`
         return Artifact(folder, _digest(manifest["files"]))
+
+    def prune(self, unused_s: float) -> int:
+        """Remove results that nobody asked for within the last ``unused_s`` seconds. Returns how many."""
+        limit = time.time() - unused_s
+        old = [path.parent for path in self.root.glob(f"*/*/{MANIFEST}") if path.parent.stat().st_mtime < limit]
+        for folder in old:
+            grave = folder.parent / f"{_TEMPORARY}{folder.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+            folder.rename(grave)
+            shutil.rmtree(grave, ignore_errors=True)
+        return len(old)
 
     def manifest(self, artifact: Artifact) -> dict[str, Any]:
         """What is written beside a stored result: key, inputs, parameters, sources."""

@@ -93,3 +93,11 @@ def test_replace_folder_holds_exactly_the_files_and_keeps_the_old_one_on_failure
     replace_folder(target, {"x/a": source})
     assert [path.relative_to(target).as_posix() for path in target.rglob("*") if path.is_file()] == ["x/a"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "out"]
+
+
+def test_prune_removes_what_was_not_asked_for(store: Store) -> None:
+    old, new = put(store, "k1").path, put(store, "k2").path
+    os.utime(old, (0, 0))
+    assert store.prune(3600.0) == 1
+    assert not old.exists() and new.exists()
+    assert sorted(path.name for path in old.parent.iterdir()) == ["k2"]
