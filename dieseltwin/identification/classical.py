@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.identification.bound import cramer_rao
-from dieseltwin.identification.learned import LearnedSimulator
+from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.least_squares import (
     Fit,
     concatenated,
@@ -29,6 +29,7 @@ from dieseltwin.identification.shooting import (
     ShootingRuns,
     Simulator,
     by_grid,
+    error_directions,
     exact_engine,
 )
 from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts
@@ -114,11 +115,11 @@ def estimate(
 
     Args:
         problems: segments; `problem.parameters` gives the known parameters and the start.
-        runs: runs R on each segment: other starts, other readings where the problem has noise draws, other members of
-            learned maps.
+        runs: runs R on each segment: other starts, and other readings where the problem has noise draws.
         seed: seed of the starts and of the draws for the bands.
         bodies, operators: not used by this method.
-        maps: learned empirical maps (improved kind) in place of the formulae; None = exact.
+        maps: learned empirical maps (improved kind) in place of the formulae; None = exact. The spread of their members
+            is taken as uncertainty of the model: it weighs the readings and widens the intervals.
         config: `params.identify`, or None.
 
     Returns:
@@ -126,7 +127,6 @@ def estimate(
     """
     settings = ClassicalSettings.from_config(config)
     learned = None if maps is None else LearnedSimulator(maps)
-    member = np.zeros(runs, dtype=np.int64) if learned is None else learned.members(runs)
     simulator: Simulator = exact_engine if learned is None else learned
     rng = np.random.default_rng(seed)
     begin = [_starts(problem, runs, settings, rng) for problem in problems]
@@ -135,14 +135,20 @@ def estimate(
     for group in by_grid(problems):
         began = time.perf_counter()
         shooting = Shooting(tuple(problems[i] for i in group), simulator)
-        fit = fit_runs(shooting, member, np.stack([begin[i] for i in group]), settings)
+        fit = fit_runs(shooting, np.stack([begin[i] for i in group]), settings)
+        if learned is not None and len(learned.variants) > 1:
+            ends = fit.unknowns.reshape(len(group), runs, N_UNKNOWNS)
+            errors = error_directions(shooting, learned, np.median(ends, axis=1))
+            fit = fit_runs(shooting, ends, settings, errors)
         seconds = (time.perf_counter() - began) / (runs * len(group))
-        parts = _segments(shooting, fit, member, [normal[i] for i in group], seconds)
+        parts = _segments(shooting, fit, runs, [normal[i] for i in group], seconds)
         result.update(zip(group, parts, strict=True))
     return [result[i] for i in range(len(problems))]
 
 
-def fit_runs(shooting: Shooting, member: Index, begin: Array, settings: ClassicalSettings) -> Fit:
+def fit_runs(
+    shooting: Shooting, begin: Array, settings: ClassicalSettings, errors: Sequence[ErrorDirections] | None = None
+) -> Fit:
     """Fit every run of every segment.
 
     The sensor of W_egr has a kink where the flow stops, and a start at which p_em falls below p_im can sit on it. A run
@@ -154,16 +160,15 @@ def fit_runs(shooting: Shooting, member: Index, begin: Array, settings: Classica
 
     Args:
         shooting: S segments.
-        member: (R,) member of the learned maps of each run; zeros for the exact formulae.
-        begin: (S, R, 7) logarithms to start from.
+        begin: (S, R, 7) logarithms to start from, R runs of each segment.
         settings: iteration settings.
+        errors: what the model itself may be off by in each segment; None = nothing.
 
     Returns:
         Fit of S R problems, segment by segment.
     """
-    runs = len(member)
+    runs = begin.shape[1]
     segment = np.repeat(np.arange(len(shooting.problems)), runs)
-    members = np.tile(member, len(shooting.problems))
     readings = np.concatenate([p.readings(runs) for p in shooting.problems])
     start = begin.reshape(-1, N_UNKNOWNS)
     nominal = np.log(np.stack([health_of(p.parameters) for p in shooting.problems]))[segment]
@@ -174,7 +179,7 @@ def fit_runs(shooting: Shooting, member: Index, begin: Array, settings: Classica
         low, high = lower[rows], upper[rows]
         low[:, pinned] = high[:, pinned] = at[:, pinned]
         return levenberg_marquardt(
-            ShootingRuns(shooting, segment[rows], readings[rows], members[rows]),
+            ShootingRuns(shooting, segment[rows], readings[rows], errors),
             at,
             lower=low,
             upper=high,
@@ -210,12 +215,12 @@ def _starts(problem: SegmentProblem, runs: int, settings: ClassicalSettings, rng
 
 
 def _segments(
-    shooting: Shooting, fit: Fit, member: Index, normal: Sequence[Array], seconds: float
+    shooting: Shooting, fit: Fit, runs: int, normal: Sequence[Array], seconds: float
 ) -> list[SegmentEstimate]:
-    count, runs = len(shooting.problems), len(member)
+    count = len(shooting.problems)
     unknowns = fit.unknowns.reshape(count, runs, N_UNKNOWNS)
     cost = fit.linear.cost.reshape(count, runs)
-    converged = fit.converged.reshape(count, runs) & _best_of_same_data(shooting.problems, cost, member)
+    converged = fit.converged.reshape(count, runs) & _best_of_same_data(shooting.problems, cost)
     chi2 = 2.0 * cost / shooting.degrees_of_freedom()[:, None]
     log_covariance = covariance(fit.linear.hessian).reshape(count, runs, N_UNKNOWNS, N_UNKNOWNS)
     log_std = np.sqrt(np.diagonal(log_covariance, axis1=2, axis2=3))[..., :N_HEALTH]
@@ -230,9 +235,7 @@ def _segments(
     result = []
     for s, problem in enumerate(shooting.problems):
         rows = np.flatnonzero(used[s])[np.arange(len(normal[s])) % used[s].sum()]
-        sample_states, sample_health = _samples(
-            shooting, s, unknowns[s, rows], log_covariance[s, rows], normal[s], member[rows]
-        )
+        sample_states, sample_health = _samples(shooting, s, unknowns[s, rows], log_covariance[s, rows], normal[s])
         result.append(
             SegmentEstimate(
                 t0_s=problem.t0_s,
@@ -255,24 +258,21 @@ def _segments(
     return result
 
 
-def _best_of_same_data(problems: Sequence[SegmentProblem], cost: Array, member: Index) -> NDArray[np.bool_]:
-    """(S, R) false for a run that ended in a worse minimum than another run of the same readings and maps."""
+def _best_of_same_data(problems: Sequence[SegmentProblem], cost: Array) -> NDArray[np.bool_]:
+    """(S, R) false for a run that ended in a worse minimum than another run of the same readings."""
     best = np.ones(cost.shape, dtype=bool)
     for s, problem in enumerate(problems):
         draws = 1 if problem.noise_draws is None else len(problem.noise_draws)
-        data = np.stack([np.arange(cost.shape[1]) % draws, member])
-        _, same = np.unique(data, axis=1, return_inverse=True)
-        lowest = np.full(same.max() + 1, np.inf)
-        np.minimum.at(lowest, same.ravel(), cost[s])
-        best[s] = cost[s] <= lowest[same.ravel()] + WORSE
+        draw = np.arange(cost.shape[1]) % draws
+        lowest = np.full(draws, np.inf)
+        np.minimum.at(lowest, draw, cost[s])
+        best[s] = cost[s] <= lowest[draw] + WORSE
     return best
 
 
-def _samples(
-    shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array, member: Index
-) -> tuple[Array, Array]:
+def _samples(shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array) -> tuple[Array, Array]:
     """K draws from the mixture of the runs' Gaussians, simulated: states (K, n, 5) and parameters (K, 4)."""
     move = np.einsum("kij,kj->ki", np.linalg.cholesky(log_covariance), normal)
     drawn = unknowns + np.clip(move, -SAMPLE_SPREAD, SAMPLE_SPREAD)
-    states = shooting.simulate(np.full(len(drawn), s), drawn, member).states
+    states = shooting.simulate(np.full(len(drawn), s), drawn).states
     return states, np.exp(drawn[:, :N_HEALTH])

@@ -18,13 +18,14 @@ from dieseltwin.engine import (
     simulate_states,
 )
 from dieseltwin.errors import InputError
+from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.least_squares import Linearisation
 from dieseltwin.identification.problem import SegmentProblem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 Simulator = Callable[[Sequence[Actuation], ParameterBatch, Array, Index], Observations]
-"""(actuation of each lane, B parameter sets, (B, 3) initial states, (B,) member of the maps) -> observations."""
+"""(actuation of each lane, B parameter sets, (B, 3) initial states, (B,) variant of the maps) -> observations."""
 
 UNKNOWNS: tuple[str, ...] = (*HEALTH, "p_im", "p_em", "omega_t")
 """Order of the free quantities; all are estimated as logarithms, because all are positive and matter relatively."""
@@ -46,8 +47,10 @@ Small, because the EGR flow has a kink at Pi_egr = 1: a step of 1e-4 across it m
 """
 
 
-def exact_engine(actuations: Sequence[Actuation], batch: ParameterBatch, initial: Array, member: Index) -> Observations:
-    """The `Simulator` of the exact formulae, which have no members."""
+def exact_engine(
+    actuations: Sequence[Actuation], batch: ParameterBatch, initial: Array, variant: Index
+) -> Observations:
+    """The `Simulator` of the exact formulae, which have no variants."""
     return simulate_states(actuations, batch, initial)
 
 
@@ -79,13 +82,13 @@ class Shooting:
         weights = np.stack([np.where(p.observed, 1.0 / p.sigma, 0.0) for p in self.problems])
         object.__setattr__(self, "weights", weights)
 
-    def simulate(self, segment: Index, unknowns: Array, member: Index | None = None) -> Observations:
+    def simulate(self, segment: Index, unknowns: Array, variant: Index | None = None) -> Observations:
         """Simulate lanes, each with its own segment and unknowns.
 
         Args:
             segment: (B,) index into `problems`.
             unknowns: (B, 7) logarithms in the order of `UNKNOWNS` [log SI].
-            member: (B,) member of the learned maps; None = the nominal maps.
+            variant: (B,) variant of the learned maps; None = the nominal maps.
 
         Returns:
             The engine's observations: states (B, n, 5), measured (B, n, 6).
@@ -100,8 +103,8 @@ class Shooting:
                 batches = np.empty((part.shape[0], len(segment)))
             batches[:, lanes] = part
         actuations = [self.actuations[s] for s in segment]
-        members = np.zeros(len(segment), dtype=np.int64) if member is None else member
-        return self.simulator(actuations, ParameterBatch(batches), values[:, N_HEALTH:], members)
+        variants = np.zeros(len(segment), dtype=np.int64) if variant is None else variant
+        return self.simulator(actuations, ParameterBatch(batches), values[:, N_HEALTH:], variants)
 
     def degrees_of_freedom(self) -> Index:
         """(S,) readings minus unknowns of each segment, at least 1."""
@@ -115,13 +118,19 @@ class ShootingRuns:
         shooting: the segments.
         segment: (L,) segment of each run.
         readings: (L, n, 6) what each run sees [SI], NaN where masked.
-        member: (L,) member of the learned maps that each run uses; None = the nominal maps.
+        errors: what the model itself may be off by in each segment's readings; None = nothing.
     """
 
-    def __init__(self, shooting: Shooting, segment: Index, readings: Array, member: Index | None = None) -> None:
+    def __init__(
+        self,
+        shooting: Shooting,
+        segment: Index,
+        readings: Array,
+        errors: Sequence[ErrorDirections] | None = None,
+    ) -> None:
         self.shooting, self.segment = shooting, segment
         count = len(segment)
-        self.member = np.zeros(count, dtype=np.int64) if member is None else member
+        self._errors = errors
         self._weights = shooting.weights[segment].reshape(count, -1)
         self._observed = np.where(self._weights > 0.0, readings.reshape(count, -1), 0.0)
         self._jacobian = np.zeros((count, N_UNKNOWNS, self._observed.shape[1]))
@@ -146,20 +155,45 @@ class ShootingRuns:
         lanes[:, 1:, :] += DIFFERENCE * np.eye(N_UNKNOWNS)
         lanes = np.concatenate([lanes.reshape(-1, N_UNKNOWNS), unknowns[single]])
         run = index[np.concatenate([np.repeat(eight, N_UNKNOWNS + 1), single])]
-        measured = self.shooting.simulate(self.segment[run], lanes, self.member[run]).measured.reshape(len(run), -1)
+        measured = self.shooting.simulate(self.segment[run], lanes).measured.reshape(len(run), -1)
         split = len(eight) * (N_UNKNOWNS + 1)
         groups = measured[:split].reshape(len(eight), N_UNKNOWNS + 1, measured.shape[1])
         predicted = np.empty((len(index), self._observed.shape[1]))
         predicted[eight], predicted[single] = groups[:, 0], measured[split:]
         scale = (self._weights[index[eight]] / DIFFERENCE)[:, None, :]
-        self._jacobian[index[eight]] = (groups[:, 1:] - groups[:, :1]) * scale
-        residual = (predicted - self._observed[index]) * self._weights[index]
+        self._jacobian[index[eight]] = self._whitened(index[eight], (groups[:, 1:] - groups[:, :1]) * scale)
+        residual = self._whitened(index, (predicted - self._observed[index]) * self._weights[index])
         jacobian = self._jacobian[index]
         cost = 0.5 * np.einsum("ln,ln->l", residual, residual)
         gradient = np.einsum("lkn,ln->lk", jacobian, residual)
         hessian = jacobian @ jacobian.transpose(0, 2, 1)
         finite = np.isfinite(cost) & np.isfinite(gradient).all(axis=1) & np.isfinite(hessian).all(axis=(1, 2))
         return Linearisation(np.where(finite, cost, np.inf), gradient, hessian)
+
+    def _whitened(self, index: Index, rows: Array) -> Array:
+        if self._errors is not None:
+            for s in np.unique(self.segment[index]):
+                chosen = self.segment[index] == s
+                rows[chosen] = self._errors[s].whiten(rows[chosen])
+        return rows
+
+
+def error_directions(shooting: Shooting, learned: LearnedSimulator, unknowns: Array) -> list[ErrorDirections]:
+    """What the uncertainty of learned maps may do to the readings of each segment.
+
+    Args:
+        shooting: S segments.
+        learned: the maps and their variants.
+        unknowns: (S, 7) logarithms at which to evaluate.
+
+    Returns:
+        Directions of each segment.
+    """
+    count, variants = len(shooting.problems), len(learned.variants)
+    segment, variant = np.repeat(np.arange(count), variants), np.tile(np.arange(variants), count)
+    measured = shooting.simulate(segment, unknowns[segment], variant).measured.reshape(count, variants, -1)
+    moved = (measured[:, 1:] - measured[:, :1]) * learned.scale[None, 1:, None]
+    return [ErrorDirections.of((moved[s] * shooting.weights[s].ravel()).T) for s in range(count)]
 
 
 def grid_key(problem: SegmentProblem) -> bytes:

@@ -11,7 +11,7 @@ import hashlib
 import inspect
 import linecache
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,12 +97,15 @@ _N_ARGUMENTS = {"eta_vol": 2, "f_egr": 1, "F_vgt_Pi_t": 2, "eta_tm": 3, "eta_c":
 # --- simulator ---------------------------------------------------------------------------------------------------
 
 
-def compiled_simulator(maps: EmpiricalMaps, member: int | None = None) -> Callable[..., Observations]:
+def compiled_simulator(
+    maps: EmpiricalMaps, member: int | Mapping[str, int] | None = None
+) -> Callable[..., Observations]:
     """`engine.simulate_states` with learned maps in place of the formulae: the same arguments and results.
 
     Args:
         maps: maps of one hidden layer (kind "improved").
-        member: see `EmpiricalMaps.layers`; one for all lanes.
+        member: see `EmpiricalMaps.layers`; one for all lanes. A mapping names the maps that take a member; the others
+            are nominal.
 
     Raises:
         InputError: deeper networks.
@@ -147,13 +150,14 @@ def _weight_names(sizes: Sizes) -> list[str]:
     return names
 
 
-def flat_weights(maps: EmpiricalMaps, member: int | None = None) -> np.ndarray:
+def flat_weights(maps: EmpiricalMaps, member: int | Mapping[str, int] | None = None) -> np.ndarray:
     """All limits and weights of one member of maps of one hidden layer in a row, input scaling folded in."""
     _sizes(maps)
     parts = []
     for name in MAPS:
         item = maps.maps[name]
-        (weight, bias), (last, offset) = maps.layers(name, member)
+        one = member.get(name) if isinstance(member, Mapping) else member
+        (weight, bias), (last, offset) = maps.layers(name, one)
         parts += [item.low, item.high, weight.numpy().ravel(), bias.numpy().ravel(), last.numpy().ravel()]
         parts += [offset.numpy().ravel()]
     return np.concatenate(parts)
