@@ -137,7 +137,7 @@ def estimate(
         seconds = (time.perf_counter() - began) / len(lanes)
         for row, i in enumerate(group):
             parts = (health[row], states[row], loss[row], misfit[row])
-            results[i] = _estimate_of(problems[i], *parts, seconds)
+            results[i] = _estimate_of(problems[i], *parts, seconds, settings.epochs)
     return [results[i] for i in range(len(problems))]
 
 
@@ -413,7 +413,7 @@ def _start(lanes: Sequence[Lane], program: Program, settings: AdamSettings) -> t
 
 def _estimate_of(
     problem: SegmentProblem, health: NDArray[np.float64], states: NDArray[np.float64], loss: NDArray[np.float64],
-    misfit: NDArray[np.float64], seconds: float,
+    misfit: NDArray[np.float64], seconds: float, epochs: int = 0,
 ) -> SegmentEstimate:  # fmt: skip
     final = health[:, -1]
     earlier = health[:, -max(2, health.shape[1] // 10)]
@@ -429,5 +429,8 @@ def _estimate_of(
         interval_90=np.stack([nothing, nothing], -1), states=pooled_states, bound=bound.absolute,
         identifiable=bound.identifiable(), converged=still, seconds_per_run=seconds, method=METHOD,
         chi2_per_sample=misfit, state_samples=states[used], parameter_samples=final[used],
-        curves={"loss": loss.mean(axis=0), **{name: health[..., i].mean(axis=0) for i, name in enumerate(HEALTH)}},
+        curves={
+            "epoch": np.linspace(0, epochs, loss.shape[1]).round(), "loss": loss.T,
+            **{name: health[..., i].T for i, name in enumerate(HEALTH)},
+        },
     )  # fmt: skip
