@@ -187,6 +187,8 @@ class OperatorsConfig(StrictModel):
     memory_decay: NonNegativeFloat = Field(description="weight decay of the oldest samples, per learning rate")
     forget_s: PositiveFloat = Field(description="shortest time constant that the trunk starts with")
     start_share: NonNegativeFloat = Field(le=1.0, description="rows from the first samples of a window")
+    finish_rows: NonNegativeInt = Field(description="rows a pass to solve the last layer at the end; 0 for none")
+    finish_ridge: PositiveFloat = Field(description="of the mean diagonal of that system")
     egr: OperatorConfig
     vgt: OperatorConfig
 
@@ -270,8 +272,27 @@ class AdamConfig(StrictModel):
     weight_start: dict[str, PositiveFloat]
 
 
+class PinnStageConfig(StrictModel):
+    """A piece of the PINN's schedule with constant learning rates; a rate of 0 freezes."""
+
+    until_epoch: PositiveInt
+    layers: Literal["all", "last"] = Field(description="which layers of the networks are trained")
+    rate_networks: NonNegativeFloat
+    rate_unknowns: NonNegativeFloat
+    rate_weights: NonNegativeFloat = Field(description="of the self-adaptive weights")
+
+
+class PinnConfig(StrictModel):
+    """The paper's hybrid PINN: all layers from scratch, or from a source model in stages."""
+
+    members: PositiveInt = Field(description="runs a segment")
+    stages: tuple[PinnStageConfig, ...]
+    first_layer_slopes: Range | None = Field(description="start of the first layer on time scaled to [-1, 1]")
+    weight_start: dict[str, PositiveFloat]
+
+
 class IdentifyConfig(StrictModel):
-    """What the three estimators share, and their own settings."""
+    """What the estimators share, and their own settings."""
 
     segment_s: PositiveFloat
     history_s: NonNegativeFloat
@@ -283,6 +304,8 @@ class IdentifyConfig(StrictModel):
     classical: ClassicalConfig
     newton: NewtonConfig
     adam: AdamConfig
+    baseline: PinnConfig
+    multi_stage: PinnConfig
 
 
 class EvaluateConfig(StrictModel):

@@ -19,6 +19,7 @@ from dieseltwin.networks import (
     no_dropout,
     save_network,
     soft_clip,
+    soft_clip_slope,
     stack_members,
 )
 
@@ -188,10 +189,26 @@ def test_outputs_keep_their_limits() -> None:
 
 def test_soft_clip_is_the_identity_between_its_limits() -> None:
     z = torch.linspace(0.1, 0.9, 9, dtype=torch.float64)
-    torch.testing.assert_close(soft_clip(z), z, rtol=0, atol=1e-6)
-    limits = soft_clip(torch.tensor([-5.0, 0.0, 1.0, 5.0], dtype=torch.float64))
+    torch.testing.assert_close(soft_clip(z, 100.0), z, rtol=0, atol=1e-6)
+    limits = soft_clip(torch.tensor([-5.0, 0.0, 1.0, 5.0], dtype=torch.float64), 100.0)
     expected = torch.tensor([0.0, math.log(2) / 100, 1 - math.log(2) / 100, 1.0], dtype=torch.float64)
     torch.testing.assert_close(limits, expected, rtol=0, atol=1e-12)
+    edge = torch.linspace(-0.1, 1.1, 49, dtype=torch.float64, requires_grad=True)
+    soft_clip(edge, 100.0).sum().backward()
+    torch.testing.assert_close(edge.grad, soft_clip_slope(edge.detach(), 100.0), rtol=1e-9, atol=1e-12)
+
+
+def test_a_deeponet_is_linear_in_its_last_layers_before_the_clip() -> None:
+    network = deeponet(clip_sharpness=300.0)
+    rows, initial = torch.rand(20, 12, generator=generator(1)), torch.rand(20, 2, generator=generator(2))
+    time = network.times()[torch.arange(20) % 12]
+    with torch.no_grad():
+        for k in range(2):
+            linear = network.last_layer_design(k, rows, initial, time) @ network.last_layer(k).flatten()
+            expected = network.from_rows(rows, initial, time)[:, k]
+            torch.testing.assert_close(soft_clip(linear + network.offset[k], 300.0), expected)
+        network.set_last_layer(1, torch.zeros_like(network.last_layer(1)))
+        assert torch.unique(network.from_rows(rows, initial, time)[:, 1]).shape == (1,)
 
 
 def test_memory_shortens_the_first_weights() -> None:

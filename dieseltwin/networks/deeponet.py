@@ -48,7 +48,7 @@ class CausalityDeepONet(nn.Module):
         trunk_hidden: Sequence[int] = (40, 40),
         n_basis: int = 40,
         activation: str = "tanh",
-        clip_sharpness: float = 100.0,
+        clip_sharpness: float = 1000.0,
         memory: float | None = None,
         trunk_slopes: tuple[float, float] | None = None,
         generator: torch.Generator | None = None,
@@ -78,7 +78,8 @@ class CausalityDeepONet(nn.Module):
             make((1, *self.initial_hidden, n_basis)) for _ in range(outputs)
         )
         self.trunk = make((1, *self.trunk_hidden, n_basis))
-        self.offset = nn.Parameter(torch.zeros(outputs, dtype=dtype))
+        # between the limits, where the soft clip lets gradients through
+        self.offset = nn.Parameter(torch.full((outputs,), 0.5, dtype=dtype))
         with torch.no_grad():
             if memory is not None:
                 lags = torch.arange(n_times, dtype=dtype)[:, None]
@@ -138,12 +139,38 @@ class CausalityDeepONet(nn.Module):
             columns.append(terms.sum(-1) + self.offset[k])
         return soft_clip(torch.stack(columns, dim=-1), self.clip_sharpness)
 
+    def last_layer_design(self, k: int, rows: Tensor, initial: Tensor, time: Tensor) -> Tensor:
+        """Design matrix of output k before the soft clip, less the offset, in the last layer of its input branch.
+
+        Args:
+            k: number of the output; `rows`, `initial`, `time` as in `from_rows`, with one leading dimension n.
+
+        Returns:
+            (n, (m + 1) n_basis), m the width of that layer's input; times `last_layer(k)` flattened it is the output.
+        """
+        hidden = self.input_branches[k].hidden_output(rows)
+        hidden = torch.cat([hidden, torch.ones_like(hidden[:, :1])], dim=1)
+        gate = self.initial_branches[k](initial[..., k : k + 1]) * self.trunk(time)
+        return (hidden[:, :, None] * gate[:, None, :]).flatten(1)
+
+    def last_layer(self, k: int) -> Tensor:
+        """Weights and, as the last row, biases of the last layer of output k's input branch, (m + 1, n_basis)."""
+        branch = self.input_branches[k]
+        return torch.cat([branch.weights[-1], branch.biases[-1]]).detach()
+
+    def set_last_layer(self, k: int, values: Tensor) -> None:
+        """Replace what `last_layer` gives."""
+        branch = self.input_branches[k]
+        with torch.no_grad():
+            branch.weights[-1].copy_(values[:-1])
+            branch.biases[-1].copy_(values[-1:])
+
     def forward(self, u: Tensor, initial: Tensor) -> Tensor:
         """Windows (B, n) with initial values (B, outputs), both scaled to [0, 1] -> (B, n, outputs)."""
         return self.from_rows(self.rows(u), initial[:, None, :], self.times()[: u.shape[-1]])
 
 
-def soft_clip(z: Tensor, sharpness: float = 100.0) -> Tensor:
+def soft_clip(z: Tensor, sharpness: float = 1000.0) -> Tensor:
     """Smooth limiter to [0, 1]: softplus(z) - softplus(z - 1) with `sharpness`; the identity well inside.
 
     Unlike a sigmoid it leaves a linear operator linear between the limits; it is 0.69 / sharpness off at a limit.
@@ -153,3 +180,6 @@ def soft_clip(z: Tensor, sharpness: float = 100.0) -> Tensor:
     return softplus(z, sharpness, 40.0) - softplus(z - 1.0, sharpness, 40.0)
 
 
+def soft_clip_slope(z: Tensor, sharpness: float = 1000.0) -> Tensor:
+    """Derivative of `soft_clip`."""
+    return torch.sigmoid(sharpness * z) - torch.sigmoid(sharpness * (z - 1.0))

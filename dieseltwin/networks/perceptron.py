@@ -155,6 +155,13 @@ class MLP(nn.Module):
                 x = act(x)
         return x
 
+    def hidden_output(self, x: Tensor) -> Tensor:
+        """Input of the last layer, (..., n, hidden[-1]), without dropout."""
+        act = ACTIVATIONS[self.activation]
+        for weight, bias in list(zip(self.weights, self.biases, strict=True))[:-1]:
+            x = act(torch.matmul(x, weight) + bias)
+        return x
+
     def member(self, index: int) -> MLP:
         """Copy of one member of a stack as a single network."""
         if self.members is None or not 0 <= index < self.members:

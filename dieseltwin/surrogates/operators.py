@@ -26,7 +26,7 @@ from torch import Tensor
 from dieseltwin.config import OperatorConfig, OperatorsConfig
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.errors import InputError
-from dieseltwin.networks import CausalityDeepONet, load_state, network_from_spec, save_state
+from dieseltwin.networks import CausalityDeepONet, load_state, network_from_spec, save_state, soft_clip, soft_clip_slope
 
 OPERATORS: Mapping[str, tuple[str, ...]] = {"egr": ("u_egr1_pct", "u_egr2_pct"), "vgt": ("u_vgt_act_pct",)}
 """Label columns of D1 and D2."""
@@ -38,6 +38,8 @@ PAPER_TEST_ERROR_PCT: Mapping[str, float] = {"u_egr1_pct": 2.69, "u_egr2_pct": 3
 _START_SAMPLES = 6  # the first samples of a window, where the initial value is forgotten, are drawn more often
 _WARM_UP_UPDATES = 100
 _CURVE_POINTS = 100
+_FINISH_CHUNK = 2000  # rows of the closed-form system at once: 26 MB
+_FINISH_PASSES = 2  # the soft clip bends near the limits
 Progress = Callable[[str, float], None]
 
 
@@ -242,41 +244,23 @@ def _train(
     )
     operator = Operator(network, delay_s, limits, common.sample_s, np.zeros((0, 2)))
 
-    # recordings one after the other, each behind the zeros that stand before a window
-    rows, targets, starts, offset = [], [], [], 0
-    for u, y in signals:
-        if len(u) < n_times:
-            raise InputError("training recording", f"{len(u)} rows", f"at least {n_times}", "give a longer one")
-        rows.append(torch.nn.functional.pad(operator.scaled_command(u), (n_times - 1, 0)))
-        noise = torch.randn(y.shape, generator=generator, dtype=torch.float64).numpy()
-        noisy = y + label_noise_rel * np.abs(y).mean(0) * noise
-        targets.append(torch.nn.functional.pad(operator.scaled_state(noisy), (0, 0, n_times - 1, 0)))
-        slide = max(1, round(common.slide_s / common.sample_s))
-        starts.append(offset + torch.arange(0, len(u) - n_times + 1, slide))
-        offset += len(u) + n_times - 1
-    histories = torch.cat(rows).unfold(0, n_times, 1)  # a view: row i ends with sample i, oldest first
-    labels, windows = torch.cat(targets)[n_times - 1 :], torch.cat(starts)
-    inside = torch.tril(torch.ones(n_times, n_times))  # row a: the lags that lie inside the window at time a
-    times = network.times()
+    slide = max(1, round(common.slide_s / common.sample_s))
+    data = _Rows.of(signals, operator, n_times, slide, label_noise_rel, generator)
     weights = torch.tensor(config.loss_weights)
     if weights.numel() != outputs:
         raise InputError("loss_weights", list(config.loss_weights), f"{outputs} values", "one weight for each output")
 
     optimiser = torch.optim.Adam(network.parameters(), lr=config.rate, betas=(0.9, 0.99))
     fade = torch.clamp(torch.arange(n_times) / memory, max=1.0)[:, None] ** 2
-    n_start = round(common.start_share * config.batch)
     curve, recent = [], 0.0
     every = max(1, config.updates // _CURVE_POINTS)
     for update in range(config.updates):
         share = update / config.updates
         rate = config.rate * min(1.0, (update + 1) / _WARM_UP_UPDATES) * 0.5 * (1.0 + math.cos(math.pi * share))
         optimiser.param_groups[0]["lr"] = rate
-        window = windows[torch.randint(0, len(windows), (config.batch,), generator=generator)]
-        age = torch.randint(0, n_times, (config.batch,), generator=generator)
-        age[:n_start] = torch.randint(0, _START_SAMPLES, (n_start,), generator=generator)
-        history = histories[window + age].flip(-1) * inside[age]
-        predicted = network.from_rows(history, labels[window], times[age])
-        squares = ((predicted - labels[window + age]) ** 2).mean(0)
+        history, initial, time, truth = data.draw(config.batch, common.start_share, generator)
+        predicted = network.from_rows(history, initial, time)
+        squares = ((predicted - truth) ** 2).mean(0)
         optimiser.zero_grad(set_to_none=True)
         (weights * squares).sum().backward()
         optimiser.step()
@@ -290,7 +274,90 @@ def _train(
             recent = 0.0
             if progress is not None:
                 progress((update + 1) / config.updates)
+    if common.finish_rows:
+        _finish(network, data, common, generator)
     return Operator(network, delay_s, limits, common.sample_s, np.asarray(curve))
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Recordings one after the other, each behind the zeros that stand before a window; rows are drawn from them.
+
+    Attributes:
+        histories: (N, n_times) view, row i ends with sample i, oldest first.
+        labels: (N, outputs) scaled states, row i those of sample i.
+        windows: first samples of all windows.
+        inside: (n_times, n_times), row a marks the lags that lie inside the window at its sample a.
+        times: (n_times, 1) scaled times of a window.
+    """
+
+    histories: Tensor
+    labels: Tensor
+    windows: Tensor
+    inside: Tensor
+    times: Tensor
+
+    @classmethod
+    def of(
+        cls,
+        signals: Sequence[tuple[np.ndarray, np.ndarray]],
+        operator: Operator,
+        n_times: int,
+        slide: int,
+        label_noise_rel: float,
+        generator: torch.Generator,
+    ) -> _Rows:
+        commands, labels, windows, offset = [], [], [], 0
+        for u, y in signals:
+            if len(u) < n_times:
+                raise InputError("training recording", f"{len(u)} rows", f"at least {n_times}", "give a longer one")
+            commands.append(torch.nn.functional.pad(operator.scaled_command(u), (n_times - 1, 0)))
+            noise = torch.randn(y.shape, generator=generator, dtype=torch.float64).numpy()
+            noisy = operator.scaled_state(y + label_noise_rel * np.abs(y).mean(0) * noise)
+            labels.append(torch.nn.functional.pad(noisy, (0, 0, n_times - 1, 0)))
+            windows.append(offset + torch.arange(0, len(u) - n_times + 1, slide))
+            offset += len(u) + n_times - 1
+        return cls(
+            torch.cat(commands).unfold(0, n_times, 1),
+            torch.cat(labels)[n_times - 1 :],
+            torch.cat(windows),
+            torch.tril(torch.ones(n_times, n_times)),
+            operator.network.times(),
+        )
+
+    def draw(
+        self, count: int, start_share: float, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Histories (count, n_times), initial values, times and labels of random samples of random windows."""
+        window = self.windows[torch.randint(0, len(self.windows), (count,), generator=generator)]
+        age = torch.randint(0, len(self.times), (count,), generator=generator)
+        n_start = round(start_share * count)
+        age[:n_start] = torch.randint(0, _START_SAMPLES, (n_start,), generator=generator)
+        history = self.histories[window + age].flip(-1) * self.inside[age]
+        return history, self.labels[window], self.times[age], self.labels[window + age]
+
+
+def _finish(network: CausalityDeepONet, data: _Rows, common: OperatorsConfig, generator: torch.Generator) -> None:
+    """Gauss-Newton on the last layer of each input branch: before the soft clip the outputs are linear in it.
+
+    A ridge about the weights of the pass before; Adam alone stops several times above this optimum.
+    """
+    sharpness = network.clip_sharpness
+    for k in [k for k in range(network.outputs) for _ in range(_FINISH_PASSES)]:
+        start = network.last_layer(k).double()
+        gram = torch.zeros((start.numel(), start.numel()), dtype=torch.float64)
+        right = torch.zeros(start.numel(), dtype=torch.float64)
+        for _ in range(math.ceil(common.finish_rows / _FINISH_CHUNK)):
+            history, initial, time, truth = data.draw(_FINISH_CHUNK, common.start_share, generator)
+            with torch.no_grad():
+                design = network.last_layer_design(k, history, initial, time).double()
+                z = design @ start.flatten() + network.offset[k].double()
+                design *= soft_clip_slope(z, sharpness)[:, None]
+                right += design.T @ (truth[:, k].double() - soft_clip(z, sharpness))
+            gram += design.T @ design
+        ridge = common.finish_ridge * gram.diagonal().mean()
+        change = torch.linalg.solve(gram + ridge * torch.eye(len(gram), dtype=torch.float64), right)
+        network.set_last_layer(k, (start + change.reshape(start.shape)).to(network.offset.dtype))
 
 
 def _follow(operator: Operator, inputs: Inputs, u_pct: np.ndarray, initial: np.ndarray | None) -> np.ndarray:
