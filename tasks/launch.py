@@ -98,7 +98,7 @@ def serve(flow: Any, cron: str, **parameters: Any) -> int:
     try:
         with prefect_server(workspace, scheduled=True) as address:
             print(f"{flow.name}: scheduled '{cron}' on {address}; Ctrl-C ends it", flush=True)
-            flow.serve(name="scheduled", cron=cron, parameters=parameters, print_starting_message=False)
+            flow.serve(name="scheduled", cron=cron, parameters=parameters, limit=1, print_starting_message=False)
     except KeyboardInterrupt:
         return _INTERRUPTED
     except ServerFailed as error:
