@@ -112,18 +112,23 @@ def _summary_rows(results: Results) -> Rows:
                     "change": quantities.percent(row.nominal_change, signed=True),
                     "ratio": quantities.significant(row.ratio_to_bound, 3),
                     "used": f"{row.segments_identifiable} of {row.segments}",
-                    "runs": f"{row.runs}{_stopped(row.not_converged, row.runs * row.segments)}",
+                    "runs": str(row.runs),
                     "seconds": quantities.significant(row.seconds_per_run, 2),
                 }
             )
-        groups.append({"label": look.label, "colour": look.colour, "rows": rows})
+        stopped = _stopped(method.number_not_converged, method.number_of_runs * len(method.segments))
+        groups.append({"label": look.label, "colour": look.colour, "rows": rows, "stopped": stopped})
     return groups
 
 
 def _stopped(not_converged: int, runs: int) -> str:
     if not not_converged:
         return ""
-    return " (none converged)" if not_converged == runs else f" ({not_converged} of {runs} not converged)"
+    return (
+        f"none of {runs} runs converged"
+        if not_converged == runs
+        else f"{not_converged} of {runs} runs not converged"
+    )
 
 
 def _segment_rows(results: Results) -> dict[str, Any]:

@@ -21,6 +21,11 @@ FLOWS = ("w_egr_kg_s", "w_c_kg_s", "w_t_kg_s", "w_ei_kg_s", "t_em_k", "t_e_k")
 EMPIRICAL = ("eta_vol", "f_egr", "f_vgt_pi_t", "eta_tm", "eta_c", "phi_c")
 WIDTH_IN = 11.0
 ACF_LAG_S = 4.0  # lags shown: several times the turbocharger's share of a sample, far below a segment
+LEAST_LIMIT_PCT = 0.05  # errors below this are rounding
+OUTLIER_FACTOR, OUTLIER_LEAST_PCT = (
+    10.0,
+    2.0,
+)  # a method beyond both leaves the error panel and is told in words
 RESIDUAL_LIMIT = 5.0  # axis of residuals in standard deviations; rarer ones are counted at the edge
 BREAK_GAP = 3.0  # a step in time longer than this many usual steps breaks the line
 
@@ -99,6 +104,13 @@ def _reach(values: NDArray[np.float64]) -> float:
     return float(np.quantile(finite, 0.995)) if len(finite) else 0.0
 
 
+def _fair_limit(reaches: Sequence[float]) -> float:
+    """Half height [%] of an error panel: all methods, unless one is so far off that the others would be a line."""
+    if not reaches:
+        return LEAST_LIMIT_PCT
+    return max(LEAST_LIMIT_PCT, min(max(reaches), max(OUTLIER_FACTOR * min(reaches), OUTLIER_LEAST_PCT)))
+
+
 def _informed(results: Results, method: MethodResult) -> NDArray[np.bool_]:
     """Rows of a method's states in segments where every parameter is identifiable; all rows where there are none.
 
@@ -143,7 +155,7 @@ def _draw_error(axes: Axes, results: Results, column: str) -> None:
     scale = abs(float(np.nanmean(_span(results, truth)[column])))
     if not scale > 0:
         return
-    largest = [0.05]
+    reaches: dict[str, float] = {}
     for method in results.methods:
         if method.states is None or column not in method.states:
             continue
@@ -156,11 +168,28 @@ def _draw_error(axes: Axes, results: Results, column: str) -> None:
             _, high = _with_breaks(method.states, 100 * (edges[1] - expected) / scale)
             axes.fill_between(time, low, high, color=look.colour, alpha=0.2, linewidth=0)
             edge = np.maximum(np.abs(edges[0] - expected), np.abs(edges[1] - expected))
-            largest.append(_reach(100 * edge[_informed(results, method)] / scale))
+            reaches[method.method] = _reach(100 * edge[_informed(results, method)] / scale)
         time, values = _with_breaks(method.states, error)
         axes.plot(time, values, color=look.colour, linewidth=0.9, linestyle=look.line)
-        largest.append(_reach(error[_informed(results, method)]))
-    axes.set_ylim(-1.25 * max(largest), 1.25 * max(largest))
+        reaches[method.method] = max(
+            _reach(error[_informed(results, method)]), reaches.get(method.method, 0.0)
+        )
+    limit = 1.25 * _fair_limit(list(reaches.values()))
+    axes.set_ylim(-limit, limit)
+    outside = [(name, reach) for name, reach in reaches.items() if reach > limit]
+    for place, (name, reach) in enumerate(outside):
+        look = style.method_style(name)
+        axes.text(
+            0.995,
+            0.95 - 0.27 * place,
+            f"{look.label}: up to {reach:.0f} %",
+            transform=axes.transAxes,
+            ha="right",
+            va="top",
+            fontsize=8.5,
+            color=look.colour,
+            bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1},
+        )
 
 
 def _handles(results: Results, columns: Sequence[str]) -> list[Line2D]:

@@ -38,14 +38,14 @@ def swarm(values: NDArray[np.float64], reach: float, height: float) -> NDArray[n
 
 
 def _vertical_range(results: Results, parameter: str, reference: float) -> tuple[float, float]:
-    """Axis limits in units of the reference: all identifiable intervals and runs, at least +-10 %, at most +-50 %."""
+    """Axis limits in units of the reference: all identifiable runs, at least +-10 %, at most +-50 %."""
     wanted = [1 - 0.1, 1 + 0.1]
     for method in results.methods:
         for index, segment in enumerate(method.segments):
             estimate = segment.parameters[parameter]
             if not estimate.identifiable:
                 continue
-            values = [estimate.mean, *estimate.interval_90, *_run_values(method, index, parameter)]
+            values = [estimate.mean, *_run_values(method, index, parameter)]
             wanted += [v / reference for v in values if math.isfinite(v)]
     low, high = max(min(wanted), 0.5), min(max(wanted), 1.5)
     margin = 0.04 * (high - low)
