@@ -54,7 +54,7 @@ run: $(READY)  ## data, pretraining, the three identifications, report
 	@$(BIN)/python -m flows.run --profile $(PROFILE)
 
 test: $(READY)  ## all tests on two processes
-	@$(BIN)/python -m pytest -n 2 -q
+	@$(BIN)/python -m pytest -n 2 --dist loadgroup -q
 
 check: $(READY)  ## style, types, directions, hygiene
 	@$(BIN)/python -m ruff check --quiet --output-format concise .

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +12,13 @@ from toy_library import fresh_context, write_toylib
 from tasks import run_context
 from tasks.run_context import RunContext
 from tasks.workspace import PROJECT, Workspace, quiet_settings
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Flow tests share a server and a finished chain: with xdist they run on one worker."""
+    for item in items:
+        if item.get_closest_marker("flow"):
+            item.add_marker(pytest.mark.xdist_group("flows"))
 
 
 @pytest.fixture
@@ -30,11 +36,12 @@ def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Prefect's own test harness, once a session: a server and a database in a temporary folder."""
     home = tmp_path_factory.mktemp("prefect")
     settings = quiet_settings(Workspace(home))
-    assert "prefect" not in sys.modules, "Prefect was imported before its settings stood"
     saved = dict(os.environ)
     os.environ.update(settings)
-    os.environ["PREFECT_SERVER_EPHEMERAL_ENABLED"] = "true"
+    from prefect.context import refresh_global_settings_context
     from prefect.testing.utilities import prefect_test_harness
+
+    refresh_global_settings_context()  # another test may have imported Prefect with other settings
 
     with prefect_test_harness(server_startup_timeout=180):
         yield
