@@ -19,6 +19,7 @@ from dieseltwin.report.results import PARAMETERS, MethodResult, Results, number
 
 WIDTH_IN = 11.0
 LOSS_PREFIX = "loss"
+TOTAL = ("loss", "loss_total")
 SVG_MAX_SEGMENTS = 8  # more lines make an SVG heavier than a picture
 _SEGMENT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7a5195", "#5c5c5c")
 _LOSS_COLOURS = ("#000000", *_SEGMENT_COLOURS, "#b8860b")
@@ -62,13 +63,13 @@ def convergence(results: Results, method: MethodResult) -> style.ReportFigure | 
         for index, name in enumerate(losses):
             epochs, middle, low, high = _range_over_runs(curves[curves["quantity"] == name])
             colour = _LOSS_COLOURS[index % len(_LOSS_COLOURS)]
-            if "total" in str(name) or len(losses) == 1:  # a band for each of ten terms would hide the lines
+            if name in TOTAL:  # a band for each of ten terms would hide the lines
                 axes.fill_between(epochs, low, high, color=colour, alpha=0.12, linewidth=0)
             axes.plot(
                 epochs,
                 middle,
                 color=colour,
-                linewidth=2.0 if "total" in name else 1.1,
+                linewidth=2.0 if name in TOTAL else 1.1,
                 label=_loss_words(str(name)),
                 linestyle="-" if index < len(_LOSS_COLOURS) // 2 else "--",
             )
@@ -121,7 +122,13 @@ def _minutes(results: Results, segment: int) -> str:
 
 def _loss_words(name: str) -> str:
     text = name.removeprefix(LOSS_PREFIX).strip("_. ")
-    for kind, words in (("ode", "physics"), ("physics", "physics"), ("data", "data"), ("ini", "initial")):
+    for kind, words in (
+        ("ode", "physics"),
+        ("physics", "physics"),
+        ("data", "data"),
+        ("initial", "initial"),
+        ("ini", "initial"),
+    ):
         for form in (f"_{kind}", f"{kind}_"):
             if text.endswith(form) or text.startswith(form):
                 column = text.removesuffix(form).removeprefix(form)
