@@ -40,6 +40,11 @@ def about(settings: Mapping[str, Any], recording: Artifact) -> dict[str, Any]:
         "seed": settings["seed"],
         "params_sha256": hashlib.sha256(canonical.encode()).hexdigest(),
         "code_version": __version__,
-        "maps": "classical and few-shot-newton: exact formulae; few-shot-adam: learned, with dropout, as printed",
+        "methods": {
+            "classical": "exact formulae, nothing learned",
+            "few-shot-newton": "conditioned bodies, exact formulae",
+            "few-shot-adam": "bodies, maps with dropout and actuator operators as printed, "
+            f"{settings['identify']['adam']['epochs']:,} epochs of the paper's 30,000",
+        },
         "commands": "make run, dvc repro",
     }

@@ -83,7 +83,8 @@ CONVERGENCE = _line("""
 PRETRAINING = _line("""
     Relative L2 errors of the learned parts: marks are this run, grey bars with a whisker (one std) the paper's printed
     numbers. POD floor: the smallest error that any linear combination of as many fixed shapes can reach on those
-    minutes, so a body is good when its held-out mark is close to it.
+    minutes, so a body is good when its held-out mark is close to it (both before the output transformation; training
+    errors are those of the states).
 """)
 
 BESIDE_PAPER = _line("""
