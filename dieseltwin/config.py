@@ -24,18 +24,12 @@ Range = tuple[float, float]
 Widths = tuple[PositiveInt, ...]
 
 
-# --- engine ------------------------------------------------------------------------------------------------------
-
-
 class EngineConfig(StrictModel):
     """The engine that data are made with, and the step of the simulator."""
 
     step_s: PositiveFloat
     overrides: dict[str, float | tuple[float, ...]]
     field_ratios: dict[str, PositiveFloat] = Field(description="laboratory value / field value")
-
-
-# --- driving and data sets -----------------------------------------------------------------------------------------
 
 
 class RandomDrivingConfig(StrictModel):
@@ -123,9 +117,6 @@ class NoiseConfig(StrictModel):
     def channels(self) -> tuple[float, ...]:
         """Relative sigmas in the order of `engine.MEASURED`, (6,) [-]."""
         return (self.p_im_rel, self.p_em_rel, self.omega_t_rel, self.w_egr_rel, self.t_em_rel, self.w_c_rel)
-
-
-# --- pretraining -----------------------------------------------------------------------------------------------
 
 
 class PaperMapsConfig(StrictModel):
@@ -233,9 +224,6 @@ class PretrainConfig(StrictModel):
     bodies: BodiesConfig
 
 
-# --- identification --------------------------------------------------------------------------------------------
-
-
 class StartConfig(StrictModel):
     """Where the unknowns start (PROTOCOL: Parameters)."""
 
@@ -254,10 +242,14 @@ class ClassicalConfig(StrictModel):
 class NewtonConfig(StrictModel):
     """Gauss-Newton / Levenberg-Marquardt on heads and parameters."""
 
+    stages: tuple[PositiveFloat, ...] = Field(min_length=1, description="multiples of the process noise, the last 1")
+    iterations_early: PositiveInt
     iterations_max: PositiveInt
     tolerance: PositiveFloat
     damping_start: PositiveFloat
     student_dof: PositiveFloat
+    defect_share: PositiveFloat = Field(description="of the basis's local defect that is left after its correction")
+    floor_share: PositiveFloat = Field(description="of the median defect that the process noise doesn't fall below")
 
 
 class AdamConfig(StrictModel):
@@ -269,6 +261,9 @@ class AdamConfig(StrictModel):
     rate_heads: PositiveFloat
     rate_unknowns: PositiveFloat
     rate_weights: PositiveFloat
+    scale_t_em_k: PositiveFloat = Field(description="unit of the residual of T_em")
+    scale_t_1_k: PositiveFloat = Field(description="unit of the residual of T_1")
+    scale_rates: PositiveFloat = Field(description="of the rates' residuals, in 1e5 Pa/s and 5e3 rad/s2")
     weight_start: dict[str, PositiveFloat]
 
 
@@ -288,6 +283,8 @@ class PinnConfig(StrictModel):
     members: PositiveInt = Field(description="runs a segment")
     stages: tuple[PinnStageConfig, ...]
     first_layer_slopes: Range | None = Field(description="start of the first layer on time scaled to [-1, 1]")
+    scale_t_em_k: PositiveFloat = Field(description="unit of the data residual of T_em")
+    scale_rates: PositiveFloat = Field(description="further divisor of the residuals of the three rates")
     weight_start: dict[str, PositiveFloat]
 
 
@@ -339,9 +336,6 @@ class Params(StrictModel):
     def sha256(self) -> str:
         """Hash of every number of this profile: the same for the same numbers, whatever the comments and order."""
         return params_sha256(self)
-
-
-# --- loading ---------------------------------------------------------------------------------------------------
 
 
 def default_params_path() -> Path:
