@@ -131,9 +131,7 @@ class Collocation:
             return Quadratic(cost, None, None, physics, misfit, point.cylinder)
 
         runs, n = physics.shape[:2]
-        local = physics.new_zeros(
-            runs, n, 9, 10
-        )  # rows: 3 physics, 6 channels; columns: z, dz/dt, log-parameters
+        local = physics.new_zeros(runs, n, 9, 10)  # rows: 3 physics, 6 channels; columns: z, dz/dt, log-parameters
         over = (pull / data.process_noise).unsqueeze(-1)
         local[..., :3, :3] = -point.d_rates[..., :3] * path.slope.unsqueeze(-2)
         local[..., :3, 6:] = -point.d_rates[..., 3:]

@@ -144,9 +144,7 @@ def simulate_windows(
     initial = trajectory[:, list(windows.starts)].reshape(runs * count, 3)
     columns = {name: np.repeat(health[:, i], count) for i, name in enumerate(HEALTH)}
     batch = parameter_batch(parameters, **columns)
-    lanes = simulate_states(list(windows.actuations) * runs, batch, np.ascontiguousarray(initial)).states[
-        ..., :3
-    ]
+    lanes = simulate_states(list(windows.actuations) * runs, batch, np.ascontiguousarray(initial)).states[..., :3]
     states, forcing = np.zeros((runs, n, 3)), np.zeros((runs, n, 3))
     lanes = lanes.reshape(runs, count, -1, 3)
     for k, a in enumerate(windows.starts):
@@ -178,9 +176,7 @@ def defects(
     """
     log_health = unknowns[:, -len(HEALTH) :]
     path = heads.trajectory(unknowns[:, : -len(HEALTH)])
-    states, forcing = simulate_windows(
-        windows, parameters, torch.exp(log_health).numpy(), path.states.numpy()
-    )
+    states, forcing = simulate_windows(windows, parameters, torch.exp(log_health).numpy(), path.states.numpy())
     return defects_of(heads, inputs, exact, log_health, states, forcing, path.states)
 
 

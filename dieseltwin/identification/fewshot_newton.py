@@ -91,7 +91,15 @@ class NewtonSettings:
             return config
         own = getattr(config, "newton", config)
         common = {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
-        names = ("iterations_early", "iterations_max", "tolerance", "damping_start", "student_dof", "defect_share", "floor_share")
+        names = (
+            "iterations_early",
+            "iterations_max",
+            "tolerance",
+            "damping_start",
+            "student_dof",
+            "defect_share",
+            "floor_share",
+        )
         given = {name: getattr(own, name) for name in names if hasattr(own, name)}
         return cls(stages=tuple(getattr(own, "stages", cls.stages)), **given, **common)
 
@@ -163,7 +171,12 @@ def prepare(problem: SegmentProblem, bodies: Any = None, operators: Any = None) 
         position = k_egr * told.u_egr1 - (k_egr - 1.0) * told.u_egr2
         inputs = inputs._replace(u_egr=torch.tensor(position), u_vgt=torch.tensor(told.u_vgt))
     return Setting(
-        problem, actuation, heads_for(problem.time_s, bodies), inputs, windows_for(actuation), PointModel(problem.parameters)
+        problem,
+        actuation,
+        heads_for(problem.time_s, bodies),
+        inputs,
+        windows_for(actuation),
+        PointModel(problem.parameters),
     )
 
 
@@ -277,9 +290,7 @@ def _filled(problem: SegmentProblem, states: Tensor) -> Tensor:
 
 
 def _defects(setting: Setting, unknowns: Tensor) -> Defects:
-    return defects(
-        setting.heads, setting.inputs, setting.exact, setting.windows, setting.problem.parameters, unknowns
-    )
+    return defects(setting.heads, setting.inputs, setting.exact, setting.windows, setting.problem.parameters, unknowns)
 
 
 def _log_std(state: Runs) -> Tensor:
@@ -365,7 +376,10 @@ def _replace_if_better(old: tuple[Solution, Tensor], i: int, new: tuple[Solution
     mine.runs.unknowns[i], mine.log_std[i], mine.converged[i] = (
         other.runs.unknowns[j], other.log_std[j], other.converged[j]
     )  # fmt: skip
-    mine.runs.quadratic.data[i], mine.runs.quadratic.cost[i] = other.runs.quadratic.data[j], other.runs.quadratic.cost[j]
+    mine.runs.quadratic.data[i], mine.runs.quadratic.cost[i] = (
+        other.runs.quadratic.data[j],
+        other.runs.quadratic.cost[j],
+    )
     old[1][i] = new[1][j]
 
 

@@ -1,7 +1,7 @@
 """Learned maps inside the Adam loop: one tensor program for all runs, each with its own dropout realisation.
 
-A hidden tanh layer is a sigmoid layer with other weights, tanh(z) = 2 sigmoid(2 z) - 1, and torch's float32 sigmoid costs
-a sixth of its tanh. Slopes are computed with the values, so that nothing of a network is kept for autograd. A map
+A hidden tanh layer is a sigmoid layer with other weights, tanh(z) = 2 sigmoid(2 z) - 1; torch has a float32 sigmoid at
+a sixth of the cost. Slopes are computed with the values, so that nothing of a network is kept for autograd. A map
 whose inputs don't depend on the unknowns (f_egr of the known valve position) is evaluated once.
 """
 

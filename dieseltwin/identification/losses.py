@@ -4,10 +4,10 @@ Source: paper, appendix "Detailed loss function": physics losses, data losses wi
 square, initial-condition losses, x_r and the initial x_r and T_1 weighted by 100; section "Few-shot transfer learning"
 for the start of the weights and their softplus mask.
 
-Not printed, so chosen here (`params.yaml`, identify.adam): the units that the residuals are squared in (`Scales`). The
+Not printed, so chosen in `params.yaml` (identify.adam): the units that the residuals are squared in (`Scales`). The
 paper's networks give states over 1e5 Pa, 5e3 rad/s and 300 K, and its printed weights (1e3, 2e3, 20) only balance for
-residuals of that order, so a state and its rate use the output scaling of the table of networks, W_egr kg/s, x_r 1. T_em
-uses 300 K like T_1; the paper says that temperatures are scaled but not by what.
+residuals of that order, so by default a state and its rate use the output scaling of the table of networks, W_egr kg/s,
+x_r 1, T_em that of T_1.
 """
 
 from __future__ import annotations

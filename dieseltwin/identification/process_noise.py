@@ -19,7 +19,7 @@ from dieseltwin.identification.heads import Heads
 from dieseltwin.identification.residuals import DrivenInputs, PointModel
 
 MAD_TO_SIGMA = 1.4826
-"""Median absolute deviation of a Gaussian to its standard deviation: transients must not set the level of all points."""
+"""Median absolute deviation to standard deviation of a Gaussian: transients must not set the level of all points."""
 NEIGHBOURS = 1
 """Samples on each side whose defect counts for a point: the basis smears a kink over its neighbours."""
 

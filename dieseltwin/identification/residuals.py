@@ -110,9 +110,7 @@ class PointModel:
         """The constants with tensors (broadcasting against the points) in place of the four health values."""
         return self.constants._replace(**dict(zip(HEALTH, health, strict=True)))
 
-    def cylinder(
-        self, states: Tensor, health: list[Tensor], inputs: DrivenInputs, start: Cylinder | None
-    ) -> Cylinder:
+    def cylinder(self, states: Tensor, health: list[Tensor], inputs: DrivenInputs, start: Cylinder | None) -> Cylinder:
         """Fixed point x_r, T_1 at states (.., n, 3); `start` None starts cold."""
         c = self.with_health(health)
         p_im, p_em = states[..., 0], states[..., 1]
@@ -158,7 +156,8 @@ class PointModel:
             columns = [column.expand(shape) for group in _columns(q) for column in group]
             # Points don't mix: the gradient of a sum over points is each point's own row of the Jacobian.
             rows = [
-                torch.autograd.grad(column.sum(), point, retain_graph=True, materialize_grads=True) for column in columns
+                torch.autograd.grad(column.sum(), point, retain_graph=True, materialize_grads=True)
+                for column in columns
             ]
         # A health value moves by itself in the direction of its logarithm.
         size = [1.0] * 5 + [v.detach() for v in point[5:]]
