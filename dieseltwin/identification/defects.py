@@ -18,6 +18,7 @@ solution the corrected equations are those of the exact model, whatever the widt
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -142,7 +143,7 @@ def simulate_windows(
     runs, n = trajectory.shape[:2]
     count = len(windows.starts)
     initial = trajectory[:, list(windows.starts)].reshape(runs * count, 3)
-    columns = {name: np.repeat(health[:, i], count) for i, name in enumerate(HEALTH)}
+    columns: dict[str, Any] = {name: np.repeat(health[:, i], count) for i, name in enumerate(HEALTH)}
     batch = parameter_batch(parameters, **columns)
     lanes = simulate_states(list(windows.actuations) * runs, batch, np.ascontiguousarray(initial)).states[..., :3]
     states, forcing = np.zeros((runs, n, 3)), np.zeros((runs, n, 3))

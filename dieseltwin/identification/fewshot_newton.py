@@ -244,10 +244,15 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
         data = Data(clean, weights, multiple * noise.at(found.rate), found.rate, found.reading)
         warm: Cylinder | None = None if state is None else state.quadratic.cylinder
         state = minimise(
-            collocation, data, unknowns, dof=settings.student_dof, tolerance=settings.tolerance if last else EARLY_TOLERANCE,
+            collocation,
+            data,
+            unknowns,
+            dof=settings.student_dof,
+            tolerance=settings.tolerance if last else EARLY_TOLERANCE,
             iterations_max=settings.iterations_max if last else settings.iterations_early,
-            damping=settings.damping_start if number < len(settings.stages) else RENEWAL_DAMPING, start=warm,
-        )  # fmt: skip
+            damping=settings.damping_start if number < len(settings.stages) else RENEWAL_DAMPING,
+            start=warm,
+        )
         moved = (state.unknowns - unknowns)[:, -N_HEALTH:].abs()
         unknowns = state.unknowns
         if last:

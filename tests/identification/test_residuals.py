@@ -17,7 +17,7 @@ FIELD = torch.log(torch.tensor(we2011.FIELD.health()))[None]
 
 @pytest.fixture(scope="module")
 def fine(drive: Drive) -> tuple[torch.Tensor, torch.Tensor, Inputs]:
-    """States of the field engine at 1 ms over three seconds of driving, and their central differences (inner points)."""
+    """States of the field engine at 1 ms over three seconds, and their central differences at the inner points."""
     inputs = drive(330, 16).resampled(0.001)
     actuation = actuate(inputs, we2011.FIELD, 0.001)
     start = np.array([1.4e5, 1.5e5, 5000.0])
