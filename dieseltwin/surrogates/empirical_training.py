@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -295,8 +294,3 @@ def _as_mlp(p: np.ndarray, widths: tuple[int, ...]) -> MLP:
             stack.weights[number].copy_(torch.as_tensor(weights.transpose(0, 2, 1).copy()))
             stack.biases[number].copy_(torch.as_tensor(biases.transpose(0, 2, 1).copy()))
     return stack
-
-
-def describe(config: MapsConfig) -> dict[str, Any]:
-    """Network sizes of both kinds, for reports."""
-    return {"paper": list(config.paper.hidden), "improved": {n: list(h) for n, h in config.improved.hidden.items()}}

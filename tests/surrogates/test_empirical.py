@@ -10,7 +10,7 @@ import torch
 from operating_points import laboratory, operating_points
 
 from dieseltwin.config import MapsConfig, load_params
-from dieseltwin.engine import MAPS, Inputs, actuate, bind, constants, parameter_batch, simulate_states, we2011
+from dieseltwin.engine import MAPS, Inputs, actuate, bind, constants, parameter_batch, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
 from dieseltwin.surrogates.empirical_training import train_maps
@@ -312,7 +312,7 @@ def test_maps_replace_the_formulae_in_torch_and_numpy(trained, kind):
     assert single.shape == ()
 
 
-@pytest.mark.parametrize(("kind", "name"), [("paper", "eta_c"), ("improved", "eta_tm")])  # seconds of compiling each
+@pytest.mark.parametrize(("kind", "name"), [("paper", "eta_c"), ("improved", "f_egr")])  # compiling takes seconds
 def test_compiled_scalars_equal_numpy(trained, kind, name):
     function = trained[kind].replacements("numba", member=1)[name]
     arguments = map_arguments(operating_points(5, 2), we2011.PARAMETERS)[name]
@@ -321,8 +321,12 @@ def test_compiled_scalars_equal_numpy(trained, kind, name):
     assert found == pytest.approx(expected, rel=1e-9)
 
 
-def test_compiled_simulator_follows_the_equations_with_the_maps(trained):
-    maps = trained["improved"]
+def test_compiled_simulator_follows_the_equations_with_the_maps(config):
+    # one neuron a map: compiling takes time with the number of weights, and coarse maps show a mix-up as well
+    coarse = config.improved.model_copy(
+        update={"hidden": dict.fromkeys(MAPS, (1,)), "cells": 200, "steps": 15, "starts": 2, "members": 2}
+    )
+    maps = train_maps(laboratory(800, 1), config.model_copy(update={"improved": coarse}), 3, "improved")
     time = np.arange(0.0, 3.01, 0.2)
     inputs = Inputs(time, *(np.full(time.size, v) for v in (1300.0, 90.0, 35.0, 48.0)))
     actuation = actuate(inputs, we2011.PARAMETERS)
@@ -333,13 +337,11 @@ def test_compiled_simulator_follows_the_equations_with_the_maps(trained):
     model = bind("numpy", replace=maps.replacements("numpy", member=1))
     p_im, p_em, omega_t, x_r, T_1 = found.states[0].T
     q = model.quantities(p_im, p_em, omega_t, x_r, T_1, 1300.0, 90.0, 35.0, 48.0, C)
+    assert found.measured[0, :, 3] == pytest.approx(q.W_egr, rel=1e-9)
     assert found.measured[0, :, 5] == pytest.approx(q.W_c, rel=1e-9)
-    assert found.measured[0, :, 4] == pytest.approx(q.T_em, rel=1e-6)
     # states obey the learned equations: the turbo's change over a sample against the trapezoidal mean of its rate
     change = np.diff(omega_t[5:])
     assert change == pytest.approx(0.1 * (q.domega_t[5:-1] + q.domega_t[6:]), rel=0.05, abs=1e-3)
-    exact = simulate_states(actuation, batch, start)
-    assert found.measured == pytest.approx(exact.measured, rel=0.05)
 
 
 def test_the_compiled_simulator_wants_shallow_maps(trained):
