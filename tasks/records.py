@@ -183,6 +183,13 @@ def identified(
         Record(
             "comparison",
             _identity("comparison", report.sha256),
+            params={key: value for key, value in _read(comparison.path / "report.json").items() if key != "nominal"},
+            metrics={
+                f"{name}/{key}": _shown(key, value)
+                for name, values in metrics.items()
+                for key, value in values.items()
+                if key.endswith(("_error_pct", "_ratio_to_bound"))
+            },
             artifacts={
                 "report.html": report.path / "index.html",
                 "summary.csv": report.path / "summary.csv",
