@@ -31,7 +31,9 @@ OPTIONAL_RESULTS = ("curves.parquet", "figures")  # another method in the same f
 MODELS_FOLDER = Path("models")
 EXACT = "exact"
 MAPS = (EXACT, "paper", "improved")
-DEFAULT_MAPS = {"few-shot-adam": "paper"}
+# The paper's methods and their sections of params.yaml: its maps and operators, a number of runs of their own.
+AS_PRINTED = {"few-shot-adam": "adam", "multi-stage": "multi_stage", "baseline": "baseline"}
+DEFAULT_MAPS = dict.fromkeys(AS_PRINTED, "paper")
 BODIES_FILES = {"few-shot-newton": "bodies_conditioned.pt", "few-shot-adam": "bodies_paper.pt"}
 
 
@@ -105,7 +107,7 @@ def run_identify(
 
 def default_runs(identify: IdentifyConfig, method: str) -> int:
     """Runs a segment where the command line names none: Adam is dear and has a number of its own."""
-    return identify.adam.members if method == "few-shot-adam" else identify.runs
+    return int(getattr(identify, AS_PRINTED[method]).members) if method in AS_PRINTED else identify.runs
 
 
 def problems_of(
@@ -143,8 +145,8 @@ def load_networks(models: Path | None, method: str, maps: str | None) -> dict[st
 
     Args:
         models: folder of `make run`; None takes `models` of the working folder.
-        method: few-shot-newton gets its conditioned bodies, few-shot-adam everything as printed.
-        maps: "exact", "paper" or "improved"; None takes the paper's for few-shot-adam, the exact formulae otherwise.
+        method: few-shot-newton gets its conditioned bodies, the paper's own methods everything as printed.
+        maps: "exact", "paper" or "improved"; None takes the paper's for its methods, the exact formulae otherwise.
 
     Raises:
         InputError: an unknown kind of maps, no such folder or file, or a file that holds something else.
@@ -153,7 +155,7 @@ def load_networks(models: Path | None, method: str, maps: str | None) -> dict[st
     if maps not in MAPS:
         raise unknown_name("--maps", maps, MAPS)
     files = {"bodies": BODIES_FILES[method]} if method in BODIES_FILES else {}
-    if method == "few-shot-adam":
+    if method in AS_PRINTED:
         files["operators"] = "operators.pt"
     if maps != EXACT:
         files["maps"] = f"maps_{maps}.pt"
@@ -207,7 +209,7 @@ def misfits(document: Mapping[str, Any]) -> list[str]:
         return []
     size = float(np.sqrt(np.median(known)))
     return [f"note: the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine file or the "
-            "model is off, and the intervals are too narrow"]
+            "model is off, or the method has not converged; the intervals are too narrow"]
 
 
 def _write(folder: Path, found: Identification, runtime: Mapping[str, Any], problems: list[SegmentProblem]) -> None:
