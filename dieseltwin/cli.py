@@ -99,7 +99,10 @@ def identify(
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
     method: Annotated[
-        str, typer.Option("--method", metavar="M", help="classical, few-shot-newton or few-shot-adam.")
+        str,
+        typer.Option(
+            "--method", metavar="M", help="classical, few-shot-newton, few-shot-adam, multi-stage or baseline."
+        ),
     ] = "classical",
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Independent starts a segment.")] = None,
     engine: EngineFile = None,
@@ -113,8 +116,8 @@ def identify(
         typer.Option(
             "--maps",
             metavar="KIND",
-            help="Empirical maps: exact formulae, or learned ones, paper or improved. few-shot-adam takes paper, the "
-            "others exact.",
+            help="Empirical maps: exact formulae, or learned ones, paper or improved. classical and "
+            "few-shot-newton take exact, the others paper.",
         ),
     ] = None,
     segment: Annotated[

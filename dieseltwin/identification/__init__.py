@@ -1,4 +1,4 @@
-"""Finding the health parameters of a diesel engine from a recording: one interface, three methods."""
+"""Finding the health parameters of a diesel engine from a recording: one interface, five methods."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ METHODS: dict[str, str] = {
     "classical": "dieseltwin.identification.classical",
     "few-shot-newton": "dieseltwin.identification.fewshot_newton",
     "few-shot-adam": "dieseltwin.identification.fewshot_adam",
+    "multi-stage": "dieseltwin.identification.multistage",
+    "baseline": "dieseltwin.identification.baseline",
 }
 """Method name -> module with `estimate(problems, runs, seed, bodies, operators, maps, config)`, imported when used."""
 
@@ -82,7 +84,7 @@ def identify_segments(
 
     Args:
         problems: segments of one recording.
-        method: "classical", "few-shot-newton" or "few-shot-adam".
+        method: a key of `METHODS`.
         runs: number of runs R (initialisations, dropout masks and source models) on each segment.
         seed: seed of everything random in the method.
         maps: learned empirical maps, or None for the exact formulae.
