@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ TOTAL = ("loss", "loss_total")
 SVG_MAX_SEGMENTS = 8  # more lines make an SVG heavier than a picture
 _SEGMENT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7a5195", "#5c5c5c")
 _LOSS_COLOURS = ("#000000", *_SEGMENT_COLOURS, "#b8860b")
-OURS = {"train": "#0072B2", "held_out": "#56B4E9", "test": "#56B4E9", "pod_floor": "#5c5c5c"}
+OURS = {"": "#0072B2", "train": "#0072B2", "held_out": "#56B4E9", "test": "#56B4E9", "pod_floor": "#5c5c5c"}
 WORDS = {
     "train": "training",
     "held_out": "held-out minutes",
@@ -35,6 +35,11 @@ WORDS = {
 Series = list[tuple[str, Mapping[str, Any], str, str, bool]]
 # printed numbers of one kind: label, (mean, std) by row [%]
 Printed = list[tuple[str, Mapping[str, tuple[float, float]]]]
+KINDS = ("", "train", "held_out", "test", "pod_floor")
+VARIANTS = ("", "paper", "conditioned", "improved")
+VARIANT_COLOURS = ("#D55E00", "#0072B2", "#009E73")
+ROWS = ("u_egr1", "u_egr2", "u_vgt", "p_im", "p_em", "x_r", "T_1", "omega_t",
+        "eta_vol", "f_egr", "F_vgt_Pi_t", "eta_tm", "eta_c", "Phi_c")  # fmt: skip
 _MARKERS = ("o", "s", "^", "D", "v")
 
 
@@ -211,28 +216,37 @@ def _variants(entry: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 def _series(entry: Mapping[str, Any]) -> tuple[list[str], Series]:
     """Rows and series of one group; a value is a number [%] or a mapping of kinds (train, test, held_out, ..)."""
-    rows: list[str] = []
     series: dict[tuple[str, str], dict[str, Any]] = {}
     for variant, values in _variants(entry).items():
         for row, value in values.items():
-            kinds = value if isinstance(value, Mapping) else {"": value}
-            for kind, error in kinds.items():
-                if kind not in ("", "train", "test", "held_out", "pod_floor"):
-                    continue
-                series.setdefault((variant, kind), {})[row] = error
-                if row not in rows:
-                    rows.append(row)
+            for kind, error in (value if isinstance(value, Mapping) else {"": value}).items():
+                if kind in KINDS:
+                    # the floor belongs to the width, not to the kind of body: shown once
+                    key = ("", kind) if kind == "pod_floor" else (variant, kind)
+                    series.setdefault(key, {})[row] = error
+    # files may come in any order: the same order in every report
+    rows = sorted({row for values in series.values() for row in values}, key=_place(ROWS))
+    variants = sorted({variant for variant, kind in series if kind != "pod_floor"}, key=_place(VARIANTS))
+    single = len({kind for _, kind in series}) == 1
     found: Series = []
-    variants = list(dict.fromkeys(variant for variant, _ in series))
-    for (variant, kind), values in series.items():
-        index = variants.index(variant)
+    place = _place(VARIANTS)
+    order = sorted(series, key=lambda key: (key[1] == "pod_floor", place(key[0]), KINDS.index(key[1])))
+    for variant, kind in order:
+        index = variants.index(variant) if variant in variants else len(_MARKERS) - 1
         name = (
             ", ".join(part for part in (WORDS.get(variant, variant), WORDS.get(kind, kind)) if part)
             or "error"
         )
-        colour = OURS.get(kind, "#0072B2") if kind else ("#D55E00", "#0072B2", "#009E73")[index % 3]
-        found.append((name, values, colour, _MARKERS[index % len(_MARKERS)], kind != "pod_floor"))
+        colour = VARIANT_COLOURS[index % len(VARIANT_COLOURS)] if single else OURS[kind]
+        found.append(
+            (name, series[variant, kind], colour, _MARKERS[index % len(_MARKERS)], kind != "pod_floor")
+        )
     return rows, found
+
+
+def _place(order: Sequence[str]) -> Callable[[str], tuple[int, str]]:
+    """Sort key: known names in their order, the others behind by name."""
+    return lambda name: (order.index(name) if name in order else len(order), name)
 
 
 @style.styled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
@@ -14,9 +15,11 @@ from matplotlib.patches import Patch
 
 from dieseltwin.report import Results, quantities
 from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map, run_times
+from dieseltwin.report.printed import PRINTED_BODIES
 from dieseltwin.report.results import PARAMETERS, method_from_document
 from dieseltwin.report.style import METHODS, TRUTH, ReportFigure, method_style
 from dieseltwin.report.timeseries import RESIDUAL_LIMIT, states, trajectories
+from dieseltwin.report.training import pretraining
 from dieseltwin.report.violins import swarm, violins
 
 # a label ends in a unit in brackets, e.g. "[kPa]", "[–]", "[% of value]", "[s], logarithmic"; categories have none
@@ -212,3 +215,21 @@ def test_many_segments_stay_readable() -> None:
     many = Results(methods=tuple(method_from_document(d) for d in root.values()), truth=synthetic.TRUTH)
     axes = data_axes(violins(many))[-1]
     assert len(axes.get_xticks()) <= 24
+
+
+def test_pretraining_beside_the_paper_in_a_fixed_order(results: Results) -> None:
+    shuffled = json.loads(json.dumps(synthetic.PRETRAINING, sort_keys=True))
+    figure = pretraining(replace(results, pretraining=shuffled))
+    assert figure is not None
+    operators, bodies, maps = data_axes(figure)
+    assert [t.get_text() for t in operators.get_legend().get_texts()][:2] == ["training", "test"]
+    assert "p_{im}" in bodies.get_yticklabels()[0].get_text()
+    legend = [t.get_text() for t in bodies.get_legend().get_texts()]
+    assert legend.count("POD floor") == 1 and "paper, training" in legend
+    bars = sorted(float(bar.get_width()) for bar in bodies.patches)
+    assert bars == sorted(mean for mean, _ in PRINTED_BODIES.values())
+    assert {t.get_text() for t in maps.get_legend().get_texts()} == {"as printed", "improved"}
+    marks = next(line for line in bodies.lines if line.get_label() == "conditioned, training")
+    assert sorted(marks.get_xdata()) == sorted(
+        v["train"] for v in synthetic.PRETRAINING["bodies"]["conditioned"].values()
+    )
