@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.engine import settle
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.least_squares import (
@@ -133,8 +134,10 @@ def estimate(
     normal = [rng.standard_normal((settings.samples, N_UNKNOWNS)) for _ in problems]
     result: dict[int, SegmentEstimate] = {}
     for group in by_grid(problems):
-        began = time.perf_counter()
         shooting = Shooting(tuple(problems[i] for i in group), simulator)
+        # Loads or compiles the kernel, so that the time taken is that of warm runs (PROTOCOL.md, Runs).
+        shooting.simulate(np.zeros(2, dtype=np.int64), begin[group[0]][[0, 0]])
+        began = time.perf_counter()
         fit = fit_runs(shooting, np.stack([begin[i] for i in group]), settings)
         if learned is not None and len(learned.variants) > 1:
             ends = fit.unknowns.reshape(len(group), runs, N_UNKNOWNS)
@@ -211,7 +214,12 @@ def _starts(problem: SegmentProblem, runs: int, settings: ClassicalSettings, rng
     if settings.start_at == "truth" and problem.truth is not None:
         centre = health_of(problem.truth)
     health = starts(centre, runs, rng, settings.start_sigma)
-    return np.log(np.concatenate([health, problem.first_states(problem.readings(runs))], axis=1))
+    at = problem.inputs.n_history
+    inputs = problem.inputs
+    rest = settle(
+        inputs.n_e_rpm[at], inputs.u_delta_mg[at], inputs.u_egr_pct[at], inputs.u_vgt_pct[at], problem.parameters
+    )
+    return np.log(np.concatenate([health, problem.first_states(problem.readings(runs), absent=rest)], axis=1))
 
 
 def _segments(

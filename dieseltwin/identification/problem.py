@@ -151,21 +151,22 @@ class SegmentProblem:
             return np.broadcast_to(self.measured, (runs, *self.measured.shape))
         return self.noise_draws[np.arange(runs) % len(self.noise_draws)]
 
-    def first_states(self, readings: ArrayLike | None = None) -> Array:
+    def first_states(self, readings: ArrayLike | None = None, *, absent: ArrayLike | None = None) -> Array:
         """First guess of p_im, p_em, omega_t at the start: mean of the first readings that exist.
 
         Args:
             readings: (.., n, 6) readings; None takes `measured`.
+            absent: (3,) values of the states whose channel has no reading at all [Pa, Pa, rad/s]; None refuses those.
 
         Returns:
             (.., 3) guess [Pa, Pa, rad/s].
 
         Raises:
-            InputError: one of the three channels has no reading in the whole segment.
+            InputError: one of the three channels has no reading in the whole segment, and `absent` is None.
         """
         values = np.asarray(self.measured if readings is None else readings, dtype=np.float64)[..., :3]
         present = np.isfinite(values)
-        if not present.any(axis=-2).all():
+        if absent is None and not present.any(axis=-2).all():
             missing = [MEASURED[i] for i in range(3) if not present[..., i].any()]
             raise InputError(
                 f"{', '.join(missing)} in {self.name}",
@@ -174,7 +175,8 @@ class SegmentProblem:
                 "leave the segment out or record the channel",
             )
         counted = present & (np.cumsum(present, axis=-2) <= START_SAMPLES)
-        return np.where(counted, values, 0.0).sum(axis=-2) / counted.sum(axis=-2)
+        total, count = np.where(counted, values, 0.0).sum(axis=-2), counted.sum(axis=-2)
+        return np.where(count > 0, total / np.maximum(count, 1), 0.0 if absent is None else absent)
 
     def with_noise_draws(self, draws: int, rng: np.random.Generator) -> SegmentProblem:
         """Treat `measured` as clean and add independent Gaussian noise draws.

@@ -230,7 +230,7 @@ class Identification:
             "seconds": self.seconds,
             "runs": self.runs,
             "segments": len(self.segments),
-            "seconds_per_run": self.seconds / max(1, self.runs * len(self.segments)),
+            "seconds_per_run": float(np.mean([s.seconds_per_run for s in self.segments])),
             "segment_seconds_per_run": [s.seconds_per_run for s in self.segments],
             "host": platform.node(),
             "platform": platform.platform(),

@@ -77,6 +77,19 @@ def test_short_gaps_are_masked_not_refused(problem: SegmentProblem) -> None:
     assert (found.std[0] > full.std[0]).all()
 
 
+def test_a_missing_sensor_costs_certainty_only(simulated: Make, drive: Drive) -> None:
+    whole = simulated(drive(600, 151), we2011.FIELD)
+    measured = whole.measured.copy()
+    measured[:, 2] = np.nan  # no turbo speed
+    blind, full = (
+        identify_segments([p], "classical", 2, 0).segments[0] for p in (replace(whole, measured=measured), whole)
+    )
+    assert blind.converged.all()
+    error = np.abs(np.log(blind.centre / we2011.FIELD.health()))
+    assert (error < 4.0 * blind.std[0] / blind.parameters[0]).all()
+    assert (blind.std[0] > full.std[0]).all()
+
+
 def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None:
     found = identify_segments([idle_problem], "classical", 2, 0)
     area = HEALTH.index("A_egrmax")

@@ -46,8 +46,12 @@ def test_first_states_average_the_first_readings_that_exist(problem: SegmentProb
 def test_a_state_without_any_reading_is_refused_by_name(problem: SegmentProblem) -> None:
     measured = problem.measured.copy()
     measured[:, 2] = np.nan
+    blind = replace(problem, measured=measured)
     with pytest.raises(InputError, match="omega_t_rad_s"):
-        replace(problem, measured=measured).first_states()
+        blind.first_states()
+    first = blind.first_states(absent=np.array([1e5, 1e5, 4321.0]))
+    assert first[2] == 4321.0
+    assert first[0] == pytest.approx(measured[:3, 0].mean())
 
 
 def test_shapes_are_checked(problem: SegmentProblem) -> None:

@@ -65,9 +65,7 @@ def test_identical_runs_keep_the_claimed_uncertainty() -> None:
 def test_members_without_a_claim_give_their_spread() -> None:
     rng = np.random.default_rng(0)
     many = segment(0.01, runs=400, claims=False)
-    spread = SegmentEstimate(
-        **{**vars(many), "parameters": TRUE * np.exp(0.05 * rng.standard_normal((400, 4)))}
-    )
+    spread = SegmentEstimate(**{**vars(many), "parameters": TRUE * np.exp(0.05 * rng.standard_normal((400, 4)))})
     summary = spread.summary()["eta_sc"]
     assert summary.std == pytest.approx(0.06, rel=0.15)
     assert summary.interval_90[0] == pytest.approx(1.2 * np.exp(-0.05 * Z_90), rel=0.02)
@@ -78,9 +76,7 @@ def test_a_run_that_has_not_converged_is_listed_but_not_averaged() -> None:
     part = segment(0.01)
     values = part.parameters.copy()
     values[2] *= 2.0
-    mixed = SegmentEstimate(
-        **{**vars(part), "parameters": values, "converged": np.array([True, True, False])}
-    )
+    mixed = SegmentEstimate(**{**vars(part), "parameters": values, "converged": np.array([True, True, False])})
     document = whole(mixed).to_json()
     assert document["parameters"]["h_tot"]["mean"] == pytest.approx(96.0)
     assert [run["converged"] for run in document["runs"]] == [True, True, False]
@@ -101,15 +97,3 @@ def test_document_follows_the_schema(problem: SegmentProblem) -> None:
     assert len(document["runs"]) == 2
     runtime = json.loads(json.dumps(found.runtime(), allow_nan=False))
     assert runtime["seconds_per_run"] > 0.0 and runtime["runs"] == 2
-
-
-def test_states_table_holds_states_flows_and_bands(problem: SegmentProblem) -> None:
-    table = identify_segments([problem], "classical", 2, 0).states
-    assert len(table) == len(problem.time_s)
-    np.testing.assert_array_equal(table["time_s"], problem.time_s)
-    for name in ("p_im_pa", "omega_t_rad_s", "x_r", "w_egr_kg_s", "t_em_k", "eta_c"):
-        assert (table[f"{name}_lo"] <= table[f"{name}_hi"]).all()
-    # The model fits its own data: readings scatter about the table by their noise.
-    z = (table["omega_t_rad_s"] - problem.measured[:, 2]) / problem.sigma[2]
-    assert np.std(z) == pytest.approx(1.0, abs=0.15)
-    assert (table["p_im_pa_hi"] - table["p_im_pa_lo"]).mean() < problem.sigma[0]
