@@ -24,10 +24,11 @@ export PIP_ROOT_USER_ACTION := ignore
 export PYTHONUNBUFFERED := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test check ui serve
+.PHONY: help setup run repro test check ui serve
 
 help:  ## this list
 	@echo "make run    the whole chain: data, pretraining, identification, report (PROFILE=quick or paper)"
+	@echo "make repro  the same through DVC: checks every file against dvc.lock"
 	@echo "make test   all tests"
 	@echo "make check  style, types, import directions, hygiene"
 	@echo "make ui     MLflow with the results (PORT=5000)"
@@ -52,6 +53,9 @@ $(READY): requirements.lock pyproject.toml
 
 run: $(READY)  ## data, pretraining, the three identifications, report
 	@$(BIN)/python -m flows.run --profile $(PROFILE)
+
+repro: $(READY)  ## the same flows as stages of dvc.yaml; what dvc.lock knows is not run again
+	@$(BIN)/dvc repro
 
 test: $(READY)  ## all tests on two processes
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup -q
