@@ -181,3 +181,11 @@ def test_masked_readings_are_bridged_and_missing_channels_refused(planted: Segme
     blind = type(planted)(planted.t0_s, planted.t1_s, planted.inputs, measured, planted.sigma, planted.parameters)
     with pytest.raises(InputError, match="omega_t"):
         identify_segments([blind], "few-shot-newton", 1, 0, config=QUICK)
+
+
+def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None:
+    found = identify_segments([idle_problem], "few-shot-newton", 2, 0, config=QUICK).segments[0]
+    assert np.isfinite(found.parameters).all()
+    assert not found.identifiable[HEALTH.index("A_egrmax")]
+    assert found.identifiable[HEALTH.index("A_vgtmax")]
+    assert (found.std[:, 0] / found.parameters[:, 0] > 0.25).all()  # its own interval says so too

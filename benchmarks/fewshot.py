@@ -1,0 +1,136 @@
+"""The paper's few-shot loop: accuracy beside its noisy table, and what batching gains.
+
+    python benchmarks/fewshot.py accuracy --epochs 30000 --runs 2 [--start truth] [--models models --maps paper]
+    python benchmarks/fewshot.py gain --runs 150 --epochs 40 [--models models]
+
+`accuracy` runs `few-shot-adam` on the benchmark driving (five segments of tests/reference/field_random_300s.csv, field
+parameters, noise of PROTOCOL.md) from the laboratory values, or once from the truth, and prints mean +- std of the
+estimate over the truth beside the paper's cells (its minutes are another driving; its minute 2-3 is idle). `gain`
+measures CPU seconds per run and epoch of one run alone and of many in one batch, with exact and with learned formulae,
+in one process. `benchmarks/paper_loop.py` measures the same against a loop written as the paper describes it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from identification import benchmark_problems
+
+from dieseltwin.config import load_params
+from dieseltwin.engine import HEALTH, actuate, we2011
+from dieseltwin.identification import identify_segments
+from dieseltwin.identification.fewshot_adam import train
+from dieseltwin.identification.fewshot_program import AdamSettings, draw_lane
+
+PAPER_NOISY = (
+    ((0.9699, 0.0653), (1.0190, 0.0056), (0.9913, 0.0094), (0.9568, 0.0379)),
+    ((1.0255, 0.0748), (0.9992, 0.0092), (0.9888, 0.0230), (0.9445, 0.1749)),
+    ((0.5800, 0.0568), (0.9520, 0.0165), (0.9524, 0.0429), (0.9087, 0.2365)),
+    ((0.9972, 0.0246), (1.0139, 0.0081), (0.9554, 0.0276), (0.9114, 0.0721)),
+    ((0.9525, 0.0998), (0.9942, 0.0093), (0.9849, 0.0122), (0.9519, 0.0390)),
+)
+"""Paper, table of few-shot estimates, noisy data: mean and standard deviation of estimate over truth."""
+
+
+def networks(models: Path | None, maps: str) -> dict[str, Any]:
+    """Trained bodies and operators (with `models`), and learned maps."""
+    from dieseltwin.cli_identify import load_networks
+
+    return load_networks(models, "few-shot-adam", maps) if models is not None else {}
+
+
+def accuracy(arguments: argparse.Namespace) -> None:
+    """Print estimate over truth and its ratio to the bound, segment by segment."""
+    settings = AdamSettings.from_config(load_params(None, "paper").identify)
+    settings = replace(
+        settings,
+        epochs=arguments.epochs,
+        weights_until_epoch=arguments.epochs * 2 // 3,
+        start_at=arguments.start,
+    )
+    problems, bounds = benchmark_problems(arguments.runs, arguments.seed)
+    given = networks(arguments.models, arguments.maps)
+    began = time.process_time()
+    found = identify_segments(problems, "few-shot-adam", arguments.runs, arguments.seed, config=settings, **given)
+    cpu = time.process_time() - began
+    truth = we2011.FIELD.health()
+    print(f"{arguments.epochs} epochs, start at {arguments.start}, {arguments.maps} maps; estimate / truth")
+    print(f"{'':12}" + "".join(f"{name:>20}" for name in HEALTH))
+    all_ours, all_paper = [], []
+    for segment, paper in zip(found.segments, PAPER_NOISY, strict=True):
+        ratio = segment.parameters / truth
+        ours = np.sqrt((ratio.mean(axis=0) - 1.0) ** 2 + ratio.std(axis=0) ** 2)
+        theirs = np.array([np.hypot(mean - 1.0, std) for mean, std in paper])
+        all_ours.append(ours)
+        all_paper.append(theirs)
+        cells = (f"{m:10.4f} +- {s:6.4f}" for m, s in zip(ratio.mean(axis=0), ratio.std(axis=0), strict=True))
+        print(f"{segment.t0_s:5g}-{segment.t1_s:g} s".ljust(12) + "".join(f"{c:>20}" for c in cells))
+        print(f"{'  paper':12}" + "".join(f"{f'{m:10.4f} +- {s:6.4f}':>20}" for m, s in paper))
+    relative = np.stack([b.relative for b in bounds])
+    rows = {
+        "RMSE %": 100.0 * np.median(all_ours, axis=0),
+        "paper %": 100.0 * np.median(all_paper, axis=0),
+        "RMSE/bound": np.median(np.stack(all_ours) / relative, axis=0),
+    }
+    for name, row in rows.items():
+        print(f"{name:12}" + "".join(f"{v:20.2f}" for v in row) + "   (median over segments)")
+    count = arguments.runs * len(found.segments)
+    print(f"{found.seconds / count:.2f} s per run (wall), {cpu / count:.2f} CPU s per run")
+
+
+def gain(arguments: argparse.Namespace) -> None:
+    """Print seconds per epoch of one run alone and of a batch, exact and learned formulae."""
+    problems, _ = benchmark_problems(1, arguments.seed)
+    actuations = {i: actuate(p.inputs, p.parameters) for i, p in enumerate(problems)}
+    kinds = ["exact"] + ([arguments.maps] if arguments.models is not None else [])
+    for kind in kinds:
+        given = networks(arguments.models, kind)
+        per_run = {}
+        for count in (1, arguments.runs):
+            settings = AdamSettings(epochs=arguments.epochs, weights_until_epoch=arguments.epochs)
+            lanes = [draw_lane(problems[r % 5], r % 5, r, 1, settings) for r in range(count)]
+            extra = [given.get(name) for name in ("bodies", "operators", "maps")]
+            repeats = max(1, arguments.epochs * (10 if count == 1 else 1))
+            cold = replace(settings, epochs=1)
+            longer = replace(settings, epochs=repeats, weights_until_epoch=repeats)
+            train(lanes, actuations, *extra, cold)
+            began = time.perf_counter(), time.process_time()
+            train(lanes, actuations, *extra, cold)
+            between = time.perf_counter(), time.process_time()
+            train(lanes, actuations, *extra, longer)
+            ended = time.perf_counter(), time.process_time()
+            seconds = [(c - b) - (b - a) for a, b, c in zip(began, between, ended, strict=True)]
+            per_run[count] = seconds[1] / (repeats - 1) / count
+            print(
+                f"{kind:9} {count:4d} runs: {1e3 * seconds[0] / (repeats - 1):8.2f} ms per epoch (wall), CPU"
+                f" {1e3 * per_run[count]:8.3f} ms per run and epoch, {30000 * per_run[count]:7.1f} s per run of 30,000"
+            )
+        print(f"{kind:9} gain of the batch: {per_run[1] / per_run[arguments.runs]:.1f}")
+
+
+def main() -> None:
+    """Read the arguments and run one of the two."""
+    torch.set_num_threads(1)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("accuracy", "gain"))
+    parser.add_argument("--epochs", type=int, default=None, help="30,000 for accuracy, 40 for gain")
+    parser.add_argument("--runs", type=int, default=None, help="2 a segment for accuracy, 150 for gain")
+    parser.add_argument("--start", choices=("lab", "truth"), default="lab")
+    parser.add_argument("--models", type=Path, default=None, help="folder of pretrained networks")
+    parser.add_argument("--maps", default="exact", help="exact, paper or improved")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    defaults = {"accuracy": (30000, 2), "gain": (40, 150)}[arguments.what]
+    arguments.epochs = arguments.epochs or defaults[0]
+    arguments.runs = arguments.runs or defaults[1]
+    (accuracy if arguments.what == "accuracy" else gain)(arguments)
+
+
+if __name__ == "__main__":
+    main()
