@@ -48,9 +48,7 @@ def test_starts_repeat_with_their_seed_and_stay_at_the_centre_without_spread() -
     np.testing.assert_array_equal(
         starts(centre, 3, np.random.default_rng(2)), starts(centre, 3, np.random.default_rng(2))
     )
-    np.testing.assert_allclose(
-        starts(centre, 2, np.random.default_rng(0), sigma=0.0), [centre, centre], rtol=1e-12
-    )
+    np.testing.assert_allclose(starts(centre, 2, np.random.default_rng(0), sigma=0.0), [centre, centre], rtol=1e-12)
 
 
 @pytest.mark.parametrize("values", [[1e-4, 1e-4, -1.0, 90.0], [1e-4, 1e-4, np.nan, 90.0], [1e-4, 1e-4, 1.0]])
