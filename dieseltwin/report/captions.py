@@ -82,9 +82,9 @@ CONVERGENCE = _line("""
 
 PRETRAINING = _line("""
     Relative L2 errors of the learned parts: marks are this run, grey bars with a whisker (one std) the paper's printed
-    numbers. POD floor: the smallest error that any linear combination of as many fixed shapes can reach on those
-    minutes, so a body is good when its held-out mark is close to it (both before the output transformation; training
-    errors are those of the states).
+    numbers. POD floor: what as many fixed shapes, taken straight from the training minutes (singular vectors), reach
+    on the held-out minutes; a good body comes near it or below. Floor and held-out errors are taken before the output
+    transformation, training errors are those of the states.
 """)
 
 BESIDE_PAPER = _line("""
