@@ -34,15 +34,16 @@ def pretrain(profile: str) -> str:
             lab=lab, field=field, config=config["operators"], engine=engine, seed=seed("operators")
         )
     }
-    fine = steps.eta_tm_labels.submit(sets=sets, driving=driving, engine=engine)
+    labels = steps.eta_tm_labels.submit(sets=sets, driving=driving, engine=engine)
     for kind in steps.BODY_KINDS:
         pending[f"bodies_{kind}"] = steps.bodies.submit(
             lab=lab, kind=kind, config=config["bodies"], seed=seed(f"bodies {kind}")
         )
+    fine = labels.result()
     for kind in steps.MAP_KINDS:
         pending[f"maps_{kind}"] = steps.maps.submit(
             lab=lab,
-            fine=fine.result(),
+            fine=fine,
             field=field,
             kind=kind,
             config=config["maps"],
