@@ -154,19 +154,22 @@ class Collocation:
         at = [sum(widths[:j]) for j in range(N_STATES + 1)]
         hessian = g.new_empty(runs, self.size, self.size)
         gradient = g.new_empty(runs, self.size)
+        n = g.shape[1]
         for j in range(N_STATES):
             both = torch.cat([self.heads.columns[j], self.heads.rates[j]]).T  # (K_j, 2 n)
-            right = []
+            right = g.new_empty(runs, 2 * n, self.size - at[j] + 1)
             for k in range(j, N_STATES):
                 q, dq = self.heads.columns[k], self.heads.rates[k]
-                upper = s[:, :, j, k, None] * q + s[:, :, j, 3 + k, None] * dq
-                lower = s[:, :, 3 + j, k, None] * q
+                there = slice(at[k] - at[j], at[k + 1] - at[j])
+                upper, lower = right[:, :n, there], right[:, n:, there]
+                torch.mul(s[:, :, j, k, None], q, out=upper)
+                upper.addcmul_(s[:, :, j, 3 + k, None], dq)
+                torch.mul(s[:, :, 3 + j, k, None], q, out=lower)
                 if j == k:
-                    lower = lower + s[:, :, 3 + j, 3 + k, None] * dq
-                right.append(torch.cat([upper, lower], 1))
-            right.append(torch.cat([s[:, :, j, 6:], s[:, :, 3 + j, 6:]], 1))
-            right.append(torch.cat([g[:, :, j], g[:, :, 3 + j]], 1).unsqueeze(-1))
-            block = torch.matmul(both, torch.cat(right, -1))  # (R, K_j, remaining columns + gradient)
+                    lower.addcmul_(s[:, :, 3 + j, 3 + k, None], dq)
+            right[:, :n, -5:-1], right[:, n:, -5:-1] = s[:, :, j, 6:], s[:, :, 3 + j, 6:]
+            right[:, :n, -1], right[:, n:, -1] = g[:, :, j], g[:, :, 3 + j]
+            block = torch.matmul(both, right)  # (R, K_j, remaining columns + gradient)
             rows = slice(at[j], at[j + 1])
             hessian[:, rows, at[j] :] = block[..., :-1]
             hessian[:, at[j] :, rows] = block[..., :-1].transpose(1, 2)
