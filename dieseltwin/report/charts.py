@@ -37,7 +37,7 @@ def bound_ratio(results: Results) -> style.ReportFigure:
             look = style.method_style(method.method)
             for index, segment in enumerate(method.segments):
                 estimate = segment.parameters[parameter]
-                if not estimate.identifiable:
+                if results.flagged_by_any(segment, parameter):
                     continue
                 x = results.segment_index(segment) + offset
                 stated = std_over_bound(estimate)

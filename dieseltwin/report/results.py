@@ -113,6 +113,16 @@ class Results:
         starts = [s.t0_s for s in self.segments]
         return int(np.argmin(np.abs(np.asarray(starts) - segment.t0_s)))
 
+    def flagged_by_any(self, segment: SegmentResult, parameter: str) -> bool:
+        """Whether any method calls ``parameter`` not identifiable there: the bound belongs to the driving, and a method
+        that is far off may take its own wrong value for a well-known one."""
+        return any(
+            not other.parameters[parameter].identifiable
+            for method in self.methods
+            for other in method.segments
+            if other.t0_s == segment.t0_s
+        )
+
     def true_value(self, parameter: str) -> float:
         """The true parameter [SI] or NaN where it is unknown."""
         return number((self.truth or {}).get(parameter))

@@ -43,7 +43,7 @@ def _vertical_range(results: Results, parameter: str, reference: float) -> tuple
     for method in results.methods:
         for index, segment in enumerate(method.segments):
             estimate = segment.parameters[parameter]
-            if not estimate.identifiable:
+            if results.flagged_by_any(segment, parameter):
                 continue
             values = [estimate.mean, *_run_values(method, index, parameter)]
             wanted += [v / reference for v in values if math.isfinite(v)]
