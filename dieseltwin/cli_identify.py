@@ -106,7 +106,7 @@ def run_identify(
 
 
 def default_runs(identify: IdentifyConfig, method: str) -> int:
-    """Runs a segment where the command line names none: Adam is dear and has a number of its own."""
+    """Runs a segment where the command line names none: the paper's are dear and have a number of their own."""
     return int(getattr(identify, AS_PRINTED[method]).members) if method in AS_PRINTED else identify.runs
 
 

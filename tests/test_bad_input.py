@@ -335,7 +335,12 @@ def test_options(tmp_path: Path, drive: Path, refuse: Callable[..., Refusal]) ->
     assert "identify" in refuse("identifi", drive).line
 
 
-METHODS_WITH_NETWORKS = [("--method", "few-shot-adam"), ("--method", "few-shot-newton"), ("--maps", "improved")]
+METHODS_WITH_NETWORKS = [
+    ("--method", "few-shot-adam"),
+    ("--method", "few-shot-newton"),
+    ("--method", "multi-stage"),
+    ("--maps", "improved"),
+]
 
 
 @pytest.mark.parametrize("option", METHODS_WITH_NETWORKS, ids=lambda o: o[1])
