@@ -28,9 +28,9 @@ from dieseltwin.identification.shooting import by_grid
 METHOD = "baseline"
 SETTINGS = PinnSettings(
     stages=(
-        Stage(40000, "all", 1e-2, 1e-2, 1e-2),
-        Stage(60000, "all", 2e-3, 2e-3, 1e-2),
-        Stage(80000, "all", 4e-4, 4e-4, 0.0),
+        Stage(40000, "all", 2e-2, 2e-2, 1e-2),
+        Stage(60000, "all", 4e-3, 4e-3, 1e-2),
+        Stage(80000, "all", 8e-4, 8e-4, 0.0),
     )
 )
 """The paper's 80,000 epochs; what is not printed as in `params.yaml`, where the reasons stand."""

@@ -35,10 +35,10 @@ from dieseltwin.identification.shooting import by_grid
 METHOD = "multi-stage"
 SETTINGS = PinnSettings(
     stages=(
-        Stage(10000, "all", 1e-2, 1e-2, 1e-2),
-        Stage(20000, "all", 2e-3, 2e-3, 1e-2),
-        Stage(30000, "last", 2e-3, 2e-3, 1e-2),
-        Stage(35000, "last", 4e-4, 4e-4, 0.0),
+        Stage(10000, "all", 2e-2, 2e-2, 1e-2),
+        Stage(20000, "all", 4e-3, 4e-3, 1e-2),
+        Stage(30000, "last", 4e-3, 4e-3, 1e-2),
+        Stage(35000, "last", 8e-4, 8e-4, 0.0),
     )
 )
 """The paper's stages; what is not printed as in `params.yaml`, where the reasons stand."""

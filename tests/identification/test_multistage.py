@@ -96,7 +96,9 @@ def test_weights_start_as_printed(problems: list[SegmentProblem]) -> None:
 
 
 def test_unknowns_move_towards_the_truth(problems: list[SegmentProblem]) -> None:
-    settings = settings_of(pinn.Stage(500, "all", *RATES), pinn.Stage(700, "all", 2e-3, 2e-3, 0.0), start_sigma=0.0)
+    settings = settings_of(
+        pinn.Stage(250, "all", 2e-2, 2e-2, 1e-2), pinn.Stage(350, "all", 4e-3, 4e-3, 0.0), start_sigma=0.0
+    )
     (found,) = baseline.estimate(problems[:1], 1, 2, config=settings)
     truth, start = we2011.FIELD.health(), we2011.PARAMETERS.health()
     off = np.abs(found.parameters[0] / truth - 1.0)
