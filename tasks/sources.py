@@ -72,6 +72,8 @@ class LibrarySources:
             if "__pycache__" not in path.parts
         }
         self._trees: dict[str, ast.Module] = {}
+        self._imported: dict[str, dict[str, set[str]]] = {}
+        self._digests: dict[tuple[str, frozenset[str]], str] = {}
 
     @property
     def modules(self) -> frozenset[str]:
@@ -118,10 +120,14 @@ class LibrarySources:
         return Sources(modules=modules, packages=_versions(frozenset(outside)), python=version)
 
     def _digest(self, name: str, imported: set[str]) -> str:
-        tree = self._tree(name)
-        if name.removeprefix(f"{self.package}.") in _DECLARATIONS and _WHOLE not in imported:
-            return _code_digest(ast.Module(body=_used_definitions(tree, imported), type_ignores=[]))
-        return _code_digest(tree)
+        sliced = name.removeprefix(f"{self.package}.") in _DECLARATIONS and _WHOLE not in imported
+        key = (name, frozenset(imported) if sliced else frozenset())
+        if key not in self._digests:
+            tree = self._tree(name)
+            if sliced:
+                tree = ast.Module(body=_used_definitions(tree, imported), type_ignores=[])
+            self._digests[key] = _code_digest(tree)
+        return self._digests[key]
 
     def _tree(self, name: str) -> ast.Module:
         if name not in self._trees:
@@ -130,8 +136,10 @@ class LibrarySources:
 
     def _imports(self, name: str) -> dict[str, set[str]]:
         """What ``name`` imports, as :func:`imported_names` gives it."""
-        is_package = self._files[name].name == "__init__.py"
-        return imported_names(self._tree(name), name, is_package, frozenset(self._files))
+        if name not in self._imported:
+            is_package = self._files[name].name == "__init__.py"
+            self._imported[name] = imported_names(self._tree(name), name, is_package, frozenset(self._files))
+        return self._imported[name]
 
 
 def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[str]) -> dict[str, set[str]]:

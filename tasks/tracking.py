@@ -92,6 +92,9 @@ class Tracker:
         with _one_at_a_time(self.workspace.mlruns / ".lock"):
             from mlflow import MlflowClient
 
+            database = self.workspace.mlruns / "mlflow.db"
+            if not database.exists():
+                _make_database(database)
             client = MlflowClient(tracking_uri=self.uri)
             empty = client.get_experiment("0")
             if empty.lifecycle_stage == "active":
@@ -197,6 +200,18 @@ class Tracker:
             partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
             shutil.copyfile(source, partial)
             partial.replace(target)
+
+
+def _make_database(path: Path) -> None:
+    """Make the tables under another name: killed while it does, MLflow leaves a database that it can't use later."""
+    from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
+
+    for stale in path.parent.glob(f"{path.name}.*.partial"):
+        stale.unlink()
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    store = SqlAlchemyStore(f"sqlite:///{partial}", f"{_SCHEME}default")
+    store.engine.dispose()
+    partial.rename(path)
 
 
 def view(metrics: Sequence[str], params: Sequence[str] = ()) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 import tiny_settings
 import yaml
@@ -99,8 +101,6 @@ def test_a_second_run_computes_nothing_and_changes_nothing(finished: tuple[Path,
 @pytest.mark.flow
 def test_published_folders_are_made_again_from_the_cache(finished: tuple[Path, set[str]]) -> None:
     """DVC deletes a stage's outs before it runs the stage; and somebody may spoil a file."""
-    import shutil
-
     from flows.simulate import simulate as simulate_flow
 
     root, _ = finished
@@ -114,30 +114,37 @@ def test_published_folders_are_made_again_from_the_cache(finished: tuple[Path, s
 
 
 @pytest.mark.flow
-def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(
-    finished: tuple[Path, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Killed while the recordings are made, with its own server; what is whole is kept, the rest is made again."""
-    from flows.simulate import simulate as simulate_flow
+def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(finished: tuple[Path, set[str]], tmp_path: Path) -> None:
+    """Killed while two bodies are trained, with its own server; what is whole is kept, the rest is made again."""
+    from flows.pretrain import pretrain as pretrain_flow
 
-    undisturbed = content_hash(finished[0] / "data")
+    root = finished[0]
+    undisturbed = content_hash(root / "models")
+    for name in ("data", ".cache"):
+        shutil.copytree(root / name, tmp_path / name)
+    shutil.rmtree(tmp_path / ".cache" / "bodies")
     tiny_settings.write_params(tmp_path)
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("PREFECT_", "MLFLOW_"))}
     environment |= {**quiet_settings(Workspace(tmp_path)), "DIESELTWIN_WORKSPACE": str(tmp_path)}
-    command = [sys.executable, "-m", "flows.simulate", "--profile", "tiny"]
+    command = [sys.executable, "-m", "flows.pretrain", "--profile", "tiny"]
     process = subprocess.Popen(command, cwd=PROJECT, env=environment, stdout=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 180.0
-    while not list(tmp_path.glob(".cache/recordings/.partial-*/lab/case_i.parquet")):
+    while not list(tmp_path.glob(".cache/bodies/.partial-*")):
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.05)
+    below = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert not (tmp_path / "data").exists()
-    assert not [path for path in (tmp_path / ".cache" / "recordings").iterdir() if path.name[0] != "."]
+    assert not (tmp_path / "models").exists()
+    assert not [path for path in (tmp_path / ".cache" / "bodies").iterdir() if path.name[0] != "."]
+    # Workers and server end with their parent.
+    assert len(below) >= 2
+    _, alive = psutil.wait_procs(below, timeout=30.0)
+    assert not [left for left in alive if left.status() != psutil.STATUS_ZOMBIE]
     context = new_context(tmp_path)
-    simulate_flow("tiny")
-    assert "driving-sets" not in context.timings and "recordings" in context.timings
-    assert content_hash(tmp_path / "data") == undisturbed
+    pretrain_flow("tiny")
+    assert set(context.timings) == {"bodies-paper", "bodies-conditioned"}
+    assert content_hash(tmp_path / "models") == undisturbed
 
 
 def test_a_stage_depends_on_every_module_that_its_steps_rest_on() -> None:

@@ -72,3 +72,11 @@ def test_a_moved_checkout_keeps_its_artifacts(tracked: tuple[Path, str, str], tm
     uri = Tracker(Workspace(moved)).client.get_run(run_id).info.artifact_uri
     assert uri.startswith("mlflow-artifacts:/") and str(root) not in uri
     assert (moved / "mlruns" / "artifacts" / uri.removeprefix("mlflow-artifacts:/") / "figures/violin.svg").exists()
+
+
+def test_a_database_that_was_being_made_at_a_kill_is_not_used(tmp_path: Path) -> None:
+    half = tmp_path / "mlruns" / "mlflow.db.1.partial"
+    half.parent.mkdir()
+    half.write_bytes(b"half a database")
+    assert Tracker(Workspace(tmp_path)).experiment("identify", "again")
+    assert not half.exists()
