@@ -144,8 +144,8 @@ class StateNetworks:
 
         Weights are N(0, 2 / (in + out)) and biases zero, as the paper has it for its other networks; it prints no start
         for these. With `slopes` the first layer's weights have sizes between the two (uniform in the logarithm) on time
-        scaled to [-1, 1], and its tanhs are centred evenly over the segment: with the other start all of them sit on
-        its middle and the networks take ten times the epochs to see 60 s of driving.
+        scaled to [-1, 1], and its tanhs are centred evenly over the segment. With the plain start all of them sit on the
+        middle; after 8,000 epochs of `baseline` on one minute the states were 1.3 to 2.2 times further off (one run).
 
         Args:
             generator: source of the draws.

@@ -154,6 +154,19 @@ def test_a_diverged_source_is_replaced_by_another(problems: list[SegmentProblem]
     np.testing.assert_allclose(to_physical(masked.double().numpy())[0], source.trained.health[0, -1], rtol=1e-5)
 
 
+def test_a_diverged_run_is_reported_and_leaves_the_others_alone(problems: list[SegmentProblem]) -> None:
+    settings = settings_of(pinn.Stage(6, "all", *RATES))
+    lanes = pinn.make_lanes(problems, [0], 2, 1, settings)
+    source = pinn.train_lanes(lanes, None, None, settings)
+    good = pinn.train_lanes(lanes, None, None, settings, (source.weights, source.masked))
+    source.weights[0] = float("nan")
+    found = pinn.train_lanes(lanes, None, None, settings, (source.weights, source.masked))
+    np.testing.assert_allclose(found.trained.health[1], good.trained.health[1], rtol=1e-5)
+    (estimate,) = pinn.estimates_of(problems[:1], found, 2, 0.0, "multi-stage")
+    assert estimate.runs == 2 and not estimate.converged[0]
+    assert np.isfinite(estimate.states).all() and np.isfinite(estimate.bound).all()
+
+
 @pytest.mark.parametrize("method", ["baseline", "multi-stage"])
 def test_methods_stand_in_the_registry(problems: list[SegmentProblem], method: str) -> None:
     identify = load_params().identify
