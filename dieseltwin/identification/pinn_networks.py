@@ -144,7 +144,7 @@ class StateNetworks:
 
         Weights are N(0, 2 / (in + out)) and biases zero, as the paper has it for its other networks; it prints no start
         for these. With `slopes` the first layer's weights have sizes between the two (uniform in the logarithm) on time
-        scaled to [-1, 1], and its tanhs are centred evenly over the segment. With the plain start all of them sit on the
+        scaled to [-1, 1], and its tanhs are centred evenly over the segment. With the plain start all sit on the
         middle; after 8,000 epochs of `baseline` on one minute the states were 1.3 to 2.2 times further off (one run).
 
         Args:
