@@ -199,7 +199,8 @@ def _estimate_of(
     used = still if still.any() else (finite if finite.any() else np.ones_like(finite))
     pooled = np.exp(np.log(final[used]).mean(axis=0))
     pooled_states = states[used].mean(axis=0)
-    bound = cramer_rao([problem], pooled, pooled_states[0, :3])[0]
+    # At the nominal values: these methods can end far off, and a wrong estimate must not vouch for its own bound.
+    bound = cramer_rao([problem], problem.parameters.health(), pooled_states[0, :3])[0]
     nothing = np.full(final.shape, np.nan)
     return SegmentEstimate(
         t0_s=problem.t0_s, t1_s=problem.t1_s, time_s=problem.time_s, parameters=final, std=nothing,
