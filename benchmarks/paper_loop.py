@@ -238,7 +238,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--methods", nargs="+", default=list(PAPER_MS), choices=list(PAPER_MS))
-    parser.add_argument("--lanes", nargs="+", type=int, default=[30])
+    parser.add_argument("--lanes", nargs="+", type=int, default=[30, 120])
     parser.add_argument("--models", type=Path, default=None, help="folder with maps_paper.pt")
     parser.add_argument("--fresh-dropout", action="store_true", help="the loop draws new masks in every epoch")
     arguments = parser.parse_args()
