@@ -197,7 +197,6 @@ def _estimate_of(
     finite = np.isfinite(final).all(axis=1) & np.isfinite(loss[:, -1])
     still = finite & (np.abs(final / earlier - 1.0) <= STILL_BELOW).all(axis=1)
     used = still if still.any() else (finite if finite.any() else np.ones_like(finite))
-    pooled = np.exp(np.log(final[used]).mean(axis=0))
     pooled_states = states[used].mean(axis=0)
     # At the nominal values: these methods can end far off, and a wrong estimate must not vouch for its own bound.
     bound = cramer_rao([problem], problem.parameters.health(), pooled_states[0, :3])[0]
