@@ -339,8 +339,8 @@ def _segment(
     pooled = np.exp(np.log(health[used]).mean(axis=0))
     nominal = health_of(problem.parameters)
     bound, at_nominal = (cramer_rao([problem], values, pooled_states[0, :3])[0] for values in (pooled, nominal))
-    # The Hessian is that of a linearised weak constraint; where a parameter can't be seen (idle) the estimate may run to
-    # a place where its local curvature looks certain. No method is surer than the bound, so none states less.
+    # The Hessian is that of a linearised weak constraint; where a parameter can't be seen (idle) the estimate may run
+    # to a place where its local curvature looks certain. No method is surer than the bound, so none states less.
     log_std = np.maximum(log_std, np.maximum(bound.relative, at_nominal.relative))
     std, interval = intervals_from_log_std(health, log_std)
     seconds = (time.perf_counter() - began) / len(begin)
