@@ -86,7 +86,7 @@ def estimate(
         seconds = (time.perf_counter() - began) / len(lanes)
         for row, i in enumerate(group):
             parts = (health[row], states[row], loss[row], misfit[row])
-            results[i] = _estimate_of(problems[i], *parts, seconds, settings.epochs)
+            results[i] = estimate_of(problems[i], *parts, seconds, settings.epochs)
     return [results[i] for i in range(len(problems))]
 
 
@@ -188,10 +188,18 @@ def train(
     )  # fmt: skip
 
 
-def _estimate_of(
+def estimate_of(
     problem: SegmentProblem, health: NDArray[np.float64], states: NDArray[np.float64], loss: NDArray[np.float64],
     misfit: NDArray[np.float64], seconds: float, epochs: int = 0,
 ) -> SegmentEstimate:  # fmt: skip
+    """The runs of one segment as an estimate (also of the baseline and the multi-stage method).
+
+    Args:
+        problem: the segment.
+        health: (R, C, 4) health parameters along the training [m2, m2, -, W/(m2 K)]; loss: (R, C) along with it [-].
+        states: (R, n, 5) final states [Pa, Pa, rad/s, -, K].
+        misfit: (R,) chi-square per sample [-]; seconds: wall seconds per run; epochs: trained.
+    """
     final = health[:, -1]
     earlier = health[:, -max(2, health.shape[1] // 10)]
     finite = np.isfinite(final).all(axis=1) & np.isfinite(loss[:, -1])

@@ -145,8 +145,8 @@ def estimate(
         config: `params.identify`, its section `newton`, `NewtonSettings` or None.
 
     Returns:
-        One estimate for each segment, in order. Standard deviations and 90 % intervals come from the inverse Hessian
-        for the logarithm of each parameter, and are never below the Cramér-Rao bound.
+        One estimate for each segment, in order. Standard deviations and 90 % intervals of the logarithms come from the
+        inverse Hessian and are never below the Cramér-Rao bound.
     """
     settings = NewtonSettings.from_config(config)
     rng = np.random.default_rng(seed)
@@ -336,12 +336,10 @@ def _segment(
     health = np.exp(unknowns[:, -N_HEALTH:].numpy())
     used = converged if converged.any() else np.ones_like(converged)
     pooled_states = states[used].mean(axis=0)
-    pooled = np.exp(np.log(health[used]).mean(axis=0))
-    nominal = health_of(problem.parameters)
-    bound, at_nominal = (cramer_rao([problem], values, pooled_states[0, :3])[0] for values in (pooled, nominal))
-    # The Hessian is that of a linearised weak constraint; where a parameter can't be seen (idle) the estimate may run
-    # to a place where its local curvature looks certain. No method is surer than the bound, so none states less.
-    log_std = np.maximum(log_std, np.maximum(bound.relative, at_nominal.relative))
+    bound = cramer_rao([problem], np.exp(np.log(health[used]).mean(axis=0)), pooled_states[0, :3])[0]
+    nominal = cramer_rao([problem], health_of(problem.parameters), pooled_states[0, :3])[0]
+    # Where a parameter can't be seen (idle) the estimate may run to where the local curvature looks certain.
+    log_std = np.maximum(log_std, np.maximum(bound.relative, nominal.relative))
     std, interval = intervals_from_log_std(health, log_std)
     seconds = (time.perf_counter() - began) / len(begin)
     freedom = max(int(problem.observed.sum()) - N_HEALTH - 3, 1)

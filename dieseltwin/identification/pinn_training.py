@@ -23,7 +23,7 @@ from torch import Tensor
 
 from dieseltwin.engine import actuate
 from dieseltwin.errors import InputError
-from dieseltwin.identification.fewshot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, _estimate_of
+from dieseltwin.identification.fewshot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
 from dieseltwin.identification.fewshot_program import Lane, Program, draw_lane, make_program
 from dieseltwin.identification.losses import PAPER_WEIGHTS, Scales, Weights, starting_weights, weights_gradient
 from dieseltwin.identification.pinn_networks import Hidden, StateNetworks
@@ -361,7 +361,7 @@ def estimates_of(
     for row, problem in enumerate(problems):
         of = slice(row * runs, (row + 1) * runs)
         t = found.trained
-        one = _estimate_of(
+        one = estimate_of(
             problem, t.health[of], t.states[of], t.loss[of], t.misfit[of], seconds, int(found.epochs[-1])
         )
         curves = {"epoch": found.epochs.astype(np.float64), "loss": t.loss[of].T}
