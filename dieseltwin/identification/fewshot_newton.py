@@ -338,9 +338,8 @@ def _segment(
     pooled_states = states[used].mean(axis=0)
     bound = cramer_rao([problem], np.exp(np.log(health[used]).mean(axis=0)), pooled_states[0, :3])[0]
     nominal = cramer_rao([problem], health_of(problem.parameters), pooled_states[0, :3])[0]
-    # Where a parameter can't be seen (idle) the estimate may run to where the local curvature looks certain.
-    log_std = np.maximum(log_std, np.maximum(bound.relative, nominal.relative))
-    std, interval = intervals_from_log_std(health, log_std)
+    least = np.maximum(bound.relative, nominal.relative)  # unseen at idle, the estimate runs where it looks certain
+    std, interval = intervals_from_log_std(health, np.maximum(log_std, least))
     seconds = (time.perf_counter() - began) / len(begin)
     freedom = max(int(problem.observed.sum()) - N_HEALTH - 3, 1)
     return SegmentEstimate(
