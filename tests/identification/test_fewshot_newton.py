@@ -189,3 +189,11 @@ def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None
     assert not found.identifiable[HEALTH.index("A_egrmax")]
     assert found.identifiable[HEALTH.index("A_vgtmax")]
     assert (found.std[:, 0] / found.parameters[:, 0] > 0.25).all()  # its own interval says so too
+
+
+def test_no_run_is_surer_than_the_bound(idle_problem: SegmentProblem, planted: SegmentProblem) -> None:
+    """At idle h_tot can run off to where eta_sc looks certain: its deviation must stay that of the driving."""
+    for problem in (idle_problem, planted.with_noise_draws(1, np.random.default_rng(3))):
+        found = identify_segments([problem], "few-shot-newton", 2, 0, config=QUICK).segments[0]
+        nominal = cramer_rao([problem], problem.parameters.health(), found.states[0, :3])[0].relative
+        assert (found.std / found.parameters >= np.minimum(nominal, 1e3) * (1.0 - 1e-9)).all()

@@ -13,7 +13,7 @@ from dieseltwin.config import MapsConfig, load_params
 from dieseltwin.engine import MAPS, Inputs, actuate, bind, constants, parameter_batch, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
-from dieseltwin.surrogates.empirical_training import train_maps
+from dieseltwin.surrogates.empirical_training import _with_a_slope, train_maps
 from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights
 
 KINDS = ("paper", "improved")
@@ -367,3 +367,12 @@ def test_unknown_names_are_refused(trained):
         trained["paper"].replacements("jax")
     with pytest.raises(InputError, match="eta_tm"):
         trained["paper"].layers("eta_t")
+
+
+def test_eta_tm_above_its_cap_can_come_down():
+    """min(0.818, z) alone has no slope above the cap; the training's has, with the printed value."""
+    z = torch.tensor([0.5, 0.9], requires_grad=True)
+    value = _with_a_slope(torch.clamp_max(z, 0.818), z, "eta_tm")
+    torch.testing.assert_close(value.detach(), torch.tensor([0.5, 0.818]))
+    value.sum().backward()
+    assert (z.grad == 1.0).all()
