@@ -21,7 +21,7 @@ from dieseltwin.identification import (
     identify_segments,
     problems_from_recording,
 )
-from dieseltwin.recordings import Recording, read_recording, rows_out_of_range
+from dieseltwin.recordings import CRANKING_RPM, Recording, read_recording, rows_out_of_range
 from dieseltwin.strict import unknown_name
 
 # Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
@@ -116,6 +116,7 @@ def problems_of(
     """Segments of the recording as estimation problems; noise is the settings' share of the whole recording's means."""
     missing = np.full(source.time_s.shape, np.nan)
     signals = np.column_stack([source.columns.get(name, missing) for name in MEASURED])
+    signals = signals[source.columns["n_e_rpm"] >= CRANKING_RPM]  # a standing engine would lower the means
     noise = NoiseLevels.from_signals(signals, relative=settings.noise.channels)
     duration_s = settings.identify.segment_s if segment_s is None else segment_s
     return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s)
@@ -203,13 +204,19 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[str]:
 
 def misfits(document: Mapping[str, Any]) -> list[str]:
     """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
-    values = [s["chi2_per_sample"] for run in document["runs"] for s in run["segments"] if s["converged"]]
+    everything = [s for run in document["runs"] for s in run["segments"]]
+    stuck = sum(not s["converged"] for s in everything)
+    notes = []
+    if stuck:
+        notes = [f"note: {stuck} of {len(everything)} fits did not converge (`converged` in identification.json); a "
+                 "segment without a converged fit is left out of the pooled values"]
+    values = [s["chi2_per_sample"] for s in everything]
     known = [value for value in values if value is not None]
     if not known or float(np.median(known)) <= MISFIT:
-        return []
+        return notes
     size = float(np.sqrt(np.median(known)))
-    return [f"note: the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine file or the "
-            "model is off, or the method has not converged; the intervals are too narrow"]
+    return [*notes, f"note: the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine "
+            "file or the model is off, or the method has not converged; the intervals are too narrow"]
 
 
 def _write(folder: Path, found: Identification, runtime: Mapping[str, Any], problems: list[SegmentProblem]) -> None:

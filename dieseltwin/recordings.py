@@ -136,13 +136,13 @@ class Recording:
 
     def _cut(self, piece: slice, duration_s: float, minimum_s: float) -> list[Segment]:
         time = self.time_s[piece]
-        # the end row is the last one that belongs to the window; half a step of tolerance against jitter and rounding
+        # Half a step of tolerance against jitter; and 300 rows at 5 Hz are a minute, though they span 59.8 s.
         slack = 0.5 * float(np.median(np.diff(time))) if time.size > 1 else 0.0
         found, start = [], 0
         while start < time.size - 1:
             end = int(np.searchsorted(time, time[start] + duration_s + slack, side="right")) - 1
             length = time[end] - time[start]
-            if length >= min(minimum_s, duration_s) - slack and end + 1 - start >= MINIMUM_ROWS:
+            if length >= min(minimum_s, duration_s) - 3.0 * slack and end + 1 - start >= MINIMUM_ROWS:
                 found.append(self._segment(piece.start, piece.start + start, piece.start + end + 1))
             if end <= start:
                 break

@@ -332,3 +332,11 @@ def test_writing_fails_in_one_line_and_leaves_nothing(tmp_path, drive):
 def test_reading_a_missing_map_is_one_line(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_channel_map(tmp_path / "map.yaml")
+
+
+def test_three_hundred_rows_at_five_hertz_are_a_minute(drive):
+    """Their stamps span 59.8 s; one row less is no minute any more."""
+    assert len(recording(drive.iloc[:600]).segments()) == 2
+    assert len(recording(drive.iloc[:300]).segments()) == 1
+    with pytest.raises(InputError, match="at least 60 s"):
+        recording(drive.iloc[:298]).segments()

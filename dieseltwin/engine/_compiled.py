@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import tempfile
 import types
 from pathlib import Path
 from typing import Any
@@ -29,10 +30,21 @@ def _cache_folder() -> str:
     digest = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
     for source in sorted(here.glob("*.py")):
         digest.update(source.name.encode() + source.read_bytes())
-    base = os.environ.get("NUMBA_CACHE_DIR") or str(here.parent.parent / ".numba_cache")
-    if not os.access(Path(base).parent, os.W_OK):
-        base = str(Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "dieseltwin")
-    return str(Path(base) / digest.hexdigest()[:16])
+    name = digest.hexdigest()[:16]
+    places = [
+        os.environ.get("NUMBA_CACHE_DIR") or here.parent.parent / ".numba_cache",
+        Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dieseltwin",
+        Path(tempfile.gettempdir()) / f"dieseltwin-{os.getuid()}",  # read-only installation, no home
+    ]
+    for place in places:
+        folder = Path(place) / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return str(folder)
+    return str(folder)
 
 
 numba.config.CACHE_DIR = _cache_folder()  # type: ignore[attr-defined]

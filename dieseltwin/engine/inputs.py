@@ -14,6 +14,8 @@ from dieseltwin.errors import InputError
 DEFAULT_STEP_S = 0.0125
 """Largest integration step [s]: RK4 then errs by at most 0.01 % of a column's mean (see benchmarks/simulator.py)."""
 
+STEP_TOLERANCE = 1e-3  # of a step: time stamps far from zero (epoch time) are rounded by 1e-7 s
+
 INPUT_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 
 
@@ -99,7 +101,7 @@ class Inputs:
 
 def steps_between(time_s: np.ndarray, step_s: float | np.ndarray) -> np.ndarray:
     """Number of integration steps of at most `step_s` [s] between samples, shape (n - 1,)."""
-    return np.maximum(np.ceil(np.diff(time_s) / step_s - 1e-9), 1.0).astype(np.int64)
+    return np.maximum(np.ceil(np.diff(time_s) / step_s - STEP_TOLERANCE), 1.0).astype(np.int64)
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dieseltwin.errors import InputError
+from dieseltwin.strict import read_mapping
 
 HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 """The four health parameters, in the order of every array that holds them."""
@@ -136,22 +136,7 @@ def load_engine(path: str | Path, base: EngineParameters | None = None) -> Engin
         from dieseltwin.engine.we2011 import PARAMETERS
 
         base = PARAMETERS
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
-        message = str(error).splitlines()[0]
-        raise InputError(
-            f"engine file {path}", got=message, allowed="a readable YAML mapping", do="check the path"
-        ) from None
-    if document is None:
-        document = {}
-    if not isinstance(document, dict):
-        raise InputError(
-            f"engine file {path}",
-            got=type(document).__name__,
-            allowed="a mapping of parameter names to values",
-            do="see README",
-        )
+    document = read_mapping(path)
     return _validated({**base.model_dump(), **document}, source=f"engine file {path}")
 
 

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dieseltwin.identification.least_squares import covariance
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.shooting import N_HEALTH, Shooting, ShootingRuns, Simulator, by_grid, exact_engine
+from dieseltwin.identification.shooting import (
+    N_HEALTH,
+    Shooting,
+    ShootingRuns,
+    Simulator,
+    by_grid,
+    exact_engine,
+    sample_states,
+)
 
 Array = NDArray[np.float64]
 
@@ -78,6 +86,24 @@ def cramer_rao(
     return [result[i] for i in range(count)]
 
 
+def cautious_bound(
+    problems: Sequence[SegmentProblem], health: ArrayLike, initial: ArrayLike, *, simulator: Simulator = exact_engine
+) -> list[Bound]:
+    """The larger of the bounds at the estimate and at the nominal values, in units of the estimate.
+
+    A wrong estimate must not vouch for itself: at idle h_tot can run off to where eta_sc looks certain.
+    """
+    at_estimate = cramer_rao(problems, health, initial, simulator=simulator)
+    nominal = np.stack([problem.parameters.health() for problem in problems])
+    at_nominal = cramer_rao(problems, nominal, initial, simulator=simulator)
+    values = np.broadcast_to(health, nominal.shape)
+    result = []
+    for own, other, value in zip(at_estimate, at_nominal, values, strict=True):
+        relative = np.maximum(own.relative, other.relative)
+        result.append(replace(own, absolute=relative * value, relative=relative))
+    return result
+
+
 def bound_from_fisher(fisher: Array, health: ArrayLike) -> Bound:
     """Turn an information matrix of logarithms into a bound.
 
@@ -91,3 +117,20 @@ def bound_from_fisher(fisher: Array, health: ArrayLike) -> Bound:
     std = np.sqrt(np.diag(covariance(fisher)))
     relative = np.where(std[:N_HEALTH] > NO_INFORMATION, np.inf, std[:N_HEALTH])
     return Bound(relative * np.asarray(health), relative, std[N_HEALTH:], fisher)
+
+
+def states_within(
+    problem: SegmentProblem, health: ArrayLike, initial: ArrayLike, bound: Bound, normal: Array
+) -> tuple[Array, Array]:
+    """Trajectories that a bound leaves possible around an estimate, for bands.
+
+    Args:
+        problem: the segment; health: (4,) and initial: (3,) its estimate [m2, m2, -, W/(m2 K), Pa, Pa, rad/s].
+        bound: its bound, whose information matrix gives the joint covariance.
+        normal: (K, 7) standard normal draws.
+
+    Returns:
+        States (K, n, 5) and parameters (K, 4).
+    """
+    centre = np.log(np.concatenate([np.asarray(health), np.asarray(initial)]))
+    return sample_states(Shooting((problem,), exact_engine), 0, centre, covariance(bound.fisher)[None], normal)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.engine import settle
-from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.bound import cautious_bound
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.least_squares import (
     Fit,
@@ -32,6 +32,7 @@ from dieseltwin.identification.shooting import (
     by_grid,
     error_directions,
     exact_engine,
+    sample_states,
 )
 from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts
 
@@ -51,8 +52,6 @@ SECOND_LOOK = 0.4
 """A health parameter that ends further than this logarithm from its nominal value is fitted a second time."""
 WORSE = 0.5
 """Negative log likelihood above that of another run of the same readings that makes a minimum a local one."""
-SAMPLE_SPREAD = 0.5
-"""Draws for bands leave the estimate by at most this logarithm, so that an unidentifiable parameter stays plausible."""
 NOTHING = np.array([], dtype=np.int64)
 START_PRESSURES = np.array([UNKNOWNS.index("p_im"), UNKNOWNS.index("p_em")])
 
@@ -237,13 +236,13 @@ def _segments(
     used = np.where(converged.any(axis=1, keepdims=True), converged, True)
     pooled = np.einsum("srk,sr->sk", unknowns, used) / used.sum(axis=1, keepdims=True)
     states = shooting.simulate(np.arange(count), pooled).states
-    bounds = cramer_rao(
+    bounds = cautious_bound(
         shooting.problems, np.exp(pooled[:, :N_HEALTH]), np.exp(pooled[:, N_HEALTH:]), simulator=shooting.simulator
     )
     result = []
     for s, problem in enumerate(shooting.problems):
         rows = np.flatnonzero(used[s])[np.arange(len(normal[s])) % used[s].sum()]
-        sample_states, sample_health = _samples(shooting, s, unknowns[s, rows], log_covariance[s, rows], normal[s])
+        band_states, band_health = sample_states(shooting, s, unknowns[s, rows], log_covariance[s, rows], normal[s])
         result.append(
             SegmentEstimate(
                 t0_s=problem.t0_s,
@@ -259,8 +258,8 @@ def _segments(
                 seconds_per_run=seconds,
                 method=METHOD,
                 chi2_per_sample=chi2[s],
-                state_samples=sample_states,
-                parameter_samples=sample_health,
+                state_samples=band_states,
+                parameter_samples=band_health,
             )
         )
     return result
@@ -276,11 +275,3 @@ def _best_of_same_data(problems: Sequence[SegmentProblem], cost: Array) -> NDArr
         np.minimum.at(lowest, draw, cost[s])
         best[s] = cost[s] <= lowest[draw] + WORSE
     return best
-
-
-def _samples(shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array) -> tuple[Array, Array]:
-    """K draws from the mixture of the runs' Gaussians, simulated: states (K, n, 5) and parameters (K, 4)."""
-    move = np.einsum("kij,kj->ki", np.linalg.cholesky(log_covariance), normal)
-    drawn = unknowns + np.clip(move, -SAMPLE_SPREAD, SAMPLE_SPREAD)
-    states = shooting.simulate(np.full(len(drawn), s), drawn).states
-    return states, np.exp(drawn[:, :N_HEALTH])

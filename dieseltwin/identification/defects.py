@@ -76,7 +76,7 @@ def windows_for(
     time = actuation.time_s
     n = time.size
     step = float(time[1] - time[0])
-    even = np.allclose(np.diff(time), step, rtol=1e-6, atol=0.0) and len(set(actuation.steps.tolist())) == 1
+    even = np.allclose(np.diff(time), step, rtol=1e-6, atol=1e-6) and len(set(actuation.steps.tolist())) == 1
     warm, fade = max(1, round(warm_up_s / step)), max(1, round(fade_s / step))
     length = round(window_s / step) + warm + fade
     if not even or length >= n:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from dieseltwin.engine import Actuation, EngineParameters, actuate
 from dieseltwin.errors import InputError
-from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.bound import cautious_bound, states_within
 from dieseltwin.identification.collocation import Collocation, Data
 from dieseltwin.identification.damped_newton import Runs, minimise
 from dieseltwin.identification.defects import STEP_S, Defects, Windows, defects, simulate_windows, windows_for
@@ -66,7 +66,7 @@ class NewtonSettings:
         student_dof: tails of the physics residuals [-].
         defect_share, floor_share: of `process_noise`.
         renewals_max: most renewals of the defect at the last stage.
-        samples: runs whose states are kept for bands.
+        samples: draws from the uncertainty for the bands.
     """
 
     start_at: str = "lab"
@@ -336,17 +336,17 @@ def _segment(
     health = np.exp(unknowns[:, -N_HEALTH:].numpy())
     used = converged if converged.any() else np.ones_like(converged)
     pooled_states = states[used].mean(axis=0)
-    bound = cramer_rao([problem], np.exp(np.log(health[used]).mean(axis=0)), pooled_states[0, :3])[0]
-    nominal = cramer_rao([problem], health_of(problem.parameters), pooled_states[0, :3])[0]
-    least = np.maximum(bound.relative, nominal.relative)  # unseen at idle, the estimate runs where it looks certain
-    std, interval = intervals_from_log_std(health, np.maximum(log_std, least))
-    seconds = (time.perf_counter() - began) / len(begin)
-    freedom = max(int(problem.observed.sum()) - N_HEALTH - 3, 1)
+    pooled = np.exp(np.log(health[used]).mean(axis=0))
+    bound = cautious_bound([problem], pooled, pooled_states[0, :3])[0]
+    std, interval = intervals_from_log_std(health, np.maximum(log_std, bound.relative))
+    normal = np.random.default_rng(0).standard_normal((settings.samples, N_HEALTH + 3))
+    bands = (None, None) if maps is not None else states_within(problem, pooled, pooled_states[0, :3], bound, normal)
+    misfit /= max(int(problem.observed.sum()) - N_HEALTH - 3, 1)
     return SegmentEstimate(
         t0_s=problem.t0_s, t1_s=problem.t1_s, time_s=problem.time_s, parameters=health, std=std, interval_90=interval,
         states=pooled_states, bound=bound.absolute, identifiable=bound.identifiable(), converged=converged,
-        seconds_per_run=seconds, method=METHOD, chi2_per_sample=misfit / freedom,
-        state_samples=states[used][: settings.samples], parameter_samples=health[used][: settings.samples],
+        seconds_per_run=(time.perf_counter() - began) / len(begin), method=METHOD, chi2_per_sample=misfit,
+        state_samples=bands[0], parameter_samples=bands[1],
     )  # fmt: skip
 
 

@@ -251,7 +251,7 @@ def problems_from_recording(
 
     Args:
         recording: `recordings.Recording`.
-        parameters: known parameters and starting values; T_amb and p_amb are replaced by the recording's.
+        parameters: known parameters and starting values; T_amb, p_amb and, where recorded, T_im are the recording's.
         noise: noise levels; None takes the paper's percentages of the recording's means, never below
             `NOISE_FLOOR`.
         duration_s: length of a segment [s].
@@ -262,6 +262,9 @@ def problems_from_recording(
         One problem for each segment.
     """
     known = parameters.replace(T_amb=float(recording.t_amb_k), p_amb=float(recording.p_amb_pa))
+    intake = np.asarray(recording.columns.get("t_im_k", np.nan), dtype=np.float64)
+    if np.isfinite(intake).any():  # constant in the model: the recording's median
+        known = known.replace(T_im=float(np.nanmedian(intake)))
     segments = list(recording.segments(duration_s))
     if noise is None:
         noise = NoiseLevels.from_signals(np.concatenate([s.measured for s in segments]))

@@ -114,6 +114,11 @@ class SegmentEstimate:
         return converged if converged.any() else np.ones_like(converged)
 
     @property
+    def trusted(self) -> bool:
+        """Whether a run converged; methods that stop after their epochs (no deviation of their own) always count."""
+        return bool(np.any(self.converged) or np.isnan(self.std).all())
+
+    @property
     def centre(self) -> Array:
         """(4,) geometric mean of the used runs [m2, m2, -, W/(m2 K)]."""
         return np.exp(np.mean(np.log(self.parameters[self.used]), axis=0))
@@ -132,7 +137,8 @@ class SegmentEstimate:
         for i, name in enumerate(HEALTH):
             values, own = self.parameters[self.used, i], self.std[self.used, i]
             mean, std, interval = _combine_runs(values, own)
-            result[name] = ParameterSummary(mean, std, interval, float(self.bound[i]), bool(self.identifiable[i]))
+            known = bool(self.identifiable[i]) and self.trusted
+            result[name] = ParameterSummary(mean, std, interval, float(self.bound[i]), known)
         return result
 
 
@@ -265,7 +271,7 @@ def intervals_from_log_std(values: Array, log_std: Array) -> tuple[Array, Array]
 def _combine_runs(values: Array, own: Array) -> tuple[float, float, tuple[float, float] | None]:
     mean = float(np.exp(np.mean(np.log(values))))
     between = float(np.var(values, ddof=1)) if len(values) > 1 else 0.0
-    if np.isfinite(own).all():
+    if not np.isnan(own).any():  # an infinite deviation is one: nothing is known
         std = math.sqrt(float(np.mean(own**2)) + between)
         half = math.exp(Z_90 * std / mean) if math.isfinite(std) and std / mean < _LARGE_LOG else math.inf
         return mean, std, (mean / half, mean * half)

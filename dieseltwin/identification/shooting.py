@@ -214,3 +214,26 @@ def by_grid(problems: Sequence[SegmentProblem]) -> list[list[int]]:
     for i, problem in enumerate(problems):
         groups.setdefault(grid_key(problem), []).append(i)
     return list(groups.values())
+
+
+SAMPLE_SPREAD = 0.5
+"""Draws for bands leave the estimate by at most this logarithm, so that an unidentifiable parameter stays plausible."""
+
+
+def sample_states(
+    shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array
+) -> tuple[Array, Array]:
+    """K draws from Gaussians of the logarithms, simulated: states (K, n, 5) and parameters (K, 4).
+
+    Args:
+        shooting: the problems; s: which of them.
+        unknowns: (K, 7) or (7,) centres, logarithms.
+        log_covariance: (K, 7, 7) or (1, 7, 7) joint covariance of the logarithms.
+        normal: (K, 7) standard normal draws.
+    """
+    factor = np.broadcast_to(np.linalg.cholesky(log_covariance), (len(normal), *log_covariance.shape[1:]))
+    move = np.einsum("kij,kj->ki", factor, normal)
+    # The whole draw is shortened: clipped one by one, unknowns that cancel each other would move the states apart.
+    drawn = unknowns + move * np.minimum(SAMPLE_SPREAD / np.abs(move).max(axis=1, keepdims=True), 1.0)
+    states = shooting.simulate(np.full(len(drawn), s), drawn).states
+    return states, np.exp(drawn[:, :N_HEALTH])

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dieseltwin.engine import Inputs, actuate, load_engine, parameter_batch, settle, simulate, simulate_states, we2011
+from dieseltwin.engine.inputs import steps_between
 from dieseltwin.engine.manifolds import X_OC
 from dieseltwin.errors import InputError
 
@@ -174,3 +175,10 @@ def test_bad_inputs(change: dict, message: str) -> None:
     good = Inputs(np.array([0.0, 0.2, 0.4]), *(np.ones(3),) * 4)
     with pytest.raises(InputError, match=message):
         replace(good, **change)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e5, 1.76e9])
+def test_rounded_time_stamps_keep_the_steps(offset: float) -> None:
+    """Epoch time rounds stamps by 1e-7 s; 16 steps of 12.5 ms must not become 17 in some of the intervals."""
+    time = offset + 0.2 * np.arange(300)
+    assert set(steps_between(time, 0.0125).tolist()) == {16}

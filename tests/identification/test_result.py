@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,3 +98,18 @@ def test_document_follows_the_schema(problem: SegmentProblem) -> None:
     assert len(document["runs"]) == 2
     runtime = json.loads(json.dumps(found.runtime(), allow_nan=False))
     assert runtime["seconds_per_run"] > 0.0 and runtime["runs"] == 2
+
+
+def test_a_run_that_knows_nothing_says_so() -> None:
+    known_nothing = segment(np.inf)
+    summary = known_nothing.summary()["A_egrmax"]
+    assert summary.std == np.inf
+    assert summary.interval_90 is not None and summary.interval_90[1] == np.inf
+
+
+def test_a_segment_without_a_converged_run_is_not_pooled() -> None:
+    stuck = replace(segment(0.01, 0.17), converged=np.zeros(3, dtype=bool))
+    pooled = whole(stuck, segment(0.02)).pooled()["A_vgtmax"]
+    assert pooled.mean == pytest.approx(7e-4)
+    members = replace(segment(0.01, claims=False), converged=np.zeros(3, dtype=bool))
+    assert members.summary()["A_vgtmax"].identifiable  # Adam ends with its epochs, not with convergence
