@@ -89,19 +89,17 @@ def cramer_rao(
 def cautious_bound(
     problems: Sequence[SegmentProblem], health: ArrayLike, initial: ArrayLike, *, simulator: Simulator = exact_engine
 ) -> list[Bound]:
-    """The larger of the bounds at the estimate and at the nominal values, in units of the estimate.
+    """Bounds at the estimate, whose `relative` part (identifiable or not) is the larger of that and the nominal values'.
 
     A wrong estimate must not vouch for itself: at idle h_tot can run off to where eta_sc looks certain.
     """
     at_estimate = cramer_rao(problems, health, initial, simulator=simulator)
     nominal = np.stack([problem.parameters.health() for problem in problems])
     at_nominal = cramer_rao(problems, nominal, initial, simulator=simulator)
-    values = np.broadcast_to(health, nominal.shape)
-    result = []
-    for own, other, value in zip(at_estimate, at_nominal, values, strict=True):
-        relative = np.maximum(own.relative, other.relative)
-        result.append(replace(own, absolute=relative * value, relative=relative))
-    return result
+    return [
+        replace(own, relative=np.maximum(own.relative, other.relative))
+        for own, other in zip(at_estimate, at_nominal, strict=True)
+    ]
 
 
 def bound_from_fisher(fisher: Array, health: ArrayLike) -> Bound:
