@@ -89,7 +89,7 @@ def cramer_rao(
 def cautious_bound(
     problems: Sequence[SegmentProblem], health: ArrayLike, initial: ArrayLike, *, simulator: Simulator = exact_engine
 ) -> list[Bound]:
-    """Bounds at the estimate, whose `relative` part (identifiable or not) is the larger of that and the nominal values'.
+    """Bounds at the estimate; `relative` (identifiable or not) is the larger of that and the one at the nominal values.
 
     A wrong estimate must not vouch for itself: at idle h_tot can run off to where eta_sc looks certain.
     """
