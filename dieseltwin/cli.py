@@ -182,6 +182,9 @@ def main(arguments: list[str] | None = None) -> int:
     except _ClickError as error:  # a wrong option or argument
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
         return _fail(f"{message}; see `dieseltwin --help`", InputError.exit_code)
+    except PermissionError as error:  # an input; outputs are checked where they are written
+        closed = InputError(str(error.filename), "permission denied", "a file you may read", "change its permissions")
+        return _fail(str(closed), closed.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         return _fail("interrupted; nothing was written", 130)
     except BrokenPipeError:  # `dieseltwin engine show | head`: the flush at the end must not complain either

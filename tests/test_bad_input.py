@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
@@ -200,9 +201,7 @@ BAD_INPUTS = [no_speed, positions_as_fractions, input_all_nan, time_goes_back, e
 
 
 @pytest.mark.parametrize("damage", BAD_INPUTS, ids=lambda f: f.__name__)
-def test_simulate_refuses(
-    tmp_path: Path, good: pd.DataFrame, refuse: Callable[..., Refusal], damage: Callable
-) -> None:
+def test_simulate_refuses(tmp_path: Path, good: pd.DataFrame, refuse: Callable[..., Refusal], damage: Callable) -> None:
     path = tmp_path / "inputs.csv"
     damage(good).to_csv(path, index=False)
     said = refuse("simulate", path, "--out", tmp_path / "out.parquet")
@@ -245,7 +244,7 @@ def test_a_column_given_twice(tmp_path: Path, good: pd.DataFrame, refuse: Callab
     assert has_four_parts(said.line) and "p_im_pa" in said.line and "twice" in said.line
 
 
-@pytest.mark.parametrize("content", [b"\x00\x01\x02\xff" * 200, b"time_s,n_e_rpm\n1,2,3,4\n\"unclosed", b"\n\n\n"])
+@pytest.mark.parametrize("content", [b"\x00\x01\x02\xff" * 200, b'time_s,n_e_rpm\n1,2,3,4\n"unclosed', b"\n\n\n"])
 def test_a_file_that_is_no_csv(tmp_path: Path, refuse: Callable[..., Refusal], content: bytes) -> None:
     path = tmp_path / "drive.csv"
     path.write_bytes(content)
@@ -422,8 +421,10 @@ def test_folder_without_permission(tmp_path: Path, drive: Path, name: str) -> No
     closed = tmp_path / "closed"
     closed.mkdir()
     tmp_path.chmod(0o755)
-    for parent in list(tmp_path.parents)[:2]:
-        parent.chmod(0o755)
+    for parent in tmp_path.parents:  # down from pytest's own folder, one level deeper under xdist
+        parent.chmod(parent.stat().st_mode | 0o055)
+        if parent.name.startswith("pytest-of-"):
+            break
     closed.chmod(0o555)
     drop = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"] if os.geteuid() == 0 else []
     if drop and (shutil.which("setpriv") is None or subprocess.run(
@@ -441,3 +442,22 @@ def test_folder_without_permission(tmp_path: Path, drive: Path, name: str) -> No
     assert done.returncode == 2, done.stderr
     assert len(done.stderr.splitlines()) == 1 and "permission denied" in done.stderr
     assert list(closed.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["simulate", "identify"])
+def test_unreadable_recording(tmp_path: Path, monkeypatch, capsys, name: str) -> None:  # type: ignore[no-untyped-def]
+    """Folders above a file can be closed: even asking whether it exists is refused then."""
+    source = tmp_path / "drive.parquet"
+
+    there = Path.is_file
+
+    def refused(self: Path) -> bool:
+        if self.name != source.name:
+            return there(self)
+        raise PermissionError(errno.EACCES, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "is_file", refused)
+    arguments = ["simulate", str(source), "--out", str(tmp_path / "o.csv")]
+    assert main(arguments if name == "simulate" else ["identify", str(source), "--out", str(tmp_path / "o")]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1 and "drive.parquet" in said[0] and "permission denied" in said[0]
