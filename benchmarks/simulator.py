@@ -13,11 +13,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
+from dieseltwin.datasets import benchmark_segments
 from dieseltwin.engine import (
     DEFAULT_STEP_S,
-    INPUT_COLUMNS,
     Inputs,
     actuate,
     parameter_batch,
@@ -29,16 +28,6 @@ from dieseltwin.engine.simulate import thread_count
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
 FINE_STEP_S = 0.0005
-HISTORY_S = 2.0
-
-
-def segment(table: pd.DataFrame, start_s: float) -> tuple[Inputs, np.ndarray]:
-    """One minute of the reference driving with its history, and the initial state (3,)."""
-    rows = table["time_s"].between(start_s - HISTORY_S - 1e-9, start_s + 60.0 + 1e-9)
-    piece = table[rows]
-    history = int((piece["time_s"] < start_s - 1e-9).sum())
-    inputs = Inputs(*(piece[name].to_numpy() for name in ("time_s", *INPUT_COLUMNS)), n_history=history)
-    return inputs, piece.iloc[history][["p_im_pa", "p_em_pa", "omega_t_rad_s"]].to_numpy(dtype=float)
 
 
 def largest_error(inputs: Inputs, initial: np.ndarray, step_s: float) -> tuple[str, float]:
@@ -59,14 +48,14 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--step", type=float, default=DEFAULT_STEP_S, help="integration step [s]")
     arguments = parser.parse_args()
-    table = pd.read_csv(REFERENCE)
+    _, segments = benchmark_segments(REFERENCE, we2011.FIELD)
+    cases = [(piece.inputs, piece.measured[0, :3]) for piece in segments]  # p_im, p_em, omega_t come first in measured
 
-    for start in range(0, 300, 60):
-        inputs, initial = segment(table, float(start))
+    for piece, (inputs, initial) in zip(segments, cases, strict=True):
         column, error = largest_error(inputs, initial, arguments.step)
-        print(f"segment {start:3d}-{start + 60} s: largest error {error:.4f} % of the mean ({column})")
+        print(f"segment {piece.t0_s:3.0f}-{piece.t1_s:.0f} s: largest error {error:.4f} % of the mean ({column})")
 
-    inputs, initial = segment(table, 60.0)
+    inputs, initial = cases[1]
     actuation = actuate(inputs, we2011.FIELD, arguments.step)
     for lanes, threads in ((1, 1), (8, 1), (64, 1), (64, thread_count())):
         batch = parameter_batch(we2011.FIELD, size=lanes)
