@@ -1,0 +1,1 @@
+"""Discovery: what physics did the twin leave out? Detect, locate, name, model, prove (docs/discovery.md)."""

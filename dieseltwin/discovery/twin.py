@@ -1,0 +1,161 @@
+"""What discovery asks of a twin: parameters, insertion points with their ports, effects, and a batched simulation.
+
+Nothing here knows an engine. A twin is bound to one recording: it holds the inputs, the sample times and the windows.
+The recording is cut into windows; at the first sample of each the states start anew from local unknowns. So a long
+recording can't diverge where the machine is unstable, and what is lost is a few values per window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A free parameter of the twin (for the engine: a health parameter).
+
+    Attributes:
+        name: its name.
+        value: nominal value [unit].
+        prior_std: standard deviation of what is believed before the recording [unit]; wide.
+        unit: unit.
+        scale: size of a typical change, for differences and step limits [unit].
+    """
+
+    name: str
+    value: float
+    prior_std: float
+    unit: str
+    scale: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """An insertion point: one intermediate quantity of the model graph to which a term may be added.
+
+    Attributes:
+        name: of the quantity ("W_t", "intake_balance").
+        site: the word for the report (DISCOVERY.md, Vocabulary).
+        relative: the signal multiplies the quantity by (1 + signal); else it is added in `unit`.
+        unit: of an added signal; "-" for a relative one.
+        ports: variables of the nodes that the quantity touches; a law at this point may depend on these only.
+        scale: typical size of an added signal [unit]; 1 for a relative one.
+        tolerance: smooth relative error that is believed of the quantity's map (0 for balances) [-].
+        tolerance_over: the map's own arguments, names of variables; a tolerance is a smooth function of them.
+    """
+
+    name: str
+    site: str
+    relative: bool
+    unit: str
+    ports: tuple[str, ...]
+    scale: float = 1.0
+    tolerance: float = 0.0
+    tolerance_over: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect that the twin can simulate by name.
+
+    Attributes:
+        name, site, law, unit: for the report.
+        tolerance: smallest magnitude of interest [unit].
+        limits: physically possible magnitudes [unit]; a lower limit of 0 means one-sided.
+        smooth: the response is differentiable at 0. If not, secants are taken at `sizes`.
+        sizes: magnitudes for first differences (one for smooth effects), in `unit`.
+        kind: "sensor" effects change readings alone.
+        confused_with: names that are known to look alike.
+    """
+
+    name: str
+    site: str
+    law: str
+    unit: str
+    tolerance: float
+    limits: tuple[float, float]
+    smooth: bool = True
+    sizes: tuple[float, ...] = ()
+    kind: Literal["physics", "actuator", "input", "sensor"] = "physics"
+    confused_with: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """B simulations to run at once.
+
+    Attributes:
+        parameters: (B, P) values of `Twin.parameters` [unit].
+        local: (B, W, S) initial states of the W windows.
+        magnitudes: effect name -> (B,) magnitudes [unit]; effects not named are absent.
+        schedules: effect name -> (n,) factor of its magnitude over the samples (onset, region, drift); 1 if not named.
+        signals: point name -> (n,) signal shared by all lanes.
+        lane_points: (B,) index into `Twin.points` of the point that `lane_signals` enters, -1 for none.
+        lane_signals: (B, n) one further signal per lane.
+    """
+
+    parameters: Array
+    local: Array
+    magnitudes: Mapping[str, Array] = field(default_factory=dict)
+    schedules: Mapping[str, Array] = field(default_factory=dict)
+    signals: Mapping[str, Array] = field(default_factory=dict)
+    lane_points: NDArray[np.int64] | None = None
+    lane_signals: Array | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of lanes B."""
+        return int(self.parameters.shape[0])
+
+
+@runtime_checkable
+class Twin(Protocol):
+    """A model of a machine, bound to one recording of n samples, C channels and W windows.
+
+    Attributes:
+        channels: names of the C measured columns.
+        parameters: the P free parameters.
+        states: names of the S states that start anew in each window.
+        state_scales: (S,) typical sizes of the states, for differences.
+        points: insertion points.
+        hypotheses: effects by name.
+        time_s: (n,) sample times [s].
+        starts: (W,) index of each window's first sample, ascending, the first 0.
+        measured: (n, C) readings, NaN where missing.
+        conditions: named (n,) input columns over which regions are reported (n_e_rpm, u_delta_mg, ...).
+    """
+
+    channels: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    states: tuple[str, ...]
+    state_scales: Array
+    points: tuple[Point, ...]
+    hypotheses: Mapping[str, Hypothesis]
+    time_s: Array
+    starts: NDArray[np.int64]
+    measured: Array
+    conditions: Mapping[str, Array]
+
+    def simulate(self, lanes: Lanes) -> Array:
+        """Readings without noise, (B, n, C)."""
+        ...
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        """Every variable that ports and tolerances name, along the trajectory of lane 0: name -> (n,)."""
+        ...
+
+    def first_local(self) -> Array:
+        """First guess of the windows' initial states from the readings, (W, S)."""
+        ...
+
+
+def single(twin: Twin, parameters: Array, local: Array, **more: Any) -> Lanes:
+    """One lane."""
+    return Lanes(np.asarray(parameters, dtype=np.float64)[None], np.asarray(local, dtype=np.float64)[None], **more)
