@@ -8,6 +8,7 @@ from prefect import task
 from prefect.cache_policies import CachePolicy
 
 from tasks import run_context
+from tasks.failures import WorkerKilled
 from tasks.store import Artifact
 
 
@@ -22,9 +23,21 @@ class ContentPolicy(CachePolicy):
         return f"{step.name}-{step.key(run_context.current(), artifacts, inputs['parameters'])}"
 
 
-@task(cache_policy=ContentPolicy(), persist_result=True, result_serializer="json", cache_result_in_memory=False)
+def _was_killed(_task: Any, _run: Any, state: Any) -> bool:
+    """Whether a try ended because its process was killed from outside."""
+    return isinstance(state.data, WorkerKilled)
+
+
+@task(
+    cache_policy=ContentPolicy(),
+    persist_result=True,
+    result_serializer="json",
+    cache_result_in_memory=False,
+    retries=2,
+    retry_condition_fn=_was_killed,
+)
 def run_step(step: str, inputs: dict[str, dict[str, str]], parameters: dict[str, Any]) -> dict[str, str]:
-    """Run the step of that name. Returns its result as path and hash."""
+    """Run the step of that reference. Returns its result as path and hash."""
     context = run_context.current()
     found, artifacts = _resolve(step, inputs)
     return run_context.execute(found, context, artifacts, parameters).to_dict(context.workspace.root)
@@ -32,4 +45,4 @@ def run_step(step: str, inputs: dict[str, dict[str, str]], parameters: dict[str,
 
 def _resolve(step: str, inputs: dict[str, dict[str, str]]) -> tuple[run_context.Step, dict[str, Artifact]]:
     root = run_context.current().workspace.root
-    return run_context.STEPS[step], {name: Artifact.from_dict(value, root) for name, value in inputs.items()}
+    return run_context.find_step(step), {name: Artifact.from_dict(value, root) for name, value in inputs.items()}

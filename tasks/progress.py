@@ -121,6 +121,11 @@ class Display:
         self._remember(step, seconds)
         self.console.print(f"[green]✓[/] {label or step:<44} {seconds:7.1f} s")
 
+    def elsewhere(self, step: str, label: str, seconds: float) -> None:
+        """A step ended well in another process that shows nothing; remembers how long it took."""
+        self._remember(step, seconds)
+        self.console.print(f"[green]✓[/] {label:<44} {seconds:7.1f} s")
+
     def cached(self, label: str) -> None:
         """A step's result was there already."""
         self.console.print(f"[green]✓[/] {label:<44} [dim]already computed[/]")

@@ -14,6 +14,7 @@ under the same key, and is believed only after the files were hashed again. Step
 from __future__ import annotations
 
 import hashlib
+import importlib
 import inspect
 import json
 import os
@@ -26,6 +27,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from tasks.failures import StepFailed, WorkerKilled
 from tasks.progress import Display
 from tasks.sources import LIBRARY, LibrarySources, Sources, function_sources
 from tasks.store import RUNTIME, Artifact, Store
@@ -41,6 +43,9 @@ _ONE_THREAD = {
     "PYTHONHASHSEED": "0",
 }
 
+# Set for processes whose terminal is not the user's (workers of a cluster): they print nothing.
+QUIET_VARIABLE = "DIESELTWIN_QUIET"
+
 # Steps at a time: each uses one core.
 WORKERS = max(1, min(2, os.cpu_count() or 1))
 
@@ -52,17 +57,7 @@ TIMING = f"step/{RUNTIME}"
 STEPS: dict[str, Step] = {}
 
 _workers: set[subprocess.Popen[str]] = set()
-
-
-class StepFailed(RuntimeError):
-    """A step ended with an error; the message is one line. ``exit_code``: 2 where the user's input is wrong."""
-
-    def __init__(self, message: str, exit_code: int = 1) -> None:
-        super().__init__(message)
-        self.exit_code = exit_code
-
-    def __reduce__(self) -> tuple[type[StepFailed], tuple[str, int]]:
-        return type(self), (str(self), self.exit_code)
+_stopping = False
 
 
 @dataclass(frozen=True)
@@ -95,7 +90,9 @@ def current() -> RunContext:
     global _context
     if _context is None:
         workspace = Workspace.current()
-        _context = RunContext(workspace, Display(workspace.cache / "expected_seconds.json"))
+        display = Display(workspace.cache / "expected_seconds.json")
+        display.console.quiet = bool(os.environ.get(QUIET_VARIABLE))
+        _context = RunContext(workspace, display)
     return _context
 
 
@@ -119,6 +116,11 @@ class Step:
     expected_s: float = 5.0
     data_files: tuple[str, ...] = ()
     entries: tuple[str, ...] = ()
+
+    @property
+    def reference(self) -> str:
+        """``module:name``, by which a process that never imported the module finds the step (:func:`find_step`)."""
+        return f"{self.function.__module__}:{self.name}"
 
     def code(self, context: RunContext) -> Sources:
         """The code that the step's result rests on."""
@@ -167,8 +169,8 @@ class Step:
             refresh_cache=hit is None,
         )
         plain = {name: artifact.to_dict(context.workspace.root) for name, artifact in inputs.items()}
-        future = task.submit(self.name, plain, dict(parameters))
-        return Pending(self.title(parameters), future, context, cached=hit is not None)
+        future = task.submit(self.reference, plain, dict(parameters))
+        return Pending(self, dict(parameters), future, context, cached=hit is not None)
 
     def __call__(self, **arguments: Any) -> Artifact:
         """Run the step now, with the cache but without Prefect."""
@@ -181,7 +183,8 @@ class Step:
 class Pending:
     """A step that was submitted."""
 
-    title: str
+    step: Step
+    parameters: Mapping[str, Any]
     future: Any
     context: RunContext
     cached: bool
@@ -189,9 +192,21 @@ class Pending:
     def result(self) -> Artifact:
         """Wait; returns path and hash, checked. Raises :class:`StepFailed`."""
         artifact = Artifact.from_dict(self.future.result(), self.context.workspace.root)
+        name, title = self.step.instance(self.parameters), self.step.title(self.parameters)
         if self.cached:
-            self.context.display.cached(self.title)
+            self.context.display.cached(title)
+        elif name not in self.context.timings:  # computed by a cluster's worker
+            self.context.timings[name] = seconds_of(artifact)
+            self.context.display.elsewhere(name, title, self.context.timings[name])
         return artifact
+
+
+def find_step(reference: str) -> Step:
+    """The step of a :attr:`Step.reference`; its module is imported where it wasn't yet."""
+    module, _, name = reference.rpartition(":")
+    if name not in STEPS:
+        importlib.import_module(module)
+    return STEPS[name]
 
 
 def step(
@@ -271,6 +286,8 @@ def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], par
 
 def stop_workers() -> None:
     """Kill the workers of this process (Ctrl-C); the threads that wait for them remove their temporary folders."""
+    global _stopping
+    _stopping = True
     for worker in tuple(_workers):
         worker.kill()
 
@@ -356,7 +373,8 @@ def _failed(step: Step, context: RunContext, log: Path, failure: Mapping[str, An
         return StepFailed(f"{step.name}: {kind}: {first} (traceback in {where})")
     tail = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_LOG_TAIL_LINES:]
     last = tail[-1] if tail else "no output"
-    return StepFailed(f"{step.name}: the worker ended with status {status}: {last} (log in {where})")
+    kind = WorkerKilled if status < 0 and not _stopping else StepFailed
+    return kind(f"{step.name}: the worker ended with status {status}: {last} (log in {where})")
 
 
 def _prefect_task() -> Any:
