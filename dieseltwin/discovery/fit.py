@@ -1,0 +1,353 @@
+"""Fits of a twin with any set of effects: the health-only fit, its linearisation, and batched refits.
+
+All candidates advance together, one lane each, with the sensitivities of the linearisation (a chord method): a refit
+costs a few simulations, not a few Jacobians. The best are then fitted again with sensitivities of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dieseltwin.discovery.metric import Metric, Whitening
+from dieseltwin.discovery.noise import Noise
+from dieseltwin.discovery.twin import Array, Lanes, Twin, single
+
+_DIFFERENCE = 1e-4  # of a scale, for sensitivities
+_TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what matters, large against rounding
+_STEP_LIMIT = 2.0  # parameter scales in one step
+_CONVERGED = 0.05  # predicted decrease of the objective that counts as none
+_NULL_ROUNDS = 12
+_CHORD_ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A set of effects, each with a factor of its magnitude over time where it isn't constant."""
+
+    names: tuple[str, ...] = ()
+    schedules: Mapping[str, Array] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return " + ".join(self.names) or "health only"
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted candidate.
+
+    Attributes:
+        candidate: what was fitted.
+        parameters: (P,) free parameters [unit].
+        magnitudes: (m,) of the candidate's effects [unit].
+        local: (W, S) initial states.
+        objective: -2 log marginal likelihood up to a constant that all fits on one linearisation share.
+        converged: the last step predicted no further decrease worth naming.
+        covariance: (P + m, P + m) of parameters and magnitudes, None before it is known.
+    """
+
+    candidate: Candidate
+    parameters: Array
+    magnitudes: Array
+    local: Array
+    objective: float
+    converged: bool
+    covariance: Array | None = None
+
+    def lanes(self, **more: object) -> Lanes:
+        """One lane at the estimate."""
+        magnitudes = {name: self.magnitudes[i : i + 1] for i, name in enumerate(self.candidate.names)}
+        return single(
+            _NO_TWIN, self.parameters, self.local, magnitudes=magnitudes, schedules=self.candidate.schedules, **more
+        )
+
+    @property
+    def std(self) -> Array:
+        """(P + m,) standard deviations, NaN before they are known."""
+        if self.covariance is None:
+            return np.full(self.parameters.size + self.magnitudes.size, np.nan)
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+_NO_TWIN: Twin = None  # type: ignore[assignment]  # `single` needs none
+
+
+def _differ(fits: Sequence[Fit]) -> bool:
+    seen: dict[str, Array] = {}
+    for fit in fits:
+        for name in fit.candidate.names:
+            schedule = fit.candidate.schedules.get(name)
+            if name in seen and not _same(seen[name], schedule):
+                return True
+            seen[name] = schedule  # type: ignore[assignment]
+    return False
+
+
+def _same(a: Array | None, b: Array | None) -> bool:
+    return a is b or (a is not None and b is not None and np.array_equal(a, b))
+
+
+def _lanes_of(fits: Sequence[Fit]) -> Lanes:
+    names = list(dict.fromkeys(name for fit in fits for name in fit.candidate.names))
+    magnitudes = {name: np.zeros(len(fits)) for name in names}
+    schedules: dict[str, Array] = {}
+    for k, fit in enumerate(fits):
+        for name, value in zip(fit.candidate.names, fit.magnitudes, strict=True):
+            magnitudes[name][k] = value
+        schedules.update(fit.candidate.schedules)
+    return Lanes(
+        np.stack([fit.parameters for fit in fits]), np.stack([fit.local for fit in fits]), magnitudes, schedules
+    )
+
+
+def simulate_fits(twin: Twin, fits: Sequence[Fit]) -> Array:
+    """Readings of every fit, (len(fits), n, C); as few calls as schedules allow."""
+    out = np.empty((len(fits), *twin.measured.shape))
+    remaining = list(range(len(fits)))
+    while remaining:
+        group: list[int] = []
+        for index in remaining:
+            if not _differ([fits[i] for i in [*group, index]]):
+                group.append(index)
+        out[group] = twin.simulate(_lanes_of([fits[i] for i in group]))
+        remaining = [i for i in remaining if i not in group]
+    return out
+
+
+def _repeat(lanes: Lanes, count: int) -> Lanes:
+    return replace(
+        lanes,
+        parameters=np.repeat(lanes.parameters, count, axis=0),
+        local=np.repeat(lanes.local, count, axis=0),
+        magnitudes={name: np.repeat(value, count) for name, value in lanes.magnitudes.items()},
+    )
+
+
+def parameter_lanes(twin: Twin, fit: Fit) -> tuple[Lanes, Array]:
+    """The fit, then one lane per parameter, effect of the candidate and initial state; and the differences taken."""
+    scales = np.array([p.scale for p in twin.parameters])
+    P, m, S = len(scales), len(fit.candidate.names), len(twin.states)
+    lanes = _repeat(_lanes_of([fit]), 1 + P + m + S)
+    steps = np.empty(P + m + S)
+    for j in range(P):
+        steps[j] = _DIFFERENCE * scales[j]
+        lanes.parameters[1 + j, j] += steps[j]
+    for j, name in enumerate(fit.candidate.names):
+        steps[P + j] = effect_step(twin, name, fit.magnitudes[j])
+        lanes.magnitudes[name][1 + P + j] += steps[P + j]
+    for j in range(S):
+        steps[P + m + j] = _DIFFERENCE * twin.state_scales[j]
+        lanes.local[1 + P + m + j, :, j] += steps[P + m + j]
+    return lanes, steps
+
+
+def effect_step(twin: Twin, name: str, magnitude: float) -> float:
+    """Difference for the sensitivity to an effect's magnitude, pointing into its limits [unit]."""
+    hypothesis = twin.hypotheses[name]
+    step = _TOLERANCE_DIFFERENCE * hypothesis.tolerance if hypothesis.smooth else 0.25 * hypothesis.tolerance
+    return -step if magnitude + step > hypothesis.limits[1] else step
+
+
+class Linearisation:
+    """Sensitivities of the readings at one fit, and the metric that they make.
+
+    Attributes:
+        fit: the fit they were taken at, its objective in this metric.
+        metric: with local states and nuisances of this fit.
+        residual: (n, C) readings minus simulation.
+        jacobian: (P + m, n, C) responses to parameters and to the fit's own effects [per unit].
+        projected: (P + m, rows) the same in the metric.
+    """
+
+    def __init__(self, twin: Twin, whitening: Whitening, fit: Fit, nuisance_response: Array | None = None) -> None:
+        lanes, steps = parameter_lanes(twin, fit)
+        simulated = twin.simulate(lanes)
+        self.twin, self.whitening = twin, whitening
+        self.simulated = simulated[0]
+        self.residual = twin.measured - simulated[0]
+        differences = (simulated[1:] - simulated[0]) / steps[:, None, None]
+        known = len(twin.parameters) + len(fit.candidate.names)
+        self.jacobian = differences[:known]
+        self.local_response = differences[known:]
+        self.nuisance_response = nuisance_response
+        self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, self.nuisance_response)
+        self.projected = self.metric.project(self.jacobian)
+        self.projected_residual = self.metric.project(np.nan_to_num(self.residual)[None])[0]
+        self.precision = prior_precision(twin, len(fit.candidate.names))
+        information = self.projected @ self.projected.T + np.diag(self.precision)
+        self.covariance = np.linalg.inv(information)
+        objective = self.objective(self.projected_residual, fit.parameters)
+        self.fit = replace(fit, objective=objective, covariance=self.covariance)
+
+    def objective(self, projected: Array, parameters: Array) -> float:
+        """-2 log marginal likelihood, up to a constant of this metric."""
+        return float(projected @ projected + prior_misfit(self.twin, parameters))
+
+    def step(self) -> tuple[Array, float]:
+        """Gauss-Newton step of parameters and magnitudes, and the decrease that it predicts."""
+        offset = np.zeros(len(self.precision))
+        P = len(self.twin.parameters)
+        offset[:P] = np.array([p.value for p in self.twin.parameters]) - self.fit.parameters
+        gradient = self.projected @ self.projected_residual + self.precision * offset
+        step = self.covariance @ gradient
+        return step, float(gradient @ step)
+
+    def local_step(self, change: Array) -> Array:
+        """Change of the initial states that goes with a change of parameters and magnitudes, (W, S)."""
+        rest = np.nan_to_num(self.residual) - np.tensordot(change, self.jacobian, 1)
+        if self.nuisance_response is not None:
+            rest = rest - np.tensordot(self.metric.nuisance_estimate(rest), self.nuisance_response, 1)
+        return self.metric.local_step(rest)
+
+
+def prior_precision(twin: Twin, effects: int) -> Array:
+    """(P + m,) inverse variances of the parameters' priors; effects have none."""
+    return np.concatenate([[1.0 / p.prior_std**2 for p in twin.parameters], np.zeros(effects)])
+
+
+def prior_misfit(twin: Twin, parameters: Array) -> float:
+    """Squared distance from the priors' centres in their standard deviations."""
+    return float(sum(((x - p.value) / p.prior_std) ** 2 for x, p in zip(parameters, twin.parameters, strict=True)))
+
+
+def within_limits(twin: Twin, parameters: Array, names: Sequence[str], magnitudes: Array) -> tuple[Array, Array]:
+    """Parameters kept positive and within reason, magnitudes inside their limits."""
+    values = np.array([p.value for p in twin.parameters])
+    spans = np.array([p.prior_std for p in twin.parameters])
+    limits = np.array([twin.hypotheses[name].limits for name in names]).reshape(-1, 2)
+    parameters = np.clip(parameters, np.maximum(values - 4 * spans, 0.2 * values), values + 4 * spans)
+    return parameters, np.clip(magnitudes, limits[:, 0], limits[:, 1])
+
+
+def fit_fully(
+    twin: Twin, whitening: Whitening, start: Fit, nuisance_response: Array | None = None, rounds: int = _NULL_ROUNDS
+) -> Linearisation:
+    """Damped Gauss-Newton with sensitivities of every round; returns the linearisation at the minimum.
+
+    `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move.
+    The objective of a trial point is compared in the metric of the point before (local and nuisance directions
+    change little within a step).
+    """
+    scales = np.array([p.scale for p in twin.parameters])
+    P = len(scales)
+    here = Linearisation(twin, whitening, start, nuisance_response)
+    for _ in range(rounds):
+        step, predicted = here.step()
+        if predicted < _CONVERGED:
+            return _marked(here, True)
+        shrink = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
+        accepted = None
+        for _half in range(5):
+            change = shrink * step
+            parameters, magnitudes = within_limits(
+                twin, here.fit.parameters + change[:P], start.candidate.names, here.fit.magnitudes + change[P:]
+            )
+            moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
+            trial = replace(
+                here.fit, parameters=parameters, magnitudes=magnitudes, local=here.fit.local + here.local_step(moved)
+            )
+            residual = np.nan_to_num(twin.measured - twin.simulate(_lanes_of([trial]))[0])
+            objective = here.objective(here.metric.project(residual[None])[0], parameters)
+            if np.isfinite(objective) and objective < here.fit.objective:
+                accepted = trial
+                break
+            shrink *= 0.35
+        if accepted is None:
+            return _marked(here, predicted < 20 * _CONVERGED)
+        gained = here.fit.objective - objective
+        here = Linearisation(twin, whitening, accepted, nuisance_response)
+        if gained < _CONVERGED:
+            return _marked(here, True)
+    return _marked(here, here.step()[1] < 20 * _CONVERGED)
+
+
+def _marked(at: Linearisation, converged: bool) -> Linearisation:
+    at.fit = replace(at.fit, converged=converged)
+    return at
+
+
+def refit_all(
+    base: Linearisation, candidates: Sequence[Candidate], responses: Sequence[Array]
+) -> list[Fit]:
+    """Chord refit of many candidates at once in the metric of `base`.
+
+    Args:
+        base: the linearisation that gives metric and parameter sensitivities.
+        candidates: what to fit; they contain the effects of the base's own candidate or not.
+        responses: responses (m, n, C) of the readings to the candidates' effects [per unit].
+    """
+    twin = base.twin
+    P = len(twin.parameters)
+    count = len(candidates)
+    columns = [np.concatenate([base.jacobian[:P], np.asarray(r)]) for r in responses]
+    projected = [np.concatenate([base.projected[:P], base.metric.project(np.asarray(r))]) for r in responses]
+    precision = [prior_precision(twin, len(c.names)) for c in candidates]
+    covariance = [np.linalg.inv(a @ a.T + np.diag(b)) for a, b in zip(projected, precision, strict=True)]
+    nominal = np.array([p.value for p in twin.parameters])
+
+    best = [
+        Fit(c, base.fit.parameters, base_magnitudes(base, c), base.fit.local, base.fit.objective, False)
+        for c in candidates
+    ]
+    residuals = [np.nan_to_num(base.residual) for _ in range(count)]
+    vectors = [base.projected_residual for _ in range(count)]
+    shrink = np.ones(count)
+    active = list(range(count))
+    for _round in range(_CHORD_ROUNDS):
+        trials, predicted = [], []
+        for k in active:
+            fit = best[k]
+            offset = np.zeros(len(precision[k]))
+            offset[:P] = nominal - fit.parameters
+            gradient = projected[k] @ vectors[k] + precision[k] * offset
+            step = covariance[k] @ gradient
+            predicted.append(float(gradient @ step))
+            start = fit.magnitudes
+            change = shrink[k] * step
+            parameters, magnitudes = within_limits(
+                twin, fit.parameters + change[:P], candidates[k].names, start + change[P:]
+            )
+            moved = np.concatenate([parameters - fit.parameters, magnitudes - start])
+            rest = residuals[k] - np.tensordot(moved, columns[k], 1)
+            if base.nuisance_response is not None:
+                rest = rest - np.tensordot(base.metric.nuisance_estimate(rest), base.nuisance_response, 1)
+            trials.append(
+                replace(
+                    fit, parameters=parameters, magnitudes=magnitudes, local=fit.local + base.metric.local_step(rest)
+                )
+            )
+        simulated = simulate_fits(twin, trials)
+        new = np.nan_to_num(twin.measured[None] - simulated)
+        new_vectors = base.metric.project(new)
+        still = []
+        for i, k in enumerate(active):
+            objective = base.objective(new_vectors[i], trials[i].parameters)
+            gain = best[k].objective - objective
+            if np.isfinite(objective) and gain > 0:
+                best[k] = replace(trials[i], objective=objective, converged=gain < 1.0)
+                residuals[k], vectors[k] = new[i], new_vectors[i]
+                shrink[k] = min(1.0, 2.0 * shrink[k])
+                if gain > 0.2:
+                    still.append(k)
+            else:
+                best[k] = replace(best[k], converged=predicted[i] < 1.0)
+                shrink[k] *= 0.35
+                if predicted[i] > 0.2 and shrink[k] > 0.02:
+                    still.append(k)
+        active = still
+        if not active:
+            break
+    return [replace(fit, covariance=covariance[k]) for k, fit in enumerate(best)]
+
+
+def base_magnitudes(base: Linearisation, candidate: Candidate) -> Array:
+    """Where a candidate's magnitudes start: at the base's where it has the same effect, else at 0."""
+    known = dict(zip(base.fit.candidate.names, base.fit.magnitudes, strict=True))
+    return np.array([known.get(name, 0.0) for name in candidate.names])
+
+
+def noise_floor(noise: Noise) -> Noise:
+    """Noise with every sigma positive."""
+    return Noise(np.where(np.isfinite(noise.sigma) & (noise.sigma > 0), noise.sigma, 1.0), noise.rho)

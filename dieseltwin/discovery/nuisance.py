@@ -1,0 +1,126 @@
+"""Tolerances as directions: smooth errors of maps, gains and offsets of sensors (DISCOVERY.md, "Maps are never exact").
+
+A map's error is a Gaussian random function of the map's own arguments with a declared standard deviation and a
+correlation length of a third of the range driven. Its leading modes along the recording are the nuisance directions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dieseltwin.discovery.twin import Array, Lanes, Twin
+
+CORRELATION_LENGTH = 1.0 / 3.0
+"""Of the range of each argument (DISCOVERY.md, Proof) [-]."""
+
+_KEPT_VARIANCE = 0.985  # of a map's tolerance; the rest is below a tenth of it
+_KNOTS = 220  # points of the recording that carry the random function
+_MOST_MODES = 16
+_EDGE = 0.5  # % of the samples outside the range at either end
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One direction, scaled to one standard deviation of its prior.
+
+    Attributes:
+        label: what it stands for.
+        point: index into `Twin.points`, or None for a direction of the readings themselves.
+        signal: (n,) what enters the point.
+        response: (n, C) response of the readings, for directions of sensors.
+    """
+
+    label: str
+    point: int | None = None
+    signal: Array | None = None
+    response: Array | None = None
+
+
+def tolerance_modes(arguments: Sequence[Array], kept: float = _KEPT_VARIANCE) -> Array:
+    """Leading modes of a smooth random function of unit variance along the recording, (K, n).
+
+    Args:
+        arguments: each (n,); scaled to the range driven.
+        kept: share of the variance that the modes carry.
+    """
+    scaled = []
+    for values in arguments:
+        low, high = np.nanpercentile(values, [_EDGE, 100.0 - _EDGE])
+        span = high - low
+        scaled.append(np.clip((values - low) / span, -0.2, 1.2) if span > 0 else np.zeros_like(values))
+    x = np.stack(scaled, axis=1) / CORRELATION_LENGTH
+    knots = x[np.linspace(0, len(x) - 1, min(_KNOTS, len(x))).astype(int)]
+
+    def kernel(a: Array, b: Array) -> Array:
+        return np.exp(-0.5 * ((a[:, None, :] - b[None, :, :]) ** 2).sum(-1))
+
+    values, vectors = np.linalg.eigh(kernel(knots, knots))
+    order = np.argsort(values)[::-1]
+    values, vectors = values[order], vectors[:, order]
+    count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), kept)) + 1, _MOST_MODES)
+    return (kernel(x, knots) @ vectors[:, :count] / np.sqrt(values[:count])).T
+
+
+def map_nuisances(twin: Twin, variables: dict[str, Array], factor: float = 1.0) -> list[Nuisance]:
+    """Directions of every point's map tolerance, times `factor`."""
+    found = []
+    for index, point in enumerate(twin.points):
+        if point.tolerance > 0.0 and point.tolerance_over:
+            modes = tolerance_modes([variables[name] for name in point.tolerance_over])
+            found += [
+                Nuisance(f"map of {point.name}, mode {k + 1}", index, factor * point.tolerance * mode)
+                for k, mode in enumerate(modes)
+            ]
+    return found
+
+
+def sensor_nuisances(twin: Twin, simulated: Array, gains: Sequence[float], offsets: Sequence[float]) -> list[Nuisance]:
+    """Directions of every sensor's gain and offset, at one standard deviation each.
+
+    Args:
+        twin: gives the channels.
+        simulated: (n, C) readings of the model.
+        gains: (C,) standard deviation of each gain [-].
+        offsets: (C,) standard deviation of each offset, as a share of the channel's mean [-].
+    """
+    found = []
+    for j, name in enumerate(twin.channels):
+        for label, tolerance, direction in (
+            ("gain", gains[j], simulated[:, j]),
+            ("offset", offsets[j], np.full(len(simulated), np.mean(simulated[:, j]))),
+        ):
+            if tolerance > 0.0:
+                response = np.zeros_like(simulated)
+                response[:, j] = tolerance * direction
+                found.append(Nuisance(f"{label} of {name}", response=response))
+    return found
+
+
+def signal_responses(twin: Twin, base: Lanes, simulated: Array, points: Sequence[int], signals: Array) -> Array:
+    """Responses of the readings to signals at points, (K, n, C), by simulation next to `base` (one lane)."""
+    count = len(points)
+    if not count:
+        return np.zeros((0, *simulated.shape))
+    lanes = Lanes(
+        np.repeat(base.parameters, count, axis=0), np.repeat(base.local, count, axis=0),
+        {name: np.repeat(value, count) for name, value in base.magnitudes.items()},
+        base.schedules, base.signals, np.asarray(points, dtype=np.int64), np.ascontiguousarray(signals),
+    )  # fmt: skip
+    return twin.simulate(lanes) - simulated
+
+
+def nuisance_responses(twin: Twin, base: Lanes, simulated: Array, nuisances: Sequence[Nuisance]) -> Array:
+    """Responses (K, n, C) of the readings to every direction next to `base` (one lane), whose simulation is known."""
+    out = np.empty((len(nuisances), *simulated.shape))
+    at = [k for k, nuisance in enumerate(nuisances) if nuisance.point is not None]
+    if at:
+        points = [int(nuisances[k].point) for k in at]  # type: ignore[arg-type]
+        signals = np.stack([nuisances[k].signal for k in at])  # type: ignore[misc]
+        out[at] = signal_responses(twin, base, simulated, points, signals)
+    for k, nuisance in enumerate(nuisances):
+        if nuisance.response is not None:
+            out[k] = nuisance.response
+    return out

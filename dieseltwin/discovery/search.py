@@ -1,0 +1,317 @@
+"""The search: health-only fit, scores, refits of every competitive explanation, and the choice among them.
+
+Works on any `Twin`. Gains are decreases of -2 log marginal likelihood over the health-only fit (DISCOVERY.md, "Steps").
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from dieseltwin.discovery.features import Feature, Structure, generic_features, score_features
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, refit_all
+from dieseltwin.discovery.metric import Whitening
+from dieseltwin.discovery.noise import Noise, estimate_noise
+from dieseltwin.discovery.nuisance import map_nuisances, nuisance_responses, sensor_nuisances
+from dieseltwin.discovery.score import (
+    Chance,
+    Scored,
+    best_of_each,
+    chance,
+    effect_responses,
+    score,
+    secant_sizes,
+)
+from dieseltwin.discovery.twin import Array, Twin
+from dieseltwin.discovery.variants import Variant, best_variants
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Thresholds of the search; gains are in units of -2 log likelihood.
+
+    Attributes:
+        sensor_gain, sensor_offset: tolerance of every sensor, one standard deviation [-].
+        tolerance_factor: on the map tolerances of the twin's points.
+        alarm_level: probability of a false alarm by chance alone.
+        alarm_gain: a mismatch needs this gain at least, whatever chance says: tolerances are never quite Gaussian.
+        alarm_size: and this share of the effect's tolerance of interest.
+        second_gain: what a second effect, beyond one, must add.
+        variant_gain: what an onset or a region must add.
+        law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
+        equivalent_gain: names within this gain of the best can't be told apart (DISCOVERY.md).
+        withhold: effects that the search must do without.
+        seed: of the bootstrap.
+    """
+
+    sensor_gain: float = 0.005
+    sensor_offset: float = 0.003
+    tolerance_factor: float = 1.0
+    alarm_level: float = 1e-3
+    alarm_gain: float = 18.0
+    alarm_size: float = 0.8
+    second_gain: float = 25.0
+    variant_gain: float = 22.0
+    law_gain: float = 25.0
+    equivalent_gain: float = 9.0
+    withhold: tuple[str, ...] = ()
+    seed: int = 0
+
+
+@dataclass
+class Search:
+    """Everything that the search found out; `chosen` is the explanation, `null` the health-only fit."""
+
+    twin: Twin
+    settings: Settings
+    noise: Noise
+    whitening: Whitening
+    null: Linearisation
+    scored: list[Scored]
+    chance: Chance
+    singles: list[Fit] = field(default_factory=list)
+    pairs: list[Fit] = field(default_factory=list)
+    variants: list[tuple[Variant, Fit]] = field(default_factory=list)
+    structure: list[Structure] = field(default_factory=list)
+    best: Linearisation | None = None
+    kind: str = "healthy"
+    probabilities: dict[str, float] = field(default_factory=dict)
+    equivalent: list[tuple[str, ...]] = field(default_factory=list)
+    variant: Variant | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def gain(self, fit: Fit) -> float:
+        """Gain of a fit over the health-only fit."""
+        return self.null.fit.objective - fit.objective
+
+
+_REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
+_REFIT_AT_LEAST = 6
+_PAIRS = 10
+_POLISHED = 4  # of the best fits get sensitivities of their own
+_LEADING = 60.0  # gain within which a fit counts as leading
+
+
+def prepare(twin: Twin, settings: Settings) -> Search:
+    """Noise, health-only fit, tolerances, scores of all hypotheses: everything before a name is thought of."""
+    clock = time.perf_counter()
+    pieces = np.array([], dtype=int)
+    noise = estimate_noise(twin.measured, pieces)
+    start = Fit(
+        Candidate(), np.array([p.value for p in twin.parameters]), np.zeros(0), twin.first_local(), np.inf, False
+    )
+    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    rough = fit_fully(twin, whitening, start)
+    # correlation can only be told once the signal is explained; only the fast part of the misfit is used
+    noise = estimate_noise(twin.measured, pieces, explained=rough.simulated)
+    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    nuisance = tolerance_responses(twin, rough, settings)
+    null = fit_fully(twin, whitening, rough.fit, nuisance)
+    names = [name for name in twin.hypotheses if name not in settings.withhold]
+    wanted = secant_sizes(twin, names)
+    scored = score(null, wanted, effect_responses(twin, null, wanted))
+    found = Search(twin, settings, noise, whitening, null, scored, chance(null, scored, settings.seed))
+    found.seconds["prepare"] = time.perf_counter() - clock
+    return found
+
+
+def tolerance_responses(twin: Twin, at: Linearisation, settings: Settings) -> Array:
+    """Responses (K, n, C) to the tolerances of maps and sensors, per standard deviation."""
+    base = at.fit.lanes()
+    channels = len(twin.channels)
+    nuisances = map_nuisances(twin, twin.variables(base), settings.tolerance_factor)
+    nuisances += sensor_nuisances(
+        twin, at.simulated, [settings.sensor_gain] * channels, [settings.sensor_offset] * channels
+    )
+    return nuisance_responses(twin, base, at.simulated, nuisances)
+
+
+def run(twin: Twin, settings: Settings) -> Search:
+    """The whole search."""
+    found = prepare(twin, settings)
+    clock = time.perf_counter()
+    ranked = best_of_each(found.scored)
+    top = max(ranked[0].gain, 1e-9) if ranked else 0.0
+    kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < _REFIT_AT_LEAST]
+    fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
+    found.singles = sorted(fits, key=lambda fit: fit.objective)
+    found.singles = _polish(found, found.singles)
+    found.seconds["singles"] = time.perf_counter() - clock
+
+    clock = time.perf_counter()
+    features = generic_features(twin, found.null.fit)
+    found.structure = score_features(found.null, features)
+    found.seconds["structure"] = time.perf_counter() - clock
+    if not _alarm(found, found.singles[0]):
+        return found
+    found.kind = "single"
+    clock = time.perf_counter()
+    lead = found.singles[0]
+    first = fit_fully(twin, found.whitening, lead, found.null.nuisance_response, rounds=2)
+    found.best = first
+    _try_variants(found, ranked)
+    found.seconds["variants"] = time.perf_counter() - clock
+    clock = time.perf_counter()
+    _try_pairs(found, first)
+    found.seconds["pairs"] = time.perf_counter() - clock
+    _choose(found, first)
+    return found
+
+
+def _alarm(found: Search, fit: Fit) -> bool:
+    gain = found.gain(fit)
+    threshold = max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
+    tolerances = [found.twin.hypotheses[name].tolerance for name in fit.candidate.names]
+    large = all(
+        abs(m) >= found.settings.alarm_size * t for m, t in zip(fit.magnitudes, tolerances, strict=True)
+    )
+    return bool(gain >= threshold and large)
+
+
+def _polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:
+    """Full refits of the leading fits; the rest as they are."""
+    best = fits[0].objective
+    out = []
+    for k, fit in enumerate(fits):
+        if k < count and fit.objective < best + _LEADING and found.gain(fit) > 4.0:
+            polished = fit_fully(found.twin, found.whitening, fit, found.null.nuisance_response, rounds=3).fit
+            out.append(polished)
+        else:
+            out.append(fit)
+    return sorted(out, key=lambda fit: fit.objective)
+
+
+def _try_variants(found: Search, ranked: Sequence[Scored]) -> None:
+    """Effects that begin in the middle or act in a part of the operating range only."""
+    variants = best_variants(found.null, ranked[:8], count=5)
+    if not variants:
+        return
+    candidates = [Candidate((v.name,), {v.name: v.schedule}) for v in variants]
+    responses = [v.response[None] for v in variants]
+    fits = refit_all(found.null, candidates, responses)
+    found.variants = sorted(zip(variants, fits, strict=True), key=lambda pair: pair[1].objective)
+
+
+def _pair_gains(found: Search) -> list[tuple[float, Scored, Scored]]:
+    """Linear gain of every pair of hypotheses at the health-only fit, strongest first."""
+    items = best_of_each(found.scored)
+    vectors = np.stack([s.projected for s in items])
+    gram = vectors @ vectors.T
+    push = vectors @ found.null.projected_residual
+    sided = [found.twin.hypotheses[s.name].limits[0] >= 0.0 for s in items]
+    out = []
+    for i in range(len(items)):
+        for j in range(i + 1, len(items)):
+            a, b, c = gram[i, i], gram[j, j], gram[i, j]
+            determinant = a * b - c * c
+            if determinant < 1e-6 * a * b or a == 0.0 or b == 0.0:
+                continue
+            x = (b * push[i] - c * push[j]) / determinant
+            y = (a * push[j] - c * push[i]) / determinant
+            if (sided[i] and x < 0) or (sided[j] and y < 0):
+                continue
+            out.append((float(x * push[i] + y * push[j]), items[i], items[j]))
+    return sorted(out, key=lambda item: -item[0])
+
+
+def _try_pairs(found: Search, first: Linearisation) -> None:
+    """Two effects: the best pairs of the linear table, and what the residual of the best single asks for."""
+    names = [name for name in found.twin.hypotheses if name not in found.settings.withhold]
+    lead = first.fit.candidate.names[0]
+    wanted = secant_sizes(found.twin, [name for name in names if name != lead])
+    beyond = best_of_each(score(first, wanted, effect_responses(found.twin, first, wanted)))
+    by_name = {s.name: s for s in best_of_each(found.scored)}
+    pairs: dict[tuple[str, ...], tuple[Scored, Scored]] = {}
+    if beyond and beyond[0].gain < 0.5 * found.settings.second_gain and found.gain(found.singles[0]) > 0:
+        # nothing left to explain at the best single fit
+        enough = _pair_gains(found)[:1]
+        if not enough or enough[0][0] < found.gain(found.singles[0]) + 0.5 * found.settings.second_gain:
+            return
+    for item in beyond[: _PAIRS // 2]:
+        if item.gain > 0.4 * found.settings.second_gain:
+            key = tuple(sorted((lead, item.name)))
+            pairs[key] = (by_name[key[0]], by_name[key[1]])
+    for gain, a, b in _pair_gains(found)[:_PAIRS]:
+        if gain > found.gain(found.singles[0]) - _LEADING:
+            key = tuple(sorted((a.name, b.name)))
+            pairs[key] = (by_name[key[0]], by_name[key[1]])
+    if not pairs:
+        return
+    candidates = [Candidate(key) for key in pairs]
+    responses = [np.stack([a.response, b.response]) for a, b in pairs.values()]
+    fits = sorted(refit_all(found.null, candidates, responses), key=lambda fit: fit.objective)
+    found.pairs = _polish(found, fits, 3)
+
+
+def _choose(found: Search, first: Linearisation) -> None:
+    settings = found.settings
+    single = found.gain(found.singles[0])
+    options: list[tuple[float, str, Fit | None, Variant | None]] = [(single, "single", first.fit, None)]
+    if found.variants:
+        variant, fit = found.variants[0]
+        options.append((found.gain(fit) - settings.variant_gain, "variant", fit, variant))
+    pair = next(
+        (
+            fit
+            for fit in found.pairs
+            if all(
+                abs(m) >= settings.alarm_size * found.twin.hypotheses[name].tolerance
+                for name, m in zip(fit.candidate.names, fit.magnitudes, strict=True)
+            )
+        ),
+        None,
+    )
+    if pair is not None:
+        options.append((found.gain(pair) - settings.second_gain, "pair", pair, None))
+    score_, kind, fit, variant = max(options, key=lambda option: option[0])
+    law = found.structure[0].gain if found.structure else 0.0
+    if law > max(option[0] for option in options) + settings.law_gain:
+        found.kind = "law"
+        del score_
+        return
+    found.kind, found.variant = kind, variant
+    if fit is not None and kind != "single":
+        found.best = fit_fully(found.twin, found.whitening, fit, found.null.nuisance_response, rounds=3)
+    assert_best = found.best
+    if assert_best is None:
+        return
+    _probabilities(found, kind)
+
+
+def occam(found: Search, fit: Fit) -> float:
+    """Log evidence of a fit up to a constant: half its gain less what the precision of its magnitudes costs.
+
+    Magnitudes are believed log-uniform between their tolerance and 30 times it.
+    """
+    value = 0.5 * found.gain(fit)
+    stds = fit.std[len(found.twin.parameters) :]
+    for magnitude, std in zip(np.abs(fit.magnitudes), stds, strict=True):
+        if np.isfinite(std) and std > 0 and magnitude > 0:
+            value += float(np.log(np.sqrt(2 * np.pi) * min(std, magnitude) / (magnitude * np.log(30.0))))
+    return value
+
+
+def _probabilities(found: Search, kind: str) -> None:
+    """Probabilities of the names of the chosen kind, and who can't be told apart."""
+    pool = found.pairs if kind == "pair" else [f for _, f in found.variants] if kind == "variant" else found.singles
+    if not pool:
+        return
+    keys = [" + ".join(fit.candidate.names) for fit in pool]
+    evidence = np.array([occam(found, fit) for fit in pool])
+    weights = np.exp(evidence - logsumexp(evidence))
+    found.probabilities = {}
+    for key, weight in zip(keys, weights, strict=True):
+        found.probabilities[key] = found.probabilities.get(key, 0.0) + float(weight)
+    best = min(fit.objective for fit in pool)
+    seen: list[tuple[str, ...]] = []
+    for fit in pool:
+        if fit.objective - best < found.settings.equivalent_gain and fit.candidate.names not in seen:
+            seen.append(fit.candidate.names)
+    found.equivalent = seen
+
+
+__all__ = ["Feature", "Search", "Settings", "prepare", "replace", "run"]
