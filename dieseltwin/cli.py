@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin import __version__
+from dieseltwin.cli_challenge import challenge_app
 from dieseltwin.errors import DieselTwinError, InputError
 
 # typer carries its own copy of click and exports few of its exceptions; these are the bases of one it does export
@@ -32,6 +33,7 @@ engine_app = typer.Typer(help="Engine parameters.")
 params_app = typer.Typer(help="Settings of a run (params.yaml).")
 app.add_typer(engine_app, name="engine")
 app.add_typer(params_app, name="params")
+app.add_typer(challenge_app, name="challenge")
 
 EngineFile = Annotated[
     Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")

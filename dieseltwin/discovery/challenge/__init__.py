@@ -1,0 +1,1 @@
+"""The concealed benchmark: a plant of its own, sealed answers, a scorer and baselines (DISCOVERY.md, "Proof")."""
