@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from dieseltwin.errors import InputError
-from dieseltwin.strict import StrictModel, read_mapping, unknown_name, validate
+from dieseltwin.strict import StrictModel, overridden, read_profile, validate
 
 PARAMS_FILE = "params.yaml"
 DEFAULT_PROFILE = "quick"
@@ -355,36 +353,13 @@ def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) 
         InputError: unreadable file, unknown profile, unknown or missing key, value out of range.
     """
     path = default_params_path() if path is None else Path(path)
-    common = read_mapping(path)
-    profiles = common.pop("profiles", {}) or {}
-    if not isinstance(profiles, Mapping) or profile not in profiles:
-        raise unknown_name(f"{path}: profiles", profile, list(profiles))
-    overrides = profiles[profile] or {}
-    if not isinstance(overrides, Mapping):
-        raise InputError(f"{path}: profiles.{profile}", f"a {type(overrides).__name__}", "a mapping", "mend it")
+    common, overrides = read_profile(path, profile)
     validate(Params, {**common, "profile": profile}, str(path))
-    _refuse_new_keys(overrides, common, f"{path}: profiles.{profile}")
-    return validate(Params, {**_merged(common, overrides), "profile": profile}, f"{path}: profile {profile}")
+    settings = overridden(common, overrides, f"{path}: profiles.{profile}")
+    return validate(Params, {**settings, "profile": profile}, f"{path}: profile {profile}")
 
 
 def params_sha256(params: Params) -> str:
     """SHA-256 (hex) of the settings as canonical JSON."""
     canonical = json.dumps(params.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
-
-
-def _refuse_new_keys(overrides: Mapping[str, Any], common: Mapping[str, Any], where: str) -> None:
-    """A profile only changes what the common part has; a new name is a typing error."""
-    for key, value in overrides.items():
-        if key not in common:
-            raise unknown_name(where, str(key), [str(k) for k in common])
-        if isinstance(value, Mapping) and isinstance(common[key], Mapping):
-            _refuse_new_keys(value, common[key], f"{where}.{key}")
-
-
-def _merged(common: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    result = dict(common)
-    for key, value in overrides.items():
-        both = isinstance(value, Mapping) and isinstance(result.get(key), Mapping)
-        result[key] = _merged(result[key], value) if both else value
-    return result

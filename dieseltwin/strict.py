@@ -70,6 +70,48 @@ def read_mapping(path: str | Path) -> dict[str, Any]:
     return loaded
 
 
+def read_profile(path: Path, profile: str) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """A settings file's common part, and what its `profiles: NAME` changes.
+
+    Raises:
+        InputError: a file that `read_mapping` refuses, an unknown profile.
+    """
+    common = read_mapping(path)
+    profiles = common.pop("profiles", {}) or {}
+    if not isinstance(profiles, Mapping) or profile not in profiles:
+        raise unknown_name(f"{path}: profiles", profile, list(profiles))
+    overrides = profiles[profile] or {}
+    if not isinstance(overrides, Mapping):
+        raise InputError(f"{path}: profiles.{profile}", f"a {type(overrides).__name__}", "a mapping", "mend it")
+    return common, overrides
+
+
+def overridden(common: Mapping[str, Any], overrides: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """`common` with the values of `overrides` in place of its own, at any depth.
+
+    Raises:
+        InputError: a key that `common` doesn't have: a typing error.
+    """
+    _refuse_new_keys(overrides, common, where)
+    return _merged(common, overrides)
+
+
+def _refuse_new_keys(overrides: Mapping[str, Any], common: Mapping[str, Any], where: str) -> None:
+    for key, value in overrides.items():
+        if key not in common:
+            raise unknown_name(where, str(key), [str(k) for k in common])
+        if isinstance(value, Mapping) and isinstance(common[key], Mapping):
+            _refuse_new_keys(value, common[key], f"{where}.{key}")
+
+
+def _merged(common: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    result = dict(common)
+    for key, value in overrides.items():
+        both = isinstance(value, Mapping) and isinstance(result.get(key), Mapping)
+        result[key] = _merged(result[key], value) if both else value
+    return result
+
+
 def did_you_mean(name: str, known: Sequence[str]) -> str:
     """'did you mean eta_sc?' for the closest known names, or where to look when none is close."""
     folded = {k.lower(): k for k in known}
