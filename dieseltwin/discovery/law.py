@@ -1,0 +1,426 @@
+"""None of these -> a law: which term at which point, of what variables, explains what the twin left out.
+
+One linearisation gives the response to any signal at any point. Forms of the grammar are ranked by it with an extended
+BIC (a form pays for its coefficient and for the number of forms it was picked from), the best are refitted by
+simulation together with the twin's parameters and initial states, the linearisation is renewed with the best law
+inside, and the ranking done again, as a large effect moves the trajectory that the laws are evaluated along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, prior_precision
+from dieseltwin.discovery.grammar import Form, rounded
+from dieseltwin.discovery.law_curve import Curve, binned, law_curve
+from dieseltwin.discovery.law_ranking import Ranked, rank, shortlist
+from dieseltwin.discovery.law_responses import Linearised, Responses
+from dieseltwin.discovery.law_twin import LawTwin, Placed, without_signal
+from dieseltwin.discovery.metric import Whitening
+from dieseltwin.discovery.twin import Array, Lanes, Twin
+
+_RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)
+_CHORD_ROUNDS = 8
+_CHORD_DONE = 0.3
+_FINAL_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class Options:
+    """Settings of the search.
+
+    Attributes:
+        points: names of the points where a law is looked for; None for all.
+        refits: laws refitted by simulation after each ranking.
+        renewals: linearisations with the best law inside.
+        free_shape: estimate the exponent (threshold, time) of the best law too.
+        inflate: divide gains by the best fit's chi-square per degree of freedom where that is above 1: a real machine
+            is never explained down to its noise, and without it the largest law always wins.
+        false_law: extra score that a law must reach over no law.
+    """
+
+    points: tuple[str, ...] | None = None
+    refits: int = 6
+    renewals: int = 1
+    free_shape: bool = True
+    inflate: bool = False
+    false_law: float = 6.0
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A law that the recording can't tell from the one reported: text, site, score below the best."""
+
+    text: str
+    site: str
+    behind: float
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law found.
+
+    Attributes:
+        point, site: where it enters.
+        text: with coefficient and units.
+        form: for simulation (`LawTwin`).
+        coefficient, std, unit: of the term [unit of the point].
+        shape, shape_std: estimate of the first factor's exponent (threshold, time); None where it wasn't free.
+        argument: the variable over which `curve` shows it.
+        curve: the law and, free of it, what the recording says bin by bin.
+        domain: variable -> (low, high) over which it was seen.
+        gain: decrease of -2 log likelihood against no law.
+        score: gain less what the extended BIC charges.
+        chi2_before, chi2_after: per reading.
+        rivals: laws within 9 units.
+        parameters: (P,) of the twin, refitted with the law.
+        local: (W, S) initial states.
+    """
+
+    point: str
+    site: str
+    text: str
+    form: Form
+    coefficient: float
+    std: float
+    unit: str
+    shape: float | None
+    shape_std: float | None
+    argument: str
+    curve: Curve | None
+    domain: dict[str, tuple[float, float]]
+    gain: float
+    score: float
+    chi2_before: float
+    chi2_after: float
+    rivals: tuple[Rival, ...]
+    parameters: Array
+    local: Array
+
+    @property
+    def placed(self) -> Placed:
+        """For `LawTwin`."""
+        first = self.form.factors[:1]
+        if self.shape is not None and first:
+            changed = replace(self.form, factors=(replace(first[0], shape=self.shape), *self.form.factors[1:]))
+            return Placed(changed, self.coefficient)
+        return Placed(self.form, self.coefficient)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of a search.
+
+    Attributes:
+        law: the best one, None where none is resolved.
+        curve: without a law, the effect bin by bin over one variable at the likeliest point, or None where nothing is.
+        tried: number of forms ranked.
+        ranked: the refitted ones, best first: (text, site, score).
+    """
+
+    law: Law | None
+    curve: Curve | None
+    tried: int
+    ranked: tuple[tuple[str, str, float], ...]
+
+
+class _WithSignal:
+    """A twin with fixed signals in every simulation."""
+
+    def __init__(self, twin: Twin, signals: dict[str, Array]) -> None:
+        self._twin, self._signals = twin, signals
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._twin, name)
+
+    def simulate(self, lanes: Lanes) -> Array:
+        return self._twin.simulate(replace(lanes, signals=self._joined(lanes)))
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        return self._twin.variables(replace(lanes, signals=self._joined(lanes)))
+
+    def _joined(self, lanes: Lanes) -> dict[str, Array]:
+        joined = dict(lanes.signals)
+        for name, signal in self._signals.items():
+            joined[name] = joined.get(name, 0.0) + signal
+        return joined
+
+
+@dataclass(frozen=True)
+class _Refit:
+    ranked: Ranked
+    twin: LawTwin
+    fit: Fit
+    gain: float
+
+    @property
+    def score(self) -> float:
+        return self.gain - self.ranked.charge
+
+
+def search(
+    twin: Twin,
+    at: Linearisation,
+    nuisance_response: Array | None = None,
+    options: Options | None = None,
+) -> Found:
+    """Law that explains what is left of a fit.
+
+    Args:
+        twin: without the law; may hold effects already named (`at.fit`).
+        at: converged linearisation of that twin.
+        nuisance_response: (K, n, C) tolerance directions, as used for `at`.
+        options: settings.
+    """
+    options = options or Options()
+    base_lanes = at.fit.lanes()
+    variables = {**twin.variables(base_lanes), "time_s": twin.time_s}
+    responses = Responses(cast(Linearised, at), base_lanes)
+    ranked, tried = rank(twin, responses, variables, options.points)
+    refits: list[_Refit] = []
+    here: Linearisation = at
+    for renewal in range(options.renewals + 1):
+        known = {r.ranked.key for r in refits}
+        for item in shortlist(ranked, options.refits):
+            if item.key not in known:
+                refits.append(_refit(twin, here, at.fit.objective, item))
+        refits.sort(key=lambda r: -r.score)
+        if not refits or refits[0].score <= 0.0 or renewal == options.renewals:
+            break
+        ranked, here, responses, variables = _renewed(twin, at, refits[0], nuisance_response, options)
+    resolved = bool(refits) and _resolved(refits[0], at, options)
+    if not resolved:
+        return Found(None, _loose_curve(twin, responses, ranked, variables, at), tried, _table(twin, refits))
+    law = _report(twin, at, refits, nuisance_response, options)
+    return Found(law, None, tried, _table(twin, refits))
+
+
+def _scale(best: _Refit, at: Linearisation, options: Options) -> float:
+    """What chi-square gains are divided by."""
+    freedom = max(int(at.whitening.present.sum()) - at.residual.shape[1], 1)
+    return max((at.fit.objective - best.gain) / freedom, 1.0) if options.inflate else 1.0
+
+
+def _resolved(best: _Refit, at: Linearisation, options: Options) -> bool:
+    return best.gain / _scale(best, at, options) - best.ranked.charge > options.false_law
+
+
+def _table(twin: Twin, refits: Sequence[_Refit]) -> tuple[tuple[str, str, float], ...]:
+    return tuple((_text(twin, r), r.ranked.site, r.score) for r in refits)
+
+
+def _text(twin: Twin, refit: _Refit) -> str:
+    parts = []
+    for law, (coefficient, shape) in zip(refit.twin.laws, refit.twin.values(refit.fit.parameters), strict=True):
+        parts.append(law_text(twin, law.form, float(coefficient), None if shape is None else float(shape)))
+    return " + ".join(parts)
+
+
+def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = None, std: float | None = None) -> str:
+    """"point: +1.2e-3 kg/s (p_im/p_amb)^0.5"."""
+    point = next(p for p in twin.points if p.name == form.point)
+    if form.fixed is not None:
+        return f"{point.name} becomes {form.text(shape)} + {point.name}"
+    unit = "" if point.unit == "-" else f" {point.unit}"
+    spread = "" if std is None else f" +- {std:.2g}"
+    kind = "relative change of" if point.relative else "added to"
+    return f"{kind} {point.name}: {coefficient:.4g}{spread}{unit} {form.text(shape)}".rstrip()
+
+
+def _start(at: Linearisation, law: LawTwin) -> Fit:
+    extra = np.array([p.value for p in law.parameters[len(law.base.parameters) :]])
+    known = len(law.base.parameters)
+    return Fit(
+        at.fit.candidate, np.concatenate([at.fit.parameters[:known], extra]), at.fit.magnitudes, at.fit.local,
+        np.inf, False,
+    )  # fmt: skip
+
+
+def _refit(twin: Twin, at: Linearisation, null_objective: float, item: Ranked) -> _Refit:
+    """Chord fit of law, parameters and initial states by simulation, with the sensitivities of `at`."""
+    law = LawTwin(twin, item.placed)
+    known, extra = len(twin.parameters), len(law.parameters) - len(twin.parameters)
+    fit = _start(at, law)
+    lanes = fit.lanes()
+    steps = np.array([1e-3 * p.scale for p in law.parameters[known:]])
+    moved = np.repeat(lanes.parameters, 1 + extra, axis=0)
+    moved[np.arange(1, 1 + extra), known + np.arange(extra)] += steps
+    simulated = law.simulate(
+        replace(
+            lanes,
+            parameters=moved,
+            local=np.repeat(lanes.local, 1 + extra, axis=0),
+            magnitudes={k: np.repeat(v, 1 + extra) for k, v in lanes.magnitudes.items()},
+        )
+    )
+    own = (simulated[1:] - simulated[0]) / steps[:, None, None]
+    columns = np.concatenate([at.jacobian[:known], own])
+    projected = np.concatenate([at.projected[:known], at.metric.project(np.nan_to_num(own))])
+    precision = prior_precision(law, 0)
+    covariance = np.linalg.pinv(projected @ projected.T + np.diag(precision))
+    nominal = np.array([p.value for p in law.parameters])
+
+    def objective(vector: Array, parameters: Array) -> float:
+        return float(vector @ vector + np.sum(precision * (parameters - nominal) ** 2))
+
+    residual = np.nan_to_num(twin.measured - simulated[0])
+    vector = at.metric.project(residual[None])[0]
+    best = replace(fit, objective=objective(vector, fit.parameters))
+    shrink = 1.0
+    for _ in range(_CHORD_ROUNDS):
+        gradient = projected @ vector + precision * (nominal - best.parameters)
+        step = covariance @ gradient
+        if float(gradient @ step) < _CHORD_DONE:
+            break
+        change = shrink * step
+        parameters = best.parameters + change
+        low = np.where(nominal > 0, 0.05 * nominal, -np.inf)
+        parameters = np.maximum(parameters, low)
+        change = parameters - best.parameters
+        rest = residual - np.tensordot(change, columns, 1)
+        if at.nuisance_response is not None:
+            rest = rest - np.tensordot(at.metric.nuisance_estimate(rest), at.nuisance_response, 1)
+        trial = replace(best, parameters=parameters, local=best.local + at.metric.local_step(rest))
+        new = np.nan_to_num(twin.measured - law.simulate(trial.lanes())[0], nan=1e6)
+        new_vector = at.metric.project(new[None])[0]
+        value = objective(new_vector, parameters)
+        gain = best.objective - value
+        if np.isfinite(value) and gain > 0:
+            best, residual, vector = replace(trial, objective=value), new, new_vector
+            shrink = min(1.0, 2 * shrink)
+            if gain < _CHORD_DONE:
+                break
+        else:
+            shrink *= 0.35
+            if shrink < 0.03:
+                break
+    return _Refit(item, law, best, null_objective - best.objective)
+
+
+def _renewed(
+    twin: Twin, at: Linearisation, best: _Refit, nuisance_response: Array | None, options: Options
+) -> tuple[list[Ranked], Linearisation, Responses, dict[str, Array]]:
+    """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
+    known = len(twin.parameters)
+    signals: dict[str, Array] = {}
+    for law, signal in zip(best.twin.laws, best.twin.signals(best.fit.lanes()), strict=True):
+        signals[law.form.point] = signals.get(law.form.point, 0.0) + signal
+    fixed = cast(Twin, _WithSignal(twin, signals))
+    start = replace(best.fit, parameters=best.fit.parameters[:known])
+    here = Linearisation(fixed, at.whitening, start, nuisance_response)
+    lanes = start.lanes()
+    responses = Responses(cast(Linearised, here), lanes)
+    for name, signal in signals.items():
+        index = next(i for i, p in enumerate(twin.points) if p.name == name)
+        responses.add_to_residual(responses.signals(index, signal[None])[0])
+    variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
+    for name, signal in signals.items():
+        variables = dict(without_signal(variables, next(p for p in twin.points if p.name == name), signal))
+    ranked, _ = rank(twin, responses, variables, options.points)
+    return ranked, here, responses, variables
+
+
+def _report(
+    twin: Twin, at: Linearisation, refits: list[_Refit], nuisance_response: Array | None, options: Options
+) -> Law:
+    """Full fit of the best law, its intervals, rivals and curve."""
+    best = refits[0]
+    scale = _scale(best, at, options)
+    form = best.twin.laws[0].form
+    coefficient = float(best.twin.values(best.fit.parameters)[0][0])
+    free = options.free_shape and len(best.twin.laws) == 1 and bool(form.factors) and form.factors[0].has_free_shape
+    estimates = best.twin.values(best.fit.parameters)
+    placed = [replace(law, coefficient=float(c)) for law, (c, _) in zip(best.twin.laws, estimates, strict=True)]
+    final = _final(twin, at, placed, best.fit, nuisance_response)
+    shape = shape_std = None
+    if free:
+        loose = LawTwin(twin, [Placed(form, coefficient, free_shape=True)])
+        start = _start(at, loose)
+        begun = np.concatenate([final[1].fit.parameters, [form.factors[0].shape]])
+        start = replace(start, parameters=begun, local=final[1].fit.local)
+        freed = fit_fully(cast(Twin, loose), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
+        at_shape = len(loose.parameters) - 1
+        shape, shape_std = float(freed.fit.parameters[at_shape]), float(np.sqrt(scale) * freed.fit.std[at_shape])
+    law, lin = final
+    at_coefficient = len(twin.parameters)
+    coefficient = float(law.values(lin.fit.parameters)[0][0])
+    std = float(np.sqrt(scale) * lin.fit.std[at_coefficient])
+    lanes = lin.fit.lanes()
+    variables = {**law.variables(lanes), "time_s": twin.time_s}
+    point = next(p for p in twin.points if p.name == form.point)
+    rivals = tuple(
+        Rival(_text(twin, r), r.ranked.site, (best.score - r.score) / scale)
+        for r in refits[1:]
+        if (best.score - r.score) / scale < _RIVALS
+    )
+    names = sorted({name for placed_law in law.laws for name in placed_law.form.variables})
+    argument = form.variables[0] if form.variables else point.ports[0]
+    argument = form.factors[0].variables[0] if form.factors else argument
+    readings = int(at.whitening.present.sum())
+    text = " + ".join(
+        law_text(twin, q.form, float(c), std=std if k == 0 else None)
+        for k, (q, (c, _)) in enumerate(zip(law.laws, law.values(lin.fit.parameters), strict=True))
+    )
+    curve = _curve(twin, at, law, lin, nuisance_response, variables, argument, std / max(abs(coefficient), 1e-300))
+    return Law(
+        form.point, point.site, text, form, coefficient, std, point.unit, shape, shape_std, argument, curve,
+        {name: (float(np.min(variables[name])), float(np.max(variables[name]))) for name in names},
+        at.fit.objective - lin.fit.objective, best.score, at.fit.objective / readings, lin.fit.objective / readings,
+        rivals, lin.fit.parameters[:at_coefficient], lin.fit.local,
+    )  # fmt: skip
+
+
+def _final(
+    twin: Twin, at: Linearisation, placed: Sequence[Placed], start: Fit, nuisance_response: Array | None
+) -> tuple[LawTwin, Linearisation]:
+    law = LawTwin(twin, placed)
+    return law, fit_fully(cast(Twin, law), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
+
+
+def _curve(
+    twin: Twin, at: Linearisation, law: LawTwin, lin: Linearisation, nuisance_response: Array | None,
+    variables: dict[str, Array], argument: str, spread: float,
+) -> Curve:  # fmt: skip
+    """The law over its argument beside what the recording says bin by bin, free of it."""
+    name = law.laws[0].form.point
+    index = next(i for i, p in enumerate(twin.points) if p.name == name)
+    signal = law.signals(lin.fit.lanes())[0]
+    fixed = cast(Twin, _WithSignal(twin, {name: signal}))
+    start = replace(lin.fit, parameters=lin.fit.parameters[: len(twin.parameters)])
+    here = Linearisation(fixed, at.whitening, start, nuisance_response)
+    responses = Responses(cast(Linearised, here), start.lanes())
+    responses.add_to_residual(responses.signals(index, signal[None])[0])
+    return law_curve(twin.points[index], variables, argument, signal, spread, responses.point(index))
+
+
+def _loose_curve(
+    twin: Twin, responses: Responses, ranked: Sequence[Ranked], variables: dict[str, Array], at: Linearisation
+) -> Curve | None:
+    """The effect bin by bin over the best single variable, where it is there at all."""
+    readings = int(at.whitening.present.sum())
+    best: Curve | None = None
+    for index in dict.fromkeys(item.index for item in ranked[:20]):
+        point = twin.points[index]
+        for name in point.ports:
+            if name in variables:
+                curve = binned(point, variables, name, responses.point(index), np.log(readings))
+                if curve.score > (best.score if best else 0.0):
+                    best = curve
+    return best
+
+
+def null_fit(
+    twin: Twin, whitening: Whitening, parameters: Array | None = None, nuisance_response: Array | None = None,
+    rounds: int = 30,
+) -> Linearisation:
+    """Fit of the free parameters and initial states alone."""
+    first = np.array([p.value for p in twin.parameters]) if parameters is None else parameters
+    start = Fit(Candidate(), first, np.zeros(0), twin.first_local(), np.inf, False)
+    return fit_fully(twin, whitening, start, nuisance_response, rounds)
+
+
+__all__ = ["Found", "Law", "Options", "Rival", "law_text", "null_fit", "rounded", "search"]

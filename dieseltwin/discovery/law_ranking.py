@@ -1,0 +1,231 @@
+"""Ranking of every form at every point by its linear response, with an extended BIC; pairs and products by beam."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.discovery.grammar import Factor, Form, Variable, describe, factors, operators, unit_of
+from dieseltwin.discovery.law_responses import PointResponse, Responses
+from dieseltwin.discovery.law_twin import Placed
+from dieseltwin.discovery.twin import Array, Point, Twin
+
+_BEAM = (24, 10)  # forms of one and of two factors that are multiplied by every further one
+_KEPT = 24  # forms of a point that compete over all, and for pairs
+_PAIRS = 16
+_ALIKE = 0.9995  # correlation in the metric above which the simpler of two forms stands for both
+_OPERATOR_AMPLITUDE = (0.2, 3.0)  # an operator's coefficient is 1; its size isn't known yet
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One candidate law with its linear estimate.
+
+    Attributes:
+        index: of the point.
+        site: its word.
+        placed: one or two terms with first coefficients.
+        gain: decrease of -2 log likelihood of the linear estimate.
+        charge: what the extended BIC takes off.
+    """
+
+    index: int
+    site: str
+    placed: tuple[Placed, ...]
+    gain: float
+    charge: float
+
+    @property
+    def score(self) -> float:
+        """Gain less charge."""
+        return self.gain - self.charge
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Of the forms."""
+        return tuple(sorted(p.form.key for p in self.placed))
+
+
+@dataclass(frozen=True)
+class _Scored:
+    form: Form
+    coefficient: float
+    gain: float
+    charge: float
+    at_knots: Array
+
+    @property
+    def score(self) -> float:
+        return self.gain - self.charge
+
+
+def rank(
+    twin: Twin, responses: Responses, variables: Mapping[str, Array], points: Sequence[str] | None = None
+) -> tuple[list[Ranked], int]:
+    """Candidate laws of all points, best first, and how many forms were tried.
+
+    Args:
+        twin: gives points and ports.
+        responses: at the current fit.
+        variables: name -> (n,) along its trajectory, with `time_s`.
+        points: names of the points to try; None for all.
+    """
+    units = {**getattr(twin, "units", {}), "time_s": "s"}
+    readings = int(responses.at.whitening.present.sum())
+    out: list[Ranked] = []
+    tried = 0
+    chosen = [i for i, point in enumerate(twin.points) if points is None or point.name in points]
+    for index in chosen:
+        point = twin.points[index]
+        known = {
+            name: describe(name, np.asarray(variables[name]), unit_of(name, units))
+            for name in point.ports
+            if name in variables and np.ptp(variables[name][np.isfinite(variables[name])]) > 0
+        }
+        found, count = _of_point(
+            twin, index, point, known, responses.point(index), variables, units, readings, len(chosen)
+        )
+        tried += count
+        out += found
+    return sorted(out, key=lambda item: -item.score), tried
+
+
+def _of_point(
+    twin: Twin, index: int, point: Point, known: Mapping[str, Variable], response: PointResponse,
+    variables: Mapping[str, Array], units: Mapping[str, str], readings: int, points: int,
+) -> tuple[list[Ranked], int]:  # fmt: skip
+    pool = factors(point.ports, known)
+    each = 2.0 * np.log(max(len(pool), 2))
+    common = np.log(readings) + 2.0 * np.log(points)
+    n = len(twin.time_s)
+    at = {**variables}
+
+    def scored(forms: Sequence[Form]) -> list[_Scored]:
+        if not forms:
+            return []
+        with np.errstate(all="ignore"):
+            features = np.stack([np.broadcast_to(np.asarray(f.value(at), dtype=float), (n,)) for f in forms])
+        fine = np.all(np.isfinite(features), axis=1)
+        forms = [f for f, ok in zip(forms, fine, strict=True) if ok]
+        features = features[fine]
+        if not forms:
+            return []
+        at_knots = response.at_knots(features)
+        norms, gradients = response.norms(at_knots), response.gradients(at_knots)
+        floor = 1e-10 * np.maximum((features**2).sum(1), 1e-300)
+        out = []
+        for form, norm, gradient, own, smallest in zip(forms, norms, gradients, at_knots, floor, strict=True):
+            if norm <= smallest:
+                continue
+            amplitude = gradient / norm
+            if form.fixed is not None:
+                amplitude = float(np.clip(amplitude, *_OPERATOR_AMPLITUDE))
+            gain = 2.0 * amplitude * gradient - amplitude**2 * norm
+            charge = common + (each * len(form.factors) if form.fixed is None else 2.0 * np.log(10.0))
+            out.append(_Scored(form, float(amplitude), float(gain), float(charge), own))
+        return out
+
+    singles = scored([Form(point.name), *(Form(point.name, (f,)) for f in pool)])
+    products, everything, seen = singles, list(singles), {s.form.key for s in singles}
+    count = len(singles)
+    for beam in _BEAM:
+        best = sorted((s for s in products if s.form.factors), key=lambda s: -s.score)[:beam]
+        forms = []
+        for s in best:
+            for factor in pool:
+                if not _useful(s.form, factor):
+                    continue
+                form = Form(point.name, (*s.form.factors, factor))
+                if form.key not in seen:
+                    seen.add(form.key)
+                    forms.append(form)
+        products = []
+        for first in range(0, len(forms), 400):
+            products += _trimmed(scored(forms[first : first + 400]))
+        everything += products
+        count += len(forms)
+    own_unit = unit_of(point.name, units) if point.name in variables else "-"
+    everything += scored([Form(point.name, (f,), 1.0) for f in operators(point.name, own_unit, point.relative)])
+    kept = _distinct(response, sorted(everything, key=lambda s: -s.score)[: 3 * _KEPT])
+    ranked = [Ranked(index, point.site, (_placed(s),), s.gain, s.charge) for s in kept]
+    ranked += _pairs(index, point, response, [s for s in kept if s.form.fixed is None][:_PAIRS], readings)
+    return ranked, count
+
+
+def _trimmed(items: list[_Scored]) -> list[_Scored]:
+    return sorted(items, key=lambda s: -s.score)[: 2 * _KEPT]
+
+
+def _placed(s: _Scored) -> Placed:
+    if s.form.fixed is not None:
+        return Placed(s.form, s.form.fixed, free_shape=s.form.factors[0].has_free_shape)
+    return Placed(s.form, s.coefficient or 1e-12)
+
+
+def _useful(form: Form, factor: Factor) -> bool:
+    """Products of two powers of one variable, or of the same factor, say nothing new."""
+    for own in form.factors:
+        if own.variables == factor.variables and own.kind == factor.kind:
+            return False
+        if {own.kind, factor.kind} <= {"power", "signed_power"} and own.variables == factor.variables:
+            return False
+    return True
+
+
+def _distinct(response: PointResponse, items: Sequence[_Scored]) -> list[_Scored]:
+    """Forms that differ in the metric: of those alike the best (simplest) stays."""
+    if not items:
+        return []
+    stack = np.stack([s.at_knots for s in items])
+    products = response.products(stack, stack)
+    norms = np.sqrt(np.maximum(np.diag(products), 1e-300))
+    correlation = np.abs(products / norms[:, None] / norms[None, :])
+    kept: list[int] = []
+    for i in range(len(items)):
+        if all(correlation[i, j] < _ALIKE for j in kept):
+            kept.append(i)
+        if len(kept) == _KEPT:
+            break
+    return [items[i] for i in kept]
+
+
+def _pairs(
+    index: int, point: Point, response: PointResponse, items: Sequence[_Scored], readings: int
+) -> list[Ranked]:
+    """Sums of two terms at one point, exhaustively among its best forms."""
+    if len(items) < 2:
+        return []
+    stack = np.stack([s.at_knots for s in items])
+    products, gradients = response.products(stack, stack), response.gradients(stack)
+    out = []
+    for i in range(len(items)):
+        for j in range(i + 1, len(items)):
+            block = products[np.ix_([i, j], [i, j])]
+            if block[0, 1] ** 2 > 0.999 * block[0, 0] * block[1, 1]:
+                continue
+            amplitude = np.linalg.solve(block, gradients[[i, j]])
+            gain = float(amplitude @ gradients[[i, j]])
+            charge = items[i].charge + items[j].charge - 2.0 * np.log(2.0)
+            if gain - charge > max(items[i].score, items[j].score):
+                placed = tuple(Placed(items[k].form, float(a)) for k, a in zip((i, j), amplitude, strict=True))
+                out.append(Ranked(index, point.site, placed, gain, charge))
+    return sorted(out, key=lambda item: -item.score)[:3]
+
+
+def shortlist(ranked: Sequence[Ranked], count: int, of_one_point: int = 3) -> list[Ranked]:
+    """The best few, not all of one point, so that the non-linear refit can correct the linear choice of the site."""
+    out: list[Ranked] = []
+    used: dict[int, int] = {}
+    for item in ranked:
+        if item.score > 0.0 and used.get(item.index, 0) < of_one_point:
+            out.append(item)
+            used[item.index] = used.get(item.index, 0) + 1
+        if len(out) == count:
+            break
+    return out
+
+
+__all__ = ["Ranked", "rank", "shortlist"]

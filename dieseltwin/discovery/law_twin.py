@@ -1,0 +1,183 @@
+"""A twin with a law inside: its coefficient and free shape are further parameters, so that every fit works on it.
+
+Twins that can evaluate a law at every moment do so (`simulate_with_laws`). For others the law becomes a signal, found
+by simulating, evaluating the law along the trajectory and simulating again until it settles (Picard). Either way the
+law is refitted by simulation, never on derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.discovery.grammar import Form
+from dieseltwin.discovery.twin import Array, Lanes, Parameter, Twin
+
+_SETTLED = 1e-7  # change of a signal relative to its size that counts as settled
+_PICARD_ROUNDS = 12
+_PICARD_BESIDE = 3  # rounds for lanes beside the first: they start where it settled
+_LOOSE = 10.0  # prior standard deviation of a coefficient, relative to its first estimate: says nothing
+_SHAPE_STD = 0.5  # of an exponent around its first value; of other shapes relative to their value
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A form at its point with first values.
+
+    Attributes:
+        form: what enters.
+        coefficient: first estimate [unit of the point].
+        free_shape: the first factor's shape is estimated too.
+    """
+
+    form: Form
+    coefficient: float
+    free_shape: bool = False
+
+
+class LawTwin:
+    """A twin to which laws are added; satisfies `dieseltwin.discovery.twin.Twin`.
+
+    Coefficients keep the sign of their first estimate: the parameter is their size.
+
+    Args:
+        base: the twin without the laws.
+        laws: what to add.
+    """
+
+    def __init__(self, base: Twin, laws: Sequence[Placed]) -> None:
+        self.base, self.laws = base, tuple(laws)
+        self._points = {point.name: point for point in base.points}
+        extra: list[Parameter] = []
+        for k, law in enumerate(self.laws):
+            size = abs(law.coefficient)
+            if law.form.fixed is None:
+                unit = self._points[law.form.point].unit
+                extra.append(Parameter(f"law_{k + 1}", size, _LOOSE * size, unit, size))
+            if law.free_shape:
+                shape = law.form.factors[0].shape
+                spread = _SHAPE_STD if law.form.factors[0].kind in ("power", "signed_power", "ratio") else 0.5 * shape
+                extra.append(Parameter(f"shape_{k + 1}", shape, abs(spread), "-", 0.1 * abs(shape)))
+        self.parameters = (*base.parameters, *extra)
+        self.channels, self.states, self.state_scales = base.channels, base.states, base.state_scales
+        self.points, self.hypotheses, self.time_s = base.points, base.hypotheses, base.time_s
+        self.starts, self.measured, self.conditions = base.starts, base.measured, base.conditions
+        self._instant = hasattr(base, "simulate_with_laws") and not any(law.form.operator for law in self.laws)
+        self._settled: list[Array] | None = None
+
+    def first_local(self) -> Array:
+        """As the base's."""
+        return self.base.first_local()
+
+    def values(self, parameters: Array) -> list[tuple[Any, Any]]:
+        """Coefficient and shape (None if not free) of every law from parameters (..., P)."""
+        at, out = len(self.base.parameters), []
+        for law in self.laws:
+            coefficient: Any = law.form.fixed
+            if coefficient is None:
+                coefficient = np.sign(law.coefficient) * parameters[..., at]
+                at += 1
+            shape = None
+            if law.free_shape:
+                shape = parameters[..., at]
+                at += 1
+            out.append((coefficient, shape))
+        return out
+
+    def _base_lanes(self, lanes: Lanes) -> Lanes:
+        return replace(lanes, parameters=lanes.parameters[:, : len(self.base.parameters)])
+
+    def simulate(self, lanes: Lanes) -> Array:
+        """Readings without noise, (B, n, C)."""
+        if self._instant:
+            return self.base.simulate_with_laws(self._base_lanes(lanes), self._terms(lanes.parameters))  # type: ignore[attr-defined]
+        out = np.empty((lanes.size, *self.measured.shape))
+        for b in range(lanes.size):
+            lane = one_lane(lanes, b)
+            signals, _ = self._settle(lane, _PICARD_ROUNDS if b == 0 else _PICARD_BESIDE, keep=b == 0)
+            out[b] = self.base.simulate(self._with_signals(lane, signals))[0]
+        return out
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        """Along the trajectory of lane 0."""
+        lane = one_lane(lanes, 0)
+        if self._instant:
+            return self.base.variables(self._base_lanes(lane), self._terms(lane.parameters))  # type: ignore[call-arg]
+        return self._settle(lane)[1]
+
+    def _terms(self, parameters: Array) -> Mapping[str, list[Any]]:
+        terms: dict[str, list[Any]] = {}
+        for law, (coefficient, shape) in zip(self.laws, self.values(parameters), strict=True):
+
+            def term(at: Mapping[str, Any], law: Placed = law, c: Any = coefficient, s: Any = shape) -> Any:
+                c = c if np.ndim(c) == 0 else np.asarray(c)[:, None]
+                return c * law.form.value(at, s if s is None else np.asarray(s)[:, None])
+
+            terms.setdefault(law.form.point, []).append(term)
+        return terms
+
+    def _with_signals(self, lane: Lanes, signals: Sequence[Array]) -> Lanes:
+        total = dict(lane.signals)
+        for law, signal in zip(self.laws, signals, strict=True):
+            total[law.form.point] = total.get(law.form.point, 0.0) + signal
+        return replace(self._base_lanes(lane), signals=total)
+
+    def _settle(
+        self, lane: Lanes, rounds: int = _PICARD_ROUNDS, keep: bool = True
+    ) -> tuple[list[Array], dict[str, Array]]:
+        """Signals of the laws along their own trajectory, and the variables there; starts where the last kept ended."""
+        n = len(self.time_s)
+        signals = self._settled or [np.zeros(n) for _ in self.laws]
+        variables: dict[str, Array] = {}
+        for _ in range(rounds):
+            variables = self.base.variables(self._with_signals(lane, signals))
+            variables.setdefault("time_s", self.time_s)
+            new = []
+            for law, signal, (c, s) in zip(self.laws, signals, self.values(lane.parameters[0]), strict=True):
+                at = without_signal(variables, self._points[law.form.point], signal)
+                new.append(np.nan_to_num(c * np.broadcast_to(law.form.value(at, s), (n,))))
+            change = max(
+                float(np.max(np.abs(a - b)) / max(np.max(np.abs(a)), 1e-300)) for a, b in zip(new, signals, strict=True)
+            )
+            signals = new
+            if change < _SETTLED:
+                break
+        if keep and all(np.all(np.isfinite(signal)) for signal in signals):
+            self._settled = signals
+        return signals, variables
+
+    def signals(self, lanes: Lanes) -> list[Array]:
+        """What each law adds at its point along the trajectory of lane 0, (n,) each."""
+        variables: Mapping[str, Array] = {**self.variables(lanes), "time_s": self.time_s}
+        if not self._instant:
+            return list(self._settled or [])
+        out = []
+        for law, (c, s) in zip(self.laws, self.values(lanes.parameters[0]), strict=True):
+            name = law.form.point
+            before = {**variables, name: variables[f"{name}:before"]} if f"{name}:before" in variables else variables
+            out.append(np.broadcast_to(c * law.form.value(before, s), self.time_s.shape).copy())
+        return out
+
+
+def without_signal(variables: Mapping[str, Array], point: Any, signal: Array) -> Mapping[str, Array]:
+    """Variables where the point's own quantity is as the twin computes it before the signal enters."""
+    if point.name not in variables:
+        return variables
+    own = variables[point.name]
+    return {**variables, point.name: own / (1.0 + signal) if point.relative else own - signal}
+
+
+def one_lane(lanes: Lanes, index: int) -> Lanes:
+    """Lane `index` alone."""
+    some = slice(index, index + 1)
+    return replace(
+        lanes,
+        parameters=lanes.parameters[some],
+        local=lanes.local[some],
+        magnitudes={name: value[some] for name, value in lanes.magnitudes.items()},
+        lane_points=None if lanes.lane_points is None else lanes.lane_points[some],
+        lane_signals=None if lanes.lane_signals is None else lanes.lane_signals[some],
+    )
