@@ -13,6 +13,7 @@ from typing import Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
+from dieseltwin.config_discovery import DiscoverConfig, PromotionConfig, ProofConfig
 from dieseltwin.strict import StrictModel, overridden, read_profile, validate
 
 PARAMS_FILE = "params.yaml"
@@ -328,6 +329,9 @@ class Params(StrictModel):
     pretrain: PretrainConfig
     identify: IdentifyConfig
     evaluate: EvaluateConfig
+    promotion: PromotionConfig
+    discover: DiscoverConfig
+    proof: ProofConfig
     report: ReportConfig
 
     @property

@@ -1,4 +1,4 @@
-"""The whole chain on a schedule: ``python -m flows.retrain --serve`` (once now: without ``--serve``)."""
+"""The whole chain and the registry, on a schedule (``python -m flows.retrain --serve``) or once, now."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sys
 
 from prefect import flow
 
+from flows.promote import promote
 from flows.run import run
 from tasks.launch import launch, serve
 from tasks.settings import DEFAULT_PROFILE
@@ -14,8 +15,10 @@ from tasks.settings import DEFAULT_PROFILE
 
 @flow(name="retrain", description=__doc__)
 def retrain(profile: str) -> None:
-    """What changed since the last time is computed again: new data, new settings, new code."""
+    """What changed since the last time is computed again: new data, new settings, new code. New networks become a
+    version of the registry, and the one in use unless they are worse."""
     run(profile)
+    promote(profile)
 
 
 def main() -> int:

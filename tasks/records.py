@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tasks.registry import Decision, Version
 from tasks.run_context import current, seconds_of
 from tasks.store import Artifact
 from tasks.tracking import Curve, Record, Tracker, flat, view
@@ -24,6 +25,8 @@ EXPERIMENTS = {
     "`A_egrmax`, `A_vgtmax`, `eta_sc`, `h_tot` are pooled estimates (SI units), `…_std` their standard deviation, "
     "`…_error_pct` the deviation from the truth, `…_ratio_to_bound` the error over the Cramér-Rao bound. Runs nested "
     "below a method are its members. `comparison` holds the HTML report.",
+    "promote": "Trained networks against the ones in use: relative L2 error in per cent on validation driving, "
+    "`mean_ratio` is the geometric mean of new / in use. The versions are under Models.",
 }
 
 
@@ -48,6 +51,7 @@ VIEWS = {
         ],
         ["runs"],
     ),
+    "promote": view(["mean_ratio", "worst_ratio", "version"], ["decision"]),
 }
 
 
@@ -62,9 +66,13 @@ def warm_up() -> None:
         tracker.experiment(name, EXPERIMENTS[name], VIEWS[name])
 
 
-def _log(experiment: str, *records: Record) -> None:
-    tracker = _tracker()
-    experiment_id = tracker.experiment(experiment, EXPERIMENTS[experiment], VIEWS[experiment])
+def experiment(name: str) -> str:
+    """Id of the flow's experiment, made on first use."""
+    return _tracker().experiment(name, EXPERIMENTS[name], VIEWS[name])
+
+
+def _log(name: str, *records: Record) -> None:
+    tracker, experiment_id = _tracker(), experiment(name)
     for record in records:
         tracker.log(experiment_id, record)
 
@@ -201,6 +209,32 @@ def identified(
         )
     )
     _log("identify", *records)
+
+
+def promoted(
+    version: Version,
+    figures: Mapping[str, float],
+    before: Mapping[str, float] | None,
+    decision: Decision,
+    settings: Mapping[str, Any],
+) -> None:
+    """Log a comparison of new networks with those in use."""
+    ratios: dict[str, float | None] = {"mean_ratio": decision.mean_ratio, "version": float(version.number)}
+    if decision.worst is not None:
+        ratios["worst_ratio"] = decision.worst[1]
+    metrics = {f"new_error_pct/{name}": value for name, value in figures.items()}
+    metrics |= {f"champion_error_pct/{name}": value for name, value in (before or {}).items()}
+    _log(
+        "promote",
+        Record(
+            f"version {version.number}",
+            _identity("promote", version.sha256, dict(before or {}), decision.reason),
+            params={"decision": "promoted" if decision.promoted else "refused", "reason": decision.reason}
+            | flat(settings["promotion"]),
+            metrics={name: value if value is None else round(value, 5) for name, value in (metrics | ratios).items()},
+            tags={"profile": settings["profile"]},
+        ),
+    )
 
 
 def _shown(metric: str, value: float | None) -> float | None:

@@ -17,7 +17,7 @@ import importlib
 import inspect
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
@@ -27,7 +27,7 @@ from typing import Any
 LIBRARY = "dieseltwin"
 
 # Modules of declarations: of these only the imported names and what they use count.
-_DECLARATIONS = frozenset({"config", "symbols"})
+_DECLARATIONS = frozenset({"config", "config_discovery", "symbols"})
 
 _WHOLE = "*"
 
@@ -72,7 +72,7 @@ class LibrarySources:
             if "__pycache__" not in path.parts
         }
         self._trees: dict[str, ast.Module] = {}
-        self._imported: dict[str, dict[str, set[str]]] = {}
+        self._imported: dict[tuple[str, frozenset[str]], dict[str, set[str]]] = {}
         self._digests: dict[tuple[str, frozenset[str]], str] = {}
 
     @property
@@ -95,21 +95,23 @@ class LibrarySources:
         for name in todo:
             if name not in self._files:
                 raise ModuleNotFoundError(f"no module {name!r} below {self.package}; entries: {sorted(todo)}")
-        inside: set[str] = set()
+        inside: dict[str, frozenset[str]] = {}
         outside: set[str] = set()
         while todo:
             name = todo.pop()
-            if name in inside:
+            taken = frozenset(names[name])
+            # More names of a module of declarations may import more.
+            if name in inside and (inside[name] == taken or not self._is_sliced(name, taken)):
                 continue
-            inside.add(name)
-            for module, imported in self._imports(name).items():
+            inside[name] = taken
+            for module, imported in self._imports(name, taken).items():
                 if module in self._files:
                     todo.append(module)
                     names.setdefault(module, set()).update(imported)
                 else:
                     outside.add(module)
         modules = {name: self._digest(name, names[name]) for name in inside}
-        for name in sorted({parent for module in inside for parent in _parents(module)} - inside):
+        for name in sorted({parent for module in inside for parent in _parents(module)} - set(inside)):
             # A parent package's __init__ runs too, but its re-exports aren't used: only its own statements count.
             if name in self._files:
                 statements = [node for node in self._tree(name).body if not _is_inert(node)]
@@ -119,8 +121,12 @@ class LibrarySources:
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
         return Sources(modules=modules, packages=_versions(frozenset(outside)), python=version)
 
+    def _is_sliced(self, name: str, imported: Collection[str]) -> bool:
+        """Whether only the imported names of that module count."""
+        return name.removeprefix(f"{self.package}.") in _DECLARATIONS and _WHOLE not in imported
+
     def _digest(self, name: str, imported: set[str]) -> str:
-        sliced = name.removeprefix(f"{self.package}.") in _DECLARATIONS and _WHOLE not in imported
+        sliced = self._is_sliced(name, imported)
         key = (name, frozenset(imported) if sliced else frozenset())
         if key not in self._digests:
             tree = self._tree(name)
@@ -134,12 +140,18 @@ class LibrarySources:
             self._trees[name] = ast.parse(self._files[name].read_text(encoding="utf-8"))
         return self._trees[name]
 
-    def _imports(self, name: str) -> dict[str, set[str]]:
-        """What ``name`` imports, as :func:`imported_names` gives it."""
-        if name not in self._imported:
-            is_package = self._files[name].name == "__init__.py"
-            self._imported[name] = imported_names(self._tree(name), name, is_package, frozenset(self._files))
-        return self._imported[name]
+    def _imports(self, name: str, taken: frozenset[str]) -> dict[str, set[str]]:
+        """What ``name`` imports for the names that are taken from it, as :func:`imported_names` gives it."""
+        sliced = self._is_sliced(name, taken)
+        key = (name, taken if sliced else frozenset())
+        if key not in self._imported:
+            tree, is_package = self._tree(name), self._files[name].name == "__init__.py"
+            if sliced:
+                imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+                tree = ast.Module(body=[*imports, *_used_definitions(tree, set(taken))], type_ignores=[])
+            found = imported_names(tree, name, is_package, frozenset(self._files))
+            self._imported[key] = {module: names for module, names in found.items() if not sliced or names != {""}}
+        return self._imported[key]
 
 
 def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[str]) -> dict[str, set[str]]:

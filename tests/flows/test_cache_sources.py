@@ -97,6 +97,24 @@ def test_of_the_settings_only_the_imported_models_count(library: Path) -> None:
         assert digest(library, "toylib.user") != before
 
 
+def test_a_section_in_a_module_of_its_own_counts_for_whom_imports_it(library: Path) -> None:
+    (library / "toylib" / "config.py").write_text(
+        "from .config_discovery import Proof\n\nclass Maps:\n    a = 1\n\n"
+        "class Params:\n    proof: Proof\n    maps: Maps\n"
+    )
+    section = library / "toylib" / "config_discovery.py"
+    section.write_text("class Proof:\n    n = 1\n")
+    (library / "toylib" / "maps.py").write_text("from .config import Maps\n\ndef f():\n    return Maps\n")
+    (library / "toylib" / "all.py").write_text(
+        "from .config import Maps\nfrom .maps import f\nfrom .config import Params\n\n"
+        "def g():\n    return Params, Maps, f\n"
+    )
+    before = digest(library, "toylib.maps"), digest(library, "toylib.all")
+    section.write_text("class Proof:\n    n = 2\n")
+    after = digest(library, "toylib.maps"), digest(library, "toylib.all")
+    assert after[0] == before[0] and after[1] != before[1]
+
+
 def test_imports_for_type_checkers_do_not_count(library: Path) -> None:
     (library / "toylib" / "user.py").write_text(
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from toylib.report import COLOUR\n"

@@ -99,6 +99,43 @@ def test_a_second_run_computes_nothing_and_changes_nothing(finished: tuple[Path,
 
 
 @pytest.mark.flow
+def test_trained_networks_become_a_version_and_stay_in_use_against_worse_ones(
+    finished: tuple[Path, set[str]], tmp_path: Path
+) -> None:
+    from flows.promote import promote
+    from tasks.registry import CHALLENGER, CHAMPION, Registry
+    from tasks.tracking import Tracker
+
+    for name in ("data", "models", ".cache"):
+        shutil.copytree(finished[0] / name, tmp_path / name)
+    tiny_settings.write_params(tmp_path)
+    registry = Registry(Tracker(Workspace(tmp_path)))
+    new_context(tmp_path)
+    assert promote("tiny")
+    first = registry.version(CHAMPION)
+    assert first is not None and first.sha256 == content_hash(tmp_path / "models")
+    again = new_context(tmp_path)
+    assert promote("tiny") and not again.timings and registry.version(CHAMPION) == first
+
+    from dieseltwin.surrogates.bodies import Bodies
+
+    path = tmp_path / "models" / "bodies_conditioned.pt"
+    worse = Bodies.load(path)
+    for body in worse.values():
+        for weights in body.network.parameters():
+            weights.data.mul_(0.1)  # a nearly constant basis
+    worse.save(path)
+    new_context(tmp_path)
+    assert not promote("tiny")
+    refused = registry.version(CHALLENGER)
+    assert registry.version(CHAMPION) == first and refused is not None and refused.number == 2
+    # What today's code can't read doesn't stay in use for ever; the refused ones do better then.
+    (first.path / "operators.pt").unlink()
+    new_context(tmp_path)
+    assert promote("tiny") and registry.version(CHAMPION) == refused
+
+
+@pytest.mark.flow
 def test_published_folders_are_made_again_from_the_cache(finished: tuple[Path, set[str]]) -> None:
     """DVC deletes a stage's outs before it runs the stage; and somebody may spoil a file."""
     from flows.simulate import simulate as simulate_flow

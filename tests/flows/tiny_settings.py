@@ -28,6 +28,7 @@ TINY = {
             "conditioned": {"epochs": 3, "lbfgs_steps": 2},
         },
     },
+    "promotion": {"minutes": 3.0},
     "identify": {
         "runs": 2,
         "minutes": 1.0,

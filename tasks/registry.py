@@ -1,0 +1,174 @@
+"""MLflow's model registry: every set of trained networks is a version, the one in use carries the alias ``champion``.
+
+A version is known by the hash of its files, so registering the same networks again changes nothing. Promotion compares
+validation figures (errors in per cent, smaller is better) of the new version with the champion's, both on the same
+driving: the new one takes the alias unless it is worse. The one before keeps the alias ``previous``, to go back to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tasks.store import Artifact, content_hash
+from tasks.tracking import Record, Tracker
+
+NAME = "dieseltwin-networks"
+CHAMPION, PREVIOUS, CHALLENGER = "champion", "previous", "challenger"
+
+_DESCRIPTION = (
+    "Everything that is learned from laboratory data: empirical maps, actuator operators, multi-head bodies. The alias "
+    f"`{CHAMPION}` marks the version in use; tags say why a version got it or not."
+)
+_HASH = "dieseltwin.sha256"
+_FOLDER = "networks"
+_SCHEME = "mlflow-artifacts:/"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether a version takes over, and the figures behind it.
+
+    Attributes:
+        promoted: it takes the alias.
+        reason: one sentence.
+        mean_ratio: geometric mean over the figures of new / champion [-]; None without a champion.
+        worst: name of the figure with the largest ratio, and that ratio [-].
+    """
+
+    promoted: bool
+    reason: str
+    mean_ratio: float | None = None
+    worst: tuple[str, float] | None = None
+
+
+def decide(
+    new: Mapping[str, float], champion: Mapping[str, float] | None, *, mean_ratio_max: float, worst_ratio_max: float
+) -> Decision:
+    """Compare validation figures (name -> error, positive, smaller is better).
+
+    Args:
+        new: of the new version.
+        champion: of the champion on the same driving; None where there is none or today's code can't read it.
+        mean_ratio_max: geometric mean of new / champion up to which the new one is "not worse" [-].
+        worst_ratio_max: the same for each figure alone [-].
+    """
+    wrong = sorted(name for name, value in new.items() if not (math.isfinite(value) and value >= 0.0))
+    if wrong or not new:
+        return Decision(False, f"no valid figure for {', '.join(wrong)}" if wrong else "no figures")
+    if champion is None:
+        return Decision(True, "no champion that could be compared")
+    missing = sorted(set(champion) - set(new))
+    if missing:
+        return Decision(False, f"the champion has figures that the new version lacks: {', '.join(missing)}")
+    ratios = {name: _ratio(new[name], champion[name]) for name in champion}
+    mean = math.exp(sum(math.log(ratio) for ratio in ratios.values()) / len(ratios))
+    name, worst = max(ratios.items(), key=lambda item: item[1])
+    words = f"errors are {mean:.3f} of the champion's in the mean, {name} {worst:.3f}"
+    if mean > mean_ratio_max:
+        return Decision(False, f"{words}; in the mean at most {mean_ratio_max:g}", mean, (name, worst))
+    if worst > worst_ratio_max:
+        return Decision(False, f"{words}; each at most {worst_ratio_max:g}", mean, (name, worst))
+    return Decision(True, words, mean, (name, worst))
+
+
+_SMALLEST = 1e-12  # errors below it [%] count as equal
+
+
+def _ratio(new: float, old: float) -> float:
+    return max(new, _SMALLEST) / max(old, _SMALLEST)
+
+
+@dataclass(frozen=True)
+class Version:
+    """A registered version: its number, its folder, the hash of its files."""
+
+    number: int
+    path: Path
+    sha256: str
+
+    @property
+    def artifact(self) -> Artifact:
+        """Its folder as a step's input."""
+        return Artifact(self.path, self.sha256)
+
+
+class Registry:
+    """The versions of one workspace."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        self.tracker = tracker
+
+    @property
+    def client(self) -> Any:
+        """MLflow's client, with the registered model made on first use."""
+        from mlflow.exceptions import MlflowException
+
+        client = self.tracker.client
+        try:
+            client.get_registered_model(NAME)
+        except MlflowException as error:
+            if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+                raise
+            client.create_registered_model(NAME, description=_DESCRIPTION)
+        return client
+
+    def version(self, alias: str) -> Version | None:
+        """The version of an alias; None where there is none or where its files are gone or changed."""
+        from mlflow.exceptions import MlflowException
+
+        try:
+            found = self.client.get_model_version_by_alias(NAME, alias)
+        except MlflowException:
+            return None
+        return self._checked(found)
+
+    def register(self, models: Artifact, experiment_id: str, tags: Mapping[str, str]) -> Version:
+        """The version of these networks, made if it is new; its files are copied beside MLflow's other artifacts."""
+        for known in self.client.search_model_versions(f"name='{NAME}'"):
+            if known.tags.get(_HASH) == models.sha256:
+                version = self._checked(known)
+                if version is not None:
+                    return version
+        files = {f"{_FOLDER}/{path.relative_to(models.path).as_posix()}": path for path in _files(models.path)}
+        record = Record(
+            "networks", f"registry {models.sha256}", artifacts=files, tags=dict(tags), description="Files of a version."
+        )
+        run_id = self.tracker.log(experiment_id, record)
+        source = f"{self.client.get_run(run_id).info.artifact_uri}/{_FOLDER}"
+        made = self.client.create_model_version(NAME, source, run_id, tags={_HASH: models.sha256, **tags})
+        version = self._checked(made)
+        if version is None:
+            raise OSError(f"version {made.version} of {NAME}: its files don't agree with {models.path}")
+        return version
+
+    def record(self, version: Version, decision: Decision) -> None:
+        """Set aliases and tags. Before the alias moves, the champion becomes ``previous``."""
+        number = str(version.number)
+        tags = {"decision": "promoted" if decision.promoted else "refused", "reason": decision.reason}
+        if decision.mean_ratio is not None:
+            tags["mean_ratio"] = f"{decision.mean_ratio:.4f}"
+        for key, value in tags.items():
+            self.client.set_model_version_tag(NAME, number, key, value)
+        if not decision.promoted:
+            self.client.set_registered_model_alias(NAME, CHALLENGER, number)
+            return
+        before = self.client.get_registered_model(NAME).aliases.get(CHAMPION)
+        if before is not None and str(before) != number:
+            self.client.set_registered_model_alias(NAME, PREVIOUS, str(before))
+        self.client.set_registered_model_alias(NAME, CHAMPION, number)
+
+    def _checked(self, found: Any) -> Version | None:
+        place = str(found.source).removeprefix(_SCHEME).lstrip("/")
+        path = self.tracker.workspace.mlruns / "artifacts" / place
+        wanted = found.tags.get(_HASH)
+        if not path.is_dir() or content_hash(path) != wanted:
+            return None
+        return Version(int(found.version), path, str(wanted))
+
+
+def _files(folder: Path) -> list[Path]:
+    return [path for path in sorted(folder.rglob("*")) if path.is_file()]
