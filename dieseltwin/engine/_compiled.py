@@ -63,12 +63,9 @@ _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "n
 
 _INLINED: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "forceinline": True}
 
-_P_IM_LIMITS = (0.5, 10.0)  # of p_amb, limiters of the published simulation (NOTES)
-_P_EM_LIMITS = (0.5, 20.0)
-_OMEGA_LIMITS = (100.0 * np.pi / 30.0, 200000.0 * np.pi / 30.0)  # rad/s
-P_IM_LOW, P_IM_HIGH = _P_IM_LIMITS
-P_EM_LOW, P_EM_HIGH = _P_EM_LIMITS
-OMEGA_LOW, OMEGA_HIGH = _OMEGA_LIMITS
+P_IM_LOW, P_IM_HIGH = 0.5, 10.0  # of p_amb, limiters of the published simulation (NOTES)
+P_EM_LOW, P_EM_HIGH = 0.5, 20.0
+OMEGA_LOW, OMEGA_HIGH = 100.0 * np.pi / 30.0, 200000.0 * np.pi / 30.0  # rad/s
 
 _model = bind("numba")
 quantities = _model.quantities
@@ -234,6 +231,44 @@ def follow_lags(time, u, taus):  # type: ignore[no-untyped-def]
         for i in range(time.shape[0] - 1):
             out[j, i + 1] = actuator_update(out[j, i], u[i], u[i + 1], time[i + 1] - time[i], taus[j])
     return out
+
+
+@numba.njit(cache=True, **_OPTIONS)
+def follow_lanes(time, u, tau):  # type: ignore[no-untyped-def]
+    """First-order lags behind u (B, n), linear between samples, settled at the start; tau (B, n), 0: none."""
+    out = np.empty_like(u)
+    for k in range(u.shape[0]):
+        out[k, 0] = u[k, 0]
+        for i in range(time.shape[0] - 1):
+            if tau[k, i + 1] > 0.0:
+                out[k, i + 1] = actuator_update(out[k, i], u[k, i], u[k, i + 1], time[i + 1] - time[i], tau[k, i + 1])
+            else:
+                out[k, i + 1] = u[k, i + 1]
+    return out
+
+
+@numba.njit(cache=True, **_OPTIONS)
+def follow_play(time, u, width):  # type: ignore[no-untyped-def]
+    """Break points of a play operator's output: times, values (2 n,) and how many of them there are."""
+    n = time.shape[0]
+    times, values = np.empty(2 * n), np.empty(2 * n)
+    times[0], values[0] = time[0], u[0]
+    count = 1
+    y = u[0]
+    for i in range(n - 1):
+        half = 0.5 * width[i]
+        y = min(max(y, u[i] - half), u[i] + half)  # the width may have changed
+        following = min(max(y, u[i + 1] - half), u[i + 1] + half)
+        if following != y:
+            edge = y + half if following > y else y - half  # of the command where the output starts to move
+            share = (edge - u[i]) / (u[i + 1] - u[i])
+            if 0.0 < share < 1.0:
+                times[count], values[count] = time[i] + share * (time[i + 1] - time[i]), y
+                count += 1
+        y = following
+        times[count], values[count] = time[i + 1], y
+        count += 1
+    return times, values, count
 
 
 intake_oxygen_rate = _model.intake_oxygen_rate

@@ -19,7 +19,9 @@ import numpy as np
 Array = Any
 """A float, a numpy array, a torch tensor or a numba scalar: whatever the bound backend computes with."""
 
-PRIMITIVES = ("exp", "root", "positive_power", "maximum", "minimum", "where")
+PRIMITIVES = (
+    "exp", "root", "positive_power", "maximum", "minimum", "where", "with_ambient_pressure", "with_charge",
+)  # fmt: skip
 
 
 def exp(x: Array) -> Array:
@@ -51,6 +53,16 @@ def minimum(a: Array, b: Array) -> Array:
 def where(condition: Array, a: Array, b: Array) -> Array:
     """a where the condition holds, b elsewhere (both are evaluated)."""
     return np.where(condition, a, b)
+
+
+def with_ambient_pressure(c: Any, pressure: Array) -> Any:
+    """The constants with another pressure [Pa] in place of p_amb: before the compressor or behind the turbine."""
+    return c._replace(p_amb=pressure)
+
+
+def with_charge(c: Any, T_im: Array, eta_sc: Array) -> Any:
+    """The constants with another intake manifold temperature [K] and compensation factor of the cycle [-]."""
+    return c._replace(T_im=T_im, eta_sc=eta_sc)
 
 
 def torch_primitives() -> dict[str, Callable[..., Any]]:
@@ -99,4 +111,6 @@ def torch_primitives() -> dict[str, Callable[..., Any]]:
         "maximum": t_maximum,
         "minimum": t_minimum,
         "where": t_where,
+        "with_ambient_pressure": with_ambient_pressure,
+        "with_charge": with_charge,
     }

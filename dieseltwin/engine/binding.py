@@ -14,10 +14,21 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Literal
 
-from dieseltwin.engine import actuators, array_namespace, cylinder, egr, manifolds, model, parameters, turbocharger
+from dieseltwin.engine import (
+    actuators,
+    array_namespace,
+    cylinder,
+    effect_laws,
+    egr,
+    extended_model,
+    manifolds,
+    model,
+    parameters,
+    turbocharger,
+)
 from dieseltwin.errors import DieselTwinError
 
-_MODULES = (manifolds, cylinder, egr, turbocharger, actuators, model)
+_MODULES = (manifolds, cylinder, egr, turbocharger, actuators, model, effect_laws, extended_model)
 MAPS = ("eta_vol", "f_egr", "F_vgt_Pi_t", "eta_tm", "eta_c", "Phi_c")
 """The six empirical maps that a learned surrogate may replace (paper, table of surrogates)."""
 
@@ -32,6 +43,7 @@ class Model(types.SimpleNamespace):
 
     constants: Callable[..., Any]
     quantities: Callable[..., Any]
+    quantities_extended: Callable[..., Any]
     settle_cylinder: Callable[..., Any]
 
 
@@ -70,7 +82,16 @@ def _numba_primitives() -> dict[str, Any]:
     def n_where(condition, a, b):  # type: ignore[no-untyped-def]
         return select(condition, a, b)
 
+    def constructor(name: str, **changes: str) -> Any:
+        # Written out: numba can't call `_replace` of a NamedTuple.
+        fields = ", ".join(changes.get(field, f"c.{field}") for field in parameters.CONSTANT_NAMES)
+        scope: dict[str, Any] = {"Constants": parameters.Constants, "__name__": __name__}
+        exec(f"def {name}(c, {', '.join(changes.values())}):\n    return Constants({fields})\n", scope)
+        return numba.njit(**options)(scope[name])
+
     return {
+        "with_ambient_pressure": constructor("with_ambient_pressure", p_amb="pressure"),
+        "with_charge": constructor("with_charge", T_im="T_im", eta_sc="eta_sc"),
         "exp": fast_exp,
         "root": n_root,
         "positive_power": fast_positive_power,

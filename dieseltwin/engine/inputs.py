@@ -126,7 +126,8 @@ class Actuation:
     grid: np.ndarray = field(repr=False)
 
 
-def _half_step_times(time: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def half_step_times(time: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Times of every half integration step, (2 N + 1,) [s]."""
     widths = np.repeat(np.diff(time) / (2 * steps), 2 * steps)
     starts = np.repeat(time[:-1], 2 * steps)
     offsets = np.arange(widths.size) - np.repeat(np.concatenate([[0], np.cumsum(2 * steps)[:-1]]), 2 * steps)
@@ -159,7 +160,7 @@ def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.nda
         )
     time = inputs.segment_time_s
     steps = steps_between(time, step_s)
-    half = _half_step_times(time, steps)
+    half = half_step_times(time, steps)
     p = parameters
     u_egr1, u_egr2 = _delayed_lags(inputs.time_s, inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2), half)
     (u_vgt,) = _delayed_lags(inputs.time_s, inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,), half)

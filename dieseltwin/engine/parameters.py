@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
 from dieseltwin.strict import read_mapping
 
@@ -96,6 +97,8 @@ class EngineParameters(BaseModel):
     u_egr_range: tuple[float, float] = Field((0.0, 100.0), description="valid EGR position [%]")
     u_vgt_range: tuple[float, float] = Field((20.0, 100.0), description="valid VGT position [%]")
 
+    terms: tuple[AnyTerm, ...] = Field((), description="what the published model leaves out (`dieseltwin effects`)")
+
     def replace(self, **changes: Any) -> EngineParameters:
         """A copy with the named parameters changed; raises InputError for an unknown name or a value out of range."""
         return _validated({**self.model_dump(), **changes}, source="engine parameters")
@@ -122,7 +125,7 @@ def _validated(values: Mapping[str, Any], source: str) -> EngineParameters:
         raise InputError(
             f"{source}: engine parameter {name}",
             got=repr(first.get("input")),
-            allowed=first["msg"],
+            allowed=first["msg"].removeprefix("Value error, "),
             do="correct the value",
         ) from None
 
@@ -237,6 +240,8 @@ class Constants(NamedTuple):
     wheel_volume: Any
     u_egr_vertex: Any
     otto_efficiency: Any
+    choking_a: Any
+    choking_e: Any
 
 
 CONSTANT_NAMES = Constants._fields
@@ -254,7 +259,14 @@ def _derived(v: Mapping[str, Any]) -> dict[str, Any]:
         "wheel_volume": math.pi * v["R_c"] ** 3,  # m3
         "u_egr_vertex": -v["c_egr2"] / (2.0 * v["c_egr1"]),  # %
         "otto_efficiency": 1.0 - v["r_c"] ** (1.0 - v["gamma_cyl"]),
+        "choking_a": _choking(v["gamma_a"]),
+        "choking_e": _choking(v["gamma_e"]),
     }
+
+
+def _choking(gamma: Any) -> Any:
+    """Pressure quotient at which an isentropic nozzle chokes [-]."""
+    return (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
 
 
 def _scalars(parameters: EngineParameters) -> dict[str, float]:

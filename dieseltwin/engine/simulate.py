@@ -24,8 +24,8 @@ STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k")
 """Order of `Observations.states`."""
 
 _MEASURED_AT = (0, 1, 2, 5, 6, 7)
-_SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
-_SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
+SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
+SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
 
 
 @dataclass(frozen=True)
@@ -148,10 +148,10 @@ def settle(
 
     The engine is not stable everywhere (light load, high speed); there it returns a state on the limit cycle.
     """
-    time = np.array([0.0, _SETTLE_S])
+    time = np.array([0.0, SETTLE_S])
     n_e, u_delta, u_egr, u_vgt = (np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct))
     inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt)
-    result = simulate_states(actuate(inputs, parameters), parameter_batch(parameters), np.array(_SETTLE_START))
+    result = simulate_states(actuate(inputs, parameters), parameter_batch(parameters), np.array(SETTLE_START))
     return result.states[0, -1, :3].copy()
 
 
@@ -169,16 +169,20 @@ def simulate(
 
     Args:
         inputs: inputs, with history where known; clipped to the engine's ranges.
-        parameters: engine parameters.
+        parameters: engine parameters; their terms are simulated, too, and sensor terms change the sensors' columns.
         initial: p_im, p_em [Pa], omega_t [rad/s] at the first sample, shape (3,); None: at rest at the first inputs.
         step_s: largest integration step [s].
         oxygen: also integrate the oxygen states (about twice the time).
 
     Returns:
         One row per sample (history left out), columns as in the reference traces, and x_oim, x_oem, lambda,
-        egr_fraction, torque_nm.
+        egr_fraction, torque_nm; with terms further ones (`extended_frame.extended_frame`).
     """
     inputs = inputs.clipped(parameters)
+    if parameters.terms:
+        from dieseltwin.engine.extended_frame import simulate_table
+
+        return simulate_table(inputs, parameters, initial, step_s, oxygen)
     actuation = actuate(inputs, parameters, step_s)
     if initial is None:
         row = inputs.n_history
@@ -229,7 +233,7 @@ def _oxygen(
     They don't feed back, so they are integrated behind the simulation, over its flows at every integration step.
     """
     fine_inputs = actuation.inputs.resampled(step_s)
-    fine = actuate_like(actuation, fine_inputs, parameters, step_s)
+    fine = actuate_like(actuation, fine_inputs)
     states = simulate_states(fine, batch, np.asarray(initial, dtype=np.float64)).states[0]
     c: Constants = constants(parameters)
     p_im, p_em, omega_t, x_r, T_1 = states.T
@@ -243,11 +247,8 @@ def _oxygen(
     return intake[at], exhaust[at]
 
 
-def actuate_like(actuation: Actuation, fine_inputs: Inputs, parameters: EngineParameters, step_s: float) -> Actuation:
+def actuate_like(actuation: Actuation, fine_inputs: Inputs) -> Actuation:
     """An actuation that also has samples at every integration step of `actuation`, with its actuator states."""
     steps = np.ones(fine_inputs.time_s.size - 1, dtype=np.int64)
-    lags = actuate(actuation.inputs, parameters, step_s)
-    return Actuation(
-        fine_inputs.time_s, steps, fine_inputs, lags.grid[2, ::2], lags.grid[2, ::2], lags.grid[3, ::2],
-        lags.grid[2, ::2], lags.grid,
-    )  # fmt: skip
+    u_egr, u_vgt = actuation.grid[2, ::2], actuation.grid[3, ::2]
+    return Actuation(fine_inputs.time_s, steps, fine_inputs, u_egr, u_egr, u_vgt, u_egr, actuation.grid)

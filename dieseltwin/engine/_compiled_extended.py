@@ -1,0 +1,291 @@
+"""Compiled kernel of the extended model: RK4 in lockstep lanes with effects, signals and restarts.
+
+As in `_compiled` eight lanes advance together in one flat work array. Here one compiled evaluation of the right-hand
+side serves the four stages and the samples: its text is long, and so is its compilation.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from dieseltwin.engine._compiled import (
+    _INLINED,
+    _OPTIONS,
+    LANES,
+    OMEGA_HIGH,
+    OMEGA_LOW,
+    P_EM_HIGH,
+    P_EM_LOW,
+    P_IM_HIGH,
+    P_IM_LOW,
+    SAMPLE_SWEEPS,
+    START_SWEEPS,
+    T_1_START,
+    X_R_START,
+    _limit,
+    _model,
+    _variant,
+    load_constants,
+)
+from dieseltwin.engine.binding import bind
+from dieseltwin.engine.extended_model import Gas, Magnitudes, Signals
+from dieseltwin.engine.parameters import CONSTANT_NAMES
+
+N_EFFECTS, N_POINTS = len(Magnitudes._fields), len(Signals._fields)
+N_OUT = 9  # p_im, p_em, omega_t, x_r, T_1, T_gas, W_egr, T_em, W_c
+
+# Rows of the flat work array, in units of LANES.
+GAS, GAIN, CARRY = 5, 6, 7  # behind p_im, p_em, omega_t, x_r, T_1
+INPUT = 8  # n_e, u_delta, u_egr, u_vgt
+RATE = 12  # dp_im, dp_em, domega_t
+STATIC, W_EGR, T_EM, W_C = 15, 16, 17, 18
+EFFECT = 19
+SIGNAL = EFFECT + N_EFFECTS  # value at the sample before
+SLOPE = SIGNAL + N_POINTS  # change until the sample after
+CONSTANT = SLOPE + N_POINTS
+
+INERTIA = Magnitudes._fields.index("exhaust_thermal_inertia")
+CLOGGING = Magnitudes._fields.index("egr_clogging")
+
+
+@numba.njit(**_INLINED)
+def _free_inlet(p_im, omega_t, factor, scale, m, c):  # type: ignore[no-untyped-def]
+    return scale * c.p_amb
+
+
+@numba.njit(**_INLINED)
+def _free_outlet(p_em, T_em, u_vgt, factor, scale, m, c):  # type: ignore[no-untyped-def]
+    return scale * c.p_amb
+
+
+_free_model = bind("numba", {"inlet_pressure": _free_inlet, "outlet_pressure": _free_outlet})
+intake_side = _free_model.intake_side
+exhaust_side = _free_model.exhaust_side
+charge_constants = _model.charge_constants
+cylinder_sweep = _model.cylinder_sweep
+exhaust_to_intake_ratio = _model.exhaust_to_intake_ratio
+
+
+def _loader(name: str, kind: type, first: int, moving: bool = False) -> Any:
+    fields = [f"work[{first + j} * lanes + k]" for j in range(len(kind._fields))]  # type: ignore[attr-defined]
+    if moving:
+        slopes = [f"fraction * work[{SLOPE + j} * lanes + k]" for j in range(len(fields))]
+        fields = [f"{value} + {slope}" for value, slope in zip(fields, slopes, strict=True)]
+    scope: dict[str, Any] = {"Kind": kind, "__name__": __name__}
+    exec(f"def {name}(work, k, lanes, fraction):\n    return Kind({', '.join(fields)})\n", scope)
+    return numba.njit(**_INLINED)(scope[name])
+
+
+load_magnitudes = _loader("load_magnitudes", Magnitudes, EFFECT)
+load_signals = _loader("load_signals", Signals, SIGNAL, moving=True)
+
+
+def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
+    """Rates and outputs of all lanes at the states and inputs in `work`, two sweeps of the cylinder's fixed point.
+
+    fraction: of the interval between samples that has passed, for the signals.
+    """
+    for k in range(LANES):
+        c = load_constants(work, CONSTANT * LANES + k, LANES)
+        m = load_magnitudes(work, k, LANES, fraction)
+        s = load_signals(work, k, LANES, fraction)
+        p_im = work[k]
+        p_em = work[LANES + k]
+        omega_t = work[2 * LANES + k]
+        gas = Gas(work[GAS * LANES + k], work[GAIN * LANES + k], work[CARRY * LANES + k])
+        i = intake_side(
+            p_im, p_em, omega_t, gas.T, work[INPUT * LANES + k], work[(INPUT + 1) * LANES + k],
+            work[(INPUT + 2) * LANES + k], work[(INPUT + 3) * LANES + k], m, s, c,
+        )  # fmt: skip
+        warm = cylinder_sweep(
+            exhaust_to_intake_ratio(p_em, p_im), i.W_ei, i.W_f, work[3 * LANES + k], work[4 * LANES + k],
+            charge_constants(i, s, c),
+        )  # fmt: skip
+        q = exhaust_side(i, p_im, p_em, omega_t, warm.x_r, warm.T_1, gas, m, s, c)
+        work[3 * LANES + k] = q.x_r_next
+        work[4 * LANES + k] = q.T_1_next
+        work[GAS * LANES + k] = q.T_em
+        work[RATE * LANES + k] = q.dp_im
+        work[(RATE + 1) * LANES + k] = q.dp_em
+        work[(RATE + 2) * LANES + k] = q.domega_t
+        work[STATIC * LANES + k] = q.T_em_static
+        work[W_EGR * LANES + k] = q.W_egr
+        work[T_EM * LANES + k] = q.T_em
+        work[W_C * LANES + k] = q.W_c
+
+
+evaluate = numba.njit(**_OPTIONS)(_evaluate)
+
+@numba.njit(**_OPTIONS)
+def load_interval(work, i, time, start, magnitudes, schedule, signals, lane_point, lane_signal):  # type: ignore[no-untyped-def]
+    """Magnitudes at sample i and the signals from there to the next sample."""
+    following = min(i + 1, time.shape[0] - 1)
+    for e in range(N_EFFECTS):
+        factor = schedule[e, i]
+        if e == CLOGGING:
+            factor *= max(time[i] - start, 0.0)
+        for k in range(LANES):
+            work[(EFFECT + e) * LANES + k] = factor * magnitudes[e, k]
+    for p in range(N_POINTS):
+        for k in range(LANES):
+            work[(SIGNAL + p) * LANES + k] = signals[p, i]
+            work[(SLOPE + p) * LANES + k] = signals[p, following] - signals[p, i]
+    for k in range(LANES):
+        p = lane_point[k]
+        if p >= 0:
+            work[(SIGNAL + p) * LANES + k] += lane_signal[k, i]
+            work[(SLOPE + p) * LANES + k] += lane_signal[k, following] - lane_signal[k, i]
+
+
+@numba.njit(**_OPTIONS)
+def load_inputs(work, grids, grid_of_lane, at):  # type: ignore[no-untyped-def]
+    for j in range(4):
+        for k in range(LANES):
+            work[(INPUT + j) * LANES + k] = grids[grid_of_lane[k], j, at]
+
+
+@numba.njit(**_OPTIONS)
+def hold_gas(work, carried):  # type: ignore[no-untyped-def]
+    """Gas at the start of a step: the lagged temperature where there is thermal inertia."""
+    for k in range(LANES):
+        inert = work[(EFFECT + INERTIA) * LANES + k] > 0.0
+        work[GAIN * LANES + k] = 0.0 if inert else 1.0
+        work[CARRY * LANES + k] = carried[k] if inert else 0.0
+
+
+@numba.njit(**_OPTIONS)
+def relax_gas(work, carried, static, gain, kept):  # type: ignore[no-untyped-def]
+    """Gas within a step: exact solution of the lag for a static temperature that runs linearly from `static`."""
+    for k in range(LANES):
+        work[GAIN * LANES + k] = 1.0 - gain[k]
+        work[CARRY * LANES + k] = (gain[k] - kept[k]) * static[k] + kept[k] * carried[k]
+
+
+@numba.njit(**_OPTIONS)
+def lag_weights(work, width, gain, kept):  # type: ignore[no-untyped-def]
+    for k in range(LANES):
+        tau = work[(EFFECT + INERTIA) * LANES + k]
+        gain[k] = 0.0
+        kept[k] = 0.0
+        if tau > 0.0:
+            kept[k] = np.exp(-width / tau)
+            gain[k] = tau / width * (1.0 - kept[k])
+
+
+def _integrate_extended(  # type: ignore[no-untyped-def]
+    grids, grid_of_lane, steps, time, start, constants, magnitudes, schedule, signals, lane_point, lane_signal,
+    restarts, initial, out,
+):  # fmt: skip
+    """Integrate one block of LANES lanes.
+
+    grids (G, 4, 2 N + 1), grid_of_lane (LANES,), steps (n - 1,), time (n,), start [s], constants (n_constants, LANES),
+    magnitudes (N_EFFECTS, LANES), schedule (N_EFFECTS, n), signals (N_POINTS, n), lane_point (LANES,), lane_signal
+    (LANES, n), restarts (W,), initial (LANES, W, 3) -> out (LANES, n, N_OUT).
+    """
+    work = np.zeros((CONSTANT + constants.shape[0]) * LANES)
+    for j in range(constants.shape[0]):
+        for k in range(LANES):
+            work[(CONSTANT + j) * LANES + k] = constants[j, k]
+    base = np.empty(3 * LANES)
+    total = np.empty(3 * LANES)
+    carried = np.empty(LANES)
+    static = np.empty(LANES)
+    half_gain, half_kept = np.empty(LANES), np.empty(LANES)
+    full_gain, full_kept = np.empty(LANES), np.empty(LANES)
+    low = np.empty(3 * LANES)
+    high = np.empty(3 * LANES)
+    for k in range(LANES):
+        work[3 * LANES + k] = X_R_START
+        work[4 * LANES + k] = T_1_START
+        work[GAS * LANES + k] = T_GAS_START
+        carried[k] = T_GAS_START
+        p_amb = work[(CONSTANT + P_AMB) * LANES + k]
+        low[k], high[k] = P_IM_LOW * p_amb, P_IM_HIGH * p_amb
+        low[LANES + k], high[LANES + k] = P_EM_LOW * p_amb, P_EM_HIGH * p_amb
+        low[2 * LANES + k], high[2 * LANES + k] = OMEGA_LOW, OMEGA_HIGH
+    at = 0
+    window = 0
+    for i in range(time.shape[0]):
+        if window < restarts.shape[0] and restarts[window] == i:
+            for k in range(LANES):
+                for j in range(3):
+                    work[j * LANES + k] = initial[k, window, j]
+            window += 1
+        load_interval(work, i, time, start, magnitudes, schedule, signals, lane_point, lane_signal)
+        load_inputs(work, grids, grid_of_lane, at)
+        hold_gas(work, carried)
+        if i == 0:  # at rest: the gas, too
+            for k in range(LANES):
+                work[GAIN * LANES + k] = 1.0
+                work[CARRY * LANES + k] = 0.0
+        for _sweep in range(SAMPLE_SWEEPS if i > 0 else START_SWEEPS):
+            evaluate(work, 0.0)
+        if i == 0:
+            for k in range(LANES):
+                carried[k] = work[T_EM * LANES + k]
+        for k in range(LANES):
+            out[k, i, 3] = work[3 * LANES + k]
+            out[k, i, 4] = work[4 * LANES + k]
+            out[k, i, 5] = work[GAS * LANES + k]
+        evaluate(work, 0.0)
+        for k in range(LANES):
+            for j in range(3):
+                out[k, i, j] = work[j * LANES + k]
+            out[k, i, 6] = work[W_EGR * LANES + k]
+            out[k, i, 7] = work[T_EM * LANES + k]
+            out[k, i, 8] = work[W_C * LANES + k]
+            carried[k] = work[T_EM * LANES + k]
+        if i + 1 == time.shape[0]:
+            break
+        h = (time[i + 1] - time[i]) / steps[i]
+        lag_weights(work, 0.5 * h, half_gain, half_kept)
+        lag_weights(work, h, full_gain, full_kept)
+        for step in range(steps[i]):
+            base[:] = work[: 3 * LANES]
+            load_inputs(work, grids, grid_of_lane, at)
+            hold_gas(work, carried)
+            evaluate(work, step / steps[i])
+            static[:] = work[STATIC * LANES : (STATIC + 1) * LANES]
+            load_inputs(work, grids, grid_of_lane, at + 1)
+            relax_gas(work, carried, static, half_gain, half_kept)
+            for j in range(3 * LANES):
+                rate = work[RATE * LANES + j]
+                total[j] = rate
+                work[j] = base[j] + 0.5 * h * rate
+            evaluate(work, (step + 0.5) / steps[i])
+            relax_gas(work, carried, static, half_gain, half_kept)
+            for j in range(3 * LANES):
+                rate = work[RATE * LANES + j]
+                total[j] += 2.0 * rate
+                work[j] = base[j] + 0.5 * h * rate
+            evaluate(work, (step + 0.5) / steps[i])
+            load_inputs(work, grids, grid_of_lane, at + 2)
+            relax_gas(work, carried, static, full_gain, full_kept)
+            for j in range(3 * LANES):
+                rate = work[RATE * LANES + j]
+                total[j] += 2.0 * rate
+                work[j] = base[j] + h * rate
+            evaluate(work, (step + 1.0) / steps[i])
+            for j in range(3 * LANES):
+                value = base[j] + h / 6.0 * (total[j] + work[RATE * LANES + j])
+                work[j] = _limit(value, low[j], high[j])
+            carried[:] = work[T_EM * LANES : (T_EM + 1) * LANES]
+            at += 2
+
+
+T_GAS_START = 700.0  # K, start of the fixed point of the gas temperature
+P_AMB = CONSTANT_NAMES.index("p_amb")
+
+integrate_free = numba.njit(cache=True, **_OPTIONS)(_integrate_extended)
+"""Integrate a block without air_filter_restriction and back_pressure, whose laws are implicit."""
+
+_evaluate_restricted = numba.njit(**_OPTIONS)(
+    _variant(_evaluate, "_restricted", LANES, intake_side=_model.intake_side, exhaust_side=_model.exhaust_side)
+)
+integrate_restricted = numba.njit(cache=True, **_OPTIONS)(
+    _variant(_integrate_extended, "_restricted", LANES, evaluate=_evaluate_restricted)
+)
+"""Integrate a block with them."""

@@ -1,0 +1,123 @@
+"""Effects between command and actuator: play and further dead time, exact for commands that run linearly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dieseltwin.engine._compiled import follow_lags, follow_play
+from dieseltwin.engine.effect_catalogue import ACTUATOR_EFFECTS
+from dieseltwin.engine.egr import egr_valve_position
+from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, half_step_times, steps_between
+from dieseltwin.engine.parameters import EngineParameters, constants
+from dieseltwin.errors import InputError
+
+
+def play(time_s: np.ndarray, u: np.ndarray, width: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """Output of a play operator as break points (times [s], values), shapes (m,) each, linear in between.
+
+    Args:
+        time_s, u: piecewise linear command, (n,); the output starts at u[0].
+        width: full width of the play in the unit of u, one or one per sample, held over the following interval.
+    """
+    widths = np.broadcast_to(np.asarray(width, dtype=np.float64), u.shape)
+    times, values, count = follow_play(time_s, u, np.ascontiguousarray(widths))
+    return times[:count], values[:count]
+
+
+def _behind_dead_time(
+    knots: np.ndarray, values: np.ndarray, delay: float, more: float, factor: np.ndarray | None,
+    time: np.ndarray, wanted: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Times and values of the delayed command at all its breaks and the wanted times; `more` is added where factor."""
+    start = min(time[0], wanted[0])
+    breaks = [knots + delay]
+    if more > 0.0:
+        breaks.append(knots + delay + more)
+        if factor is not None:
+            breaks.append(time)
+    inner = np.concatenate(breaks)
+    merged = np.union1d(inner[(inner > start) & (inner < wanted[-1])], np.append(wanted, start))
+    delayed = np.interp(merged, knots + delay, values)
+    if more > 0.0:
+        later = np.interp(merged, knots + delay + more, values)
+        at = np.clip(np.searchsorted(time, merged, side="right") - 1, 0, time.size - 1)
+        share = np.ones(merged.size) if factor is None else factor[at]
+        delayed = delayed + share * (later - delayed)
+    return merged, delayed
+
+
+def actuate_with(
+    inputs: Inputs,
+    parameters: EngineParameters,
+    magnitudes: Mapping[str, float],
+    schedules: Mapping[str, np.ndarray] | None = None,
+    step_s: float | np.ndarray = DEFAULT_STEP_S,
+) -> Actuation:
+    """`inputs.actuate` under effects on the commands.
+
+    Args:
+        inputs: inputs with their history; for play give the whole recording before, as its output has a memory.
+        parameters: dead times, lags and K_egr.
+        magnitudes: names of `ACTUATOR_EFFECTS` -> magnitude; others are not looked at.
+        schedules: name -> factor of the magnitude per row of `inputs` (history included), held until the next.
+        step_s: largest integration step [s].
+
+    Raises:
+        InputError: a negative or non-finite magnitude.
+    """
+    schedules = schedules or {}
+    for name in ACTUATOR_EFFECTS:
+        value = magnitudes.get(name, 0.0)
+        if not (np.isfinite(value) and value >= 0.0):
+            raise InputError(f"effect {name}", got=repr(value), allowed="0 or more", do="correct the magnitude")
+    time = inputs.segment_time_s
+    steps = steps_between(time, step_s)
+    half = half_step_times(time, steps)
+    p = parameters
+
+    def follow(kind: str, command: np.ndarray, delay: float, taus: tuple[float, ...]) -> np.ndarray:
+        width = magnitudes.get(f"{kind}_backlash", 0.0)
+        knots, values = inputs.time_s, command
+        if width > 0.0:
+            knots, values = play(knots, values, width * schedules.get(f"{kind}_backlash", np.ones(command.size)))
+        name = f"{kind}_dead_time"
+        merged, delayed = _behind_dead_time(
+            knots, values, delay, magnitudes.get(name, 0.0), schedules.get(name), inputs.time_s, half
+        )
+        return follow_lags(merged, delayed, np.asarray(taus, dtype=np.float64))[:, np.searchsorted(merged, half)]
+
+    u_egr1, u_egr2 = follow("egr", inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2))
+    (u_vgt,) = follow("vgt", inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,))
+    u_egr = egr_valve_position(u_egr1, u_egr2, constants(p))
+    n_e, u_delta = (np.interp(half, inputs.time_s, u) for u in (inputs.n_e_rpm, inputs.u_delta_mg))
+    grid = np.ascontiguousarray(np.stack([n_e, u_delta, u_egr, u_vgt]))
+    at = np.concatenate([[0], np.cumsum(2 * steps)])
+    return Actuation(time, steps, inputs, u_egr1[at], u_egr2[at], u_vgt[at], u_egr[at], grid)
+
+
+def actuate_lanes(
+    inputs: Inputs,
+    parameters: EngineParameters,
+    magnitudes: Mapping[str, np.ndarray],
+    size: int,
+    schedules: Mapping[str, np.ndarray] | None = None,
+    step_s: float | np.ndarray = DEFAULT_STEP_S,
+) -> list[Actuation]:
+    """One actuation per lane for `simulate_extended`; lanes with the same magnitudes share one.
+
+    Args:
+        inputs, parameters, schedules, step_s: as in `actuate_with`.
+        magnitudes: effect name -> (B,) magnitudes; names that aren't in `ACTUATOR_EFFECTS` are not looked at.
+        size: number of lanes B.
+    """
+    columns = {name: np.broadcast_to(magnitudes[name], (size,)) for name in ACTUATOR_EFFECTS if name in magnitudes}
+    made: dict[tuple[float, ...], Actuation] = {}
+    lanes = []
+    for lane in range(size):
+        key = tuple(float(column[lane]) for column in columns.values())
+        if key not in made:
+            made[key] = actuate_with(inputs, parameters, dict(zip(columns, key, strict=True)), schedules, step_s)
+        lanes.append(made[key])
+    return lanes

@@ -1,0 +1,164 @@
+"""Simulation of the extended model: effects, signals at insertion points, restarts; many lanes at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.engine._compiled import LANES
+from dieseltwin.engine._compiled_extended import N_OUT, integrate_free, integrate_restricted
+from dieseltwin.engine.effect_catalogue import POINTS, STATE_EFFECTS
+from dieseltwin.engine.inputs import Actuation
+from dieseltwin.engine.parameters import ParameterBatch
+from dieseltwin.engine.simulate import Observations, _pool, thread_count
+from dieseltwin.errors import InputError
+
+EXTENDED_STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k", "t_gas_k")
+"""Order of the states of `simulate_extended`; the last is the gas temperature that heats the EGR or lags."""
+
+IMPLICIT = ("back_pressure", "air_filter_restriction")
+"""Effects whose law is solved at every evaluation: lanes with them run in a kernel of their own, half as fast."""
+
+_MEASURED_AT = (0, 1, 2, 6, 7, 8)
+
+
+@dataclass(frozen=True)
+class Extension:
+    """What is added to the published model in B lanes over n samples.
+
+    Attributes:
+        magnitudes: (len(STATE_EFFECTS), B) in the units of the catalogue; None: all 0.
+        schedule: (len(STATE_EFFECTS), n) factor of the magnitudes, held over the interval after its sample, shared by
+            the lanes; None: 1.
+        signals: (len(POINTS), n) shared by the lanes, linear between samples; None: 0.
+        lane_point: (B,) index into `POINTS` of one further signal per lane, -1 for none; None: none.
+        lane_signal: (B, n) values of these further signals.
+        restarts: (W,) ascending sample indices, the first 0, at which p_im, p_em, omega_t start anew.
+        start_s: start of the recording, from which `egr_clogging` counts; None: the first sample [s].
+    """
+
+    magnitudes: np.ndarray | None = None
+    schedule: np.ndarray | None = None
+    signals: np.ndarray | None = None
+    lane_point: np.ndarray | None = None
+    lane_signal: np.ndarray | None = None
+    restarts: np.ndarray | Sequence[int] = (0,)
+    start_s: float | None = None
+
+
+def _checked(value: object, shape: tuple[int, ...], name: str, fill: float = 0.0) -> np.ndarray:
+    if value is None:
+        return np.full(shape, fill)
+    array = np.ascontiguousarray(value, dtype=np.float64)
+    if array.shape != shape:
+        raise InputError(f"extension: {name}", f"shape {array.shape}", f"{shape}", "align it with lanes and samples")
+    if not np.isfinite(array).all():
+        raise InputError(f"extension: {name}", "values that are not finite", "finite numbers", "correct them")
+    return array
+
+
+def _grids(actuation: Actuation | Sequence[Actuation], lanes: int) -> tuple[Actuation, np.ndarray, np.ndarray]:
+    """The first actuation, the different grids (G, 4, 2 N + 1) and each lane's index among them (B,)."""
+    actuations = [actuation] if isinstance(actuation, Actuation) else list(actuation)
+    if len(actuations) not in (1, lanes):
+        raise InputError("simulate_extended", f"{len(actuations)} actuations", f"1 or {lanes}", "give one per lane")
+    first = actuations[0]
+    unique: dict[int, Actuation] = {}
+    for item in actuations:
+        if item.grid.shape != first.grid.shape or not np.array_equal(item.steps, first.steps):
+            raise InputError("simulate_extended", "different sample times", "one time grid", "group by grid")
+        unique.setdefault(id(item), item)
+    order = {key: position for position, key in enumerate(unique)}
+    of_lane = np.array([order[id(item)] for item in actuations], dtype=np.int64)
+    grids = np.stack([item.grid for item in unique.values()]) if len(unique) > 1 else first.grid[None]
+    return first, grids, np.broadcast_to(of_lane, (lanes,))
+
+
+def simulate_extended(
+    actuation: Actuation | Sequence[Actuation],
+    batch: ParameterBatch,
+    extension: Extension,
+    initial: np.ndarray,
+    threads: int | None = None,
+) -> Observations:
+    """Simulate B parameter sets under effects and signals, eight lanes in lockstep.
+
+    Args:
+        actuation: one for all lanes or one per lane (lanes may share one), all on the same sample times and steps.
+        batch: B parameter sets.
+        extension: what is added.
+        initial: p_im, p_em [Pa], omega_t [rad/s] at each restart, (B, W, 3), or what broadcasts to it.
+        threads: threads to use (default `simulate.thread_count`); the result doesn't depend on it.
+
+    Returns:
+        `Observations` with states (B, n, 6) in the order of `EXTENDED_STATES` and measured (B, n, 6) as usual. At a
+        restart the pressures and the speed are the new ones; x_r and T_1 settle there as at every sample, and a
+        lagged gas temperature carries on (it is at rest at the first sample).
+
+    Raises:
+        InputError: shapes that don't fit each other, or values that are not finite.
+    """
+    lanes = batch.size
+    first, grids, grid_of_lane = _grids(actuation, lanes)
+    time = first.time_s - first.time_s[0]
+    n = time.size
+    start = 0.0 if extension.start_s is None else float(extension.start_s - first.time_s[0])
+    magnitudes = _checked(extension.magnitudes, (len(STATE_EFFECTS), lanes), "magnitudes")
+    schedule = _checked(extension.schedule, (len(STATE_EFFECTS), n), "schedule", 1.0)
+    signals = _checked(extension.signals, (len(POINTS), n), "signals")
+    if extension.lane_point is None:
+        lane_point, lane_signal = np.full(lanes, -1, dtype=np.int64), np.zeros((lanes, 1))
+    else:
+        lane_point = np.asarray(extension.lane_point, dtype=np.int64)
+        if lane_point.shape != (lanes,) or lane_point.min() < -1 or lane_point.max() >= len(POINTS):
+            raise InputError("extension: lane_point", f"{lane_point!r}", f"({lanes},) indices into POINTS", "correct")
+        lane_signal = _checked(extension.lane_signal, (lanes, n), "lane_signal")
+    restarts = np.asarray(extension.restarts, dtype=np.int64)
+    if restarts.size == 0 or restarts[0] != 0 or (np.diff(restarts) <= 0).any() or restarts[-1] >= n:
+        raise InputError("extension: restarts", f"{restarts!r}", f"ascending samples below {n}, first 0", "correct")
+    initial = np.asarray(initial, dtype=np.float64)
+    if initial.ndim == 2:
+        initial = initial[:, None, :]
+    starts = np.broadcast_to(initial, (lanes, restarts.size, 3))
+
+    out = np.empty((lanes, n, N_OUT))
+    implicit = magnitudes[[STATE_EFFECTS.index(name) for name in IMPLICIT]]
+    restricted = (implicit != 0.0).any(axis=0)
+
+    def run(block: tuple[Callable[..., None], np.ndarray]) -> None:
+        integrate, rows = block
+        target = np.empty((LANES, n, N_OUT))
+        filled = np.append(rows, np.full(LANES - rows.size, rows[-1]))  # with copies of the last lane
+        integrate(
+            grids, grid_of_lane[filled], first.steps, time, start, np.ascontiguousarray(batch.values[:, filled]),
+            np.ascontiguousarray(magnitudes[:, filled]), schedule, signals, lane_point[filled], lane_signal[filled],
+            restarts, np.ascontiguousarray(starts[filled]), target,
+        )  # fmt: skip
+        out[rows] = target[: rows.size]
+
+    blocks = [
+        (integrate, rows[begin : begin + LANES])
+        for integrate, rows in (
+            (integrate_free, np.flatnonzero(~restricted)),
+            (integrate_restricted, np.flatnonzero(restricted)),
+        )
+        for begin in range(0, rows.size, LANES)
+    ]
+    threads = thread_count() if threads is None else threads
+    if threads > 1 and len(blocks) > 1:
+        list(_pool(threads).map(run, blocks))
+    else:
+        for block in blocks:
+            run(block)
+    return Observations(out[..., :6], out[..., _MEASURED_AT])
+
+
+def extended_frame(*args: Any, **kwargs: Any) -> pd.DataFrame:
+    """`extended_frame.extended_frame`, under the name by which it is looked for here."""
+    from dieseltwin.engine.extended_frame import extended_frame as frame
+
+    return frame(*args, **kwargs)
