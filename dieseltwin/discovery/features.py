@@ -42,18 +42,16 @@ class Structure:
 
 
 def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
-    """One constant per point, and one proportional to each port and to its square."""
+    """One constant per point, and one proportional to each port."""
     variables = twin.variables(fit.lanes())
     found = []
     for index, point in enumerate(twin.points):
         found.append(Feature(index, "constant", np.ones(twin.time_s.size)))
         for port in point.ports:
             values = np.asarray(variables[port], dtype=np.float64)
-            for power, text in ((1, port), (2, f"{port}^2")):
-                signal = values**power
-                size = float(np.sqrt(np.mean(signal**2)))
-                if size > 0 and np.std(signal) > 1e-3 * size:
-                    found.append(Feature(index, text, signal / size))
+            size = float(np.sqrt(np.mean(values**2)))
+            if size > 0 and np.std(values) > 1e-3 * size:
+                found.append(Feature(index, port, values / size))
     return found
 
 

@@ -125,10 +125,10 @@ def _repeat(lanes: Lanes, count: int) -> Lanes:
     )
 
 
-def parameter_lanes(twin: Twin, fit: Fit) -> tuple[Lanes, Array]:
-    """The fit, then one lane per parameter, effect of the candidate and initial state; and the differences taken."""
+def parameter_lanes(twin: Twin, fit: Fit, local: bool = True) -> tuple[Lanes, Array]:
+    """The fit, then a lane per parameter, effect of the candidate and (if `local`) state; and the differences."""
     scales = np.array([p.scale for p in twin.parameters])
-    P, m, S = len(scales), len(fit.candidate.names), len(twin.states)
+    P, m, S = len(scales), len(fit.candidate.names), len(twin.states) if local else 0
     lanes = _repeat(_lanes_of([fit]), 1 + P + m + S)
     steps = np.empty(P + m + S)
     for j in range(P):
@@ -159,10 +159,17 @@ class Linearisation:
         residual: (n, C) readings minus simulation.
         jacobian: (P + m, n, C) responses to parameters and to the fit's own effects [per unit].
         projected: (P + m, rows) the same in the metric.
+
+    Args:
+        frozen: take metric, local and nuisance responses from this linearisation instead of making them anew.
+        nuisance_response: (K, n, C) per standard deviation, where not frozen.
     """
 
-    def __init__(self, twin: Twin, whitening: Whitening, fit: Fit, nuisance_response: Array | None = None) -> None:
-        lanes, steps = parameter_lanes(twin, fit)
+    def __init__(
+        self, twin: Twin, whitening: Whitening, fit: Fit, frozen: Linearisation | None = None,
+        nuisance_response: Array | None = None,
+    ) -> None:
+        lanes, steps = parameter_lanes(twin, fit, local=frozen is None)
         simulated = twin.simulate(lanes)
         self.twin, self.whitening = twin, whitening
         self.simulated = simulated[0]
@@ -170,9 +177,14 @@ class Linearisation:
         differences = (simulated[1:] - simulated[0]) / steps[:, None, None]
         known = len(twin.parameters) + len(fit.candidate.names)
         self.jacobian = differences[:known]
-        self.local_response = differences[known:]
-        self.nuisance_response = nuisance_response
-        self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, self.nuisance_response)
+        if frozen is None:
+            self.local_response = differences[known:]
+            self.nuisance_response = nuisance_response
+            self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, nuisance_response)
+        else:  # local states and tolerances act nearly alike everywhere near
+            self.local_response = frozen.local_response
+            self.nuisance_response = frozen.nuisance_response
+            self.metric = frozen.metric
         self.projected = self.metric.project(self.jacobian)
         self.projected_residual = self.metric.project(np.nan_to_num(self.residual)[None])[0]
         self.precision = prior_precision(twin, len(fit.candidate.names))
@@ -222,23 +234,23 @@ def within_limits(twin: Twin, parameters: Array, names: Sequence[str], magnitude
 
 
 def fit_fully(
-    twin: Twin, whitening: Whitening, start: Fit, nuisance_response: Array | None = None, rounds: int = _NULL_ROUNDS
-) -> Linearisation:
+    twin: Twin, whitening: Whitening, start: Fit, nuisance_response: Array | None = None, rounds: int = _NULL_ROUNDS,
+    frozen: Linearisation | None = None,
+) -> Linearisation:  # fmt: skip
     """Damped Gauss-Newton with sensitivities of every round; returns the linearisation at the minimum.
 
-    `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move.
-    The objective of a trial point is compared in the metric of the point before (local and nuisance directions
-    change little within a step).
+    `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move. With
+    `frozen` the whole metric of another linearisation is kept, and objectives are comparable to its own.
     """
     scales = np.array([p.scale for p in twin.parameters])
     P = len(scales)
-    here = Linearisation(twin, whitening, start, nuisance_response)
+    here = Linearisation(twin, whitening, start, frozen, nuisance_response)
     for _ in range(rounds):
         step, predicted = here.step()
         if predicted < _CONVERGED:
             return _marked(here, True)
         shrink = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
-        accepted = None
+        there = None
         for _half in range(5):
             change = shrink * step
             parameters, magnitudes = within_limits(
@@ -246,18 +258,17 @@ def fit_fully(
             )
             moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
             trial = replace(
-                here.fit, parameters=parameters, magnitudes=magnitudes, local=here.fit.local + here.local_step(moved)
+                here.fit, parameters=parameters, magnitudes=magnitudes, local=here.fit.local + shrink * here.local_step(moved / shrink)
             )
-            residual = np.nan_to_num(twin.measured - twin.simulate(_lanes_of([trial]))[0])
-            objective = here.objective(here.metric.project(residual[None])[0], parameters)
-            if np.isfinite(objective) and objective < here.fit.objective:
-                accepted = trial
+            there = Linearisation(twin, whitening, trial, frozen, nuisance_response)
+            if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
                 break
+            there = None
             shrink *= 0.35
-        if accepted is None:
+        if there is None:
             return _marked(here, predicted < 20 * _CONVERGED)
-        gained = here.fit.objective - objective
-        here = Linearisation(twin, whitening, accepted, nuisance_response)
+        gained = here.fit.objective - there.fit.objective
+        here = there
         if gained < _CONVERGED:
             return _marked(here, True)
     return _marked(here, here.step()[1] < 20 * _CONVERGED)
@@ -310,13 +321,14 @@ def refit_all(
                 twin, fit.parameters + change[:P], candidates[k].names, start + change[P:]
             )
             moved = np.concatenate([parameters - fit.parameters, magnitudes - start])
-            rest = residuals[k] - np.tensordot(moved, columns[k], 1)
+            rest = residuals[k] - np.tensordot(moved / shrink[k], columns[k], 1)
             if base.nuisance_response is not None:
                 rest = rest - np.tensordot(base.metric.nuisance_estimate(rest), base.nuisance_response, 1)
             trials.append(
                 replace(
-                    fit, parameters=parameters, magnitudes=magnitudes, local=fit.local + base.metric.local_step(rest)
-                )
+                    fit, parameters=parameters, magnitudes=magnitudes,
+                    local=fit.local + shrink[k] * base.metric.local_step(rest),
+                )  # fmt: skip
             )
         simulated = simulate_fits(twin, trials)
         new = np.nan_to_num(twin.measured[None] - simulated)

@@ -96,10 +96,10 @@ class Metric:
             self._lower = lower
             self._inner = inner
 
-    def _without_local(self, whitened: Array) -> Array:
-        """(B, n C) -> (B, n C + W S)."""
+    def _without_local(self, whitened: Array, extra: int = 0) -> Array:
+        """(B, n C) -> (B, n C + W S), and `extra` columns of zeros."""
         count = whitened.shape[0]
-        out = np.zeros((count, self.rows))
+        out = np.zeros((count, self.rows + extra))
         size = whitened.shape[1]
         out[:, :size] = whitened
         for w, (block, q) in enumerate(zip(self._blocks, self._orthonormal, strict=True)):
@@ -112,12 +112,14 @@ class Metric:
 
     def project(self, values: Array) -> Array:
         """Readings or their differences (B, n, C) -> (B, rows): whitened, local states and nuisances taken out."""
-        out = self._without_local(self.whitening.apply(np.asarray(values)))
+        extra = 0 if self._nuisance is None else self._nuisance.shape[0]
+        out = self._without_local(self.whitening.apply(np.asarray(values)), extra)
         if self._nuisance is None:
             return out
-        k = self._nuisance.shape[0]
-        full = np.hstack([out, np.zeros((len(out), k))])
-        return full - (full @ self._nuisance.T) @ self._nuisance
+        # the rows of the nuisances' own priors are still zero here, so the short part of the basis is enough
+        weights = out[:, : self.rows] @ self._nuisance[:, : self.rows].T
+        out -= weights @ self._nuisance
+        return out
 
     def local_step(self, residual: Array) -> Array:
         """Least-squares change of the initial states for one residual (n, C) -> (W, S)."""
@@ -126,6 +128,15 @@ class Metric:
         for w, (block, q, r) in enumerate(zip(self._blocks, self._orthonormal, self._triangular, strict=True)):
             step[w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[block]) if self.states else 0.0
         return step
+
+    def growing(self, factor: float) -> np.ndarray:
+        """(W,) windows at whose end a change of an initial state counts more than `factor` times what it did before."""
+        found = np.zeros(len(self._blocks), dtype=bool)
+        for w, block in enumerate(self._blocks):
+            thirds = np.array_split(self._columns[block], 3)
+            early, late = (np.sqrt((part**2).sum(axis=0)) for part in (thirds[0], thirds[2]))
+            found[w] = bool(np.any(late > factor * early))
+        return found
 
     def nuisance_estimate(self, residual: Array) -> Array:
         """Posterior mean of the nuisance coefficients, in standard deviations of their priors, (K,)."""

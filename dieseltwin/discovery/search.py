@@ -93,6 +93,8 @@ _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even
 _REFIT_AT_LEAST = 6
 _PAIRS = 10
 _POLISHED = 4  # of the best fits get sensitivities of their own
+_GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
+_PARTS = 4
 _LEADING = 60.0  # gain within which a fit counts as leading
 
 
@@ -105,7 +107,13 @@ def prepare(twin: Twin, settings: Settings) -> Search:
         Candidate(), np.array([p.value for p in twin.parameters]), np.zeros(0), twin.first_local(), np.inf, False
     )
     whitening = Whitening.of(twin.measured, noise, twin.starts)
-    rough = fit_fully(twin, whitening, start)
+    rough = fit_fully(twin, whitening, start, rounds=5)
+    if hasattr(twin, "split"):
+        growing = rough.metric.growing(_GROWTH)
+        if growing.any():
+            start = replace(rough.fit, local=twin.split(growing, _PARTS, rough.fit.local))
+            whitening = Whitening.of(twin.measured, noise, twin.starts)
+            rough = fit_fully(twin, whitening, start, rounds=5)
     # correlation can only be told once the signal is explained; only the fast part of the misfit is used
     noise = estimate_noise(twin.measured, pieces, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
@@ -151,7 +159,7 @@ def run(twin: Twin, settings: Settings) -> Search:
     found.kind = "single"
     clock = time.perf_counter()
     lead = found.singles[0]
-    first = fit_fully(twin, found.whitening, lead, found.null.nuisance_response, rounds=2)
+    first = fit_fully(twin, found.whitening, lead, rounds=2, frozen=found.null)
     found.best = first
     _try_variants(found, ranked)
     found.seconds["variants"] = time.perf_counter() - clock
@@ -178,7 +186,7 @@ def _polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[
     out = []
     for k, fit in enumerate(fits):
         if k < count and fit.objective < best + _LEADING and found.gain(fit) > 4.0:
-            polished = fit_fully(found.twin, found.whitening, fit, found.null.nuisance_response, rounds=3).fit
+            polished = fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit
             out.append(polished)
         else:
             out.append(fit)
@@ -187,7 +195,7 @@ def _polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[
 
 def _try_variants(found: Search, ranked: Sequence[Scored]) -> None:
     """Effects that begin in the middle or act in a part of the operating range only."""
-    variants = best_variants(found.null, ranked[:8], count=5)
+    variants = best_variants(found.null, ranked[:5], count=5)
     if not variants:
         return
     candidates = [Candidate((v.name,), {v.name: v.schedule}) for v in variants]
@@ -275,7 +283,7 @@ def _choose(found: Search, first: Linearisation) -> None:
         return
     found.kind, found.variant = kind, variant
     if fit is not None and kind != "single":
-        found.best = fit_fully(found.twin, found.whitening, fit, found.null.nuisance_response, rounds=3)
+        found.best = fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null)
     assert_best = found.best
     if assert_best is None:
         return

@@ -12,6 +12,7 @@ from dieseltwin.discovery.score import Scored, without_parameters
 from dieseltwin.discovery.twin import Array, Twin
 
 _QUANTILES = (0.25, 0.4, 0.5, 0.6, 0.75)  # of a condition, where a region may end
+_ONSETS = 30  # times tried
 _LEAST_SHARE = 0.08  # of the samples on either side
 
 
@@ -39,7 +40,8 @@ class Variant:
 def _schedules(twin: Twin) -> list[tuple[float | None, dict[str, tuple[float, float]] | None, Array]]:
     n = twin.time_s.size
     found: list[tuple[float | None, dict[str, tuple[float, float]] | None, Array]] = []
-    for start in twin.starts:
+    step = max(1, round(twin.starts.size / _ONSETS))
+    for start in twin.starts[::step]:
         if _LEAST_SHARE * n < start < (1 - _LEAST_SHARE) * n:
             found.append((float(twin.time_s[start]), None, (np.arange(n) >= start).astype(float)))
     for name, values in twin.conditions.items():

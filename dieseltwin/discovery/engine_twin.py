@@ -1,0 +1,312 @@
+"""The diesel engine as a twin for discovery: the extended simulator, bound to one recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dieseltwin.discovery.twin import Array, Hypothesis, Lanes, Parameter, Point
+from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters, Inputs
+from dieseltwin.engine.actuator_effects import actuate_lanes
+from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS
+from dieseltwin.engine.extended import Extension, extended_frame, simulate_extended
+from dieseltwin.engine.parameters import parameter_batch
+from dieseltwin.engine.sensor_effects import apply_sensor_effects
+from dieseltwin.engine.terms import Term
+from dieseltwin.errors import InputError
+from dieseltwin.recordings import HISTORY_S, Recording
+
+WINDOW_S = 10.0
+"""Length of a window [s]: some time constants of the turbocharger, and short against the growth of an instability."""
+
+STEP_S = 0.025
+"""Integration step of discovery [s]: sensitivities don't need the simulator's own 0.01 %."""
+
+HEALTH_PRIOR = 0.3
+"""Standard deviation of a health parameter about the engine file's value [-]."""
+
+MAP_TOLERANCE = 0.003
+"""Standard deviation of a map's smooth relative error [-] (DISCOVERY.md, "Maps are never exact")."""
+
+_STATE_SCALES = np.array([2e4, 2e4, 500.0])  # Pa, Pa, rad/s
+_SMOOTHED = 7  # samples about a window's start for the first guess of its states
+_ACTUATORS_REST_S = 1.5  # after a gap, until dead time and lags have forgotten what is not known
+
+
+@dataclass(frozen=True)
+class _PointFacts:
+    site: str
+    ports: tuple[str, ...]
+    scale: float = 1.0
+    over: tuple[str, ...] = ()
+
+
+_POINTS: dict[str, _PointFacts] = {
+    "eta_vol": _PointFacts("cylinder_flow", ("p_im", "n_e", "Pi_e"), over=("p_im", "n_e")),
+    "W_eo": _PointFacts("exhaust_mass_balance", ("p_im", "n_e", "u_delta")),
+    "T_e": _PointFacts("cylinder_out_temperature", ("u_delta", "n_e", "Pi_e")),
+    "T_em": _PointFacts("exhaust_temperature", ("T_em", "W_eo", "n_e")),
+    "f_egr": _PointFacts("egr_flow", ("u_egr", "Pi_egr", "t"), over=("u_egr",)),
+    "W_t": _PointFacts("turbine_flow", ("p_em", "u_vgt", "omega_t"), over=("u_vgt", "Pi_t")),
+    "eta_tm": _PointFacts("turbine_power", ("omega_t", "Pi_t", "u_vgt"), over=("BSR", "omega_t")),
+    "p_es": _PointFacts("turbine_flow", ("W_t", "T_em")),
+    "W_c": _PointFacts("compressor_flow", ("Pi_c", "omega_t"), over=("Pi_c", "omega_t")),
+    "eta_c": _PointFacts("compressor_power", ("Pi_c", "W_c"), over=("W_c", "Pi_c")),
+    "p_bc": _PointFacts("compressor_flow", ("W_c",)),
+    "T_im": _PointFacts("intake_temperature", ("T_c", "W_egr", "egr_share", "T_em")),
+    "intake_balance": _PointFacts("intake_mass_balance", ("p_im",), 0.1),
+    "exhaust_balance": _PointFacts("exhaust_mass_balance", ("p_em", "T_em"), 0.1),
+    "shaft_power": _PointFacts("shaft_power", ("omega_t",), 5e3),
+    "u_delta": _PointFacts("fuel_injection", ("u_delta", "n_e")),
+    "u_egr": _PointFacts("egr_actuator", ("u_egr",), 20.0),
+    "u_vgt": _PointFacts("vgt_actuator", ("u_vgt",), 20.0),
+}
+
+
+class EngineTwin:
+    """`discovery.twin.Twin` of the diesel engine over one recording.
+
+    Args:
+        recording: in the recording format; `time_s` as it is.
+        engine: nominal engine; its terms are part of the model.
+        sensors: columns of `MEASURED` to use, None for all that the recording has.
+        window_s: length of the windows [s].
+        map_tolerance: standard deviation of the maps' smooth errors [-].
+
+    Raises:
+        InputError: no sensor, or no stretch with the engine running.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        engine: EngineParameters,
+        sensors: Sequence[str] | None = None,
+        *,
+        window_s: float = WINDOW_S,
+        map_tolerance: float = MAP_TOLERANCE,
+        step_s: float = STEP_S,
+    ) -> None:
+        present = [c for c in MEASURED if c in recording.columns and np.isfinite(recording.columns[c]).any()]
+        self.channels = tuple(c for c in MEASURED if c in (present if sensors is None else sensors))
+        missing = [c for c in self.channels if c not in present]
+        if missing or not self.channels:
+            raise InputError(
+                f"{recording.path or 'recording'}: sensors", ", ".join(missing) or "none", ", ".join(MEASURED),
+                "name columns that the recording has",
+            )  # fmt: skip
+        self.engine = engine.replace(p_amb=recording.p_amb_pa, T_amb=recording.t_amb_k)
+        self.step_s = step_s
+        rows, self.starts, self.pieces = _windows(recording, window_s)
+        self.rows = rows
+        time = recording.time_s[rows]
+        self.recording_time_s = time
+        self.time_s = _without_gaps(time, self.pieces)
+        self._at = [MEASURED.index(c) for c in self.channels]
+        columns = recording.columns
+        measured = np.stack([columns[c][rows] for c in self.channels], axis=1).astype(np.float64)
+        for start in self.pieces[1:]:
+            measured[start : start + int(np.searchsorted(time[start:], time[start] + _ACTUATORS_REST_S))] = np.nan
+        self.measured = measured
+        self.all_readings = np.stack(
+            [columns[c][rows] if c in present else np.full(rows.size, np.nan) for c in MEASURED], axis=1
+        )
+        self.conditions = {c: columns[c][rows] for c in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")}
+        self.inputs = Inputs(self.time_s, *self.conditions.values()).clipped(self.engine)
+        self.parameters = tuple(
+            Parameter(name, value, HEALTH_PRIOR * value, HEALTH_UNITS[name], 0.1 * value)
+            for name, value in zip(HEALTH, self.engine.health(), strict=True)
+        )
+        self.states = ("p_im", "p_em", "omega_t")
+        self.state_scales = _STATE_SCALES
+        self.points = tuple(
+            Point(
+                name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"), facts.ports, facts.scale,
+                map_tolerance if facts.over else 0.0, facts.over,
+            )
+            for name, facts in ((name, _POINTS[name]) for name in POINTS)
+        )  # fmt: skip
+        self.hypotheses: Mapping[str, Hypothesis] = {
+            e.name: Hypothesis(
+                e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
+            )
+            for e in EFFECTS.values()
+            if e.kind != "sensor" or e.site.removeprefix("sensor:") in self.channels
+        }
+        self._known = _known_terms(self)
+
+    @cached_property
+    def _plain(self) -> list:
+        return actuate_lanes(self.inputs, self.engine, {}, 1, None, self.step_s)
+
+    def split(self, windows: np.ndarray, parts: int, local: Array) -> Array:
+        """Cut some windows into parts and return the initial states (W', 3) of all, new ones from the readings.
+
+        Where the machine is unstable a long window amplifies its initial states until no fit can follow.
+
+        Args:
+            windows: (W,) True where to cut; parts: number of parts; local: (W, 3) initial states so far.
+        """
+        ends = np.append(self.starts[1:], self.time_s.size)
+        starts = [
+            np.linspace(a, b, parts + 1)[:-1].astype(np.int64) if cut and b - a >= 4 * parts else np.array([a])
+            for a, b, cut in zip(self.starts, ends, windows, strict=True)
+        ]
+        kept = {int(a): state for a, state in zip(self.starts, local, strict=True)}
+        self.starts = np.concatenate(starts)
+        first = self.first_local()
+        return np.stack([kept.get(int(a), state) for a, state in zip(self.starts, first, strict=True)])
+
+    def first_local(self) -> Array:
+        """States at the windows' starts from smoothed readings; unknown ones from the engine's rest there, (W, 3)."""
+        out = np.empty((self.starts.size, 3))
+        half = _SMOOTHED // 2
+        fallback = (1.5 * self.engine.p_amb, 1.6 * self.engine.p_amb, 5000.0)
+        for j in range(3):
+            values = self.all_readings[:, j]
+            for w, start in enumerate(self.starts):
+                first = max(start - half, _piece_start(self.pieces, start))
+                near = values[first : start + half + 1]
+                t = self.time_s[first : start + half + 1] - self.time_s[start]
+                good = np.isfinite(near)
+                if good.sum() >= 3:
+                    out[w, j] = np.polyfit(t[good], near[good], 1)[1]
+                elif good.any():
+                    out[w, j] = near[good].mean()
+                else:
+                    out[w, j] = out[w - 1, j] if w else fallback[j]
+        return out
+
+    def simulate(self, lanes: Lanes) -> Array:
+        """Readings of the used channels without noise, (B, n, C)."""
+        return self._simulate(lanes)[0]
+
+    def _simulate(self, lanes: Lanes) -> tuple[Array, object]:
+        size = lanes.size
+        n = self.time_s.size
+        batch = parameter_batch(self.engine, **{p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)})
+        magnitudes = np.zeros((len(STATE_EFFECTS), size))
+        schedule = np.ones((len(STATE_EFFECTS), n))
+        combined, schedules = self._combined(lanes)
+        for j, name in enumerate(STATE_EFFECTS):
+            if name in combined:
+                magnitudes[j] = combined[name]
+                schedule[j] = schedules.get(name, 1.0)
+        signals = None
+        if lanes.signals:
+            signals = np.zeros((len(POINTS), n))
+            for name, values in lanes.signals.items():
+                signals[POINTS.index(name)] = values
+        moving = {name: combined[name] for name in ACTUATOR_EFFECTS if name in combined and np.any(combined[name])}
+        actuation = (
+            actuate_lanes(self.inputs, self.engine, moving, size, schedules, self.step_s) if moving else self._plain[0]
+        )
+        extension = Extension(magnitudes, schedule, signals, lanes.lane_points, lanes.lane_signals, self.starts)
+        result = simulate_extended(actuation, batch, extension, lanes.local)
+        measured = apply_sensor_effects(result.measured, self.time_s, combined, schedules)
+        return measured[..., self._at], result
+
+    def _combined(self, lanes: Lanes) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Magnitudes and schedules of the lanes together with the engine's own terms."""
+        magnitudes = {name: np.asarray(value, dtype=np.float64) for name, value in lanes.magnitudes.items()}
+        schedules = dict(lanes.schedules)
+        for name, (magnitude, schedule) in self._known.items():
+            if name in magnitudes and schedule is not None:
+                raise InputError(
+                    f"effect {name}", "a term of the engine with onset or region", "one without",
+                    "search for another effect, or take the term out of the engine file",
+                )  # fmt: skip
+            magnitudes[name] = magnitudes.get(name, np.zeros(lanes.size)) + magnitude
+            if schedule is not None:
+                schedules[name] = schedule
+        return magnitudes, schedules
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        """Variables of ports and tolerances along the trajectory of lane 0, name -> (n,) [SI, %, mg/cycle, rpm]."""
+        one = Lanes(
+            lanes.parameters[:1], lanes.local[:1], {k: v[:1] for k, v in lanes.magnitudes.items()}, lanes.schedules,
+            lanes.signals,
+        )  # fmt: skip
+        engine = self.engine_of(one)
+        actuation = self._plain[0]
+        result = self._simulate(one)[1]
+        frame = extended_frame(result.states[0], actuation, engine)  # type: ignore[attr-defined]
+        c = self.engine
+        p_im, p_em = frame["p_im_pa"].to_numpy(), frame["p_em_pa"].to_numpy()
+        omega, T_em = frame["omega_t_rad_s"].to_numpy(), frame["t_em_k"].to_numpy()
+        p_es, p_bc = frame["p_es_pa"].to_numpy(), frame["p_bc_pa"].to_numpy()
+        W_c, W_egr = frame["w_c_kg_s"].to_numpy(), frame["w_egr_kg_s"].to_numpy()
+        Pi_t = np.minimum(p_es / p_em, 0.9999)
+        velocity = np.sqrt(2.0 * c.c_pe * T_em * (1.0 - Pi_t ** (1.0 - 1.0 / c.gamma_e)))
+        return {
+            "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": self.inputs.n_e_rpm, "u_delta": self.inputs.u_delta_mg,
+            "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em,
+            "T_im": frame["t_im_k"].to_numpy(), "T_c": frame["t_c_k"].to_numpy(), "T_e": frame["t_e_k"].to_numpy(),
+            "p_es": p_es, "p_bc": p_bc, "W_c": W_c, "W_t": frame["w_t_kg_s"].to_numpy(), "W_egr": W_egr,
+            "W_ei": frame["w_ei_kg_s"].to_numpy(), "W_eo": frame["w_eo_kg_s"].to_numpy(),
+            "W_f": frame["w_f_kg_s"].to_numpy(), "Pi_c": np.maximum(p_im / p_bc, 1.0), "Pi_t": Pi_t,
+            "Pi_egr": p_im / p_em, "Pi_e": p_em / p_im, "BSR": c.R_t * omega / velocity,
+            "egr_share": W_egr / (W_egr + W_c), "t": self.time_s - self.time_s[0],
+            "p_amb": np.full(p_im.size, c.p_amb), "T_amb": np.full(p_im.size, c.T_amb),
+        }  # fmt: skip
+
+    def engine_of(self, lanes: Lanes) -> EngineParameters:
+        """The engine of lane 0: health parameters and constant effects as terms (schedules aside)."""
+        values = {p.name: float(lanes.parameters[0, j]) for j, p in enumerate(self.parameters)}
+        terms = list(self.engine.terms)
+        for name, magnitude in lanes.magnitudes.items():
+            if magnitude[0] != 0.0:
+                terms.append(Term(effect=name, magnitude=float(np.clip(magnitude[0], *EFFECTS[name].limits))))
+        return self.engine.replace(**values, terms=tuple(terms))
+
+
+def _known_terms(twin: EngineTwin) -> dict[str, tuple[float, Array | None]]:
+    known: dict[str, tuple[float, Array | None]] = {}
+    for term in twin.engine.terms:
+        if isinstance(term, Term):
+            limited = term.onset_s is not None or term.region is not None
+            schedule = (
+                term.factor(twin.recording_time_s, float(twin.recording_time_s[0]), dict(twin.conditions))
+                if limited
+                else None
+            )
+            before = known.get(term.effect, (0.0, None))[0]
+            known[term.effect] = (before + term.magnitude, schedule)
+    return known
+
+
+def _windows(recording: Recording, window_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of all pieces one after another, first sample of every window, first sample of every piece."""
+    rows, starts, pieces, at = [], [], [], 0
+    for piece in recording.pieces():
+        time = recording.time_s[piece]
+        if time[-1] - time[0] < max(HISTORY_S, 0.5 * window_s):
+            continue
+        count = max(1, round((time[-1] - time[0]) / window_s))
+        edges = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[:-1])
+        pieces.append(at)
+        starts.extend(int(at + e) for e in edges)
+        rows.append(np.arange(piece.start, piece.stop))
+        at += piece.stop - piece.start
+    if not rows:
+        raise InputError(
+            f"{recording.path or 'recording'}", "no stretch with the engine running", f"{window_s:g} s in one piece",
+            "record longer",
+        )  # fmt: skip
+    return np.concatenate(rows), np.array(starts, dtype=np.int64), np.array(pieces, dtype=np.int64)
+
+
+def _without_gaps(time: Array, pieces: np.ndarray) -> Array:
+    """Time stamps with the holes between pieces closed to one sample; the states start anew there anyway."""
+    out = time - time[0]
+    step = float(np.median(np.diff(time)))
+    for start in pieces[1:]:
+        out[start:] -= out[start] - out[start - 1] - step
+    return out
+
+
+def _piece_start(pieces: np.ndarray, row: int) -> int:
+    return int(pieces[np.searchsorted(pieces, row, side="right") - 1])
