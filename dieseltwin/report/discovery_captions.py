@@ -1,0 +1,66 @@
+"""The words under the figures of a discovery: what is drawn, how to read it, what a bad picture would mean."""
+
+from __future__ import annotations
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+MINIMUM = _line("""
+    The smallest size of each effect that this recording could show, in multiples of its tolerance (the smallest size of
+    interest); known before anything is fitted, from the inputs, the noise and the tolerances of the maps. Left of the
+    dashed line the recording is sharper than needed; right of it an effect of interest can stay unseen. An effect that
+    is not reported may still be there below its mark. Longer driving moves every mark to the left.
+""")
+
+EVIDENCE_TIME = _line("""
+    Log-likelihood that the found term gains in each stretch of time; bars below zero are chance. The line is the sum so
+    far: a straight climb means that the effect is always there, a kink that it begins, a stair that it shows in some
+    driving only. Grey: the held-out part, which no fit has seen.
+""")
+EVIDENCE_TIME_HEALTHY = _line("""
+    Log-likelihood that the best candidate would gain in each stretch of time. For a healthy recording the bars scatter
+    around zero and their sum leads nowhere.
+""")
+EVIDENCE_MAP = _line("""
+    The same evidence over the operating map, mean per sample in each cell: engine speed and load, the two actuators.
+    White cells were never visited. Boxes: the regions of the document, with their share of the evidence.
+""")
+
+RESIDUAL_TIME = _line("""
+    Measured minus predicted in standard deviations of the noise, averaged over stretches of {width} s. The raw
+    difference shows nothing: an effect that ruins the health parameters moves it by a fraction of the noise. Grey band:
+    where 95 % of the averages lie if only noise is left. Structure before (orange) that is gone after (blue) is
+    what the repair explains; blue that leaves the band again and again is what still isn't explained.
+""")
+RESIDUAL_MAP = _line("""
+    The same residuals averaged over cells of the operating map and divided by what noise alone leaves of the average:
+    chance gives about ±2. One column a channel. A pattern in the upper row that fades in the lower one is missing
+    physics that the repair accounts for. A pattern that stays says that the law, or its place, is not right yet. The
+    number over each panel is the mean square of its cells; noise alone gives 1.
+""")
+
+LAW = _line("""
+    The found law over its main argument with its 90 % band. Points: what the recording says without the law, the term
+    freed in bins of the argument. The law is right where the points follow it; it claims nothing outside the curve.
+""")
+
+HEALTH = _line("""
+    Health parameters in the fit without the found term (hollow) and with it (filled, bar: 90 % interval). The arrow is
+    what the missing physics had done to the twin's judgement of the engine's health.
+""")
+HEALTH_HEALTHY = "Health parameters of the fit (bar: 90 % interval); nothing had to be repaired."
+
+SCORE = _line("""
+    Left: negative log-likelihood per sample on driving that was held out, lower is better{oracle}. Right: root mean
+    square of each channel's residual in standard deviations of its noise; 1 is what noise alone leaves. Small steps
+    here go with large shifts of the health parameters: a good-looking fit proves nothing.
+""")
+ORACLE = "; the oracle knows the effect and fits its size alone"
+
+CANDIDATES = _line("""
+    Log-likelihood that each effect gains over the health parameters alone, everything refitted (logarithmic). Blue: in
+    the document; light blue: cannot be told from it; grey: weighed and dropped. Beside the bars: the gain, how far
+    behind the best one it is (less than 4.5 can't be told apart), and the fitted size. The table says why.
+""")

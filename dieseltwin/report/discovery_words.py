@@ -1,0 +1,337 @@
+"""Words for discovery: sites, effects, magnitudes as an engineer says them, and the sentence that heads the report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from dieseltwin.discovery.document import Discrepancy, FoundEffect, FoundRegion, HealthValue
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.report import quantities
+
+SENSOR = "sensor:"
+
+SITE_WORDS: Mapping[str, str] = {
+    "intake_mass_balance": "the intake mass balance",
+    "exhaust_mass_balance": "the exhaust mass balance",
+    "cylinder_flow": "the flow into the cylinders",
+    "compressor_flow": "the compressor flow",
+    "compressor_power": "the compressor power",
+    "turbine_flow": "the turbine flow",
+    "turbine_power": "the turbine power",
+    "shaft_power": "the power balance of the turbo shaft",
+    "cylinder_out_temperature": "the cylinder-out temperature",
+    "exhaust_temperature": "the exhaust manifold temperature",
+    "intake_temperature": "the intake manifold temperature",
+    "egr_flow": "the EGR flow",
+    "egr_actuator": "the EGR actuator",
+    "vgt_actuator": "the VGT actuator",
+    "fuel_injection": "the fuel injection",
+}
+
+# SI unit -> (unit on paper, factor)
+_UNITS: Mapping[str, tuple[str, float]] = {
+    "m2": ("mm²", 1e6),
+    "Pa": ("kPa", 1e-3),
+    "-": ("%", 100.0),
+    "%": ("%", 1.0),
+    "1/s": ("%/h", 3.6e5),
+    "N m s": ("µN m s", 1e6),
+    "Pa/(kg/s)^2": ("kPa/(kg/s)²", 1e-3),
+    "Pa/(kg/s)2": ("kPa/(kg/s)²", 1e-3),
+    "W": ("kW", 1e-3),
+    "s": ("s", 1.0),
+    "kg/s": ("kg/s", 1.0),
+}
+
+
+@dataclass(frozen=True)
+class EffectWords:
+    """How one effect is said.
+
+    Attributes:
+        phrase: with {m} where the magnitude goes.
+        plain: a dimensionless magnitude that is no share: shown as it is, not in percent.
+        at_flow: flow at which a quadratic restriction is also given as a pressure [kg/s].
+    """
+
+    phrase: str
+    plain: bool = False
+    at_flow: float | None = None
+
+
+EFFECT_WORDS: Mapping[str, EffectWords] = {
+    "boost_leak": EffectWords("a boost leak of {m}"),
+    "exhaust_leak": EffectWords("an exhaust leak of {m}"),
+    "back_pressure": EffectWords("a back-pressure behind the turbine of {m}", at_flow=0.3),
+    "air_filter_restriction": EffectWords("a restriction of the air filter of {m}", at_flow=0.4),
+    "charge_cooler_loss": EffectWords("a charge cooler that misses its full effectiveness by {m}"),
+    "egr_heating": EffectWords("heating of the charge by warm EGR (f = {m})", plain=True),
+    "bearing_friction": EffectWords("bearing friction of the turbocharger of {m}"),
+    "exhaust_thermal_inertia": EffectWords("a thermal inertia of the exhaust of {m}"),
+    "thermocouple_lag": EffectWords("a lag of the exhaust thermocouple of {m}"),
+    "egr_backlash": EffectWords("a play of {m} in the EGR actuator"),
+    "vgt_backlash": EffectWords("a play of {m} in the VGT actuator"),
+    "egr_valve_leak": EffectWords("an EGR valve that leaks by {m} of its largest area when shut"),
+    "egr_clogging": EffectWords("an EGR valve that clogs by {m}"),
+    "vgt_offset": EffectWords("an offset of the VGT position of {m}"),
+    "injector_drift": EffectWords("a drift of the injected mass of {m}"),
+    "compressor_efficiency_loss": EffectWords("a loss of compressor efficiency of {m}"),
+    "turbine_efficiency_loss": EffectWords("a loss of turbine efficiency of {m}"),
+    "compressor_flow_loss": EffectWords("a loss of compressor flow of {m}"),
+    "volumetric_efficiency_residual": EffectWords(
+        "a volumetric efficiency that falls with p_em/p_im (k = {m})", plain=True
+    ),
+    "blow_by": EffectWords("blow-by of {m} of the cylinder flow"),
+    "p_im_offset": EffectWords("an offset of the p_im reading of {m}"),
+    "p_em_offset": EffectWords("an offset of the p_em reading of {m}"),
+    "p_em_gain": EffectWords("a gain error of the p_em reading of {m}"),
+    "w_egr_gain": EffectWords("a gain error of the W_egr reading of {m}"),
+    "w_c_gain": EffectWords("a gain error of the W_c reading of {m}"),
+    "t_em_gain": EffectWords("a gain error of the T_em reading of {m}"),
+    "egr_dead_time": EffectWords("a dead time of the EGR actuator longer by {m}"),
+    "vgt_dead_time": EffectWords("a dead time of the VGT actuator longer by {m}"),
+}
+
+# shares of a full input range above which a region is no restriction worth a word
+_REGION_RANGES: Mapping[str, tuple[str, str, float]] = {
+    "n_e_rpm": ("n_e", "rpm", 1500.0),
+    "u_delta_mg": ("u_delta", "mg/cycle", 249.0),
+    "u_egr_pct": ("u_egr", "%", 100.0),
+    "u_vgt_pct": ("u_vgt", "%", 80.0),
+}
+_NARROW = 0.5
+_SHARE = 0.5  # of the evidence from which a region is worth a word
+_LEAST_SHIFT = 0.01  # relative shift of a health parameter that is worth a word
+_LIKELY = 0.1  # probability from which another site is worth a word
+
+
+def unit_of(name: str) -> str | None:
+    """SI unit of an effect's magnitude; None for a name that the catalogue doesn't hold."""
+    effect = EFFECTS.get(name)
+    return None if effect is None else effect.unit
+
+
+def site_of(name: str) -> str | None:
+    """Site of an effect; None for a name that the catalogue doesn't hold."""
+    effect = EFFECTS.get(name)
+    return None if effect is None else effect.site
+
+
+def is_sensor(site: str) -> bool:
+    """Whether the site is a reading: a sensor fault, no missing physics."""
+    return site.startswith(SENSOR)
+
+
+def site_words(site: str) -> str:
+    """The site in words, to follow "in"; a site that has none as it is, without underscores."""
+    if is_sensor(site):
+        return f"the reading {site.removeprefix(SENSOR)}"
+    return SITE_WORDS.get(site, "the " + site.replace("_", " "))
+
+
+def display_unit(name: str, unit: str | None) -> tuple[str, float]:
+    """Shown unit of an effect's magnitude and the factor from `unit` to it."""
+    entry = EFFECT_WORDS.get(name)
+    if unit is None or (entry is not None and entry.plain):
+        return "", 1.0
+    return _UNITS.get(unit, (unit, 1.0))
+
+
+def magnitude_words(
+    name: str, magnitude: float, std: float | None, unit: str | None, *, extra: bool = True, digits: int = 3
+) -> str:
+    """A magnitude [unit] as text, `41.0 ± 2.0 mm²`, with two digits of the standard deviation.
+
+    Args:
+        name: of the effect.
+        digits: of the magnitude where there is no standard deviation.
+        extra: also give a quadratic restriction as the pressure at its flow.
+    """
+    shown, factor = display_unit(name, unit)
+    value, spread = magnitude * factor, math.nan if std is None else std * factor
+    if math.isfinite(spread) and spread > 0.0:
+        places = quantities.decimals_for(spread)
+        text = f"{value:.{places}f} ± {spread:.{places}f}"
+    else:
+        text = quantities.significant(value, digits)
+    text = text.replace("-", "−") if value < 0 and "e" not in text else text
+    text = f"{text} {shown}".rstrip()
+    entry = EFFECT_WORDS.get(name)
+    if extra and entry is not None and entry.at_flow is not None:
+        pressure = 1e-3 * magnitude * entry.at_flow**2
+        text += f" ({quantities.significant(pressure, 2)} kPa at {entry.at_flow:g} kg/s)"
+    return text
+
+
+def effect_words(effect: FoundEffect) -> str:
+    """A named effect with its magnitude, to follow "there is"."""
+    magnitude = math.nan if effect.magnitude is None else effect.magnitude
+    size = magnitude_words(effect.name, magnitude, effect.std, effect.unit)
+    entry = EFFECT_WORDS.get(effect.name)
+    if entry is None:
+        return f"{effect.name.replace('_', ' ')} of {size}"
+    return entry.phrase.format(m=size)
+
+
+def least_words(name: str, smallest: float) -> str | None:
+    """The smallest visible magnitude of an effect ("a boost leak of 3.1 mm²"); None for an unknown name."""
+    unit = unit_of(name)
+    entry = EFFECT_WORDS.get(name)
+    if unit is None or entry is None:
+        return None
+    return entry.phrase.format(m=magnitude_words(name, smallest, None, unit, digits=2))
+
+
+def _sure(probability: float) -> str:
+    percent = 100.0 * probability
+    return "more than 99 % sure" if percent > 99.0 else f"{percent:.0f} % sure"
+
+
+def clock(seconds: float) -> str:
+    """A time of the recording, `312 s`, with minutes beyond ten of them."""
+    return f"{seconds:.0f} s" + (f" ({seconds / 60:.1f} min)" if abs(seconds) >= 600.0 else "")
+
+
+def region_words(region: FoundRegion) -> str:
+    """The columns that the region really restricts ("n_e 1200 to 1500 rpm"); empty where it restricts none."""
+    parts = []
+    for column, (symbol, unit, span) in _REGION_RANGES.items():
+        low, high = getattr(region, column)
+        if high - low < _NARROW * span:
+            parts.append(f"{symbol} {low:.0f} to {high:.0f} {unit}")
+    return ", ".join(parts)
+
+
+def _listing(parts: Sequence[str], last: str = "and") -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+
+
+def shifts(health: Mapping[str, HealthValue]) -> list[tuple[str, float]]:
+    """(name, relative error of the health-only fit against the repaired one), largest first, noise left out."""
+    found = []
+    for name, entry in health.items():
+        if entry.value == 0.0:
+            continue
+        shift = entry.before / entry.value - 1.0
+        noise = 0.0 if entry.std is None else abs(entry.std / entry.value)
+        if abs(shift) >= _LEAST_SHIFT and abs(shift) > noise:
+            found.append((name, shift))
+    return sorted(found, key=lambda pair: -abs(pair[1]))
+
+
+def _health_words(document: Discrepancy) -> str:
+    moved = shifts(document.health)
+    if not moved:
+        return "the health parameters stay where the fit without it had them, within their uncertainty or 1 %"
+    parts = [f"{name} {100 * abs(shift):.2g} % too {'high' if shift > 0 else 'low'}" for name, shift in moved]
+    return f"the fit of the health parameters alone had put {_listing(parts)}"
+
+
+def _number(value: float, step: float) -> str:
+    digits = 2 if step == 0.0 else min(max(2, 1 - math.floor(math.log10(abs(step)))), 6)
+    return f"{value:.{digits}f}".replace("-", "−")
+
+
+def _held_out_words(document: Discrepancy) -> str:
+    before, after = document.fit.held_out_nll_before, document.fit.held_out_nll_after
+    if before is None or after is None:
+        return "there was nothing to hold out, so no gain on unseen driving is claimed"
+    step = before - after
+    first, second = _number(before, step), _number(after, step)
+    if step > 0:
+        return f"on the held-out part the negative log-likelihood falls from {first} to {second} per sample"
+    return f"on the held-out part the negative log-likelihood does not fall ({first} before, {second} after)"
+
+
+def _when_words(document: Discrepancy) -> str:
+    location = document.location
+    if location is None:
+        return ""
+    text = "from the start" if location.onset_s is None else f"since {clock(location.onset_s)}"
+    confined = [r for r in location.regions if r.share_of_evidence >= _SHARE and region_words(r)]
+    if confined:
+        region = max(confined, key=lambda r: r.share_of_evidence)
+        text += f", with {100 * region.share_of_evidence:.0f} % of the evidence at {region_words(region)}"
+    return text
+
+
+def _apart_words(document: Discrepancy) -> str:
+    parts = []
+    for effect in document.effects:
+        if effect.equivalent_names:
+            subject = f"{effect.name} cannot be told apart from {_listing(effect.equivalent_names, 'or')}"
+            split = f", which {effect.split_by} would settle" if effect.split_by else ""
+            parts.append(subject + split)
+    location = document.location
+    other = [a for a in location.alternatives if a.probability >= _LIKELY] if location is not None else []
+    if other:
+        where = [f"{site_words(a.site)} ({100 * a.probability:.0f} %)" for a in other]
+        parts.append(f"it could also sit in {_listing(where, 'or')}")
+    if not parts:
+        unnamed = any(not effect.named for effect in document.effects)
+        parts.append("no other site comes into question" if unnamed
+                     else "no other effect of the catalogue explains the recording as well")
+    return " and ".join(parts)
+
+
+def _placed(effects: Sequence[FoundEffect], site: str) -> str:
+    """Named effects in one phrase; those of another site than the one named before say theirs."""
+    text = effect_words(effects[0])
+    for effect in effects[1:]:
+        own = site_of(effect.name)
+        place = " and" if own is None or own == site else f", and, in {site_words(own)},"
+        text += f"{place} {effect_words(effect)}"
+    return text
+
+
+def _what_words(document: Discrepancy) -> str:
+    """Where, what and how large."""
+    location = document.location
+    if location is None:
+        return ""
+    where = f"in {site_words(location.site)} ({_sure(location.probability)})"
+    named = [effect for effect in document.effects if effect.named]
+    unnamed = [effect for effect in document.effects if not effect.named]
+    off = is_sensor(location.site)
+    if not unnamed:
+        what = _placed(named, location.site)
+        if off:
+            return f"A sensor is off, physics is not what is missing: {where}, {what}"
+        return f"The twin leaves out, {where}, {what}"
+    law = unnamed[0].law
+    found = f"the law found for it is {law}" if law else "no law for it could be resolved"
+    beside = f", and beside it {_placed(named, location.site)}" if named else ""
+    subject = f"A sensor is off, {where}," if off else f"The twin leaves out something, {where},"
+    return f"{subject} {'in a way ' if off else ''}that no effect of the catalogue explains ({found}){beside}"
+
+
+_EXAMPLES = ("boost_leak", "back_pressure", "bearing_friction")
+
+
+def _healthy(document: Discrepancy) -> str:
+    p_value = f"p = {document.p_value:.2g}"
+    least = [least_words(name, document.minimum_detectable[name])
+             for name in _EXAMPLES if name in document.minimum_detectable]
+    shown = [words for words in least if words]
+    text = (f"Nothing is missing that this recording could show ({p_value}): noise, the four health parameters and the "
+            "tolerances of the maps explain it")
+    if shown:
+        text += f"; {_listing(shown)} would have been seen, smaller ones cannot be ruled out"
+    return text + "."
+
+
+def sentence(document: Discrepancy) -> str:
+    """One sentence: where, what, how large, since when, what it did to the health parameters, how much the held-out fit
+    improved, and what could not be told apart. Plain text; symbols by their names ("eta_sc")."""
+    if not document.mismatch:
+        return _healthy(document)
+    return "; ".join(
+        [
+            f"{_what_words(document)}, {_when_words(document)}",
+            _health_words(document),
+            _held_out_words(document),
+            _apart_words(document),
+        ]
+    ) + "."
