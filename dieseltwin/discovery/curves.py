@@ -104,6 +104,8 @@ class Discovery:
         curves: for figures.
         runtime: wall times by step [s], and whatever else differs from run to run.
         details: whatever else is worth keeping, JSON types; goes into `details.json`.
+        local: (W, 3) states at the windows' starts in the repaired fit, for the windows of `EngineTwin` over the same
+            recording; None where they weren't kept (smoothed readings then take their place in `implied`).
     """
 
     document: Discrepancy
@@ -112,3 +114,4 @@ class Discovery:
     curves: Curves
     runtime: Mapping[str, Any] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
+    local: Array | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -142,8 +143,8 @@ def discovery(given: Discrepancy | None = None, n: int = 3000, seed: int = 3) ->
     measured = clean + noise
     evidence = 0.5 * (((measured - before) / SIGMA) ** 2 - (noise / SIGMA) ** 2).sum(axis=1)
     edges = np.arange(0, n + 1, 50)
-    windows = np.array([evidence[a:b].sum() for a, b in zip(edges[:-1], edges[1:], strict=True)])
-    middles = np.array([time_s[a:b].mean() for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    windows = np.array([evidence[a:b].sum() for a, b in pairwise(edges)])
+    middles = np.array([time_s[a:b].mean() for a, b in pairwise(edges)])
     before_engine = we2011.PARAMETERS.replace(**{k: v.before for k, v in found.health.items()})
     after_engine = we2011.PARAMETERS.replace(**{k: v.value for k, v in found.health.items()})
     curves = Curves(
