@@ -14,6 +14,10 @@ DAMPING_DOWN, DAMPING_UP = 0.1, 8.0
 DAMPING_MIN, DAMPING_MAX = 1e-9, 1e6
 HEALTH_STEP = 0.5
 """Largest change of a log-parameter in one step."""
+HEALTH_RIDGE = 1e-2
+"""Added to the curvature of the log-parameters in a step: a parameter without any influence (A_egrmax behind a shut
+valve) leaves a row of zeros that no factorisation takes, and would stop all the others. It is the information of a
+prior with a standard deviation of 10 in the logarithm, is no part of the objective, and so biases nothing."""
 
 
 @dataclass
@@ -35,6 +39,13 @@ class Runs:
     iterations: Tensor
 
 
+def ridge(size: int, dtype: torch.dtype) -> Tensor:
+    """(size, size) diagonal matrix with `HEALTH_RIDGE` for the log-parameters, the last of the unknowns."""
+    added = torch.zeros(size, dtype=dtype)
+    added[-N_HEALTH:] = HEALTH_RIDGE
+    return torch.diag(added)
+
+
 def _rows(cylinder: Cylinder, lanes: Tensor) -> Cylinder:
     return Cylinder(cylinder.x_r[lanes], cylinder.T_1[lanes])
 
@@ -49,7 +60,7 @@ def _take(q: Quadratic, lanes: Tensor) -> Quadratic:
 def _step(hessian: Tensor, gradient: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
     """Damped step (R, m), and which runs have a usable one."""
     diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
-    damped = hessian + torch.diag_embed(damping[:, None] * diagonal)
+    damped = hessian + torch.diag_embed(damping[:, None] * diagonal) + ridge(diagonal.shape[-1], diagonal.dtype)
     factor, info = torch.linalg.cholesky_ex(damped)
     step = -torch.cholesky_solve(gradient.unsqueeze(-1), factor).squeeze(-1)
     usable = (info == 0) & torch.isfinite(step).all(-1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,14 +22,15 @@ from dieseltwin.engine import Actuation, EngineParameters, actuate
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import cautious_bound, states_within
 from dieseltwin.identification.collocation import Collocation, Data
-from dieseltwin.identification.damped_newton import Runs, minimise
+from dieseltwin.identification.damped_newton import Runs, minimise, ridge
 from dieseltwin.identification.defects import STEP_S, Defects, Windows, defects, simulate_windows, windows_for
 from dieseltwin.identification.heads import Heads, heads_for
+from dieseltwin.identification.newton_settings import NewtonSettings
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.process_noise import calibrate
 from dieseltwin.identification.residuals import N_HEALTH, Cylinder, DrivenInputs, PointModel, driven_inputs
 from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
-from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts
+from dieseltwin.identification.unknowns import health_of, starts
 
 METHOD = "few-shot-newton"
 BLOCK = 10
@@ -43,65 +44,10 @@ EARLY_TOLERANCE = 0.5
 """Decrement at which a run of an early stage stops [standard deviations]."""
 RENEWAL_DAMPING = 1e-6
 """First damping after a renewed defect: the run is next to its minimum already."""
-PATIENT_STAGES = (100.0, 30.0, 10.0, 3.0, 1.0)
-"""Stages of the second attempt, from the laboratory values themselves."""
 DOUBTFUL_SIGMAS = 4.0
 """A run whose data misfit exceeds the runs' median by this many standard deviations of chi-square is tried again."""
 CONVERGED_BELOW = 0.1
 """Decrement that counts as converged [standard deviations]."""
-
-
-@dataclass(frozen=True)
-class NewtonSettings:
-    """Settings; `from_config` takes them from params.yaml.
-
-    Attributes:
-        start_at: "lab" or "truth" (only to show how much that flatters).
-        start_sigma: spread of the starts in masked space [-].
-        stages: multiples of the process noise, one stage each, the last 1.
-        iterations_early: most steps of a stage but the last, which need not converge.
-        iterations_max: most steps of the last stage, and of each renewal of the defect.
-        tolerance: decrement at which a run of a stage stops [standard deviations].
-        damping_start: first Levenberg-Marquardt factor of a stage [-].
-        student_dof: tails of the physics residuals [-].
-        defect_share, floor_share: of `process_noise`.
-        renewals_max: most renewals of the defect at the last stage.
-        samples: draws from the uncertainty for the bands.
-    """
-
-    start_at: str = "lab"
-    start_sigma: float = START_SIGMA
-    stages: tuple[float, ...] = (30.0, 5.0, 1.0)
-    iterations_early: int = 8
-    iterations_max: int = 12
-    tolerance: float = 0.05
-    damping_start: float = 1e-3
-    student_dof: float = 4.0
-    defect_share: float = 0.3
-    floor_share: float = 0.3
-    renewals_max: int = 3
-    samples: int = 24
-
-    @classmethod
-    def from_config(cls, config: Any) -> NewtonSettings:
-        """Take the settings from `config.IdentifyConfig`, its section `newton`, `NewtonSettings` or None."""
-        if config is None:
-            return cls()
-        if isinstance(config, cls):
-            return config
-        own = getattr(config, "newton", config)
-        common = {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
-        names = (
-            "iterations_early",
-            "iterations_max",
-            "tolerance",
-            "damping_start",
-            "student_dof",
-            "defect_share",
-            "floor_share",
-        )
-        given = {name: getattr(own, name) for name in names if hasattr(own, name)}
-        return cls(stages=tuple(getattr(own, "stages", cls.stages)), **given, **common)
 
 
 @dataclass(frozen=True)
@@ -221,7 +167,8 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
     problem, heads = setting.problem, setting.heads
     noise = calibrate(
         heads, setting.inputs, model, setting.exact, setting.windows, setting.actuation, problem.parameters,
-        defect_share=settings.defect_share, floor_share=settings.floor_share,
+        sigma=torch.from_numpy(problem.sigma[:3]), defect_share=settings.defect_share, floor_share=settings.floor_share,
+        noticed_share=settings.noticed_share,
     )  # fmt: skip
     weights = torch.where(torch.isnan(readings), 0.0, 1.0) / torch.from_numpy(problem.sigma)
     clean = torch.nan_to_num(readings)
@@ -299,11 +246,14 @@ def _defects(setting: Setting, unknowns: Tensor) -> Defects:
 
 
 def _log_std(state: Runs) -> Tensor:
-    """(R, 4) standard deviations of the log-parameters from the inverse Hessian; infinite where it is singular."""
+    """(R, 4) standard deviations of the log-parameters from the inverse Hessian; infinite where it is singular.
+
+    With the ridge of the steps: behind a shut valve A_egrmax has no curvature, and the others must keep theirs.
+    """
     hessian = state.quadratic.hessian
     if hessian is None:
         return torch.full((len(state.unknowns), N_HEALTH), float("inf"), dtype=state.unknowns.dtype)
-    factor, info = torch.linalg.cholesky_ex(hessian)
+    factor, info = torch.linalg.cholesky_ex(hessian + ridge(hessian.shape[-1], hessian.dtype))
     # The last rows of the factor's inverse are those of the parameters: inv(L)' inv(L) is the covariance.
     corner = torch.linalg.inv_ex(factor[:, -N_HEALTH:, -N_HEALTH:]).inverse
     variance = (corner**2).sum(-2)
@@ -325,7 +275,7 @@ def _segment(
     for first in range(0, len(doubtful), BLOCK):
         members = doubtful[first : first + BLOCK]
         centre = torch.from_numpy(np.log(health_of(problem.parameters))).expand(len(members), -1)
-        again = _solved(setting, maps, readings[members], centre, members, _patient(settings))
+        again = _solved(setting, maps, readings[members], centre, members, settings.patient())
         for i, member in enumerate(members):
             _replace_if_better(parts[member // BLOCK], member % BLOCK, again, i)
     unknowns = torch.cat([s.runs.unknowns for s, _ in parts])
@@ -356,10 +306,6 @@ def _solved(
     model = point_model(setting.problem.parameters, maps, members)
     found = solve(setting, model, readings, begin, settings)
     return found, _states(setting, model, found)
-
-
-def _patient(settings: NewtonSettings) -> NewtonSettings:
-    return replace(settings, stages=PATIENT_STAGES, iterations_early=settings.iterations_max)
 
 
 def _doubtful(problem: SegmentProblem, solutions: list[Solution]) -> list[int]:

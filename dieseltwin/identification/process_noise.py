@@ -67,8 +67,10 @@ def calibrate(
     actuation: Actuation,
     parameters: EngineParameters,
     *,
+    sigma: Tensor,
     defect_share: float,
     floor_share: float,
+    noticed_share: float,
 ) -> ProcessNoise:
     """Calibrate the process noise of one segment on the laboratory twin.
 
@@ -77,9 +79,13 @@ def calibrate(
         model: the model of the estimator, learned maps included; one lane or R lanes of members.
         exact: the model that the simulator integrates.
         parameters: laboratory parameters.
+        sigma: (3,) noise of the readings of p_im, p_em, omega_t [Pa, Pa, rad/s].
         defect_share: see `ProcessNoise`.
         floor_share: share of the median defect that the floor doesn't fall below [-]: the equations must not become
             a hard constraint while the defect still belongs to another estimate.
+        noticed_share: a residual that, kept up for the whole segment, would move a state by less than this share of the
+            standard error of its mean reading is too small to be noticed [-]. Nothing is gained by forbidding it, and
+            at idle, where the basis misses next to nothing, no step could follow equations that hard.
 
     Returns:
         The process noise.
@@ -93,7 +99,16 @@ def calibrate(
     remaining = path.rates - point.rates - found.rate
     level = MAD_TO_SIGMA * remaining.abs().flatten(0, 1).median(0).values
     resolved = MAD_TO_SIGMA * found.rate.abs().flatten(0, 1).median(0).values
-    return ProcessNoise((level**2 + (floor_share * resolved) ** 2).sqrt(), defect_share)
+    noticed = noticed_share * _restoring(exact, inputs, states, health) * sigma / len(states[0]) ** 0.5
+    return ProcessNoise((level**2 + (floor_share * resolved) ** 2 + noticed**2).sqrt(), defect_share)
+
+
+def _restoring(exact: PointModel, inputs: DrivenInputs, states: Tensor, health: Tensor) -> Tensor:
+    """(3,) median size of the rate that drives each state back, per unit of the state [1/s]."""
+    rates = exact(states, health, inputs).d_rates
+    if rates is None:
+        raise ValueError("the model returned no derivatives")
+    return torch.diagonal(rates[0, ..., :3], dim1=-2, dim2=-1).abs().median(0).values
 
 
 def _defects(
