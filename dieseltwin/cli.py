@@ -16,6 +16,7 @@ import typer
 
 from dieseltwin import __version__
 from dieseltwin.cli_challenge import challenge_app
+from dieseltwin.cli_effects import EffectOption, show_effects
 from dieseltwin.errors import DieselTwinError, InputError
 
 # typer carries its own copy of click and exports few of its exceptions; these are the bases of one it does export
@@ -34,6 +35,7 @@ params_app = typer.Typer(help="Settings of a run (params.yaml).")
 app.add_typer(engine_app, name="engine")
 app.add_typer(params_app, name="params")
 app.add_typer(challenge_app, name="challenge")
+app.command("effects")(show_effects)
 
 EngineFile = Annotated[
     Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")
@@ -86,11 +88,12 @@ def simulate(
     ],
     engine: EngineFile = None,
     channels: ChannelsFile = None,
+    effect: EffectOption = None,
 ) -> None:
     """Simulate the engine over recorded or made-up inputs."""
     from dieseltwin.cli_simulate import run_simulate
 
-    rows = run_simulate(inputs, out, engine=engine, channels=channels)
+    rows = run_simulate(inputs, out, engine=engine, channels=channels, effects=effect)
     typer.echo(f"{out}: {rows} rows")
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.channels import INPUTS
+from dieseltwin.cli_effects import with_effects
 from dieseltwin.engine import EngineParameters, Inputs, load_engine, settle, simulate, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import Recording, read_recording, write_recording
@@ -16,7 +18,10 @@ STATE_COLUMNS = ("p_im_pa", "p_em_pa", "omega_t_rad_s")
 SUFFIXES = (".csv", ".parquet")
 
 
-def run_simulate(inputs: Path, out: Path, *, engine: Path | None = None, channels: Path | None = None) -> int:
+def run_simulate(
+    inputs: Path, out: Path, *, engine: Path | None = None, channels: Path | None = None,
+    effects: Sequence[str] | None = None,
+) -> int:  # fmt: skip
     """Simulate over a file of inputs and write the result; returns the number of rows written.
 
     Args:
@@ -24,6 +29,7 @@ def run_simulate(inputs: Path, out: Path, *, engine: Path | None = None, channel
         out: .csv or .parquet, written atomically.
         engine: YAML overriding engine parameters.
         channels: channel map of the inputs.
+        effects: NAME=VALUE of effects to add to the engine's terms.
 
     Raises:
         InputError: any file that cannot be used or written.
@@ -31,6 +37,7 @@ def run_simulate(inputs: Path, out: Path, *, engine: Path | None = None, channel
     if out.suffix.lower() not in SUFFIXES:
         raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(SUFFIXES), "choose one of them")
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
+    parameters = with_effects(parameters, effects)
     recording = read_recording(inputs, channels, parameters, sensors=(), any_rate=True)
     check_writable(out)
     parameters = parameters.replace(T_amb=recording.t_amb_k, p_amb=recording.p_amb_pa)
@@ -60,5 +67,9 @@ def _initial(recording: Recording, parameters: EngineParameters) -> np.ndarray:
     if np.isfinite(first).all():
         return first
     inputs = _inputs(recording).clipped(parameters)
-    settled = settle(inputs.n_e_rpm[0], inputs.u_delta_mg[0], inputs.u_egr_pct[0], inputs.u_vgt_pct[0], parameters)
+    if parameters.terms:
+        from dieseltwin.engine.extended_frame import settle_terms as at_rest
+    else:
+        at_rest = settle
+    settled = at_rest(inputs.n_e_rpm[0], inputs.u_delta_mg[0], inputs.u_egr_pct[0], inputs.u_vgt_pct[0], parameters)
     return np.where(np.isfinite(first), first, settled)
