@@ -1,4 +1,4 @@
-"""The command line: `dieseltwin simulate | identify | engine show | params show`.
+"""The command line: `dieseltwin simulate | identify | discover | engine show | params show`.
 
 A problem that the user can mend is one line on stderr and exit code 2; nothing is written then. Any other exception
 keeps its traceback: it is a defect, and the report of it needs the place.
@@ -148,6 +148,50 @@ def identify(
         seed=seed,
         params=params,
         profile=profile,
+    )
+    for line in lines:
+        typer.echo(line)
+
+
+@app.command()
+def discover(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
+    recording: Annotated[
+        Path | None,
+        typer.Argument(metavar="RECORDING", help="CSV or Parquet recording of a running engine, 10 min or more."),
+    ] = None,
+    engine: EngineFile = None,
+    sensors: Annotated[
+        str | None, typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; all without it.")
+    ] = None,
+    channels: ChannelsFile = None,
+    withhold: Annotated[
+        str | None, typer.Option("--withhold", metavar="NAME,...", help="Effects to keep out of the catalogue.")
+    ] = None,
+    map_tolerance: Annotated[
+        float, typer.Option("--map-tolerance", metavar="X", help="Smooth relative error believed of the maps [-].")
+    ] = 0.003,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            "--explain", metavar="NAME", help="Say why an effect was or wasn't chosen; reads DIR where it can."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = 0,
+) -> None:
+    """Find what physics the twin leaves out: where, what, how large, since when."""
+    from dieseltwin.cli_discover import run_discover
+
+    lines = run_discover(
+        recording,
+        out,
+        engine=engine,
+        sensors=sensors,
+        channels=channels,
+        withhold=withhold,
+        map_tolerance=map_tolerance,
+        seed=seed,
+        name=name,
     )
     for line in lines:
         typer.echo(line)
