@@ -49,3 +49,54 @@ def make(
         jobs=jobs or _cores(), progress=_progress,
     )  # fmt: skip
     typer.echo(f"{out}: {manifest['n']} recordings; answers in {out / 'sealed'}, their salted hashes in manifest.json")
+
+
+@challenge_app.command()
+def run(
+    folder: Folder,
+    only: Annotated[str, typer.Option("--only", metavar="IDS", help="Cases: case_0003,case_0007.")] = "",
+    limit: Annotated[int | None, typer.Option("--limit", metavar="N", min=1, help="At most N cases now.")] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Run the tool on every case without a result; killed, it goes on where it was. Never opens the answers."""
+    from dieseltwin.discovery.challenge.run import RESULTS, run_challenge
+
+    counts = run_challenge(
+        folder, only=_names(only), limit=limit, jobs=jobs or _cores(), progress=_progress
+    )
+    typer.echo(f"{folder / RESULTS}: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
+
+
+@challenge_app.command()
+def score(
+    folder: Folder,
+    jobs: Jobs = None,
+    unrun: Annotated[bool, typer.Option("--unrun", help="Count cases that were never run as failures.")] = False,
+) -> None:
+    """Open the answers, check the hashes, and write the table: DIR/score."""
+    from dieseltwin.discovery.challenge.score import score_challenge, write_score
+    from dieseltwin.discovery.challenge.table import lines
+
+    found = score_challenge(folder, jobs=jobs or _cores(), unrun=unrun, progress=_progress)
+    out = write_score(found, folder)
+    for line in lines(found.rows):
+        typer.echo(f"{line.metric}: {line.value} (pass {line.pass_at}, aim {line.aim})")
+    typer.echo(f"{out / 'score.md'}")
+
+
+@challenge_app.command()
+def baselines(
+    folder: Folder,
+    limit: Annotated[int, typer.Option("--limit", metavar="N", min=1, help="The first N cases.")] = 60,
+    only: Annotated[str, typer.Option("--only", metavar="IDS", help="Cases instead of the first N.")] = "",
+    jobs: Jobs = None,
+) -> None:
+    """Run the baselines (health only, Kalman, neural) on a fixed part of the cases, for `score` to set beside."""
+    from dieseltwin.discovery.challenge.baselines import run_baselines
+
+    done = run_baselines(folder, only=_names(only), limit=limit, jobs=jobs or _cores(), progress=_progress)
+    typer.echo(f"{folder / 'baselines'}: {done} cases")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())

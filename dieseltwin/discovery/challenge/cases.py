@@ -1,4 +1,4 @@
-"""The cases of a benchmark: the mix of DISCOVERY.md ("Proof"), each machine with its health, maps, sensors and faults."""
+"""The cases of a benchmark: the mix of DISCOVERY.md ("Proof"), each machine with health, maps, sensors, faults."""
 
 from __future__ import annotations
 

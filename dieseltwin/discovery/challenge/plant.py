@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from dieseltwin.discovery.challenge.actuators import fine_command, lag
 from dieseltwin.discovery.challenge.driving import Driving
 from dieseltwin.discovery.challenge.map_errors import MapErrors
+from dieseltwin.discovery.challenge.plant_constants import plant_constants
 from dieseltwin.discovery.challenge.plant_effects import KERNEL_EFFECTS, Fault, schedule
 
 STEP_S = 0.005
@@ -33,84 +34,6 @@ OUTPUTS = (
     "t_im_k", "w_leak_im_kg_s", "w_leak_em_kg_s", "p_es_pa", "p_bc_pa", "p_f_w", "t_read_k", "eta_c", "eta_tm",
     "phi_c", "psi_c", "pi_t", "u_egr_act_pct", "u_vgt_act_pct",
 )  # fmt: skip
-
-
-class Constants(NamedTuple):
-    """Parameters of the plant as scalars [SI, speed in rpm, positions in %]."""
-
-    c_pa: float
-    c_va: float
-    c_pe: float
-    R_a: float
-    R_e: float
-    gamma_a: float
-    gamma_e: float
-    T_amb: float
-    p_amb: float
-    T_im: float
-    V_im: float
-    V_em: float
-    V_d: float
-    r_c: float
-    n_cyl: float
-    q_HV: float
-    eta_sc: float
-    x_cv: float
-    h_tot: float
-    d_pipe: float
-    l_pipe: float
-    n_pipe: float
-    c_vol0: float
-    c_vol1: float
-    c_vol2: float
-    A_egrmax: float
-    Pi_egropt: float
-    c_egr0: float
-    c_egr1: float
-    c_egr2: float
-    A_vgtmax: float
-    K_t: float
-    c_f1: float
-    c_f2: float
-    c_vgt1: float
-    c_vgt2: float
-    J_t: float
-    R_t: float
-    R_c: float
-    eta_tmmax: float
-    BSR_opt: float
-    c_m0: float
-    c_m1: float
-    c_m2: float
-    omega_tlin: float
-    c_mlin: float
-    eta_cmax: float
-    Q_c0: float
-    Q_c1: float
-    Q_c2: float
-    W_copt: float
-    pi_copt: float
-    c_pi: float
-    c_omega_psi0: float
-    c_omega_psi1: float
-    c_omega_psi2: float
-    c_omega_phi0: float
-    c_omega_phi1: float
-    c_omega_phi2: float
-    c_psi2: float
-    c_phi2: float
-
-
-def plant_constants(parameters: Mapping[str, Any]) -> Constants:
-    """Scalars from a published parameter set by name; vectors are taken apart."""
-    flat: dict[str, float] = {}
-    for name, value in parameters.items():
-        if isinstance(value, tuple | list):
-            flat.update({f"{name}{k}": float(v) for k, v in enumerate(value) if not isinstance(v, str | tuple | dict)})
-        elif isinstance(value, int | float):
-            flat[name] = float(value)
-    flat.update(c_psi2=float(parameters["c_psi2"]), c_phi2=float(parameters["c_phi2"]))
-    return Constants(*(flat[name] for name in Constants._fields))
 
 
 _E = {name: k for k, name in enumerate(KERNEL_EFFECTS)}
@@ -310,7 +233,7 @@ def errors_1d(table, low, high, x):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _integrate(inputs, step, every, first, c, which, sizes, factors, errors, low, high, start, out):  # type: ignore[no-untyped-def]
-    """Heun's method over the fine inputs (4, N + 1); every `every`-th step from step `first` on becomes a row of out."""
+    """Heun's method over the fine inputs (4, N + 1); from step `first` on every `every`-th becomes a row of out."""
     y = np.array([start[0], start[1], start[2], 600.0])
     carry = np.array([0.03, 310.0, c.T_im])
     e = np.zeros(factors_of_kernel)

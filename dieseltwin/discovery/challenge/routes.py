@@ -19,7 +19,6 @@ from dieseltwin.discovery.challenge.driving import Driving
 from dieseltwin.discovery.challenge.plant import SAMPLE_S, run_plant
 from dieseltwin.duty_cycles import (
     Demand,
-    idle_weight,
     joined,
     load_schedule,
     positions,

@@ -1,0 +1,58 @@
+"""Baseline: a small network added to the rates, trained on the biases that the Kalman filter finds.
+
+It learns where in the operating range the balances are off and is simulated with the twin; alarms when it improves the
+last part of the recording, on which it was not trained. It has no name for anything.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dieseltwin.discovery.challenge.baselines.health_only import HealthFit, fit_health
+from dieseltwin.discovery.challenge.baselines.kalman import SETTLE_S
+from dieseltwin.discovery.challenge.baselines.model import HIDDEN, NET_INPUTS, Bound, Net
+
+TRAIN_SHARE = 0.7
+EPOCHS = 400  # full batch
+RATE = 0.02
+DECAY = 1e-3
+
+
+def train(bound: Bound, filtered: np.ndarray, seed: int = 0) -> Net:
+    """A net from states and inputs to the filtered biases, over the first 70 % of the recording."""
+    import torch
+
+    sample_s = float(bound.time_s[1] - bound.time_s[0])
+    rows = slice(round(SETTLE_S / sample_s), round(TRAIN_SHARE * bound.time_s.size))
+    inputs = np.column_stack([filtered[:, :3], bound.fine[:, :: bound.every].T])[rows]
+    targets = filtered[rows, 3:]
+    middle, spread = inputs.mean(axis=0), inputs.std(axis=0) + 1e-9
+    scale = targets.std(axis=0) + 1e-12
+    generator = torch.Generator().manual_seed(seed)
+    x = torch.tensor((inputs - middle) / spread, dtype=torch.float32)
+    t = torch.tensor(targets / scale, dtype=torch.float32)
+    w1 = (torch.randn(HIDDEN, NET_INPUTS, generator=generator) * 0.5).requires_grad_()
+    b1 = torch.zeros(HIDDEN, requires_grad=True)
+    w2 = torch.zeros(3, HIDDEN, requires_grad=True)
+    b2 = torch.zeros(3, requires_grad=True)
+    optimiser = torch.optim.Adam([w1, b1, w2, b2], lr=RATE, weight_decay=DECAY)
+    for _ in range(EPOCHS):
+        optimiser.zero_grad()
+        loss = torch.mean((torch.tanh(x @ w1.T + b1) @ w2.T + b2 - t) ** 2)
+        loss.backward()
+        optimiser.step()
+    with torch.no_grad():
+        weights = [v.numpy().astype(np.float64) for v in (w1, b1, w2, b2)]
+    return Net(weights[0], weights[1], weights[2] * scale[:, None], weights[3] * scale, middle, spread)
+
+
+def gain_per_sample(bound: Bound, health: dict[str, float], net: Net, first_row: int) -> float:
+    """Log-likelihood gained a sample by the net on the rows from `first_row` on, initial states refitted both times."""
+    without, corrected = (_held(bound, health, n) for n in (None, net))
+    at = int(bound.starts[np.searchsorted(bound.starts, first_row)])
+    gained = np.sum(without.residual[at:] ** 2) - np.sum(corrected.residual[at:] ** 2)
+    return float(0.5 * gained / (bound.time_s.size - at))
+
+
+def _held(bound: Bound, health: dict[str, float], net: Net | None) -> HealthFit:
+    return fit_health(bound, start=health, free=False, net=net, iterations=3)
