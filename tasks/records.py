@@ -25,6 +25,12 @@ EXPERIMENTS = {
     "`A_egrmax`, `A_vgtmax`, `eta_sc`, `h_tot` are pooled estimates (SI units), `…_std` their standard deviation, "
     "`…_error_pct` the deviation from the truth, `…_ratio_to_bound` the error over the Cramér-Rao bound. Runs nested "
     "below a method are its members. `comparison` holds the HTML report.",
+    "discover": "What the twin left out of a recording. `p_value` and `probability` are of the mismatch and of the "
+    "first name, `magnitude` and `std` in `unit`, `nll_…` negative log-likelihood per sample on the held-out part, "
+    "`…_before` health parameters of the fit without the effect; `detectable/…` the smallest size that the recording "
+    "could show. The report is under Artifacts.",
+    "prove": "The concealed benchmark: shares with their 95 % intervals (`…_low`, `…_high`), runs nested below are the "
+    "machines. The table is `score.md` under Artifacts.",
     "promote": "Trained networks against the ones in use: relative L2 error in per cent on validation driving, "
     "`mean_ratio` is the geometric mean of new / in use. The versions are under Models.",
 }
@@ -51,6 +57,22 @@ VIEWS = {
         ],
         ["runs"],
     ),
+    "discover": view(
+        [
+            *("mismatch", "p_value", "probability", "magnitude", "std", "nll_before", "nll_after"),
+            *(f"{name}{ending}" for name in _HEALTH for ending in ("", "_before")),
+            "seconds",
+        ],
+        ["effects", "site", "unit"],
+    ),
+    "prove": view(
+        [
+            *("false_alarms", "detection", "site", "name_in_set", "set_size", "top_name", "withheld_none"),
+            *("false_none", "law", "magnitude_median", "magnitude_p90", "coverage", "health_factor", "gain_median"),
+            "seconds",
+        ],
+        ["cases", "tier", "sensors"],
+    ),
     "promote": view(["mean_ratio", "worst_ratio", "version"], ["decision"]),
 }
 
@@ -71,21 +93,21 @@ def experiment(name: str) -> str:
     return _tracker().experiment(name, EXPERIMENTS[name], VIEWS[name])
 
 
-def _log(name: str, *records: Record) -> None:
+def log(name: str, *records: Record) -> None:
     tracker, experiment_id = _tracker(), experiment(name)
     for record in records:
         tracker.log(experiment_id, record)
 
 
-def _identity(*parts: Any) -> str:
+def identity(*parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def _read(path: Path) -> Any:
+def read(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def _files(folder: Path, pattern: str, under: str = "") -> dict[str, Path]:
+def files(folder: Path, pattern: str, under: str = "") -> dict[str, Path]:
     return {f"{under}{path.name}": path for path in sorted(folder.glob(pattern))}
 
 
@@ -100,14 +122,14 @@ def simulated(sets: Artifact, recordings: Artifact, pictures: Artifact, settings
     }
     record = Record(
         "data",
-        _identity(sets.sha256, recordings.sha256, pictures.sha256),
+        identity(sets.sha256, recordings.sha256, pictures.sha256),
         params=flat({name: settings[name] for name in ("engine", "driving", "noise")}),
         metrics={**rows, "seconds": seconds_of(sets) + seconds_of(recordings)},
-        artifacts=_files(pictures.path, "*.png", "pictures/"),
+        artifacts=files(pictures.path, "*.png", "pictures/"),
         tags={"profile": settings["profile"]},
         seconds=seconds_of(sets) + seconds_of(recordings),
     )
-    _log("simulate", record)
+    log("simulate", record)
 
 
 def pretrained(trained: Mapping[str, Artifact], data: Artifact, settings: Mapping[str, Any]) -> None:
@@ -117,7 +139,7 @@ def pretrained(trained: Mapping[str, Artifact], data: Artifact, settings: Mappin
     records = []
     for name, artifact in trained.items():
         group, _, kind = name.partition("_")
-        errors = _read(artifact.path / "errors.json")
+        errors = read(artifact.path / "errors.json")
         metrics = {
             f"{measure}_error_pct/{output}": value
             for output, values in errors.items()
@@ -133,7 +155,7 @@ def pretrained(trained: Mapping[str, Artifact], data: Artifact, settings: Mappin
         records.append(
             Record(
                 name,
-                _identity(name, artifact.sha256),
+                identity(name, artifact.sha256),
                 params=flat({**config, **(section[kind] if kind else {})}),
                 metrics={**metrics, "seconds": seconds_of(artifact)},
                 curves=curves,
@@ -143,7 +165,7 @@ def pretrained(trained: Mapping[str, Artifact], data: Artifact, settings: Mappin
                 datasets={"laboratory recordings": data.sha256},
             )
         )
-    _log("pretrain", *records)
+    log("pretrain", *records)
 
 
 def identified(
@@ -154,19 +176,19 @@ def identified(
     settings: Mapping[str, Any],
 ) -> None:
     """Log each method with its members, and the comparison with the report."""
-    metrics = _read(comparison.path / "metrics.json")
+    metrics = read(comparison.path / "metrics.json")
     figures = sorted((report.path / "figures").glob("*"))
     datasets = {name: artifact.sha256 for name, artifact in inputs.items()}
     tags = {"profile": settings["profile"]}
     records = []
     for name, artifact in methods.items():
-        document = _read(artifact.path / "identification.json")
-        runtime = _read(artifact.path / "runtime.json")
+        document = read(artifact.path / "identification.json")
+        runtime = read(artifact.path / "runtime.json")
         words = name.replace("-", "_")
         records.append(
             Record(
                 name,
-                _identity(name, artifact.sha256, metrics[name], runtime["seconds"]),
+                identity(name, artifact.sha256, metrics[name], runtime["seconds"]),
                 params={"method": name, "runs": runtime["runs"], "segments": runtime["segments"]}
                 | flat(_own(settings["identify"], name)),
                 metrics={
@@ -190,8 +212,8 @@ def identified(
     records.append(
         Record(
             "comparison",
-            _identity("comparison", report.sha256),
-            params={key: value for key, value in _read(comparison.path / "report.json").items() if key != "nominal"},
+            identity("comparison", report.sha256),
+            params={key: value for key, value in read(comparison.path / "report.json").items() if key != "nominal"},
             metrics={
                 f"{name}/{key}": _shown(key, value)
                 for name, values in metrics.items()
@@ -208,7 +230,7 @@ def identified(
             datasets=datasets,
         )
     )
-    _log("identify", *records)
+    log("identify", *records)
 
 
 def promoted(
@@ -224,11 +246,11 @@ def promoted(
         ratios["worst_ratio"] = decision.worst[1]
     metrics = {f"new_error_pct/{name}": value for name, value in figures.items()}
     metrics |= {f"champion_error_pct/{name}": value for name, value in (before or {}).items()}
-    _log(
+    log(
         "promote",
         Record(
             f"version {version.number}",
-            _identity("promote", version.sha256, dict(before or {}), decision.reason),
+            identity("promote", version.sha256, dict(before or {}), decision.reason),
             params={"decision": "promoted" if decision.promoted else "refused", "reason": decision.reason}
             | flat(settings["promotion"]),
             metrics={name: value if value is None else round(value, 5) for name, value in (metrics | ratios).items()},
@@ -280,7 +302,7 @@ def _members(document: Mapping[str, Any], method: str, sha256: str) -> list[Reco
         members.append(
             Record(
                 f"{method} member {number:02d}",
-                _identity(sha256, number),
+                identity(sha256, number),
                 metrics=run["parameters"],
                 curves=[curve for curve in curves if curve.steps],
                 tags={"converged": str(run["converged"]).lower()},

@@ -116,6 +116,7 @@ class Step:
     expected_s: float = 5.0
     data_files: tuple[str, ...] = ()
     entries: tuple[str, ...] = ()
+    many: bool = False
 
     @property
     def reference(self) -> str:
@@ -194,7 +195,8 @@ class Pending:
         artifact = Artifact.from_dict(self.future.result(), self.context.workspace.root)
         name, title = self.step.instance(self.parameters), self.step.title(self.parameters)
         if self.cached:
-            self.context.display.cached(title)
+            if not self.step.many:
+                self.context.display.cached(title)
         elif name not in self.context.timings:  # computed by a cluster's worker
             self.context.timings[name] = seconds_of(artifact)
             self.context.display.elsewhere(name, title, self.context.timings[name])
@@ -216,15 +218,17 @@ def step(
     expected_s: float = 5.0,
     data_files: tuple[str, ...] = (),
     entries: tuple[str, ...] = (),
+    many: bool = False,
 ) -> Callable[[Callable[..., None]], Step]:
     """Make a step of a function, see :class:`Step`.
 
     ``data_files``: files or folders of the library (relative to the project) that it reads; ``entries``: library
-    modules that stand for the packages they lie in, where a package's registry would take in too much.
+    modules that stand for the packages they lie in, where a package's registry would take in too much; ``many``: it
+    runs hundreds of times in a flow, so that results from the cache aren't listed.
     """
 
     def decorate(function: Callable[..., None]) -> Step:
-        made = Step(name, label, function, expected_s, data_files, entries)
+        made = Step(name, label, function, expected_s, data_files, entries, many)
         if name in STEPS and STEPS[name].function.__qualname__ != function.__qualname__:
             raise ValueError(f"two steps named {name!r}")
         STEPS[name] = made
