@@ -54,6 +54,7 @@ def estimate(
     operators: Any = None,
     maps: Any = None,
     config: Any = None,
+    first_run: int = 0,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with the paper's loop.
 
@@ -65,6 +66,7 @@ def estimate(
         operators: trained actuator operators, or None for the exact actuators.
         maps: learned empirical maps, one dropout realisation a run, or None for the exact formulae.
         config: `params.identify`, its section `adam`, `AdamSettings` or None.
+        first_run: number of the first run: runs 10-19 alone are those of a batch of 30.
 
     Returns:
         One estimate for each segment, in order; standard deviations are left to the spread of the members.
@@ -73,7 +75,8 @@ def estimate(
     results: dict[int, SegmentEstimate] = {}
     for group in by_grid(problems):
         began = time.perf_counter()
-        lanes = [draw_lane(problems[i], i, run, seed, settings) for i in group for run in range(runs)]
+        numbers = range(first_run, first_run + runs)
+        lanes = [draw_lane(problems[i], i, run, seed, settings) for i in group for run in numbers]
         actuations = {i: actuate(problems[i].inputs, problems[i].parameters) for i in group}
         found = [
             train(lanes[a : a + settings.lanes], actuations, bodies, operators, maps, settings)
@@ -83,10 +86,12 @@ def estimate(
         states = np.concatenate([f.states for f in found]).reshape(len(group), runs, -1, 5)
         loss = np.concatenate([f.loss for f in found]).reshape(len(group), runs, -1)
         misfit = np.concatenate([f.misfit for f in found]).reshape(len(group), runs)
+        held_out = np.concatenate([f.held_out for f in found]).reshape(len(group), runs, -1)
         seconds = (time.perf_counter() - began) / len(lanes)
         for row, i in enumerate(group):
             parts = (health[row], states[row], loss[row], misfit[row])
-            results[i] = estimate_of(problems[i], *parts, seconds, settings.epochs)
+            unseen = held_out[row] if settings.held_out_share > 0.0 else None
+            results[i] = estimate_of(problems[i], *parts, seconds, settings.epochs, unseen)
     return [results[i] for i in range(len(problems))]
 
 
@@ -95,16 +100,19 @@ class Trained:
     """What the loop found for L lanes.
 
     Attributes:
-        health: (L, points, 4) parameters along the epochs [SI]; the last ones are the result.
+        health: (L, points, 4) parameters along the epochs [SI]; the last ones are the result, with readings held out
+            those of the epoch that predicts them best.
         states: (L, n, 5) p_im, p_em, omega_t, x_r, T_1 [SI].
         loss: (L, points) total loss.
         misfit: (L,) sum of squared data residuals over sigma, divided by their number.
+        held_out: (L, points) the same of the readings that no loss sees; zeros where there are none.
     """
 
     health: NDArray[np.float64]
     states: NDArray[np.float64]
     loss: NDArray[np.float64]
     misfit: NDArray[np.float64]
+    held_out: NDArray[np.float64]
 
 
 def train(
@@ -136,7 +144,9 @@ def train(
     first, second = torch.zeros_like(values), torch.zeros_like(values)
     gradient = torch.zeros_like(values)
     keep = np.unique(np.linspace(0, settings.epochs, min(CURVE_POINTS, settings.epochs + 1)).round().astype(int))
-    curve_health, curve_loss = [], []
+    curve_health, curve_loss, curve_held_out = [], [], []
+    sigma = torch.tensor(np.stack([lane.problem.sigma[:5] for lane in lanes]), dtype=values.dtype)
+    best, least = values.clone(), torch.full((count,), float("inf"), dtype=values.dtype)
 
     def forward(leaf: bool) -> tuple[list[Tensor], Tensor, Weights, Loss]:
         z = [values[:, at[j] : at[j + 1]] @ program.columns[j] for j in range(5)]
@@ -152,6 +162,9 @@ def train(
         if epoch in keep:
             curve_health.append(to_physical(masked.detach(), torch))
             curve_loss.append(loss.total.detach())
+            curve_held_out.append(program.held_out_misfit(z, masked, sigma))
+            better = curve_held_out[-1] < least
+            best[better], least[better] = values[better], curve_held_out[-1][better]
             if progress is not None:
                 progress(epoch)
         if epoch == settings.epochs:
@@ -172,12 +185,13 @@ def train(
         step = m / (v.sqrt().add_(EPSILON * correct))
         values[:, :live].addcmul_(step, rates[:live], value=-correct / (1.0 - BETA_1 ** (epoch + 1)))
 
+    if program.held_out is not None:
+        values.copy_(best)
     with torch.no_grad():
         z, masked, weights, loss = forward(False)
         states, _ = program.states(z)
     present = program.observed.present
     scale = torch.tensor(program.observed.scales.channels, dtype=values.dtype)
-    sigma = torch.tensor(np.stack([lane.problem.sigma[:5] for lane in lanes]), dtype=values.dtype)
     pointwise = loss.mean_squares * present[..., :4].transpose(1, 2).sum(-1, keepdim=True)
     t_em = loss.single[:, 0] * present[..., 4].sum(-1)
     squares = torch.cat([pointwise.sum(-1), t_em[:, None]], 1) * (scale / sigma).square()
@@ -185,12 +199,13 @@ def train(
     return Trained(
         torch.stack(curve_health, 1).double().numpy(), torch.stack(states, -1).double().numpy(),
         torch.stack(curve_loss, 1).double().numpy(), misfit.double().numpy(),
+        torch.stack(curve_held_out, 1).double().numpy(),
     )  # fmt: skip
 
 
 def estimate_of(
     problem: SegmentProblem, health: NDArray[np.float64], states: NDArray[np.float64], loss: NDArray[np.float64],
-    misfit: NDArray[np.float64], seconds: float, epochs: int = 0,
+    misfit: NDArray[np.float64], seconds: float, epochs: int = 0, held_out: NDArray[np.float64] | None = None,
 ) -> SegmentEstimate:  # fmt: skip
     """The runs of one segment as an estimate (also of the baseline and the multi-stage method).
 
@@ -199,11 +214,14 @@ def estimate_of(
         health: (R, C, 4) health parameters along the training [m2, m2, -, W/(m2 K)]; loss: (R, C) along with it [-].
         states: (R, n, 5) final states [Pa, Pa, rad/s, -, K].
         misfit: (R,) chi-square per sample [-]; seconds: wall seconds per run; epochs: trained.
+        held_out: (R, C) misfit of readings that no loss saw: a run's parameters are those where it is least, and a
+            choice before the last epoch counts as converged.
     """
-    final = health[:, -1]
+    chosen = np.full(len(health), health.shape[1] - 1) if held_out is None else np.argmin(held_out, axis=1)
+    final = health[np.arange(len(health)), chosen]
     earlier = health[:, -max(2, health.shape[1] // 10)]
     finite = np.isfinite(final).all(axis=1) & np.isfinite(loss[:, -1])
-    still = finite & (np.abs(final / earlier - 1.0) <= STILL_BELOW).all(axis=1)
+    still = finite & ((np.abs(final / earlier - 1.0) <= STILL_BELOW).all(axis=1) | (chosen < health.shape[1] - 1))
     used = still if still.any() else (finite if finite.any() else np.ones_like(finite))
     pooled_states = states[used].mean(axis=0)
     # At the nominal values: these methods can end far off, and a wrong estimate must not vouch for its own bound.
@@ -217,5 +235,6 @@ def estimate_of(
         curves={
             "epoch": np.linspace(0, epochs, loss.shape[1]).round(), "loss": loss.T,
             **{name: health[..., i].T for i, name in enumerate(HEALTH)},
+            **({} if held_out is None else {"held_out_misfit": held_out.T}),
         },
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,13 @@ from dieseltwin.identification.losses import (
     total_loss,
 )
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.residuals import DrivenInputs, PointModel, driven_inputs, physics_residuals
+from dieseltwin.identification.residuals import (
+    DrivenInputs,
+    PhysicsResiduals,
+    PointModel,
+    driven_inputs,
+    physics_residuals,
+)
 from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts, to_masked, to_physical
 
 BODIES = ("pressures", "pressures", "omega_t", "x_r", "T_1")
@@ -48,6 +54,9 @@ class AdamSettings:
         weight_start: alpha of the weights by channel (paper).
         scales: units of the residuals (not printed).
         lanes: runs in one tensor program; more lanes make longer vectors until they leave the cache.
+        held_out_share: share of the readings that no loss sees; a run's result is then the epoch that predicts them
+            best (early stopping). 0 is the paper's loop.
+        weight_share: factor on `weight_start`; below 1 the data count less against the equations. 1 is the paper's.
         dtype: float32 or float64.
     """
 
@@ -61,6 +70,8 @@ class AdamSettings:
     weight_start: dict[str, float] = field(default_factory=lambda: dict(PAPER_WEIGHTS))
     scales: Scales = field(default_factory=lambda: Scales(T_1=30.0, T_em=30.0))
     lanes: int = 150
+    held_out_share: float = 0.0
+    weight_share: float = 1.0
     dtype: torch.dtype = torch.float32
 
     @classmethod
@@ -74,6 +85,7 @@ class AdamSettings:
         common = {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
         names = ("epochs", "weights_until_epoch", "rate_heads", "rate_unknowns", "rate_weights")
         given = {name: getattr(own, name) for name in names}
+        given |= {name: getattr(own, name) for name in ("held_out_share", "weight_share") if hasattr(own, name)}
         scales = Scales(T_1=own.scale_t_1_k, T_em=own.scale_t_em_k, rate=own.scale_rates)
         return cls(weight_start=dict(own.weight_start), scales=scales, **given, **common)
 
@@ -87,6 +99,7 @@ class Lane:
         readings: (n, 5) readings, NaN where masked.
         masked: (4,) starting unknowns in masked space.
         generator_seed: seed of heads and weights.
+        held_out: (n, 5) readings that no loss sees; None = none.
     """
 
     problem: SegmentProblem
@@ -95,6 +108,7 @@ class Lane:
     readings: NDArray[np.float64]
     masked: NDArray[np.float64]
     generator_seed: int
+    held_out: NDArray[np.bool_] | None = None
 
 
 def draw_lane(problem: SegmentProblem, index: int, run: int, seed: int, settings: AdamSettings) -> Lane:
@@ -105,7 +119,9 @@ def draw_lane(problem: SegmentProblem, index: int, run: int, seed: int, settings
     masked = to_masked(starts(centre, 1, rng, settings.start_sigma))[0]
     draws = problem.noise_draws
     readings = problem.measured if draws is None else draws[run % len(draws)]
-    return Lane(problem, index, run, readings[:, :5], masked, int(rng.integers(2**62)))
+    lane = Lane(problem, index, run, readings[:, :5], masked, int(rng.integers(2**62)))
+    share = getattr(settings, "held_out_share", 0.0)
+    return lane if share <= 0.0 else replace(lane, held_out=rng.random(lane.readings.shape) < share)
 
 
 @dataclass(frozen=True)
@@ -119,6 +135,7 @@ class Program:
         model: bound equations, learned maps included.
         c: constants.
         n: samples.
+        held_out: (L, n, 5) 1 where a reading exists that no loss sees; None = none.
     """
 
     columns: tuple[Tensor, ...]
@@ -127,6 +144,7 @@ class Program:
     model: Any
     c: Any
     n: int
+    held_out: Tensor | None = None
 
     def widths(self) -> list[int]:
         """Heads of each state, bias included."""
@@ -145,11 +163,26 @@ class Program:
 
     def __call__(self, z: Sequence[Tensor], masked: Tensor, weights: Weights) -> Loss:
         """Loss of the linear outputs (L, n or 2 n) and masked unknowns (L, 4)."""
+        residuals, states = self.residuals(z, masked)
+        return total_loss(residuals, states, weights, self.observed)
+
+    def residuals(self, z: Sequence[Tensor], masked: Tensor) -> tuple[PhysicsResiduals, tuple[Tensor, ...]]:
+        """Physics residuals with the predicted flows, and the states, of linear outputs and masked unknowns."""
         states, rates = self.states(z)
         health = to_physical(masked, torch).unsqueeze(-1).unbind(1)
         c = self.c._replace(**dict(zip(HEALTH, health, strict=True)))
-        residuals = physics_residuals(self.model, states, rates, self.inputs, c)
-        return total_loss(residuals, states, weights, self.observed)
+        return physics_residuals(self.model, states, rates, self.inputs, c), states
+
+    @torch.no_grad()
+    def held_out_misfit(self, z: Sequence[Tensor], masked: Tensor, sigma: Tensor) -> Tensor:
+        """(L,) mean square over sigma (L, 5) of the readings that no loss sees; infinite where it isn't finite."""
+        if self.held_out is None:
+            return torch.zeros(masked.shape[0], dtype=masked.dtype)
+        residuals, states = self.residuals(z, masked)
+        predicted = torch.stack([*states[:3], residuals.W_egr, residuals.T_em], -1)
+        error = (predicted - self.observed.readings) / sigma[:, None] * self.held_out
+        misfit = error.square().sum((1, 2)) / self.held_out.sum((1, 2)).clamp(min=1.0)
+        return torch.where(torch.isfinite(misfit), misfit, torch.full_like(misfit, float("inf")))
 
 
 def make_program(
@@ -186,13 +219,16 @@ def make_program(
     )
     c = _shared_constants(lanes, dtype)
     readings = torch.tensor(np.stack([lane.readings for lane in lanes]))
-    present = torch.isfinite(readings).to(dtype)
+    present, held_out = torch.isfinite(readings).to(dtype), None
+    if lanes[0].held_out is not None:
+        held_out = present * torch.tensor(np.stack([lane.held_out for lane in lanes]), dtype=dtype)  # type: ignore[arg-type]
+        present = present - held_out
     begin = torch.tensor(np.stack([initial[lane.index] for lane in lanes]), dtype=dtype)
     observed = Observed(torch.nan_to_num(readings).to(dtype), present, begin, settings.scales)
-    replace = None
+    learned = None
     if maps is not None:
-        replace = fused_replacements(maps, [lane.run + 1 for lane in lanes], stacked.u_egr, c, dtype)
-    return Program(tuple(columns), stacked, observed, bind("torch", replace=replace), c, len(time_s))
+        learned = fused_replacements(maps, [lane.run + 1 for lane in lanes], stacked.u_egr, c, dtype)
+    return Program(tuple(columns), stacked, observed, bind("torch", replace=learned), c, len(time_s), held_out)
 
 
 def _shared_constants(lanes: Sequence[Lane], dtype: torch.dtype) -> Any:
@@ -231,7 +267,8 @@ def start_values(lanes: Sequence[Lane], program: Program, settings: AdamSettings
             parts += [torch.zeros(1, dtype=torch.float64), torch.sort(draw).values]
         parts.append(torch.tensor(lane.masked))
         readings = program.observed.readings[number : number + 1].double()
-        weights = starting_weights(readings, generator, settings.weight_start)
+        alpha = {name: settings.weight_share * value for name, value in settings.weight_start.items()}
+        weights = starting_weights(readings, generator, alpha)
         parts += [weights.pointwise.flatten(), weights.single.flatten()]
         rows.append(torch.cat(parts))
     values = torch.stack(rows).to(settings.dtype)

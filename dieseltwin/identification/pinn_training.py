@@ -260,6 +260,7 @@ def train(
     found = Trained(
         torch.stack(curve.health, 1).double().numpy(), torch.stack(states, -1).double().numpy(),
         torch.stack(curve.loss, 1).double().numpy(), misfit.double().numpy(),
+        torch.zeros(len(misfit), len(curve.loss)).double().numpy(),
     )  # fmt: skip
     terms = {name: torch.stack(values, 1).double().numpy() for name, values in curve.terms.items()}
     return PinnTrained(found, keep, terms, values[:, : networks.size].clone(), masked.clone())
@@ -300,10 +301,12 @@ def _misfit(program: Program, loss: Any, sigma: Tensor) -> Tensor:
 
 
 def make_lanes(
-    problems: Sequence[SegmentProblem], group: Sequence[int], runs: int, seed: int, settings: PinnSettings
-) -> list[Lane]:
-    """Lanes of some segments, run by run; a run's draws depend on (seed, segment, run) alone."""
-    return [draw_lane(problems[i], i, run, seed, settings) for i in group for run in range(runs)]  # type: ignore[arg-type]
+    problems: Sequence[SegmentProblem], group: Sequence[int], runs: int, seed: int, settings: PinnSettings,
+    first_run: int = 0,
+) -> list[Lane]:  # fmt: skip
+    """Lanes of some segments, run by run from `first_run` on; a run's draws depend on (seed, segment, run) alone."""
+    numbers = range(first_run, first_run + runs)
+    return [draw_lane(problems[i], i, run, seed, settings) for i in group for run in numbers]  # type: ignore[arg-type]
 
 
 def train_lanes(
