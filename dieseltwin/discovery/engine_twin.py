@@ -15,6 +15,7 @@ from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINT
 from dieseltwin.engine.extended import Extension, extended_frame, simulate_extended
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
+from dieseltwin.engine.simulate import settle
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import HISTORY_S, Recording
@@ -31,7 +32,10 @@ HEALTH_PRIOR = 0.3
 MAP_TOLERANCE = 0.003
 """Standard deviation of a map's smooth relative error [-] (DISCOVERY.md, "Maps are never exact")."""
 
-_STATE_SCALES = np.array([2e4, 2e4, 500.0])  # Pa, Pa, rad/s
+_SPEED_SCALE = 500.0  # rad/s
+_SPEED_SPAN = 0.03  # of the smoothed reading; its noise is 0.5 %, its sensor's tolerance the same
+_UNSEEN_SPEED_SPAN = 0.4
+_PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
 _SMOOTHED = 7  # samples about a window's start for the first guess of its states
 _ACTUATORS_REST_S = 1.5  # after a gap, until dead time and lags have forgotten what is not known
 
@@ -110,7 +114,7 @@ class EngineTwin:
         measured = np.stack([columns[c][rows] for c in self.channels], axis=1).astype(np.float64)
         for start in self.pieces[1:]:
             measured[start : start + int(np.searchsorted(time[start:], time[start] + _ACTUATORS_REST_S))] = np.nan
-        self.measured = measured
+        self._readings = measured
         self.all_readings = np.stack(
             [columns[c][rows] if c in present else np.full(rows.size, np.nan) for c in MEASURED], axis=1
         )
@@ -120,8 +124,11 @@ class EngineTwin:
             Parameter(name, value, HEALTH_PRIOR * value, HEALTH_UNITS[name], 0.1 * value)
             for name, value in zip(HEALTH, self.engine.health(), strict=True)
         )
-        self.states = ("p_im", "p_em", "omega_t")
-        self.state_scales = _STATE_SCALES
+        # Of the states only the turbo speed remembers more than a few samples. The pressures start from smoothed
+        # readings, and the readings of the first moments are left out: the EGR flow's slope at p_em = p_im has no limit,
+        # so that a free pressure there makes a fit stall.
+        self.states = ("omega_t",)
+        self.state_scales = np.array([_SPEED_SCALE])
         self.points = tuple(
             Point(
                 name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"), facts.ports, facts.scale,
@@ -137,36 +144,57 @@ class EngineTwin:
             if e.kind != "sensor" or e.site.removeprefix("sensor:") in self.channels
         }
         self._known = _known_terms(self)
+        self._begin()
 
     @cached_property
     def _plain(self) -> list:
         return actuate_lanes(self.inputs, self.engine, {}, 1, None, self.step_s)
 
+    def _begin(self) -> None:
+        """Readings without the first moments of each window, and the states at the windows' starts."""
+        self.measured = self._readings.copy()
+        for start in self.starts:
+            rest = int(np.searchsorted(self.time_s, self.time_s[start] + _PRESSURES_REST_S))
+            self.measured[start:rest] = np.nan
+        self._first = self._smoothed_states()
+
     def split(self, windows: np.ndarray, parts: int, local: Array) -> Array:
-        """Cut some windows into parts and return the initial states (W', 3) of all, new ones from the readings.
+        """Cut some windows into parts and return the initial states (W', 1) of all, new ones from the readings.
 
         Where the machine is unstable a long window amplifies its initial states until no fit can follow.
 
         Args:
-            windows: (W,) True where to cut; parts: number of parts; local: (W, 3) initial states so far.
+            windows: (W,) True where to cut; parts: number of parts; local: (W, 1) initial states so far.
         """
         ends = np.append(self.starts[1:], self.time_s.size)
         starts = [
-            np.linspace(a, b, parts + 1)[:-1].astype(np.int64) if cut and b - a >= 4 * parts else np.array([a])
+            np.linspace(a, b, parts + 1)[:-1].astype(np.int64) if cut and b - a >= 6 * parts else np.array([a])
             for a, b, cut in zip(self.starts, ends, windows, strict=True)
         ]
         kept = {int(a): state for a, state in zip(self.starts, local, strict=True)}
         self.starts = np.concatenate(starts)
-        first = self.first_local()
-        return np.stack([kept.get(int(a), state) for a, state in zip(self.starts, first, strict=True)])
+        self._begin()
+        return np.stack([kept.get(int(a), state) for a, state in zip(self.starts, self.first_local(), strict=True)])
 
     def first_local(self) -> Array:
-        """States at the windows' starts from smoothed readings; unknown ones from the engine's rest there, (W, 3)."""
+        """Turbo speed at the windows' starts from smoothed readings (W, 1)."""
+        return self._first[:, 2:].copy()
+
+    def local_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest turbo speed at the windows' starts, (W, 1) each [rad/s]."""
+        first = self.first_local()
+        seen = np.isfinite(self.all_readings[:, 2]).mean() >= 0.5
+        span = (_SPEED_SPAN if seen else _UNSEEN_SPEED_SPAN) * np.maximum(first, np.median(first))
+        return first - span, first + span
+
+    def _smoothed_states(self) -> Array:
+        """p_im, p_em, omega_t at the windows' starts, from readings or else from the nominal engine, (W, 3)."""
         out = np.empty((self.starts.size, 3))
         half = _SMOOTHED // 2
-        fallback = (1.5 * self.engine.p_amb, 1.6 * self.engine.p_amb, 5000.0)
         for j in range(3):
             values = self.all_readings[:, j]
+            if np.isfinite(values).mean() < 0.5:
+                values = self._nominal_states[:, j]
             for w, start in enumerate(self.starts):
                 first = max(start - half, _piece_start(self.pieces, start))
                 near = values[first : start + half + 1]
@@ -174,11 +202,18 @@ class EngineTwin:
                 good = np.isfinite(near)
                 if good.sum() >= 3:
                     out[w, j] = np.polyfit(t[good], near[good], 1)[1]
-                elif good.any():
-                    out[w, j] = near[good].mean()
                 else:
-                    out[w, j] = out[w - 1, j] if w else fallback[j]
+                    out[w, j] = self._nominal_states[start, j]
         return out
+
+    @cached_property
+    def _nominal_states(self) -> Array:
+        """States of the nominal engine over the whole recording, started at rest, (n, 3)."""
+        first = settle(*(float(values[0]) for values in self.conditions.values()), self.engine)
+        result = simulate_extended(
+            self._plain[0], parameter_batch(self.engine), Extension(), np.asarray(first)[None, None, :]
+        )
+        return result.states[0, :, :3]
 
     def simulate(self, lanes: Lanes) -> Array:
         """Readings of the used channels without noise, (B, n, C)."""
@@ -205,7 +240,10 @@ class EngineTwin:
             actuate_lanes(self.inputs, self.engine, moving, size, schedules, self.step_s) if moving else self._plain[0]
         )
         extension = Extension(magnitudes, schedule, signals, lanes.lane_points, lanes.lane_signals, self.starts)
-        result = simulate_extended(actuation, batch, extension, lanes.local)
+        initial = np.concatenate(
+            [np.broadcast_to(self._first[None, :, :2], (size, len(self._first), 2)), lanes.local], axis=2
+        )
+        result = simulate_extended(actuation, batch, extension, initial)
         measured = apply_sensor_effects(result.measured, self.time_s, combined, schedules)
         return measured[..., self._at], result
 

@@ -17,6 +17,7 @@ from dieseltwin.discovery.twin import Array, Lanes, Twin, single
 
 _DIFFERENCE = 1e-4  # of a scale, for sensitivities
 _TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what matters, large against rounding
+_LOCAL_SETTLED = 1e-3  # of a state's scale
 _STEP_LIMIT = 2.0  # parameter scales in one step
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
@@ -233,6 +234,15 @@ def within_limits(twin: Twin, parameters: Array, names: Sequence[str], magnitude
     return parameters, np.clip(magnitudes, limits[:, 0], limits[:, 1])
 
 
+def bounded(twin: Twin, local: Array) -> Array:
+    """Initial states (W, S) kept near what the readings say, where the twin says how near (`local_limits`).
+
+    Far from the truth a step of the parameters drags initial states into other basins, from where no step leads back.
+    """
+    limits = getattr(twin, "local_limits", None)
+    return local if limits is None else np.clip(local, *limits())
+
+
 def fit_fully(
     twin: Twin, whitening: Whitening, start: Fit, nuisance_response: Array | None = None, rounds: int = _NULL_ROUNDS,
     frozen: Linearisation | None = None,
@@ -258,7 +268,7 @@ def fit_fully(
             )
             moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
             trial = replace(
-                here.fit, parameters=parameters, magnitudes=magnitudes, local=here.fit.local + shrink * here.local_step(moved / shrink)
+                here.fit, parameters=parameters, magnitudes=magnitudes, local=bounded(twin, here.fit.local + shrink * here.local_step(moved / shrink))
             )
             there = Linearisation(twin, whitening, trial, frozen, nuisance_response)
             if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
@@ -272,6 +282,40 @@ def fit_fully(
         if gained < _CONVERGED:
             return _marked(here, True)
     return _marked(here, here.step()[1] < 20 * _CONVERGED)
+
+
+def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:
+    """Initial states at their minimum, window by window, at fixed parameters; the linearisation there.
+
+    The metric takes initial states out linearly. In a window that is nearly unstable a full linear step overshoots, and
+    the objective would promise what no simulation keeps: so each window's own misfit decides on its step.
+    """
+    twin, whitening = at.twin, at.whitening
+    fit, residual = at.fit, np.nan_to_num(at.residual)
+    shift = np.zeros_like(residual)
+    if at.nuisance_response is not None:
+        shift = np.tensordot(at.metric.nuisance_estimate(residual), at.nuisance_response, 1)
+    cost = at.metric.window_costs(residual - shift)
+    shrink = np.ones(len(cost))
+    moved = False
+    for _ in range(rounds):
+        step = at.metric.local_step(residual - shift)
+        if not np.any(np.abs(step) > _LOCAL_SETTLED * twin.state_scales):
+            break
+        trial = replace(fit, local=bounded(twin, fit.local + shrink[:, None] * step))
+        simulated = twin.simulate(_lanes_of([trial]))[0]
+        new_residual = np.nan_to_num(twin.measured - simulated)
+        new_cost = at.metric.window_costs(new_residual - shift)
+        better = new_cost < cost
+        fit = replace(fit, local=np.where(better[:, None], trial.local, fit.local))
+        rows = np.repeat(better, np.diff(np.append(twin.starts, len(residual))))
+        residual = np.where(rows[:, None], new_residual, residual)
+        cost = np.where(better, new_cost, cost)
+        shrink = np.where(better, np.minimum(1.0, 2.0 * shrink), 0.3 * shrink)
+        moved = True
+    if not moved:
+        return at
+    return _marked(Linearisation(twin, whitening, fit, None, at.nuisance_response), at.fit.converged)
 
 
 def _marked(at: Linearisation, converged: bool) -> Linearisation:
@@ -327,7 +371,7 @@ def refit_all(
             trials.append(
                 replace(
                     fit, parameters=parameters, magnitudes=magnitudes,
-                    local=fit.local + shrink[k] * base.metric.local_step(rest),
+                    local=bounded(twin, fit.local + shrink[k] * base.metric.local_step(rest)),
                 )  # fmt: skip
             )
         simulated = simulate_fits(twin, trials)

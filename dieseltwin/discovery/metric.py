@@ -129,6 +129,11 @@ class Metric:
             step[w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[block]) if self.states else 0.0
         return step
 
+    def window_costs(self, residual: Array) -> Array:
+        """(W,) squared whitened residual of each window."""
+        squared = self.whitening.apply(residual[None])[0] ** 2
+        return np.array([squared[block].sum() for block in self._blocks])
+
     def growing(self, factor: float) -> np.ndarray:
         """(W,) windows at whose end a change of an initial state counts more than `factor` times what it did before."""
         found = np.zeros(len(self._blocks), dtype=bool)

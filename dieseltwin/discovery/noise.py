@@ -16,6 +16,7 @@ _SPECTRUM_ERROR = 0.25  # of the logarithm of one frequency's power, neighbours 
 _USUAL_RHO = 0.35  # loggers smooth a little; strong correlation must show clearly
 _LOWEST_EXPLAINED = 0.1  # of the Nyquist frequency, where a model has explained the signal
 _ROWS_FOR_RHO = 512  # fewer rows can't tell correlation from chance; the noise is then taken as white
+_LONGEST_BRIDGE = 4  # samples
 _MAD_TO_STD = 1.482602218505602  # of a Gaussian
 
 
@@ -38,6 +39,20 @@ def _white_sigma(values: Array) -> float:
     if second.size < 3:
         return float("nan")
     return float(_MAD_TO_STD * np.median(np.abs(second - np.median(second))) / np.sqrt(6.0))
+
+
+def _bridged(values: Array) -> Array:
+    """Holes of a few samples closed by straight lines; longer ones stay."""
+    missing = ~np.isfinite(values)
+    if not missing.any() or missing.all():
+        return values
+    at = np.arange(values.size)
+    out = np.where(missing, np.interp(at, at[~missing], values[~missing]), values)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(int), [0]])))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        if b - a > _LONGEST_BRIDGE:
+            out[a:b] = np.nan
+    return out
 
 
 def _high_frequency_spectrum(values: Array, breaks: np.ndarray, lowest: float) -> tuple[Array, Array] | None:
@@ -108,7 +123,7 @@ def estimate_noise(
     rest = measured if explained is None else measured - explained
     for j, values in enumerate(rest.T):
         sigma[j] = _white_sigma(values)
-        spectrum = _high_frequency_spectrum(values, breaks, lowest) if values.size >= _ROWS_FOR_RHO else None
+        spectrum = _high_frequency_spectrum(_bridged(values), breaks, lowest) if values.size >= _ROWS_FOR_RHO else None
         if spectrum is None or not sigma[j] > 0.0:
             continue
         rho[j], innovation = _fit_spectrum(*spectrum, clean=explained is not None)

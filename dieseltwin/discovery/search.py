@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from dieseltwin.discovery.features import Feature, Structure, generic_features, score_features
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, refit_all
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, refit_all, settle_local
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.noise import Noise, estimate_noise
 from dieseltwin.discovery.nuisance import map_nuisances, nuisance_responses, sensor_nuisances
@@ -118,7 +118,7 @@ def prepare(twin: Twin, settings: Settings) -> Search:
     noise = estimate_noise(twin.measured, pieces, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
     nuisance = tolerance_responses(twin, rough, settings)
-    null = fit_fully(twin, whitening, rough.fit, nuisance)
+    null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance))
     names = [name for name in twin.hypotheses if name not in settings.withhold]
     wanted = secant_sizes(twin, names)
     scored = score(null, wanted, effect_responses(twin, null, wanted))
