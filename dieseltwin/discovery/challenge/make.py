@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ import pandas as pd
 from dieseltwin import __version__
 from dieseltwin.atomic import atomic_path, check_writable, write_json
 from dieseltwin.discovery.challenge.cases import DURATION_S, MAP_RMS, Plan, Tier, build_case, make_plans
+from dieseltwin.discovery.challenge.processes import in_processes
 from dieseltwin.discovery.challenge.seal import SEALED, file_sha256, new_salt, salted_sha256, write_answers, write_salt
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
@@ -46,18 +45,12 @@ def make_challenge(
     salt = new_salt()
     write_salt(out / SEALED, salt)
     write = partial(_write_case, out=out, seed=seed, tier=tier, sensors=sensors, duration_s=duration_s, salt=salt)
-    entries: list[dict[str, Any]] = []
-    if jobs > 1 and n > 1:
-        with ProcessPoolExecutor(min(jobs, n), mp_context=get_context("spawn")) as pool:
-            for entry in pool.map(write, plans):
-                entries.append(entry)
-                if progress is not None:
-                    progress(len(entries), n)
-    else:
-        for plan in plans:
-            entries.append(write(plan))
-            if progress is not None:
-                progress(len(entries), n)
+    made: dict[int, dict[str, Any]] = {}
+    for k, entry in in_processes(write, plans, jobs):
+        made[k] = entry
+        if progress is not None:
+            progress(len(made), n)
+    entries = [made[k] for k in range(n)]
     manifest = {
         "schema": SCHEMA, "code_version": __version__, "n": n, "tier": tier, "sensors": sensors,
         "duration_s": duration_s, "healthy_only": healthy_only,

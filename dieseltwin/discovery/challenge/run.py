@@ -7,9 +7,7 @@ import os
 import resource
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ import yaml
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery.challenge.cases import MAP_RMS
 from dieseltwin.discovery.challenge.make import MANIFEST
+from dieseltwin.discovery.challenge.processes import in_processes
 from dieseltwin.discovery.challenge.seal import check_file
 from dieseltwin.discovery.document import FILE_NAME
 from dieseltwin.engine import EngineParameters, we2011
@@ -88,25 +87,9 @@ def run_challenge(
         if progress is not None:
             progress(done, len(now), f"{name} {note}")
 
-    if jobs > 1 and len(now) > 1:
-        saved = {name: os.environ.get(name) for name in _ONE_THREAD}
-        os.environ.update({name: value or "1" for name, value in saved.items()})
-        try:
-            with ProcessPoolExecutor(min(jobs, len(now)), mp_context=get_context("spawn")) as pool:
-                futures = {pool.submit(work, entry): entry["case"] for entry in now}
-                for future in as_completed(futures):
-                    count(futures[future], future.result())
-        finally:
-            for name, value in saved.items():
-                if value is None:
-                    os.environ.pop(name, None)
-    else:
-        for entry in now:
-            count(entry["case"], work(entry))
+    for k, note in in_processes(work, now, jobs):
+        count(now[k]["case"], note)
     return {"done": done - failed, "failed": failed, "kept": kept, "left": len(pending) - len(now)}
-
-
-_ONE_THREAD = ("OMP_NUM_THREADS", "DIESELTWIN_THREADS", "NUMBA_NUM_THREADS")
 
 
 def _finished(folder: Path, case: str, retry_failed: bool) -> bool:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +12,7 @@ import pandas as pd
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery.challenge import metrics
+from dieseltwin.discovery.challenge.processes import in_processes
 from dieseltwin.discovery.challenge.records import CaseRow, SaidEffect, Scoring, case_row
 from dieseltwin.discovery.challenge.run import RESULTS, plain, read_manifest
 from dieseltwin.discovery.challenge.seal import SEALED, check_file, open_answers, read_salt
@@ -55,20 +53,12 @@ def score_challenge(
     if not answers:
         raise InputError(str(folder), "no results", "results of `challenge run`", "run the tool first")
     scoring = Scoring.of_the_tool() if scoring is None else scoring
-    rows: list[CaseRow] = []
-    work = partial(case_row, folder, scoring=scoring)
-    if jobs > 1 and len(answers) > 1:
-        os.environ.setdefault("DIESELTWIN_THREADS", "1")
-        with ProcessPoolExecutor(min(jobs, len(answers)), mp_context=get_context("spawn")) as pool:
-            for row in pool.map(work, answers):
-                rows.append(row)
-                if progress is not None:
-                    progress(len(rows), len(answers))
-    else:
-        for one in answers:
-            rows.append(work(one))
-            if progress is not None:
-                progress(len(rows), len(answers))
+    found_rows: dict[int, CaseRow] = {}
+    for k, row in in_processes(partial(case_row, folder, scoring=scoring), answers, jobs):
+        found_rows[k] = row
+        if progress is not None:
+            progress(len(found_rows), len(answers))
+    rows = [found_rows[k] for k in range(len(answers))]
     from dieseltwin.discovery.challenge.baselines import baseline_rows
 
     found = baseline_rows(folder, rows)

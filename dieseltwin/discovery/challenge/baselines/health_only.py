@@ -32,16 +32,19 @@ class HealthFit:
         return float(np.sum(self.residual**2))
 
 
-def fit_health(bound: Bound, *, start: Mapping[str, float] | None = None, free: bool = True, net: Net | None = None,
-               iterations: int = ITERATIONS) -> HealthFit:  # fmt: skip
+def fit_health(
+    bound: Bound, *, start: Mapping[str, float] | None = None, local: np.ndarray | None = None, free: bool = True,
+    net: Net | None = None, iterations: int = ITERATIONS,
+) -> HealthFit:  # fmt: skip
     """Gauss-Newton over the logarithms of the health parameters and every window's initial states.
 
     Args:
-        start: health parameters to start at, laboratory values by default; free: False holds them; net: a correction.
+        start: health parameters to start at, laboratory values by default; local: initial states to start at;
+        free: False holds the health parameters; net: a correction.
     """
     health = {name: float((start or bound.laboratory)[name]) for name in HEALTH}
     names = HEALTH if free else ()
-    local = bound.first_local()
+    local = bound.first_local() if local is None else local
     bounds = np.append(bound.starts, bound.time_s.size)
 
     def residual(h: Mapping[str, float], x: np.ndarray) -> np.ndarray:

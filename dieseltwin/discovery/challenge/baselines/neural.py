@@ -46,13 +46,19 @@ def train(bound: Bound, filtered: np.ndarray, seed: int = 0) -> Net:
     return Net(weights[0], weights[1], weights[2] * scale[:, None], weights[3] * scale, middle, spread)
 
 
-def gain_per_sample(bound: Bound, health: dict[str, float], net: Net, first_row: int) -> float:
-    """Log-likelihood gained a sample by the net on the rows from `first_row` on, initial states refitted both times."""
-    without, corrected = (_held(bound, health, n) for n in (None, net))
+def gain_per_sample(bound: Bound, fit: HealthFit, net: Net, first_row: int) -> float:
+    """Log-likelihood gained a sample by the net on the rows from `first_row` on, initial states refitted with it.
+
+    Args:
+        fit: of this recording without the net (`without_net`).
+    """
+    without = fit
+    corrected = fit_health(bound, start=fit.health, local=fit.local, free=False, net=net, iterations=2)
     at = int(bound.starts[np.searchsorted(bound.starts, first_row)])
     gained = np.sum(without.residual[at:] ** 2) - np.sum(corrected.residual[at:] ** 2)
     return float(0.5 * gained / (bound.time_s.size - at))
 
 
-def _held(bound: Bound, health: dict[str, float], net: Net | None) -> HealthFit:
-    return fit_health(bound, start=health, free=False, net=net, iterations=3)
+def without_net(bound: Bound, health: dict[str, float]) -> HealthFit:
+    """Initial states fitted to a recording with health parameters from elsewhere."""
+    return fit_health(bound, start=health, free=False, iterations=3)

@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from dieseltwin.atomic import write_json
 from dieseltwin.discovery.challenge.baselines import health_only, kalman, neural
 from dieseltwin.discovery.challenge.baselines.model import Bound, Net
 from dieseltwin.discovery.challenge.cases import Tier, build_case, make_plans
+from dieseltwin.discovery.challenge.processes import in_processes
 from dieseltwin.discovery.challenge.records import CaseRow
 from dieseltwin.discovery.challenge.run import plain, read_manifest
 from dieseltwin.discovery.challenge.seal import SEALED
@@ -52,20 +51,11 @@ def run_baselines(
     work = partial(_work, folder, manifest["tier"], manifest["sensors"], manifest["duration_s"])
     bands: list[dict[str, float]] = []
 
-    def take(k: int, result: tuple[str, dict[str, Any]]) -> None:
-        kind, found = result
+    for done, (_, (kind, found)) in enumerate(in_processes(work, jobs_to_do, jobs), start=1):
         if kind == "band":
             bands.append(found["statistics"])
         if progress is not None:
-            progress(k + 1, len(jobs_to_do), str(found.get("case", "healthy, for the bands")))
-
-    if jobs > 1 and len(jobs_to_do) > 1:
-        with ProcessPoolExecutor(min(jobs, len(jobs_to_do)), mp_context=get_context("spawn")) as pool:
-            for k, result in enumerate(pool.map(work, jobs_to_do)):
-                take(k, result)
-    else:
-        for k, job in enumerate(jobs_to_do):
-            take(k, work(job))
+            progress(done, len(jobs_to_do), str(found.get("case", "healthy, for the bands")))
     if bands:
         write_json(out / BAND_FILE, {name: max(b[name] for b in bands) for name in bands[0]})
     return len(entries)
@@ -97,7 +87,7 @@ def one_recording(frame: pd.DataFrame, laboratory: Mapping[str, Any]) -> dict[st
     after_filter = time.perf_counter()
     net = neural.train(bound, filtered)
     first = round(neural.TRAIN_SHARE * bound.time_s.size)
-    statistics["net gain"] = neural.gain_per_sample(bound, fit.health, net, first)
+    statistics["net gain"] = neural.gain_per_sample(bound, fit, net, first)
     after_net = time.perf_counter()
     seconds = {"health only": after_fit - start, "Kalman": after_filter - start, "neural": after_net - start}
     return {"statistics": statistics, "health": fit.health, "seconds": seconds,
@@ -145,6 +135,6 @@ def _net_gain(folder: Path, row: CaseRow, result: dict[str, Any]) -> float:
         laboratory = we2011.PARAMETERS.model_dump()
         bound = Bound.of(read_table(folder / SEALED / f"{row.case}_held_out.csv"), laboratory)
         net = Net(**{name: np.array(value) for name, value in result["net"].items()})
-        result["later_gain"] = neural.gain_per_sample(bound, result["health"], net, 0)
+        result["later_gain"] = neural.gain_per_sample(bound, neural.without_net(bound, result["health"]), net, 0)
         write_json(folder / FOLDER / f"{row.case}.json", plain(result))
     return float(result["later_gain"])
