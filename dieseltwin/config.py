@@ -311,6 +311,29 @@ class EvaluateConfig(StrictModel):
     coverage_runs: PositiveInt
 
 
+class VariantConfig(StrictModel):
+    """One further ensemble on the noisy case: a method with something changed."""
+
+    name: str
+    method: Literal["classical", "few-shot-newton", "few-shot-adam"]
+    channels: tuple[str, ...] | None = Field(default=None, description="sensors that are read; none = all five")
+    held_out_share: NonNegativeFloat = Field(default=0.0, lt=1.0, description="readings no loss sees: early stopping")
+    weight_share: PositiveFloat = Field(default=1.0, description="factor on the paper's starting weights")
+    start: Literal["lab", "truth"] = "lab"
+    members: PositiveInt
+
+
+class EvaluationConfig(StrictModel):
+    """The paper's tables: ensembles of every method on every case, and repeated trainings of the learned parts."""
+
+    cases: tuple[Literal["clean-151", "clean-301", "noisy-301"], ...] = Field(min_length=1)
+    members: dict[Literal["baseline", "multi-stage", "few-shot-adam", "few-shot-newton", "classical"], PositiveInt]
+    members_per_batch: PositiveInt = Field(description="runs of one tensor program and of one cached step")
+    trainings: PositiveInt = Field(description="repeated trainings of the operators and bodies")
+    bootstrap: PositiveInt = Field(description="resamplings of the members behind the intervals of ratios")
+    variants: tuple[VariantConfig, ...] = ()
+
+
 class ReportConfig(StrictModel):
     """Figures of the report."""
 
@@ -329,6 +352,7 @@ class Params(StrictModel):
     pretrain: PretrainConfig
     identify: IdentifyConfig
     evaluate: EvaluateConfig
+    evaluation: EvaluationConfig
     promotion: PromotionConfig
     discover: DiscoverConfig
     proof: ProofConfig

@@ -86,20 +86,44 @@ def estimate_with(
     """`estimate` with the settings of the first segment and of the others given apart."""
     began = time.perf_counter()
     source = train_lanes(make_lanes(problems, [0], runs, seed, of_first), operators, maps, of_first)
-    results = dict(zip([0], estimates_of(problems[:1], source, runs, began, METHOD), strict=True))
-    taken = source_models(source, runs)
+    first = estimates_of(problems[:1], source, runs, began, METHOD)
+    return first + later_segments(problems, source_models(source, runs), runs, seed, settings, operators, maps)
+
+
+def later_segments(
+    problems: Sequence[SegmentProblem],
+    taken: tuple[Tensor, Tensor],
+    runs: int,
+    seed: int,
+    settings: PinnSettings,
+    operators: Any = None,
+    maps: Any = None,
+    first_run: int = 0,
+) -> list[SegmentEstimate]:
+    """Estimate the segments behind the first from source models.
+
+    Args:
+        problems: all segments of the recording.
+        taken: network weights (R, size) and masked unknowns (R, 4) of `source_models`.
+        runs, seed, operators, maps: as `estimate`.
+        settings: of the segments behind the first.
+        first_run: number of the first run, as `fewshot_adam.estimate`.
+
+    Returns:
+        One estimate for each segment but the first, in order.
+    """
+    results: dict[int, SegmentEstimate] = {}
     for whole in by_grid(problems):
         group = [i for i in whole if i > 0]
         if not group:
             continue
         began = time.perf_counter()
-        lanes = make_lanes(problems, group, runs, seed, settings)
-        found = train_lanes(
-            lanes, operators, maps, settings, (taken[0].repeat(len(group), 1), taken[1].repeat(len(group), 1))
-        )
+        lanes = make_lanes(problems, group, runs, seed, settings, first_run)
+        sources = (taken[0].repeat(len(group), 1), taken[1].repeat(len(group), 1))
+        found = train_lanes(lanes, operators, maps, settings, sources)
         made = estimates_of([problems[i] for i in group], found, runs, began, METHOD)
         results |= dict(zip(group, made, strict=True))
-    return [results[i] for i in range(len(problems))]
+    return [results[i] for i in range(1, len(problems))]
 
 
 def source_models(source: PinnTrained, runs: int) -> tuple[Tensor, Tensor]:

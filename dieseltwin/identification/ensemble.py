@@ -1,0 +1,212 @@
+"""Ensembles of the evaluation: the paper's three cases of data, members in batches, and what is kept of every member.
+
+Source: paper, sections "Results: Multi-stage Transfer Learning" and "Results: Few-shot transfer learning": clean data
+at 151 and at 301 points a minute, noisy data at 301, thirty runs of each. The residual points are always the 301 of the
+recording; "points" are those with readings. PROTOCOL.md: each member has its own noise draw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dieseltwin.engine import HEALTH, MEASURED
+from dieseltwin.errors import InputError
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.result import SegmentEstimate
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way of reading the field engine.
+
+    Attributes:
+        every: readings at every so many samples.
+        noisy: whether noise is added.
+        words: for headings.
+    """
+
+    every: int
+    noisy: bool
+    words: str
+
+
+CASES: Mapping[str, Case] = {
+    "clean-151": Case(2, False, "clean data, 151 points a minute"),
+    "clean-301": Case(1, False, "clean data, 301 points a minute"),
+    "noisy-301": Case(1, True, "noisy data, 301 points a minute"),
+}
+"""The paper's cases, in its order."""
+FAR_OFF = 10.0
+"""A parameter beyond this many times its true value, or below its inverse, counts as diverged."""
+
+
+def case_problems(
+    clean: Sequence[SegmentProblem], case: str, members: int, seed: int, channels: Sequence[str] | None = None
+) -> list[SegmentProblem]:
+    """The segments as one case shows them.
+
+    Args:
+        clean: segments with clean readings; `sigma` is the noise of the recording.
+        case: a key of `CASES`.
+        members: members of the ensemble; with noise, each has a draw of its own.
+        seed: of the noise. Draws depend on (seed, segment, member) alone.
+        channels: sensors that are read; None = those of `clean`.
+
+    Returns:
+        One problem for each segment.
+
+    Raises:
+        InputError: unknown case or channel.
+    """
+    if case not in CASES:
+        raise InputError("case", repr(case), ", ".join(CASES), "choose one of them")
+    unknown = sorted(set(channels or ()) - set(MEASURED))
+    if unknown:
+        raise InputError("channels", ", ".join(unknown), ", ".join(MEASURED), "correct the names")
+    what = CASES[case]
+    made = []
+    for number, problem in enumerate(clean):
+        measured = problem.measured.copy()
+        for i, name in enumerate(MEASURED):
+            if channels is not None and name not in channels:
+                measured[:, i] = np.nan
+        if what.every > 1:
+            unread = np.arange(len(measured)) % what.every != 0
+            measured[unread] = np.nan
+        seen = replace(problem, measured=measured, noise_draws=None)
+        if what.noisy:
+            draws = [
+                np.random.default_rng([seed, number, m]).standard_normal(measured.shape) * problem.sigma
+                for m in range(members)
+            ]
+            noisy = measured + np.stack(draws)
+            seen = replace(seen, measured=noisy[0], noise_draws=noisy)
+        made.append(seen)
+    return made
+
+
+def batches(members: int, at_a_time: int) -> list[tuple[int, int]]:
+    """(first member, number of members) of each batch."""
+    return [(first, min(at_a_time, members - first)) for first in range(0, members, at_a_time)]
+
+
+_FIELDS = (
+    "time_s", "parameters", "std", "interval_90", "states", "bound", "identifiable", "converged", "chi2_per_sample",
+    "state_samples", "parameter_samples",
+)  # fmt: skip
+_PLAIN = ("t0_s", "t1_s", "seconds_per_run")
+
+
+def save_estimates(path: Path, estimates: Sequence[SegmentEstimate]) -> None:
+    """Write the estimates of a batch as one .npz file."""
+    arrays: dict[str, Any] = {"method": np.array(estimates[0].method), "count": np.array(len(estimates))}
+    for i, estimate in enumerate(estimates):
+        for name in _FIELDS:
+            value = getattr(estimate, name)
+            if value is not None:
+                arrays[f"{i}/{name}"] = value
+        arrays[f"{i}/plain"] = np.array([getattr(estimate, name) for name in _PLAIN])
+        arrays |= {f"{i}/curves/{name}": values for name, values in estimate.curves.items()}
+    np.savez(path, **arrays)
+
+
+def load_estimates(path: Path) -> list[SegmentEstimate]:
+    """Read what `save_estimates` wrote."""
+    with np.load(path) as stored:
+        method, count = str(stored["method"]), int(stored["count"])
+        made = []
+        for i in range(count):
+            prefix = f"{i}/curves/"
+            curves = {name.removeprefix(prefix): stored[name] for name in stored.files if name.startswith(prefix)}
+            fields = {name: stored.get(f"{i}/{name}") for name in _FIELDS}
+            plain = dict(zip(_PLAIN, stored[f"{i}/plain"].tolist(), strict=True))
+            made.append(SegmentEstimate(**fields, **plain, method=method, curves=curves))
+    return made
+
+
+def merged(parts: Sequence[SegmentEstimate]) -> SegmentEstimate:
+    """One estimate of a segment from those of its batches, in the order of their members."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def joined(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        return None if any(v is None for v in values) else np.concatenate(values)
+
+    weights = np.array([part.used.sum() for part in parts], dtype=np.float64)
+    runs = np.array([part.runs for part in parts], dtype=np.float64)
+    curves = {}
+    for name, first in parts[0].curves.items():
+        values = [np.asarray(part.curves[name]) for part in parts]
+        if np.ndim(first) == 2:
+            curves[name] = np.concatenate(values, axis=1)
+        else:  # one curve for all runs of a batch: epochs, or a mean over runs
+            curves[name] = first if name == "epoch" else np.average(values, axis=0, weights=runs)
+    return replace(
+        parts[0],
+        **{name: joined(name) for name in ("parameters", "std", "interval_90", "converged", "chi2_per_sample")},
+        state_samples=joined("state_samples"),
+        parameter_samples=joined("parameter_samples"),
+        states=np.average([part.states for part in parts], axis=0, weights=weights),
+        seconds_per_run=float(np.average([part.seconds_per_run for part in parts], weights=runs)),
+        curves=curves,
+    )
+
+
+def diverged(parameters: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(R,) members without a usable value: not finite, or beyond `FAR_OFF` times the truth or its inverse."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.abs(np.log(parameters / truth))
+    return ~np.isfinite(parameters).all(axis=1) | ~(size <= np.log(FAR_OFF)).all(axis=1)
+
+
+def member_table(
+    estimates: Sequence[SegmentEstimate], truth: Mapping[str, float], bounds: Sequence[NDArray[np.float64]], seed: int
+) -> pd.DataFrame:
+    """One row for each segment, member and parameter; nothing is left out.
+
+    Args:
+        estimates: of the segments.
+        truth: true health values [SI].
+        bounds: (4,) relative Cramér-Rao bound of each segment at the truth [-].
+        seed: of the ensemble.
+
+    Returns:
+        Columns segment, t0_s, t1_s, member, seed, parameter, ratio (estimate over truth), std (claimed, over truth; NaN
+        where a method claims none), low, high (90 % interval over truth), bound (relative), identifiable (as the method
+        says), converged, diverged, chi2.
+    """
+    true = np.array([truth[name] for name in HEALTH])
+    rows = []
+    for number, (estimate, bound) in enumerate(zip(estimates, bounds, strict=True)):
+        off = diverged(estimate.parameters, true)
+        chi2 = estimate.chi2_per_sample
+        for member in range(estimate.runs):
+            for i, name in enumerate(HEALTH):
+                rows.append(
+                    {
+                        "segment": number,
+                        "t0_s": estimate.t0_s,
+                        "t1_s": estimate.t1_s,
+                        "member": member,
+                        "seed": seed,
+                        "parameter": name,
+                        "ratio": estimate.parameters[member, i] / true[i],
+                        "std": estimate.std[member, i] / true[i],
+                        "low": estimate.interval_90[member, i, 0] / true[i],
+                        "high": estimate.interval_90[member, i, 1] / true[i],
+                        "bound": bound[i],
+                        "identifiable": bool(estimate.identifiable[i]),
+                        "converged": bool(estimate.converged[member]),
+                        "diverged": bool(off[member]),
+                        "chi2": np.nan if chi2 is None else chi2[member],
+                    }
+                )
+    return pd.DataFrame(rows)
