@@ -17,11 +17,11 @@ from typing import Any
 from dieseltwin import __version__
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.channels import SENSORS
-from dieseltwin.discovery.checks import check_fit, check_recording, check_sensitivity
+from dieseltwin.discovery.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.curves import Discovery
 from dieseltwin.discovery.document import FILE_NAME
 from dieseltwin.discovery.explain import DETAILS, check_name, details_of, explain, load_details, plain
-from dieseltwin.engine import HEALTH, load_engine, we2011
+from dieseltwin.engine import HEALTH, EngineParameters, load_engine, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import Recording, read_recording
@@ -89,7 +89,7 @@ def run_discover(
         return
     began = time.perf_counter()
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
-    source = read_recording(recording, channels, parameters, sensors=())
+    source = _read(recording, channels, parameters)
     used, notes = check_recording(source, parameters, asked["sensors"])
     core = _core()
     options = core.options(
@@ -114,6 +114,21 @@ def run_discover(
     if name is not None:
         yield ""
         yield from explain(name, out)
+
+
+def _read(recording: Path, channels: Path | None, parameters: EngineParameters) -> Recording:
+    """The recording; where it can't be one of this engine, the air balance says so better than a unit would."""
+    try:
+        return read_recording(recording, channels, parameters, sensors=())
+    except InputError:
+        size = we2011.PARAMETERS.replace(p_amb=parameters.p_amb, T_amb=parameters.T_amb)
+        try:
+            source = read_recording(recording, channels, size, sensors=())
+        except InputError:
+            source = None
+        if source is not None:
+            check_engine(source, parameters)
+        raise
 
 
 def _progress(text: str) -> None:

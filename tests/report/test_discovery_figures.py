@@ -1,0 +1,116 @@
+"""Figures and page of a discovery: complete, self-contained, with the numbers of the document."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic_discovery as synthetic
+
+from dieseltwin.discovery.curves import Discovery
+from dieseltwin.discovery.document import Discrepancy
+from dieseltwin.report import discovery_figures, discovery_residuals
+from dieseltwin.report.discovery_page import build_discovery_report, discovery_sections
+from dieseltwin.report.discovery_words import sentence
+from dieseltwin.report.style import ReportFigure
+
+FIGURES = {"health", "law", "evidence_time", "evidence_map", "residual_time", "residual_map", "residual_map_actuators",
+           "score", "candidates", "minimum_detectable"}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def leak() -> Discovery:
+    location = {**synthetic.LOCATION, "regions": [synthetic.REGION], "onset_s": 100.0}
+    return synthetic.discovery(synthetic.document(location=location))
+
+
+@pytest.fixture(scope="module")
+def healthy() -> Discovery:
+    return synthetic.discovery(Discrepancy.model_validate(synthetic.healthy_content()))
+
+
+@pytest.fixture(scope="module")
+def figures(leak: Discovery) -> dict[str, ReportFigure]:
+    return {figure.name: figure for section in discovery_sections(leak) for figure in section.figures}
+
+
+def test_every_figure_is_there_with_labels_and_units(figures: dict[str, ReportFigure]) -> None:
+    assert set(figures) == FIGURES
+    for figure in figures.values():
+        assert len(figure.caption) > 60 and figure.title
+        labels = [text for axes in figure.figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+        assert any("[" in label for label in labels), figure.name
+        assert all("[" in label for label in labels), (figure.name, labels)
+
+
+def test_evidence_of_an_onset_starts_there(leak: Discovery, figures: dict[str, ReportFigure]) -> None:
+    middle, gain = leak.curves.evidence_over_time
+    assert abs(gain[middle < 95.0].sum()) < 1e-9 < gain[middle > 105.0].sum()
+    legend = figures["evidence_time"].figure.legends[0]
+    assert "onset, 100 s" in [text.get_text() for text in legend.get_texts()]
+
+
+def test_map_of_means_is_a_mean() -> None:
+    x, y = np.array([0.1, 0.1, 0.9, 0.9]), np.array([0.1, 0.1, 0.9, 0.9])
+    edges = (np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.5, 1.0]))
+    mean, count = discovery_figures.cell_means(x, y, np.array([1.0, 3.0, np.nan, 5.0]), edges, least=1)
+    assert mean[0, 0] == 2.0 and mean[1, 1] == 5.0 and count[1, 1] == 1
+    assert np.isnan(mean[0, 1]) and np.isnan(mean[1, 0])
+
+
+def test_averages_show_what_single_residuals_hide(leak: Discovery) -> None:
+    """The structure before is a fraction of the noise; averaged over the map it is beyond chance, after it is not."""
+    curves = leak.curves
+    widening = discovery_residuals.noise_of_means(curves)
+    assert np.all((widening >= 1.0) & (widening < 1.3))  # the synthetic noise is white
+    x, y = (curves.evidence_map[name] for name in discovery_figures.MAPS[0])
+    edges = (discovery_figures.edges_of(x, 8), discovery_figures.edges_of(y, 8))
+    sizes = []
+    for fitted in (curves.before, curves.after):
+        residual = ((curves.measured - fitted) / curves.sigma)[:, 0]
+        grid = discovery_residuals.over_noise(*discovery_figures.cell_means(x, y, residual, edges, 10), 1.0)
+        sizes.append(float(np.nanmean(grid**2)))
+    assert sizes[0] > 1.4 > sizes[1]
+
+
+def test_page_is_self_contained_and_says_the_sentence(leak: Discovery, tmp_path: Path) -> None:
+    page = build_discovery_report(leak, tmp_path / "new" / "report.html", figures_dir=tmp_path / "figures")
+    text = page.read_text(encoding="utf-8")
+    outside = re.sub(r'src="data:[^"]*"', "", text)
+    assert not re.search(r"https?://|//[a-z]|@import|url\(|<script", outside)
+    words = re.sub(r"<[^>]+>", "", outside)
+    start = sentence(leak.document).split(";")[0].split("with")[0]
+    assert start in words
+    for expected in ("41.0 ± 2.0 mm²", "compressor_efficiency_loss", "+46.9 %", "2.8150", "beneath its tolerance",
+                     "0" * 64, "Machine and times", "W_leak = A p_im/sqrt(R_a T_im)"):  # fmt: skip
+        assert expected in words
+    assert {path.stem for path in (tmp_path / "figures").iterdir()} == FIGURES
+    assert len(text.encode()) < 4 * 1024 * 1024
+    assert build_discovery_report(leak, tmp_path / "two.html").read_bytes() == page.read_bytes()
+
+
+def test_healthy_page_has_no_law_no_candidates_and_no_alarm(healthy: Discovery, tmp_path: Path) -> None:
+    page = build_discovery_report(healthy, tmp_path / "report.html")
+    text = page.read_text(encoding="utf-8")
+    assert "Nothing left out that could be seen" in text and 'class="headline"' in text
+    assert 'id="law"' not in text and 'id="candidates"' not in text
+    assert 'id="minimum_detectable"' in text
+
+
+def test_little_is_enough(leak: Discovery) -> None:
+    """No law, no candidates, no oracle, nothing held out, a channel with holes: still a page."""
+    curves = leak.curves
+    measured = curves.measured.copy()
+    measured[:700, 2] = np.nan
+    document = synthetic.document(
+        effects=[{**synthetic.UNNAMED, "law": None}],
+        fit={**synthetic.content()["fit"], "held_out_nll_before": None, "held_out_nll_after": None},
+        minimum_detectable={},
+    )
+    poor = replace(curves, measured=measured, laws=[], candidates=[], oracle_nll=None, held_out=None, sensitivity={},
+                   evidence_map={})  # fmt: skip
+    names = {f.name for s in discovery_sections(replace(leak, document=document, curves=poor)) for f in s.figures}
+    assert names == {"health", "evidence_time", "residual_time", "score"}

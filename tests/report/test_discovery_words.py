@@ -1,0 +1,95 @@
+"""The sentence says where, what, how large, since when, what it did, what was gained, and what can't be told apart."""
+
+from __future__ import annotations
+
+import pytest
+import synthetic_discovery as synthetic
+
+from dieseltwin.discovery.document import Discrepancy
+from dieseltwin.engine.effects import EFFECTS, SITES
+from dieseltwin.report.discovery_words import EFFECT_WORDS, magnitude_words, sentence, site_words
+
+OFFSET = {
+    "name": "p_im_offset", "probability": 0.99, "equivalent_names": [], "law": "reading + b", "magnitude": -1250.0,
+    "std": 60.0, "unit": "Pa", "valid_for": None, "split_by": None,
+}  # fmt: skip
+
+
+def test_named_with_equivalents() -> None:
+    assert sentence(synthetic.document()) == (
+        "The twin leaves out, in the intake mass balance (97 % sure), a boost leak of 41.0 ± 2.0 mm², from the start; "
+        "the fit of the health parameters alone had put h_tot 47 % too high, eta_sc 20 % too low and A_vgtmax 11 % too "
+        "low; on the held-out part the negative log-likelihood falls from 2.81 to 2.50 per sample; boost_leak cannot "
+        "be told apart from compressor_efficiency_loss, which a w_c_kg_s sensor would settle."
+    )
+
+
+def test_healthy() -> None:
+    text = sentence(Discrepancy.model_validate(synthetic.healthy_content()))
+    assert text.startswith("Nothing is missing that this recording could show (p = 0.42)")
+    assert "a boost leak of 2.6 mm²" in text and "1.3 kPa at 0.3 kg/s" in text
+    assert text.endswith("would have been seen, smaller ones cannot be ruled out.")
+    bare = sentence(Discrepancy.model_validate({**synthetic.healthy_content(), "minimum_detectable": {}}))
+    assert bare.endswith("the tolerances of the maps explain it.")
+
+
+def test_none_of_these_with_and_without_a_law() -> None:
+    text = sentence(synthetic.document(effects=[synthetic.UNNAMED]))
+    assert "leaves out something, in the intake mass balance" in text
+    assert "that no effect of the catalogue explains (the law found for it is W = 0.01004 kg/s p_im/p_amb)" in text
+    assert "boost" not in text  # no made-up name
+    text = sentence(synthetic.document(effects=[{**synthetic.UNNAMED, "law": None}]))
+    assert "(no law for it could be resolved)" in text
+
+
+def test_two_effects_say_their_own_places() -> None:
+    text = sentence(synthetic.document(effects=[synthetic.LEAK, synthetic.FRICTION]))
+    assert ("a boost leak of 41.0 ± 2.0 mm², and, in the power balance of the turbo shaft, bearing friction of the "
+            "turbocharger of 3.10 ± 0.20 µN m s") in text  # fmt: skip
+    text = sentence(synthetic.document(effects=[synthetic.LEAK, synthetic.UNNAMED]))
+    assert "no effect of the catalogue explains" in text and "and beside it a boost leak" in text
+
+
+def test_onset_region_and_other_places() -> None:
+    location = {**synthetic.LOCATION, "onset_s": 312.4, "regions": [synthetic.REGION], "probability": 0.7,
+                "alternatives": [{"site": "turbine_flow", "probability": 0.25}]}  # fmt: skip
+    text = sentence(synthetic.document(location=location))
+    assert ", since 312 s, with 80 % of the evidence at n_e 1200 to 1500 rpm, u_delta 100 to 200 mg/cycle;" in text
+    assert "(70 % sure)" in text and "it could also sit in the turbine flow (25 %)" in text
+    text = sentence(synthetic.document(location={**location, "onset_s": 1234.0}))
+    assert "since 1234 s (20.6 min)" in text
+
+
+def test_sensor_fault_is_not_missing_physics() -> None:
+    location = {**synthetic.LOCATION, "site": "sensor:p_im_pa", "probability": 0.999, "alternatives": []}
+    text = sentence(synthetic.document(location=location, effects=[OFFSET]))
+    assert text.startswith(
+        "A sensor is off, physics is not what is missing: in the reading p_im_pa (more than 99 % sure), "
+        "an offset of the p_im reading of −1.250 ± 0.060 kPa"
+    )
+    assert "no other effect of the catalogue explains the recording as well" in text
+
+
+def test_small_shifts_and_no_gain_are_said() -> None:
+    health = {"eta_sc": {"value": 1.2, "std": 0.02, "before": 1.21}}
+    fit = {**synthetic.content()["fit"], "held_out_nll_before": 2.5, "held_out_nll_after": 2.50004}
+    text = sentence(synthetic.document(health=health, fit=fit))
+    assert "the health parameters stay where the fit without it had them" in text
+    assert "does not fall (2.500000 before, 2.500040 after)" in text or "does not fall (2.50000" in text
+    fit = {**fit, "held_out_nll_after": None}
+    assert "no gain on unseen driving is claimed" in sentence(synthetic.document(fit=fit))
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_every_effect_has_words_and_a_size_with_a_unit(name: str) -> None:
+    effect = EFFECTS[name]
+    assert "{m}" in EFFECT_WORDS[name].phrase
+    size = magnitude_words(name, 2.0 * effect.tolerance, 0.2 * effect.tolerance, effect.unit)
+    assert "±" in size and "e-" not in size
+    plain = EFFECT_WORDS[name].plain
+    assert plain == (not any(u in size for u in ("mm²", "kPa", "%", "µN m s", " s"))), size
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_every_site_has_words(site: str) -> None:
+    assert "_" not in site_words(site) or site.startswith("sensor:")
