@@ -37,9 +37,13 @@ def prove(profile: str) -> str:
     for name, waiting in pending.items():
         parts[f"result_{name}"] = waiting.result()
         opened[name] = steps.opened.submit(benchmark=made, result=parts[f"result_{name}"], kind=name)
-    compared = {
-        entry["case"]: steps.baseline.submit(benchmark=made, kind=entry["case"]) for entry in entries[:baselines]
-    }
+    compared = {}
+    if baselines:
+        bands = steps.bands.submit(benchmark=made, jobs=WORKERS).result()
+        compared = {
+            entry["case"]: steps.baseline.submit(benchmark=made, bands=bands, kind=entry["case"])
+            for entry in entries[:baselines]
+        }
     parts |= {f"opened_{name}": waiting.result() for name, waiting in opened.items()}
     parts |= {f"baseline_{name}": waiting.result() for name, waiting in compared.items()}
     scored = steps.score.submit(benchmark=made, **parts).result()

@@ -95,14 +95,23 @@ def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str
 _SCORED = "scored.json"
 
 
-@step("baseline", "baselines", expected_s=60.0, many=True)
-def baseline(out: Path, progress: Any, *, benchmark: Path, kind: str) -> None:
+@step("baseline-bands", "bands of the baselines", expected_s=150.0)
+def bands(out: Path, progress: Any, *, benchmark: Path, jobs: int) -> None:
+    """``baselines/bands.json``: what healthy machines reach; the baselines alarm beyond it."""
+    from dieseltwin.discovery.challenge.baselines import write_bands
+
+    with _laid_out(benchmark, {}) as folder:
+        _copied(write_bands(folder, jobs=jobs, progress=progress), out / BASELINES_FOLDER / "bands.json")
+
+
+@step("baseline", "baselines", expected_s=15.0, many=True)
+def baseline(out: Path, progress: Any, *, benchmark: Path, bands: Path, kind: str) -> None:
     """What ``challenge baselines`` writes of one case, as it lies below the benchmark's folder."""
     import shutil
 
     from dieseltwin.discovery.challenge.baselines import run_baselines
 
-    with _laid_out(benchmark, {}) as folder:
+    with _laid_out(benchmark, {BASELINES_FOLDER: [bands / BASELINES_FOLDER]}) as folder:
         run_baselines(folder, only=(kind,), limit=1, jobs=1)
         shutil.copytree(folder / BASELINES_FOLDER, out / BASELINES_FOLDER)
 

@@ -22,6 +22,8 @@ def train(bound: Bound, filtered: np.ndarray, seed: int = 0) -> Net:
     """A net from states and inputs to the filtered biases, over the first 70 % of the recording."""
     import torch
 
+    torch.set_num_threads(1)
+
     sample_s = float(bound.time_s[1] - bound.time_s[0])
     rows = slice(round(SETTLE_S / sample_s), round(TRAIN_SHARE * bound.time_s.size))
     inputs = np.column_stack([filtered[:, :3], bound.fine[:, :: bound.every].T])[rows]

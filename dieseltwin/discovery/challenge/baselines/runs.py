@@ -16,7 +16,7 @@ import pandas as pd
 from dieseltwin.atomic import write_json
 from dieseltwin.discovery.challenge.baselines import health_only, kalman, neural
 from dieseltwin.discovery.challenge.baselines.model import Bound, Net
-from dieseltwin.discovery.challenge.cases import Tier, build_case, make_plans
+from dieseltwin.discovery.challenge.cases import Plan, Tier, build_case, make_plans
 from dieseltwin.discovery.challenge.processes import in_processes
 from dieseltwin.discovery.challenge.records import CaseRow
 from dieseltwin.discovery.challenge.run import plain, read_manifest
@@ -34,45 +34,47 @@ def run_baselines(
     folder: Path, *, only: Sequence[str] = (), limit: int = 60, jobs: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> int:  # fmt: skip
-    """Run every baseline on the first `limit` cases (or `only`); cases with a result are kept. Returns their number.
-
-    The bands beyond which a baseline alarms are the largest values on 24 healthy machines made in the same way
-    (their own seed): a threshold that an owner of healthy machines could set.
-    """
-    manifest = read_manifest(folder)
-    entries = [e for e in manifest["cases"] if not only or e["case"] in only][: None if only else limit]
-    out = folder / FOLDER
-    out.mkdir(exist_ok=True)
-    plans = make_plans(BAND_CASES, BAND_SEED, sensors=manifest["sensors"], healthy_only=True)
-    jobs_to_do: list[tuple[str, Any]] = []
-    if not (out / BAND_FILE).is_file():
-        jobs_to_do += [("band", plan) for plan in plans]
-    jobs_to_do += [("case", e) for e in entries if not (out / f"{e['case']}.json").is_file()]
-    work = partial(_work, folder, manifest["tier"], manifest["sensors"], manifest["duration_s"])
-    bands: list[dict[str, float]] = []
-
-    for done, (_, (kind, found)) in enumerate(in_processes(work, jobs_to_do, jobs), start=1):
-        if kind == "band":
-            bands.append(found["statistics"])
+    """Run every baseline on the first `limit` cases (or `only`); cases with a result are kept. Returns their number."""
+    write_bands(folder, jobs=jobs, progress=progress)
+    entries = [e for e in read_manifest(folder)["cases"] if not only or e["case"] in only][: None if only else limit]
+    pending = [e for e in entries if not (folder / FOLDER / f"{e['case']}.json").is_file()]
+    for done, (k, _) in enumerate(in_processes(partial(_of_case, folder), pending, jobs), start=1):
         if progress is not None:
-            progress(done, len(jobs_to_do), str(found.get("case", "healthy, for the bands")))
-    if bands:
-        write_json(out / BAND_FILE, {name: max(b[name] for b in bands) for name in bands[0]})
+            progress(done, len(pending), str(pending[k]["case"]))
     return len(entries)
 
 
-def _work(
-    folder: Path, tier: Tier, sensors: int, duration_s: float, job: tuple[str, Any]
-) -> tuple[str, dict[str, Any]]:
-    kind, what = job
+def write_bands(folder: Path, *, jobs: int = 1, progress: Callable[[int, int, str], None] | None = None) -> Path:
+    """Write the bands beyond which a baseline alarms, unless they are there.
+
+    They are the largest values on 24 healthy machines made in the same way (their own seed): a threshold that an owner
+    of healthy machines could set.
+    """
+    path = folder / FOLDER / BAND_FILE
+    if path.is_file():
+        return path
+    path.parent.mkdir(exist_ok=True)
+    manifest = read_manifest(folder)
+    plans = make_plans(BAND_CASES, BAND_SEED, sensors=manifest["sensors"], healthy_only=True)
+    work = partial(_of_healthy, manifest["tier"], manifest["sensors"], manifest["duration_s"])
+    found: list[dict[str, float]] = []
+    for _, statistics in in_processes(work, plans, jobs):
+        found.append(statistics)
+        if progress is not None:
+            progress(len(found), len(plans), "healthy, for the bands")
+    write_json(path, {name: max(one[name] for one in found) for name in found[0]})
+    return path
+
+
+def _of_healthy(tier: Tier, sensors: int, duration_s: float, plan: Plan) -> dict[str, float]:
     laboratory = we2011.PARAMETERS.model_dump()
-    if kind == "band":
-        made = build_case(what, BAND_SEED, laboratory, tier=tier, sensors=sensors, duration_s=duration_s)
-        return kind, one_recording(made.recording, laboratory)
-    found = one_recording(read_table(folder / what["recording"]), laboratory)
-    found["case"] = what["case"]
-    write_json(folder / FOLDER / f"{what['case']}.json", plain(found))
-    return kind, found
+    made = build_case(plan, BAND_SEED, laboratory, tier=tier, sensors=sensors, duration_s=duration_s)
+    return dict(one_recording(made.recording, laboratory)["statistics"])
+
+
+def _of_case(folder: Path, entry: Mapping[str, Any]) -> None:
+    found = one_recording(read_table(folder / entry["recording"]), we2011.PARAMETERS.model_dump())
+    write_json(folder / FOLDER / f"{entry['case']}.json", plain({"case": entry["case"], **found}))
 
 
 def one_recording(frame: pd.DataFrame, laboratory: Mapping[str, Any]) -> dict[str, Any]:
