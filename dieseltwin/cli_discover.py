@@ -215,7 +215,7 @@ def _write(
     write_json(folder / DETAILS, details_of(found, asked, notes))
     write_text(folder / "engine.yaml", engine_yaml(found))
     stds = {n: v.std for n, v in found.document.health.items() if v.std is not None and n in HEALTH}
-    table = implied_frame(source, found.engine, stds, sensors=used, local=found.local)
+    table = implied_frame(source, found.engine, stds, sensors=used, starts=found.starts, local=found.local)
     table.to_parquet(folder / "implied.parquet", index=False)
     build_discovery_report(found, folder / "report.html", figures_dir=folder / "figures")
     runtime = {

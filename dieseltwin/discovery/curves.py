@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypedDict
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dieseltwin.discovery.document import Discrepancy
 from dieseltwin.discovery.twin import Array
 from dieseltwin.engine.parameters import EngineParameters
@@ -104,8 +107,9 @@ class Discovery:
         curves: for figures.
         runtime: wall times by step [s], and whatever else differs from run to run.
         details: whatever else is worth keeping, JSON types; goes into `details.json`.
-        local: (W, 3) states at the windows' starts in the repaired fit, for the windows of `EngineTwin` over the same
-            recording; None where they weren't kept (smoothed readings then take their place in `implied`).
+        starts, local: (W,) first rows of the windows of the repaired fit, among the rows with the engine running, and
+            (W, 3) p_im, p_em [Pa], omega_t [rad/s] there; None where they weren't kept (`implied` then takes smoothed
+            readings).
     """
 
     document: Discrepancy
@@ -114,4 +118,5 @@ class Discovery:
     curves: Curves
     runtime: Mapping[str, Any] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
+    starts: NDArray[np.int64] | None = None
     local: Array | None = None

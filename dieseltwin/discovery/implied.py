@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from dieseltwin.discovery.engine_twin import EngineTwin
 from dieseltwin.discovery.twin import Array
@@ -26,6 +27,7 @@ def implied_frame(
     stds: Mapping[str, float] | None = None,
     *,
     sensors: Sequence[str] | None = None,
+    starts: NDArray[np.int64] | None = None,
     local: Array | None = None,
 ) -> pd.DataFrame:
     """Every quantity of the repaired engine along the recording, with standard deviations where they are known.
@@ -39,17 +41,18 @@ def implied_frame(
         engine: repaired, with its terms.
         stds: health parameter -> standard deviation [its unit]; the terms carry their own.
         sensors: columns that were used.
-        local: (W, 3) states at the windows' starts; None takes them from smoothed readings.
+        local: (W, 1) turbo speeds at the windows' starts; None takes them from smoothed readings.
 
     Returns:
         Columns of `extended_frame`, `time_s` on the recording's clock; `<column>_std` behind those that have one.
     """
     twin = EngineTwin(recording, engine, sensors)
     engine = twin.engine
-    start = twin.first_local() if local is None else np.asarray(local, dtype=np.float64)
+    if starts is None or local is None:
+        starts, local = twin.starts, twin.initial(twin.first_local())
     actuation = actuate_terms(twin.inputs, engine, twin.step_s)
     observed = simulate_terms(
-        actuation, parameter_batch(engine), engine, start[None], restarts=twin.starts, sensors=False
+        actuation, parameter_batch(engine), engine, local[None], restarts=starts, sensors=False
     )
     states = observed.states[0]
     frame = extended_frame(states, actuation, engine)
