@@ -22,6 +22,7 @@ from dieseltwin.discovery.law_responses import Linearised, Responses
 from dieseltwin.discovery.law_twin import LawTwin, Placed, without_signal
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.twin import Array, Lanes, Twin
+from dieseltwin.discovery.worth import Worth, independent
 
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)
 _CHORD_ROUNDS = 8
@@ -38,8 +39,7 @@ class Options:
         refits: laws refitted by simulation after each ranking.
         renewals: linearisations with the best law inside.
         free_shape: estimate the exponent (threshold, time) of the best law too.
-        inflate: divide gains by the best fit's chi-square per degree of freedom where that is above 1: a real machine
-            is never explained down to its noise, and without it the largest law always wins.
+        unknown_misfit: gains count as `worth.Worth` says; for real machines that no twin explains down to their noise.
         false_law: extra score that a law must reach over no law.
     """
 
@@ -47,7 +47,7 @@ class Options:
     refits: int = 6
     renewals: int = 1
     free_shape: bool = True
-    inflate: bool = False
+    unknown_misfit: bool = False
     false_law: float = 6.0
 
 
@@ -156,10 +156,11 @@ class _Refit:
     twin: LawTwin
     fit: Fit
     gain: float
+    worth: float
 
     @property
     def score(self) -> float:
-        return self.gain - self.ranked.charge
+        return self.worth - self.ranked.charge
 
 
 def search(
@@ -180,33 +181,25 @@ def search(
     base_lanes = at.fit.lanes()
     variables = {**twin.variables(base_lanes), "time_s": twin.time_s}
     responses = Responses(cast(Linearised, at), base_lanes)
-    ranked, tried = rank(twin, responses, variables, options.points)
+    readings = independent(at.residual, twin.starts, len(twin.states)) if options.unknown_misfit else None
+    worth = Worth(at.fit.objective, readings)
+    ranked, tried = rank(twin, responses, variables, options.points, readings)
     refits: list[_Refit] = []
     here: Linearisation = at
     for renewal in range(options.renewals + 1):
         known = {r.ranked.key for r in refits}
         for item in shortlist(ranked, options.refits):
             if item.key not in known:
-                refits.append(_refit(twin, here, at.fit.objective, item))
+                refits.append(_refit(twin, here, worth, item))
         refits.sort(key=lambda r: -r.score)
         if not refits or refits[0].score <= 0.0 or renewal == options.renewals:
             break
-        ranked, here, responses, variables = _renewed(twin, at, refits[0], nuisance_response, options)
-    resolved = bool(refits) and _resolved(refits[0], at, options)
+        ranked, here, responses, variables = _renewed(twin, at, refits[0], nuisance_response, options, readings)
+    resolved = bool(refits) and refits[0].score > options.false_law
     if not resolved:
         return Found(None, _loose_curve(twin, responses, ranked, variables, at), tried, _table(twin, refits))
-    law = _report(twin, at, refits, nuisance_response, options)
+    law = _report(twin, at, refits, nuisance_response, options, worth)
     return Found(law, None, tried, _table(twin, refits))
-
-
-def _scale(best: _Refit, at: Linearisation, options: Options) -> float:
-    """What chi-square gains are divided by."""
-    freedom = max(int(at.whitening.present.sum()) - at.residual.shape[1], 1)
-    return max((at.fit.objective - best.gain) / freedom, 1.0) if options.inflate else 1.0
-
-
-def _resolved(best: _Refit, at: Linearisation, options: Options) -> bool:
-    return best.gain / _scale(best, at, options) - best.ranked.charge > options.false_law
 
 
 def _table(twin: Twin, refits: Sequence[_Refit]) -> tuple[tuple[str, str, float], ...]:
@@ -240,7 +233,7 @@ def _start(at: Linearisation, law: LawTwin) -> Fit:
     )  # fmt: skip
 
 
-def _refit(twin: Twin, at: Linearisation, null_objective: float, item: Ranked) -> _Refit:
+def _refit(twin: Twin, at: Linearisation, worth: Worth, item: Ranked) -> _Refit:
     """Chord fit of law, parameters and initial states by simulation, with the sensitivities of `at`."""
     law = LawTwin(twin, item.placed)
     known, extra = len(twin.parameters), len(law.parameters) - len(twin.parameters)
@@ -257,6 +250,8 @@ def _refit(twin: Twin, at: Linearisation, null_objective: float, item: Ranked) -
             magnitudes={k: np.repeat(v, 1 + extra) for k, v in lanes.magnitudes.items()},
         )
     )
+    if not np.all(np.isfinite(simulated)):
+        return _Refit(item, law, fit, -np.inf, -np.inf)
     own = (simulated[1:] - simulated[0]) / steps[:, None, None]
     columns = np.concatenate([at.jacobian[:known], own])
     projected = np.concatenate([at.projected[:known], at.metric.project(np.nan_to_num(own))])
@@ -298,12 +293,14 @@ def _refit(twin: Twin, at: Linearisation, null_objective: float, item: Ranked) -
             shrink *= 0.35
             if shrink < 0.03:
                 break
-    return _Refit(item, law, best, null_objective - best.objective)
+    gain = worth.objective - best.objective
+    return _Refit(item, law, best, gain, worth(gain))
 
 
 def _renewed(
-    twin: Twin, at: Linearisation, best: _Refit, nuisance_response: Array | None, options: Options
-) -> tuple[list[Ranked], Linearisation, Responses, dict[str, Array]]:
+    twin: Twin, at: Linearisation, best: _Refit, nuisance_response: Array | None, options: Options,
+    readings: float | None,
+) -> tuple[list[Ranked], Linearisation, Responses, dict[str, Array]]:  # fmt: skip
     """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
     known = len(twin.parameters)
     signals: dict[str, Array] = {}
@@ -320,16 +317,17 @@ def _renewed(
     variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
     for name, signal in signals.items():
         variables = dict(without_signal(variables, next(p for p in twin.points if p.name == name), signal))
-    ranked, _ = rank(twin, responses, variables, options.points)
+    ranked, _ = rank(twin, responses, variables, options.points, readings)
     return ranked, here, responses, variables
 
 
 def _report(
-    twin: Twin, at: Linearisation, refits: list[_Refit], nuisance_response: Array | None, options: Options
+    twin: Twin, at: Linearisation, refits: list[_Refit], nuisance_response: Array | None, options: Options, worth: Worth
 ) -> Law:
     """Full fit of the best law, its intervals, rivals and curve."""
     best = refits[0]
-    scale = _scale(best, at, options)
+    freedom = worth.readings or float(at.whitening.present.sum())
+    scale = max((at.fit.objective - best.gain) / freedom, 1.0) if worth.readings else 1.0
     form = best.twin.laws[0].form
     coefficient = float(best.twin.values(best.fit.parameters)[0][0])
     free = options.free_shape and len(best.twin.laws) == 1 and bool(form.factors) and form.factors[0].has_free_shape
@@ -353,9 +351,9 @@ def _report(
     variables = {**law.variables(lanes), "time_s": twin.time_s}
     point = next(p for p in twin.points if p.name == form.point)
     rivals = tuple(
-        Rival(_text(twin, r), r.ranked.site, (best.score - r.score) / scale)
+        Rival(_text(twin, r), r.ranked.site, best.score - r.score)
         for r in refits[1:]
-        if (best.score - r.score) / scale < _RIVALS
+        if best.score - r.score < _RIVALS
     )
     names = sorted({name for placed_law in law.laws for name in placed_law.form.variables})
     argument = form.variables[0] if form.variables else point.ports[0]

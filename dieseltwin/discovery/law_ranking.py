@@ -12,10 +12,12 @@ from dieseltwin.discovery.grammar import Factor, Form, Variable, describe, facto
 from dieseltwin.discovery.law_responses import PointResponse, Responses
 from dieseltwin.discovery.law_twin import Placed
 from dieseltwin.discovery.twin import Array, Point, Twin
+from dieseltwin.discovery.worth import Worth
 
 _BEAM = (24, 10)  # forms of one and of two factors that are multiplied by every further one
 _KEPT = 24  # forms of a point that compete over all, and for pairs
-_PAIRS = 16
+_FIRST_TERMS = 6  # of a point's best forms, to which every further one is added as a second term
+_OF_PAIRS = 4
 _ALIKE = 0.9995  # correlation in the metric above which the simpler of two forms stands for both
 _OPERATOR_AMPLITUDE = (0.2, 3.0)  # an operator's coefficient is 1; its size isn't known yet
 
@@ -30,6 +32,7 @@ class Ranked:
         placed: one or two terms with first coefficients.
         gain: decrease of -2 log likelihood of the linear estimate.
         charge: what the extended BIC takes off.
+        worth: what the gain counts for.
     """
 
     index: int
@@ -37,11 +40,12 @@ class Ranked:
     placed: tuple[Placed, ...]
     gain: float
     charge: float
+    worth: float
 
     @property
     def score(self) -> float:
-        """Gain less charge."""
-        return self.gain - self.charge
+        """Worth less charge."""
+        return self.worth - self.charge
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -55,16 +59,18 @@ class _Scored:
     coefficient: float
     gain: float
     charge: float
+    worth: float
     at_knots: Array
 
     @property
     def score(self) -> float:
-        return self.gain - self.charge
+        return self.worth - self.charge
 
 
 def rank(
-    twin: Twin, responses: Responses, variables: Mapping[str, Array], points: Sequence[str] | None = None
-) -> tuple[list[Ranked], int]:
+    twin: Twin, responses: Responses, variables: Mapping[str, Array], points: Sequence[str] | None = None,
+    readings: float | None = None,
+) -> tuple[list[Ranked], int]:  # fmt: skip
     """Candidate laws of all points, best first, and how many forms were tried.
 
     Args:
@@ -72,9 +78,11 @@ def rank(
         responses: at the current fit.
         variables: name -> (n,) along its trajectory, with `time_s`.
         points: names of the points to try; None for all.
+        readings: independent ones where the size of the misfit counts as unknown (`worth`), else None.
     """
     units = {**getattr(twin, "units", {}), "time_s": "s"}
-    readings = int(responses.at.whitening.present.sum())
+    worth = Worth(responses.explained(), readings)
+    log_readings = float(np.log(readings or responses.at.whitening.present.sum()))
     out: list[Ranked] = []
     tried = 0
     chosen = [i for i, point in enumerate(twin.points) if points is None or point.name in points]
@@ -86,7 +94,7 @@ def rank(
             if name in variables and np.ptp(variables[name][np.isfinite(variables[name])]) > 0
         }
         found, count = _of_point(
-            twin, index, point, known, responses.point(index), variables, units, readings, len(chosen)
+            twin, index, point, known, responses.point(index), variables, units, worth, log_readings, len(chosen)
         )
         tried += count
         out += found
@@ -95,11 +103,11 @@ def rank(
 
 def _of_point(
     twin: Twin, index: int, point: Point, known: Mapping[str, Variable], response: PointResponse,
-    variables: Mapping[str, Array], units: Mapping[str, str], readings: int, points: int,
+    variables: Mapping[str, Array], units: Mapping[str, str], worth: Worth, log_readings: float, points: int,
 ) -> tuple[list[Ranked], int]:  # fmt: skip
     pool = factors(point.ports, known)
     each = 2.0 * np.log(max(len(pool), 2))
-    common = np.log(readings) + 2.0 * np.log(points)
+    common = log_readings + 2.0 * np.log(points)
     n = len(twin.time_s)
     at = {**variables}
 
@@ -125,7 +133,7 @@ def _of_point(
                 amplitude = float(np.clip(amplitude, *_OPERATOR_AMPLITUDE))
             gain = 2.0 * amplitude * gradient - amplitude**2 * norm
             charge = common + (each * len(form.factors) if form.fixed is None else 2.0 * np.log(10.0))
-            out.append(_Scored(form, float(amplitude), float(gain), float(charge), own))
+            out.append(_Scored(form, float(amplitude), float(gain), float(charge), worth(float(gain)), own))
         return out
 
     singles = scored([Form(point.name), *(Form(point.name, (f,)) for f in pool)])
@@ -150,8 +158,9 @@ def _of_point(
     own_unit = unit_of(point.name, units) if point.name in variables else "-"
     everything += scored([Form(point.name, (f,), 1.0) for f in operators(point.name, own_unit, point.relative)])
     kept = _distinct(response, sorted(everything, key=lambda s: -s.score)[: 3 * _KEPT])
-    ranked = [Ranked(index, point.site, (_placed(s),), s.gain, s.charge) for s in kept]
-    ranked += _pairs(index, point, response, [s for s in kept if s.form.fixed is None][:_PAIRS], readings)
+    ranked = [Ranked(index, point.site, (_placed(s),), s.gain, s.charge, s.worth) for s in kept]
+    free = [s for s in kept if s.form.fixed is None]
+    ranked += _pairs(index, point, response, free[:_FIRST_TERMS], [*singles, *free], worth)
     return ranked, count
 
 
@@ -167,6 +176,9 @@ def _placed(s: _Scored) -> Placed:
 
 def _useful(form: Form, factor: Factor) -> bool:
     """Products of two powers of one variable, or of the same factor, say nothing new."""
+    thresholds = sum(f.kind in ("excess", "shortage") for f in (*form.factors, factor))
+    if thresholds > 1:
+        return False
     for own in form.factors:
         if own.variables == factor.variables and own.kind == factor.kind:
             return False
@@ -193,26 +205,31 @@ def _distinct(response: PointResponse, items: Sequence[_Scored]) -> list[_Scored
 
 
 def _pairs(
-    index: int, point: Point, response: PointResponse, items: Sequence[_Scored], readings: int
-) -> list[Ranked]:
-    """Sums of two terms at one point, exhaustively among its best forms."""
-    if len(items) < 2:
+    index: int, point: Point, response: PointResponse, firsts: Sequence[_Scored], seconds: Sequence[_Scored],
+    worth: Worth,
+) -> list[Ranked]:  # fmt: skip
+    """Sums of two terms at one point: to each of its best forms every single factor and every good product."""
+    if not firsts or len(seconds) < 2:
         return []
-    stack = np.stack([s.at_knots for s in items])
-    products, gradients = response.products(stack, stack), response.gradients(stack)
-    out = []
-    for i in range(len(items)):
-        for j in range(i + 1, len(items)):
-            block = products[np.ix_([i, j], [i, j])]
-            if block[0, 1] ** 2 > 0.999 * block[0, 0] * block[1, 1]:
-                continue
-            amplitude = np.linalg.solve(block, gradients[[i, j]])
-            gain = float(amplitude @ gradients[[i, j]])
-            charge = items[i].charge + items[j].charge - 2.0 * np.log(2.0)
-            if gain - charge > max(items[i].score, items[j].score):
-                placed = tuple(Placed(items[k].form, float(a)) for k, a in zip((i, j), amplitude, strict=True))
-                out.append(Ranked(index, point.site, placed, gain, charge))
-    return sorted(out, key=lambda item: -item.score)[:3]
+    left, right = np.stack([s.at_knots for s in firsts]), np.stack([s.at_knots for s in seconds])
+    across, own = response.products(left, right), (response.norms(left), response.norms(right))
+    push = response.gradients(left), response.gradients(right)
+    out: dict[tuple[Any, ...], Ranked] = {}
+    for i, first in enumerate(firsts):
+        a, b, c = own[0][i], own[1], across[i]
+        determinant = a * b - c**2
+        apart = determinant > 1e-3 * a * b
+        safe = np.where(apart, determinant, 1.0)
+        x, y = (b * push[0][i] - c * push[1]) / safe, (a * push[1] - c * push[0][i]) / safe
+        gains = np.where(apart, x * push[0][i] + y * push[1], -np.inf)
+        for j in np.argsort(-gains)[: 2 * _OF_PAIRS]:
+            charge = first.charge + seconds[j].charge - 2.0 * np.log(2.0)
+            value = worth(float(gains[j])) if np.isfinite(gains[j]) else -np.inf
+            if value - charge > max(first.score, seconds[j].score):
+                placed = (Placed(first.form, float(x[j])), Placed(seconds[j].form, float(y[j])))
+                item = Ranked(index, point.site, placed, float(gains[j]), charge, value)
+                out.setdefault(item.key, item)
+    return sorted(out.values(), key=lambda item: -item.score)[:_OF_PAIRS]
 
 
 def shortlist(ranked: Sequence[Ranked], count: int, of_one_point: int = 3) -> list[Ranked]:
