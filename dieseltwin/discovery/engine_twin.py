@@ -125,8 +125,8 @@ class EngineTwin:
             for name, value in zip(HEALTH, self.engine.health(), strict=True)
         )
         # Of the states only the turbo speed remembers more than a few samples. The pressures start from smoothed
-        # readings, and the readings of the first moments are left out: the EGR flow's slope at p_em = p_im has no limit,
-        # so that a free pressure there makes a fit stall.
+        # readings, and the readings of the first moments are left out: at p_em = p_im the slope of the EGR flow has no
+        # limit, so that a free pressure there makes a fit stall.
         self.states = ("omega_t",)
         self.state_scales = np.array([_SPEED_SCALE])
         self.points = tuple(
@@ -180,6 +180,11 @@ class EngineTwin:
         """Turbo speed at the windows' starts from smoothed readings (W, 1)."""
         return self._first[:, 2:].copy()
 
+    def initial(self, local: Array) -> Array:
+        """p_im, p_em [Pa], omega_t [rad/s] at the windows' starts (.., W, 3) for initial states (.., W, 1)."""
+        shape = (*local.shape[:-1], 2)
+        return np.concatenate([np.broadcast_to(self._first[:, :2], shape), local], axis=-1)
+
     def local_limits(self) -> tuple[Array, Array]:
         """Lowest and highest turbo speed at the windows' starts, (W, 1) each [rad/s]."""
         first = self.first_local()
@@ -219,6 +224,10 @@ class EngineTwin:
         """Readings of the used channels without noise, (B, n, C)."""
         return self._simulate(lanes)[0]
 
+    def simulate_all(self, lanes: Lanes) -> Array:
+        """All six columns of `MEASURED` without sensor effects, (B, n, 6)."""
+        return self._simulate(lanes)[1].measured  # type: ignore[attr-defined]
+
     def _simulate(self, lanes: Lanes) -> tuple[Array, object]:
         size = lanes.size
         n = self.time_s.size
@@ -240,12 +249,9 @@ class EngineTwin:
             actuate_lanes(self.inputs, self.engine, moving, size, schedules, self.step_s) if moving else self._plain[0]
         )
         extension = Extension(magnitudes, schedule, signals, lanes.lane_points, lanes.lane_signals, self.starts)
-        initial = np.concatenate(
-            [np.broadcast_to(self._first[None, :, :2], (size, len(self._first), 2)), lanes.local], axis=2
-        )
-        result = simulate_extended(actuation, batch, extension, initial)
-        measured = apply_sensor_effects(result.measured, self.time_s, combined, schedules)
-        return measured[..., self._at], result
+        result = simulate_extended(actuation, batch, extension, self.initial(lanes.local))
+        measured = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
+        return measured, result
 
     def _combined(self, lanes: Lanes) -> tuple[dict[str, Array], dict[str, Array]]:
         """Magnitudes and schedules of the lanes together with the engine's own terms."""

@@ -20,14 +20,18 @@ class Feature:
     """A signal of unit mean square at a point, a function of the point's ports alone.
 
     Attributes:
-        point: index into `Twin.points`.
+        point: index into `Twin.points`; None for a fault of a sensor.
         text: the function in words.
         signal: (n,).
+        site: word for the report.
+        channel: of the faulty sensor.
     """
 
-    point: int
+    point: int | None
     text: str
     signal: Array
+    site: str
+    channel: int | None = None
 
 
 @dataclass(frozen=True)
@@ -42,16 +46,20 @@ class Structure:
 
 
 def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
-    """One constant per point, and one proportional to each port."""
+    """One constant per point, and one proportional to each port; offset and gain per sensor."""
     variables = twin.variables(fit.lanes())
     found = []
     for index, point in enumerate(twin.points):
-        found.append(Feature(index, "constant", np.ones(twin.time_s.size)))
+        found.append(Feature(index, "constant", np.ones(twin.time_s.size), point.site))
         for port in point.ports:
             values = np.asarray(variables[port], dtype=np.float64)
             size = float(np.sqrt(np.mean(values**2)))
             if size > 0 and np.std(values) > 1e-3 * size:
-                found.append(Feature(index, port, values / size))
+                found.append(Feature(index, port, values / size, point.site))
+    ones = np.ones(twin.time_s.size)
+    for j, name in enumerate(twin.channels):
+        found.append(Feature(None, "offset", ones, f"sensor:{name}", j))
+        found.append(Feature(None, "gain", ones, f"sensor:{name}", j))
     return found
 
 
@@ -60,10 +68,18 @@ def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Struc
     if not features:
         return []
     twin = at.twin
-    scales = np.array([twin.points[f.point].scale for f in features])
-    signals = np.stack([f.signal for f in features]) * (_STEP * scales)[:, None]
-    responses = signal_responses(twin, at.fit.lanes(), at.simulated, [f.point for f in features], signals)
-    responses /= (_STEP * scales)[:, None, None]
+    responses = np.zeros((len(features), *at.simulated.shape))
+    inside = [k for k, f in enumerate(features) if f.point is not None]
+    if inside:
+        points = [int(features[k].point) for k in inside]  # type: ignore[arg-type]
+        steps = _STEP * np.array([twin.points[p].scale for p in points])
+        signals = np.stack([features[k].signal for k in inside]) * steps[:, None]
+        responses[inside] = signal_responses(twin, at.fit.lanes(), at.simulated, points, signals)
+        responses[inside] /= steps[:, None, None]
+    for k, feature in enumerate(features):
+        if feature.channel is not None:
+            j = feature.channel
+            responses[k, :, j] = at.simulated[:, j] if feature.text == "gain" else np.mean(at.simulated[:, j])
     projected = without_parameters(at, at.metric.project(responses))
     found = []
     for feature, vector, response in zip(features, projected, responses, strict=True):

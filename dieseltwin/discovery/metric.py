@@ -121,6 +121,10 @@ class Metric:
         out -= weights @ self._nuisance
         return out
 
+    def without_local(self, values: Array) -> Array:
+        """(B, n, C) -> (B, rows): whitened with the initial states alone taken out."""
+        return self._without_local(self.whitening.apply(np.asarray(values)))
+
     def local_step(self, residual: Array) -> Array:
         """Least-squares change of the initial states for one residual (n, C) -> (W, S)."""
         whitened = self.whitening.apply(residual[None])[0]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from dieseltwin.discovery import law as law_search
 from dieseltwin.discovery.features import Feature, Structure, generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, refit_all, settle_local
 from dieseltwin.discovery.metric import Whitening
@@ -42,6 +43,7 @@ class Settings:
         alarm_size: and this share of the effect's tolerance of interest.
         second_gain: what a second effect, beyond one, must add.
         variant_gain: what an onset or a region must add.
+        unnamed_gain: gain of a term without a name that raises an alarm by itself.
         law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
         equivalent_gain: names within this gain of the best can't be told apart (DISCOVERY.md).
         withhold: effects that the search must do without.
@@ -56,6 +58,7 @@ class Settings:
     alarm_size: float = 0.8
     second_gain: float = 25.0
     variant_gain: float = 22.0
+    unnamed_gain: float = 40.0
     law_gain: float = 25.0
     equivalent_gain: float = 9.0
     withhold: tuple[str, ...] = ()
@@ -82,6 +85,7 @@ class Search:
     probabilities: dict[str, float] = field(default_factory=dict)
     equivalent: list[tuple[str, ...]] = field(default_factory=list)
     variant: Variant | None = None
+    law: law_search.Law | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
     def gain(self, fit: Fit) -> float:
@@ -93,8 +97,8 @@ _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even
 _REFIT_AT_LEAST = 6
 _PAIRS = 10
 _POLISHED = 4  # of the best fits get sensitivities of their own
-_GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
-_PARTS = 4
+GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
+PARTS = 4
 _LEADING = 60.0  # gain within which a fit counts as leading
 
 
@@ -109,9 +113,9 @@ def prepare(twin: Twin, settings: Settings) -> Search:
     whitening = Whitening.of(twin.measured, noise, twin.starts)
     rough = fit_fully(twin, whitening, start, rounds=5)
     if hasattr(twin, "split"):
-        growing = rough.metric.growing(_GROWTH)
+        growing = rough.metric.growing(GROWTH)
         if growing.any():
-            start = replace(rough.fit, local=twin.split(growing, _PARTS, rough.fit.local))
+            start = replace(rough.fit, local=twin.split(growing, PARTS, rough.fit.local))
             whitening = Whitening.of(twin.measured, noise, twin.starts)
             rough = fit_fully(twin, whitening, start, rounds=5)
     # correlation can only be told once the signal is explained; only the fast part of the misfit is used
@@ -138,8 +142,14 @@ def tolerance_responses(twin: Twin, at: Linearisation, settings: Settings) -> Ar
     return nuisance_responses(twin, base, at.simulated, nuisances)
 
 
-def run(twin: Twin, settings: Settings) -> Search:
-    """The whole search."""
+def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
+    """The whole search.
+
+    Args:
+        twin: bound to its recording.
+        settings: thresholds.
+        laws: look for a law where no name fits.
+    """
     found = prepare(twin, settings)
     clock = time.perf_counter()
     ranked = best_of_each(found.scored)
@@ -155,6 +165,8 @@ def run(twin: Twin, settings: Settings) -> Search:
     found.structure = score_features(found.null, features)
     found.seconds["structure"] = time.perf_counter() - clock
     if not _alarm(found, found.singles[0]):
+        if found.structure and found.structure[0].gain > settings.unnamed_gain:
+            _law(found, laws)
         return found
     found.kind = "single"
     clock = time.perf_counter()
@@ -167,7 +179,19 @@ def run(twin: Twin, settings: Settings) -> Search:
     _try_pairs(found, first)
     found.seconds["pairs"] = time.perf_counter() - clock
     _choose(found, first)
+    if found.kind == "law":
+        _law(found, laws)
     return found
+
+
+def _law(found: Search, wanted: bool) -> None:
+    """No name fits: a law from the grammar, where one is resolved and asked for."""
+    found.kind = "law"
+    found.best = None
+    if wanted and found.structure[0].feature.channel is None:
+        clock = time.perf_counter()
+        found.law = law_search.search(found.twin, found.null, found.null.nuisance_response).law
+        found.seconds["law"] = time.perf_counter() - clock
 
 
 def _alarm(found: Search, fit: Fit) -> bool:
@@ -275,18 +299,13 @@ def _choose(found: Search, first: Linearisation) -> None:
     )
     if pair is not None:
         options.append((found.gain(pair) - settings.second_gain, "pair", pair, None))
-    score_, kind, fit, variant = max(options, key=lambda option: option[0])
-    law = found.structure[0].gain if found.structure else 0.0
-    if law > max(option[0] for option in options) + settings.law_gain:
+    best, kind, fit, variant = max(options, key=lambda option: option[0])
+    if found.structure and found.structure[0].gain > best + settings.law_gain:
         found.kind = "law"
-        del score_
         return
     found.kind, found.variant = kind, variant
     if fit is not None and kind != "single":
         found.best = fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null)
-    assert_best = found.best
-    if assert_best is None:
-        return
     _probabilities(found, kind)
 
 

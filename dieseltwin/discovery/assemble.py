@@ -1,0 +1,417 @@
+"""From a finished search to the document, the repaired engine and the curves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import expit, logsumexp
+
+from dieseltwin import __version__
+from dieseltwin.discovery.curves import Candidate as CandidateRow
+from dieseltwin.discovery.curves import Curves, Discovery, LawCurve
+from dieseltwin.discovery.document import (
+    NONE_OF_THESE,
+    Alternative,
+    Discrepancy,
+    FoundEffect,
+    FoundRegion,
+    HealthValue,
+    Location,
+    Provenance,
+    RecordingInfo,
+)
+from dieseltwin.discovery.document import Fit as FitFigures
+from dieseltwin.discovery.engine_twin import EngineTwin
+from dieseltwin.discovery.fit import Fit, Linearisation, simulate_fits
+from dieseltwin.discovery.held_out import held_out_scores
+from dieseltwin.discovery.law import Law
+from dieseltwin.discovery.law_twin import LawTwin
+from dieseltwin.discovery.reasons import candidate_rows, split_by
+from dieseltwin.discovery.score import minimum_detectable
+from dieseltwin.discovery.search import Search, occam
+from dieseltwin.discovery.twin import Array
+from dieseltwin.engine import EngineParameters
+from dieseltwin.engine.effects import EFFECTS, LawTerm, Term
+from dieseltwin.recordings import Recording
+
+if TYPE_CHECKING:
+    from dieseltwin.discovery.discover import Options
+
+_LEAST_PROBABILITY = 1e-3  # of a site or name that is still worth a line
+_REGION_SHARE = 0.9  # of the positive evidence that a reported region holds along each condition
+_CONDITIONS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+
+
+def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Options) -> Discovery:
+    """The result of a search on a recording of the engine."""
+    null = found.null
+    best = found.best
+    mismatch = found.kind != "healthy"
+    after, parameters, covariance = _after(found)
+    evidence = _evidence(found, after)
+    effects = _effects(found) if mismatch else ()
+    document = Discrepancy(
+        schema=1,  # type: ignore[call-arg]  # the alias of schema_version
+        recording=RecordingInfo(
+            path=str(recording.path.name if recording.path else "recording"), sha256=recording.sha256,
+            duration_s=recording.duration_s, channels=twin.channels,
+        ),
+        mismatch=mismatch,
+        p_value=_p_value(found),
+        location=_location(found, twin, evidence) if mismatch else None,
+        effects=effects,
+        health={
+            p.name: HealthValue(
+                value=float(parameters[j]), std=_finite(covariance[j, j] ** 0.5 if covariance is not None else None),
+                before=float(null.fit.parameters[j]),
+            )
+            for j, p in enumerate(twin.parameters)
+        },
+        fit=_figures(found, after),
+        minimum_detectable=_finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
+        provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)),
+    )  # fmt: skip
+    before_engine = _engine(twin, null.fit.parameters, ())
+    terms = _terms(found, twin) if mismatch else ()
+    rows = candidate_rows(found)
+    curves = Curves(
+        time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
+        after=after, sigma=found.noise.sigma, evidence_over_time=_by_window(found, evidence),
+        evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found),
+        sensitivity=document.minimum_detectable,
+        tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
+        units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
+    )  # fmt: skip
+    details = _details(found, rows, best)
+    return Discovery(document, _engine(twin, parameters, terms), before_engine, curves, {}, details)
+
+
+def _options_hash(options: Options) -> str:
+    import hashlib
+    import json
+    from dataclasses import asdict
+
+    return hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode()).hexdigest()
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+def _finite_only(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items() if np.isfinite(value)}
+
+
+def _after(found: Search) -> tuple[Array, Array, Array | None]:
+    """Readings, free parameters and covariance of the chosen explanation."""
+    if found.kind == "law" and found.law is not None:
+        law = found.law
+        twin = LawTwin(found.twin, law.placed)
+        P = len(found.twin.parameters)
+        values = np.concatenate([law.parameters[:P], [p.value for p in twin.parameters[P:]]])
+        from dieseltwin.discovery.twin import single
+
+        return twin.simulate(single(found.twin, values, law.local))[0], law.parameters[:P], found.null.covariance
+    at = found.best if found.best is not None and found.kind != "law" else found.null
+    return at.simulated, at.fit.parameters, at.covariance
+
+
+def _evidence(found: Search, after: Array) -> Array:
+    """Half the decrease of the squared whitened residual at every sample, (n,)."""
+    null = found.null
+    before = null.metric.project(np.nan_to_num(null.residual)[None])[0]
+    later = null.metric.project(np.nan_to_num(found.twin.measured - after)[None])[0]
+    n, channels = null.residual.shape
+    size = n * channels
+    return 0.5 * (before[:size] ** 2 - later[:size] ** 2).reshape(n, channels).sum(axis=1)
+
+
+def _by_window(found: Search, evidence: Array) -> tuple[Array, Array]:
+    starts = found.twin.starts
+    ends = np.append(starts[1:], evidence.size)
+    time = getattr(found.twin, "recording_time_s", found.twin.time_s)
+    middles = np.array([0.5 * (time[a] + time[b - 1]) for a, b in zip(starts, ends, strict=True)])
+    return middles, np.add.reduceat(evidence, starts)
+
+
+def _p_value(found: Search) -> float:
+    gains = [found.gain(fit) for fit in found.singles[:1]]
+    if found.kind == "law" and found.structure:
+        gains.append(found.structure[0].gain)
+    return float(np.clip(found.chance.p_value(max(gains, default=0.0)), 0.0, 1.0))
+
+
+def _location(found: Search, twin: EngineTwin, evidence: Array) -> Location:
+    weights = _site_probabilities(found)
+    ranked = sorted(weights.items(), key=lambda item: -item[1])
+    site, probability = ranked[0]
+    variant = found.variant if found.kind == "variant" else None
+    return Location(
+        site=site, probability=float(min(probability, 1.0)),
+        alternatives=tuple(
+            Alternative(site=name, probability=float(value))
+            for name, value in ranked[1:6]
+            if value > _LEAST_PROBABILITY
+        ),
+        regions=_regions(twin, evidence, variant.region if variant else None),
+        onset_s=None if variant is None or variant.onset_s is None else float(
+            twin.recording_time_s[np.searchsorted(twin.time_s, variant.onset_s)] - twin.recording_time_s[0]
+        ),
+    )  # fmt: skip
+
+
+def _site_probabilities(found: Search) -> dict[str, float]:
+    hypotheses = found.twin.hypotheses
+    weights: dict[str, float] = {}
+    if found.kind == "law":
+        if found.law is not None:
+            best = found.law
+            scores = {best.site: 0.0}
+            for rival in best.rivals:
+                scores[rival.site] = max(scores.get(rival.site, -np.inf), -0.5 * abs(rival.behind))
+        else:
+            scores = {}
+            top = found.structure[0].gain
+            for item in found.structure:
+                scores[item.feature.site] = max(scores.get(item.feature.site, -np.inf), 0.5 * (item.gain - top))
+        total = logsumexp(list(scores.values()))
+        return {site: float(np.exp(score - total)) for site, score in scores.items()}
+    for key, probability in found.probabilities.items():
+        site = hypotheses[_strongest(found, key.split(" + "))].site
+        weights[site] = weights.get(site, 0.0) + probability
+    total = sum(weights.values())
+    return {site: value / total for site, value in weights.items()}
+
+
+def _strongest(found: Search, names: list[str]) -> str:
+    """Of several effects the one that stands for the place: the one with more evidence by itself."""
+    if len(names) == 1:
+        return names[0]
+    alone = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
+    return max(names, key=lambda name: alone.get(name, 0.0))
+
+
+def _regions(
+    twin: EngineTwin, evidence: Array, known: Mapping[str, tuple[float, float]] | None
+) -> tuple[FoundRegion, ...]:
+    """The box of conditions that holds most of the evidence."""
+    positive = np.maximum(_smooth(evidence), 0.0)
+    box: dict[str, tuple[float, float]] = {}
+    inside = np.ones(evidence.size, dtype=bool)
+    for name in _CONDITIONS:
+        values = twin.conditions[name]
+        if known and name in known:
+            low, high = known[name]
+        else:
+            order = np.argsort(values)
+            share = np.cumsum(positive[order]) / max(positive.sum(), 1e-300)
+            edge = 0.5 * (1.0 - _REGION_SHARE)
+            low = values[order][min(int(np.searchsorted(share, edge)), values.size - 1)]
+            high = values[order][min(int(np.searchsorted(share, 1.0 - edge)), values.size - 1)]
+        box[name] = (float(low), float(high))
+        inside &= (values >= low) & (values <= high)
+    share = float(positive[inside].sum() / max(positive.sum(), 1e-300))
+    return (FoundRegion(share_of_evidence=float(np.clip(share, 0.0, 1.0)), **box),)
+
+
+def _smooth(values: Array, width: int = 5) -> Array:
+    return np.convolve(values, np.ones(width) / width, mode="same")
+
+
+def _effects(found: Search) -> tuple[FoundEffect, ...]:
+    if found.kind == "law":
+        return (_unnamed(found),)
+    at = found.best
+    if at is None:
+        return ()
+    P = len(found.twin.parameters)
+    entries = []
+    names = at.fit.candidate.names
+    pool = found.equivalent
+    for j, name in enumerate(names):
+        effect = EFFECTS[name]
+        partners = tuple(n for n in names if n != name)
+        equivalents = []
+        for other in pool:
+            rest = [n for n in other if n not in partners]
+            if len(rest) == 1 and rest[0] not in names and rest[0] not in equivalents:
+                equivalents.append(rest[0])
+        probability = sum(
+            value for key, value in found.probabilities.items() if name in key.split(" + ")
+        )
+        entries.append(
+            FoundEffect(
+                name=name, probability=float(min(probability, 1.0)), equivalent_names=tuple(equivalents),
+                law=effect.law, magnitude=float(at.fit.magnitudes[j]),
+                std=_finite(float(at.fit.std[P + j])), unit=effect.unit, valid_for=_valid_for(found),
+                split_by=split_by(found, name, equivalents) if equivalents else None,
+            )
+        )
+    alone = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
+    return tuple(sorted(entries, key=lambda entry: -alone.get(entry.name, 0.0)))
+
+
+def _valid_for(found: Search) -> str:
+    conditions = found.twin.conditions
+    units = {"n_e_rpm": "rpm", "u_delta_mg": "mg/cycle", "u_egr_pct": "%", "u_vgt_pct": "%"}
+    parts = [
+        f"{name.rsplit('_', 1)[0]} {np.min(values):.4g}-{np.max(values):.4g} {units.get(name, '')}".strip()
+        for name, values in conditions.items()
+    ]
+    return ", ".join(parts)
+
+
+def _unnamed(found: Search) -> FoundEffect:
+    catalogue = found.gain(found.singles[0]) if found.singles else 0.0
+    ahead = (found.structure[0].gain if found.structure else 0.0) - catalogue
+    law: str | None = None
+    if found.law is not None:
+        law = found.law.text
+        ahead = max(ahead, found.law.gain - catalogue)
+    elif found.structure and found.structure[0].feature.channel is not None:
+        item = found.structure[0]
+        law = (
+            f"reading (1 + {item.coefficient:.4g})"
+            if item.feature.text == "gain"
+            else f"reading + {item.coefficient:.4g} of its mean"
+        )
+    return FoundEffect(
+        name=NONE_OF_THESE, probability=float(expit(0.5 * ahead)), law=law, magnitude=None, std=None, unit=None,
+        valid_for=_valid_for(found),
+    )
+
+
+def _figures(found: Search, after: Array) -> FitFigures:
+    null = found.null
+    before_nll, after_nll = held_out_scores(found, after)
+    whitening = null.whitening
+    present = whitening.present
+
+    def chi2(simulated: Array) -> float:
+        residual = np.nan_to_num(found.twin.measured - simulated)
+        return float((whitening.apply(residual[None])[0] ** 2).sum() / max(present.sum(), 1))
+
+    def rmse(simulated: Array) -> dict[str, float]:
+        error = np.where(present, found.twin.measured - simulated, 0.0)
+        size = np.sqrt((error**2).sum(axis=0) / np.maximum(present.sum(axis=0), 1))
+        return {name: float(value) for name, value in zip(found.twin.channels, size, strict=True)}
+
+    return FitFigures(
+        held_out_nll_before=_finite(before_nll), held_out_nll_after=_finite(after_nll),
+        chi2_per_sample_before=chi2(null.simulated), chi2_per_sample_after=chi2(after),
+        rmse_before=rmse(null.simulated), rmse_after=rmse(after),
+    )  # fmt: skip
+
+
+def _held_rows(found: Search) -> Array:
+    from dieseltwin.discovery.held_out import held_windows
+
+    held = held_windows(found.twin)
+    ends = np.append(found.twin.starts[1:], found.twin.time_s.size)
+    return np.repeat(held, ends - found.twin.starts)
+
+
+def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
+    if found.kind == "law":
+        term = _law_term(found.law, twin) if found.law is not None else None
+        return () if term is None else (term,)
+    at = found.best
+    if at is None:
+        return ()
+    P = len(twin.parameters)
+    variant = found.variant if found.kind == "variant" else None
+    onset = None
+    if variant is not None and variant.onset_s is not None:
+        onset = float(variant.onset_s - twin.time_s[0])
+    terms = []
+    for j, name in enumerate(at.fit.candidate.names):
+        terms.append(
+            Term(
+                effect=name, magnitude=float(np.clip(at.fit.magnitudes[j], *EFFECTS[name].limits)),
+                std=_finite(float(at.fit.std[P + j])), onset_s=onset,
+                region=dict(variant.region) if variant is not None and variant.region else None,
+                valid_for=_valid_for(found),
+            )
+        )
+    return tuple(terms)
+
+
+def _law_term(law: Law, twin: EngineTwin) -> LawTerm | None:
+    """The law as a term of the engine file, where its form is a product of powers of known variables."""
+    if law.form.fixed is not None or any(f.kind not in ("power", "time", "ratio") for f in law.form.factors):
+        return None
+    factors: list[tuple[str, float, float]] = []
+    for k, factor in enumerate(law.form.factors):
+        shape = law.shape if k == 0 and law.shape is not None else factor.shape
+        if factor.kind == "time":
+            factors.append(("t", float(factor.references[0]), 1.0))
+        elif factor.kind == "power":
+            factors.append((factor.variables[0], float(factor.references[0]), float(shape)))
+        else:
+            factors += [(factor.variables[0], 1.0, float(shape)), (factor.variables[1], 1.0, -float(shape))]
+    point = next(p for p in twin.points if p.name == law.point)
+    try:
+        return LawTerm(
+            point=law.point, coefficient=law.coefficient, unit=point.unit, factors=tuple(factors), text=law.text,
+            std=law.std,
+        )  # fmt: skip
+    except ValueError:
+        return None
+
+
+def _engine(twin: EngineTwin, parameters: Array, terms: tuple[Any, ...]) -> EngineParameters:
+    values = {p.name: float(parameters[j]) for j, p in enumerate(twin.parameters)}
+    return twin.engine.replace(**values, terms=(*twin.engine.terms, *terms))
+
+
+def _law_curves(found: Search) -> list[LawCurve]:
+    curve = None if found.law is None else found.law.curve
+    if curve is None or found.law is None:
+        return []
+    law = found.law
+    return [
+        LawCurve(
+            name=NONE_OF_THESE, x_name=law.argument, x=curve.x, curve=curve.y, low=curve.low, high=curve.high,
+            points_x=curve.points_x, points_y=curve.points_y, unit=law.unit,
+        )
+    ]  # fmt: skip
+
+
+def _details(found: Search, rows: list[CandidateRow], best: Linearisation | None) -> dict[str, Any]:
+    return {
+        "kind": found.kind,
+        "threshold": found.chance.threshold(found.settings.alarm_level),
+        "noise": {
+            name: {"sigma": float(s), "rho": float(r)}
+            for name, s, r in zip(found.twin.channels, found.noise.sigma, found.noise.rho, strict=True)
+        },
+        "windows": int(found.twin.starts.size),
+        "converged": {"before": bool(found.null.fit.converged), "after": bool((best or found.null).fit.converged)},
+        "singles": [_fit_row(found, fit) for fit in found.singles[:12]],
+        "pairs": [_fit_row(found, fit) for fit in found.pairs[:6]],
+        "variants": [
+            {**_fit_row(found, fit), "onset_s": v.onset_s, "region": v.region} for v, fit in found.variants[:4]
+        ],
+        "unnamed": [
+            {
+                "site": item.feature.site, "over": item.feature.text, "gain": float(item.gain),
+                "point": None if item.feature.point is None else found.twin.points[item.feature.point].name,
+            }
+            for item in found.structure[:8]
+        ],
+        "candidates": [dict(row) for row in rows],
+    }  # fmt: skip
+
+
+def _fit_row(found: Search, fit: Fit) -> dict[str, Any]:
+    P = len(found.twin.parameters)
+    return {
+        "names": list(fit.candidate.names), "magnitudes": [float(m) for m in fit.magnitudes],
+        "std": [_finite(float(s)) for s in fit.std[P:]], "gain": float(found.gain(fit)),
+        "log_evidence": float(occam(found, fit)), "converged": bool(fit.converged),
+    }  # fmt: skip
+
+
+__all__ = ["assemble", "simulate_fits"]

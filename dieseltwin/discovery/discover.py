@@ -1,0 +1,105 @@
+"""Discovery on a recording of the diesel engine: from the file to the document, the repaired engine and the curves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dieseltwin.discovery import search
+from dieseltwin.discovery.assemble import assemble
+from dieseltwin.discovery.curves import Discovery
+from dieseltwin.discovery.engine_twin import MAP_TOLERANCE, EngineTwin
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation
+from dieseltwin.discovery.metric import Whitening
+from dieseltwin.discovery.noise import estimate_noise
+from dieseltwin.discovery.score import effect_responses, minimum_detectable, score, secant_sizes
+from dieseltwin.engine import EngineParameters
+from dieseltwin.recordings import Recording
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose.
+
+    Attributes:
+        sensors: columns to use, None for all that there are.
+        withhold: effects to keep out of the catalogue.
+        map_tolerance: standard deviation of the maps' smooth relative errors [-].
+        seed: of everything random.
+        law_search: look for a law where no name fits.
+    """
+
+    sensors: tuple[str, ...] | None = None
+    withhold: tuple[str, ...] = ()
+    map_tolerance: float = MAP_TOLERANCE
+    seed: int = 0
+    law_search: bool = True
+
+    def settings(self) -> search.Settings:
+        """For the search."""
+        return search.Settings(withhold=self.withhold, seed=self.seed)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a recording could show at all, from its inputs and its noise, before any fit.
+
+    Attributes:
+        minimum_detectable: effect -> smallest magnitude that would raise an alarm [unit of the effect].
+    """
+
+    minimum_detectable: Mapping[str, float]
+
+
+def prepare(recording: Recording, engine: EngineParameters, options: Options | None = None) -> Prepared:
+    """Smallest visible size of each effect on this driving, at the nominal engine, without a fit.
+
+    Raises:
+        InputError: no usable sensor, or no stretch with the engine running.
+    """
+    options = options or Options()
+    twin = EngineTwin(recording, engine, options.sensors, map_tolerance=options.map_tolerance)
+    return Prepared(visible_sizes(twin, options.settings()))
+
+
+def visible_sizes(twin: EngineTwin, settings: search.Settings) -> dict[str, float]:
+    """`Prepared.minimum_detectable` of a twin."""
+    start = Fit(
+        Candidate(), np.array([p.value for p in twin.parameters]), np.zeros(0), twin.first_local(), np.inf, False
+    )
+    whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
+    bare = Linearisation(twin, whitening, start)
+    at = Linearisation(twin, whitening, start, None, search.tolerance_responses(twin, bare, settings))
+    wanted = secant_sizes(twin, [name for name in twin.hypotheses if name not in settings.withhold])
+    return minimum_detectable(score(at, wanted, effect_responses(twin, at, wanted)), settings.alarm_gain)
+
+
+def discover(recording: Recording, engine: EngineParameters, options: Options | None = None) -> Discovery:
+    """Detect, locate, name, model, prove.
+
+    Args:
+        recording: in the recording format.
+        engine: what the twin believes; its terms are part of it.
+        options: None for the defaults.
+
+    Raises:
+        InputError: no usable sensor, or no stretch with the engine running.
+    """
+    options = options or Options()
+    clock = time.perf_counter()
+    twin = EngineTwin(recording, engine, options.sensors, map_tolerance=options.map_tolerance)
+    found = search.run(twin, options.settings(), laws=options.law_search)
+    result = assemble(recording, twin, found, options)
+    runtime = {**found.seconds, "total": time.perf_counter() - clock}
+    return replace(result, runtime=runtime)
+
+
+__all__ = ["Options", "Prepared", "discover", "prepare", "visible_sizes"]
+
+
+def names_of(sequence: Sequence[str]) -> str:
+    """Names for people."""
+    return ", ".join(sequence)

@@ -1,0 +1,119 @@
+"""What a scorer asks of the tool: held-out likelihood of an engine, the oracle's fit, separability at the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dieseltwin.discovery import search
+from dieseltwin.discovery.engine_twin import EngineTwin
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, settle_local
+from dieseltwin.discovery.metric import Whitening
+from dieseltwin.discovery.noise import Noise, estimate_noise
+from dieseltwin.discovery.score import best_of_each, effect_responses, score, secant_sizes
+from dieseltwin.discovery.twin import Array
+from dieseltwin.engine import HEALTH, EngineParameters
+from dieseltwin.engine.effects import Term
+from dieseltwin.recordings import Recording
+
+
+def _fit_at(twin: EngineTwin, candidate: Candidate, magnitudes: Sequence[float]) -> Fit:
+    return Fit(
+        candidate, np.array([p.value for p in twin.parameters]), np.asarray(magnitudes, dtype=np.float64),
+        twin.first_local(), np.inf, False,
+    )  # fmt: skip
+
+
+def _settled(twin: EngineTwin, noise: Noise, fit: Fit) -> Linearisation:
+    """Initial states fitted at fixed parameters."""
+    at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), fit)
+    growing = at.metric.growing(search.GROWTH)
+    if growing.any():
+        fit = Fit(
+            fit.candidate, fit.parameters, fit.magnitudes, twin.split(growing, search.PARTS, fit.local), np.inf, False
+        )
+        at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), fit)
+    return settle_local(at, rounds=4)
+
+
+def held_out_nll(engine: EngineParameters, recording: Recording, noise: Noise | None = None) -> float:
+    """Negative log-likelihood per sample of a recording under an engine whose parameters stay as they are.
+
+    Only the turbo speeds at the windows' starts are fitted. The noise is estimated from the recording itself, so that
+    all engines are scored alike.
+
+    Raises:
+        InputError: a recording that can't be used.
+    """
+    twin = EngineTwin(recording, engine)
+    noise = noise or estimate_noise(twin.measured)
+    at = _settled(twin, noise, _fit_at(twin, Candidate(), ()))
+    residual = np.nan_to_num(at.residual)
+    whitened = at.metric.without_local(residual[None])[0]
+    present = at.whitening.present
+    logs = -np.log(at.whitening.scale[present]).sum() + 0.5 * np.log(2 * np.pi) * present.sum()
+    return float((0.5 * whitened @ whitened + logs) / twin.time_s.size)
+
+
+def fit_oracle(recording: Recording, engine: EngineParameters, terms: tuple[Term, ...]) -> EngineParameters:
+    """Health parameters and magnitudes refitted by someone who knows the effects' form, started at the truth.
+
+    Args:
+        recording: the one that the tool saw.
+        engine: with the true health parameters.
+        terms: true effects with onset and region.
+
+    Returns:
+        The engine with the refitted values, terms included.
+    """
+    twin = EngineTwin(recording, engine)
+    start_s = float(twin.recording_time_s[0])
+    schedules = {
+        t.effect: t.factor(twin.recording_time_s, start_s, dict(twin.conditions))
+        for t in terms
+        if t.onset_s is not None or t.region is not None
+    }
+    candidate = Candidate(tuple(t.effect for t in terms), schedules)
+    noise = estimate_noise(twin.measured)
+    rough = _settled(twin, noise, _fit_at(twin, candidate, [t.magnitude for t in terms]))
+    noise = estimate_noise(twin.measured, explained=rough.simulated)
+    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    nuisance = search.tolerance_responses(twin, rough, search.Settings())
+    at = fit_fully(twin, whitening, rough.fit, nuisance, rounds=6)
+    values = {name: float(value) for name, value in zip(HEALTH, at.fit.parameters, strict=True)}
+    refitted = tuple(
+        t.model_copy(update={"magnitude": float(m)}) for t, m in zip(terms, at.fit.magnitudes, strict=True)
+    )
+    return engine.replace(**values, terms=(*engine.terms, *refitted))
+
+
+def separability(recording: Recording, engine: EngineParameters, term: Term) -> dict[str, float]:
+    """D of every other catalogue effect at the truth: what it would leave of the true effect's evidence.
+
+    D = lambda (1 - cos^2), lambda the expected gain of the true effect, cos between the two responses after health
+    parameters, initial states and tolerances are taken out (DISCOVERY.md, step 3).
+    """
+    twin = EngineTwin(recording, engine)
+    noise = estimate_noise(twin.measured)
+    rough = _settled(twin, noise, _fit_at(twin, Candidate((term.effect,)), [term.magnitude]))
+    noise = estimate_noise(twin.measured, explained=rough.simulated)
+    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    bare = Linearisation(twin, whitening, _fit_at(twin, Candidate(), ()))
+    at = Linearisation(twin, whitening, bare.fit, None, search.tolerance_responses(twin, bare, search.Settings()))
+    wanted = secant_sizes(twin, [name for name in twin.hypotheses if name != term.effect])
+    own = [(term.effect, term.magnitude)]
+    items = score(at, [*own, *wanted], effect_responses(twin, at, [*own, *wanted]))
+    truth, others = items[0], items[1:]
+    strength = float(truth.projected @ truth.projected) * term.magnitude**2
+    distances: dict[str, float] = {}
+    for item in others:
+        inner = float(truth.projected @ item.projected)
+        size = float(item.projected @ item.projected) * float(truth.projected @ truth.projected)
+        sided = twin.hypotheses[item.name].limits[0] >= 0.0 and inner * np.sign(term.magnitude) < 0.0
+        cosine2 = 0.0 if size <= 0 or sided else inner * inner / size
+        distances[item.name] = min(distances.get(item.name, np.inf), strength * (1.0 - cosine2))
+    return distances
+
+
+__all__ = ["Array", "best_of_each", "fit_oracle", "held_out_nll", "separability"]
