@@ -25,21 +25,27 @@ _ADDRESS = re.compile(r"(tcp|tls|ucx|ws|wss)://\S+:\d+")
 _LOCAL_WORKERS = 2
 
 
-def task_runner(where: str | None = None) -> Any:
-    """Prefect's task runner for the setting (``where``: another value than the environment's).
-
-    Raises ``StepFailed`` (exit status 2) for a value that is none of the three.
-    """
+def check_setting(where: str | None = None) -> None:
+    """Raise ``StepFailed`` (exit status 2) for a value that is none of the three."""
     where = os.environ.get(VARIABLE, "") if where is None else where
-    local = _LOCAL.fullmatch(where)
-    if not where:
-        from prefect.task_runners import ThreadPoolTaskRunner
-
-        return ThreadPoolTaskRunner(max_workers=WORKERS)
-    if local is None and not _ADDRESS.fullmatch(where):
+    if where and not _LOCAL.fullmatch(where) and not _ADDRESS.fullmatch(where):
         raise StepFailed(
             f"{VARIABLE}: got {where!r}; allowed: nothing, local, local:4, tcp://HOST:PORT; change it", exit_code=2
         )
+
+
+def task_runner(where: str | None = None) -> Any:
+    """Prefect's task runner for the setting (``where``: another value than the environment's).
+
+    Flows ask for it when they are imported; a value that :func:`check_setting` refuses gives threads, so that the
+    refusal is one line of the command and no traceback of an import.
+    """
+    where = os.environ.get(VARIABLE, "") if where is None else where
+    local = _LOCAL.fullmatch(where)
+    if local is None and not _ADDRESS.fullmatch(where):
+        from prefect.task_runners import ThreadPoolTaskRunner
+
+        return ThreadPoolTaskRunner(max_workers=WORKERS)
     from prefect_dask import DaskTaskRunner
 
     if local is None:

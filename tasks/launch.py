@@ -19,6 +19,7 @@ from typing import Any
 from dieseltwin.atomic import check_writable
 from dieseltwin.errors import InputError
 from tasks import records, run_context
+from tasks.cluster import check_setting
 from tasks.server import ServerFailed, prefect_server
 from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.workspace import prepare_environment
@@ -68,18 +69,29 @@ def launch(flow: Callable[..., Any], **parameters: Any) -> int:
     return 0
 
 
-def run_alone(flow: Callable[..., Any], arguments: Sequence[str] | None = None) -> int:
-    """``python -m flows.NAME --profile quick|paper``: one flow as a command. Returns the exit status."""
+def run_alone(
+    flow: Callable[..., Any],
+    arguments: Sequence[str] | None = None,
+    *,
+    options: Callable[[argparse.ArgumentParser], None] | None = None,
+) -> int:
+    """``python -m flows.NAME --profile quick|paper``: one flow as a command. Returns the exit status.
+
+    ``options`` adds what else the flow takes, under the names of its parameters.
+    """
     parser = argparse.ArgumentParser(description=flow.__doc__)
     parser.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml: quick or paper")
-    profile = parser.parse_args(arguments).profile
+    if options is not None:
+        options(parser)
+    parameters = vars(parser.parse_args(arguments))
     try:  # what the user can mend needs no server, and no traceback of Prefect's
-        load_settings(profile)
+        load_settings(parameters["profile"])
+        check_setting()
         _check_place(run_context.current().workspace.root)
     except (run_context.StepFailed, InputError) as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
-    return launch(flow, profile=profile)
+    return launch(flow, **parameters)
 
 
 def _check_place(root: Path) -> None:

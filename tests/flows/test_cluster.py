@@ -14,7 +14,7 @@ import cluster_steps
 import pytest
 
 from tasks import run_context
-from tasks.cluster import VARIABLE, task_runner
+from tasks.cluster import VARIABLE, check_setting, task_runner
 from tasks.failures import StepFailed, WorkerKilled
 from tasks.progress import Display
 from tasks.run_context import RunContext
@@ -66,8 +66,9 @@ def test_the_setting_is_one_word_and_a_wrong_one_is_one_line(monkeypatch: pytest
     assert type(task_runner("tcp://scheduler:8786")).__name__ == "DaskTaskRunner"
     for wrong in ("dask", "local:0", "scheduler:8786"):
         with pytest.raises(StepFailed, match="allowed: nothing, local, local:4, tcp://HOST:PORT") as failed:
-            task_runner(wrong)
+            check_setting(wrong)
         assert failed.value.exit_code == 2
+        assert isinstance(task_runner(wrong), ThreadPoolTaskRunner)
 
 
 @pytest.mark.flow

@@ -1,4 +1,4 @@
-"""The concealed benchmark as a flow: the tool sees a recording and nothing else, case by case, then the seal is opened."""
+"""The concealed benchmark as a flow: the tool sees a recording alone, case by case, then the seal is opened."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
     tiny_settings.write_params(tmp_path)
     monkeypatch.setattr(sys, "path", [str(FAKES), *sys.path])
 
+    codes: dict = {}  # the sources as they are when the test starts
+
     def fresh() -> RunContext:
         display = Display(tmp_path / ".cache" / "expected_seconds.json")
         display.console.quiet = True
-        context = RunContext(Workspace(tmp_path), display)
+        context = RunContext(Workspace(tmp_path), display, codes=codes)
         run_context.use(context)
         return context
 

@@ -28,7 +28,7 @@ TINY = {
             "conditioned": {"epochs": 3, "lbfgs_steps": 2},
         },
     },
-    "proof": {"cases": 3, "duration_s": 60.0, "baseline_cases": 0},
+    "proof": {"cases": 3, "duration_s": 120.0, "baseline_cases": 0},
     "promotion": {"minutes": 3.0},
     "identify": {
         "runs": 2,

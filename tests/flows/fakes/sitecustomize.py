@@ -78,6 +78,12 @@ def _module(name: str, **content: Any) -> None:
     sys.modules[name] = module
 
 
+def _prepare(recording: Any, engine: Any, options: Any) -> Any:
+    from dieseltwin.engine.effects import EFFECTS
+
+    return types.SimpleNamespace(minimum_detectable={name: 0.5 * effect.tolerance for name, effect in EFFECTS.items()})
+
+
 class Options:
     """Takes what it is given."""
 
@@ -87,7 +93,7 @@ class Options:
 
 def install() -> None:
     """Replace the two modules."""
-    _module("dieseltwin.discovery.discover", discover=_discover, Options=Options)
+    _module("dieseltwin.discovery.discover", discover=_discover, prepare=_prepare, Options=Options)
     _module("dieseltwin.discovery.scoring", held_out_nll=_held_out_nll)
 
 

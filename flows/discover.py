@@ -1,0 +1,64 @@
+"""Recordings -> what physics the twin left out: reports, MLflow. Without a recording: a concealed machine."""
+
+from __future__ import annotations
+
+import sys
+
+from prefect import flow
+
+from tasks import discover as steps
+from tasks import prove
+from tasks import records_discovery as records
+from tasks.cluster import task_runner
+from tasks.launch import run_alone
+from tasks.publish import publish
+from tasks.run_context import WORKERS, current
+from tasks.settings import load_settings
+
+
+@flow(name="discover", description=__doc__, task_runner=task_runner())
+def discover(
+    profile: str,
+    recordings: list[str] | None = None,
+    engine: str | None = None,
+    sensors: list[str] | None = None,
+) -> list[str]:
+    """Discover in each recording. Returns the names of those that gave a verdict."""
+    context = current()
+    settings = load_settings(profile)
+    config = settings["discover"]
+    if recordings:
+        inputs = steps.named_recordings(recordings)
+    else:
+        made = prove.benchmark.submit(
+            cases=1,
+            seed=config["concealed_seed"],
+            tier="main",
+            sensors=settings["proof"]["sensors"],
+            duration_s=settings["proof"]["duration_s"],
+            jobs=WORKERS,
+        ).result()
+        inputs = {"concealed": prove.recording_of(made, prove.cases_of(made)[0])}
+    pending = {
+        name: steps.discover.submit(
+            recording=recording,
+            kind=name,
+            sensors=sensors,
+            map_tolerance=config["map_tolerance"],
+            seed=config["seed"],
+            **steps.engine_file(engine),
+        )
+        for name, recording in inputs.items()
+    }
+    found, refused = steps.gathered(pending)
+    if not recordings:
+        publish(context.workspace.root / "discoveries", steps.files_to_publish(found, inputs))
+    for name, artifact in found.items():
+        publish(context.workspace.reports / "discover" / name, steps.files_to_show(artifact))
+    records.discovered(found, inputs, settings)
+    steps.show(found, refused, context.workspace.reports / "discover")
+    return list(found)
+
+
+if __name__ == "__main__":
+    sys.exit(run_alone(discover, options=steps.options))

@@ -1,0 +1,125 @@
+"""Steps of the flow ``discover``: what the twin left out of a recording, as ``dieseltwin discover`` writes it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tasks.failures import StepFailed
+from tasks.run_context import Pending, current, step
+from tasks.store import MANIFEST, RUNTIME, Artifact
+
+SUMMARY = "summary.txt"
+
+# Files that two equal runs make alike; the report shows run times.
+COMPARED = ("discrepancy.json", "engine.yaml", "implied.parquet")
+
+
+@step("discover", "discovery", expected_s=60.0)
+def discover(
+    out: Path,
+    progress: Any,
+    *,
+    recording: Path,
+    kind: str,
+    sensors: list[str] | None,
+    map_tolerance: float,
+    seed: int,
+    engine: Path | None = None,
+) -> None:
+    """discrepancy.json, report.html, figures/, engine.yaml (repaired), implied.parquet; ``kind`` names the recording.
+
+    ``engine``: an engine file; None is the published engine. ``sensors``: columns to use; None is all there are.
+    """
+    import shutil
+    import tempfile
+    from contextlib import chdir
+
+    from dieseltwin.cli_discover import run_discover
+
+    source, engine = recording.resolve(), engine.resolve() if engine is not None else None
+    with tempfile.TemporaryDirectory() as folder:
+        name = f"{kind}{source.suffix}"
+        shutil.copyfile(source, Path(folder) / name)
+        # The document names the recording's path: a relative one, the same wherever the cache lies.
+        with chdir(folder):
+            options: dict[str, Any] = {"map_tolerance": map_tolerance, "seed": seed, "engine": engine}
+            if sensors is not None:
+                options["sensors"] = ",".join(sensors)
+            lines = list(run_discover(Path(name), Path("found"), **options))
+        shutil.copytree(Path(folder) / "found", out, dirs_exist_ok=True)
+    (out / SUMMARY).write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """What the command takes beside the profile."""
+    parser.add_argument("recordings", nargs="*", help="CSV or Parquet; none: a concealed machine is made")
+    parser.add_argument("--engine", help="engine file (YAML); default: the published engine")
+    parser.add_argument("--sensors", type=lambda text: text.split(","), help="columns to use, comma-separated")
+
+
+def named_recordings(paths: Sequence[str]) -> dict[str, Artifact]:
+    """Recordings by the stem of their file (numbered where two are alike). Raises ``StepFailed`` (exit status 2)."""
+    found: dict[str, Artifact] = {}
+    for text in paths:
+        path = Path(text).resolve()
+        if not path.is_file():
+            raise StepFailed(f"{text}: got no such file; allowed: a CSV or Parquet recording; check the path", 2)
+        name, number = path.stem, 2
+        while name in found:
+            name, number = f"{path.stem}_{number}", number + 1
+        found[name] = Artifact.of(path)
+    return found
+
+
+def engine_file(text: str | None) -> dict[str, Artifact]:
+    """The step's argument ``engine``, where an engine file is given. Raises ``StepFailed`` (exit status 2)."""
+    if not text:
+        return {}
+    path = Path(text).resolve()
+    if not path.is_file():
+        raise StepFailed(f"{text}: got no such file; allowed: an engine file (YAML); check the path", 2)
+    return {"engine": Artifact.of(path)}
+
+
+def gathered(pending: Mapping[str, Pending]) -> tuple[dict[str, Artifact], dict[str, StepFailed]]:
+    """Wait for all of them: results, and what was refused (one bad recording doesn't stop the others)."""
+    found: dict[str, Artifact] = {}
+    refused: dict[str, StepFailed] = {}
+    for name, waiting in pending.items():
+        try:
+            found[name] = waiting.result()
+        except StepFailed as error:
+            refused[name] = error
+    return found, refused
+
+
+def files_to_publish(found: Mapping[str, Artifact], inputs: Mapping[str, Artifact]) -> dict[str, Path]:
+    """Names in ``discoveries/`` -> files: recordings with what was found in them."""
+    files = {f"{name}/{file}": artifact.path / file for name, artifact in found.items() for file in COMPARED}
+    return files | {f"{name}/recording{inputs[name].path.suffix}": inputs[name].path for name in found}
+
+
+def files_to_show(found: Artifact) -> dict[str, Path]:
+    """Names in ``reports/discover/NAME/`` -> files."""
+    hidden = (RUNTIME, MANIFEST)
+    top = [path for path in sorted(found.path.iterdir()) if path.is_file() and path.name not in hidden]
+    return {path.name: path for path in top} | {
+        f"figures/{path.name}": path for path in sorted((found.path / "figures").glob("*"))
+    }
+
+
+def show(found: Mapping[str, Artifact], refused: Mapping[str, StepFailed], folder: Path) -> None:
+    """Print one sentence a recording; raise the first refusal, if there is one, after all is said."""
+    display = current().display
+    for name, artifact in found.items():
+        sentence = (artifact.path / SUMMARY).read_text(encoding="utf-8").strip().splitlines()[-1]
+        display.say("")
+        display.say(f"{name}: {sentence}")
+        display.say(f"report: {folder / name / 'report.html'}")
+    for name, error in refused.items():
+        display.say(f"{name}: no verdict: {error}")
+    for error in refused.values():
+        raise error

@@ -1,0 +1,113 @@
+"""Discovery as a flow: many recordings, one that is refused, results by content, figures in MLflow."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import tiny_settings
+
+from tasks import discover as steps
+from tasks import prove, run_context
+from tasks.failures import StepFailed
+from tasks.progress import Display
+from tasks.run_context import RunContext
+from tasks.store import content_hash
+from tasks.workspace import Workspace
+
+FAKES = Path(__file__).parent / "fakes"
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], RunContext]]:
+    """A workspace whose steps find a fake of the fit; call it for a fresh context."""
+    tiny_settings.write_params(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(FAKES), *sys.path])
+
+    codes: dict = {}  # the sources as they are when the test starts
+
+    def fresh() -> RunContext:
+        display = Display(tmp_path / ".cache" / "expected_seconds.json")
+        display.console.quiet = True
+        context = RunContext(Workspace(tmp_path), display, codes=codes)
+        run_context.use(context)
+        return context
+
+    fresh()
+    yield fresh
+    run_context.use(None)
+
+
+def test_recordings_are_named_by_their_files(tmp_path: Path) -> None:
+    for name in ("a/drive.csv", "b/drive.csv", "bus.parquet"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    paths = [str(tmp_path / name) for name in ("a/drive.csv", "b/drive.csv", "bus.parquet")]
+    assert list(steps.named_recordings(paths)) == ["drive", "drive_2", "bus"]
+    with pytest.raises(StepFailed, match="no such file; allowed: a CSV or Parquet recording") as failed:
+        steps.named_recordings([str(tmp_path / "none.csv")])
+    assert failed.value.exit_code == 2
+    with pytest.raises(StepFailed, match="an engine file"):
+        steps.engine_file(str(tmp_path / "none.yaml"))
+    assert steps.engine_file(None) == {}
+
+
+@pytest.mark.flow
+def test_the_chains_own_machine_and_a_list_of_recordings(
+    prefect: None, workspace: Callable[[], RunContext], tmp_path: Path
+) -> None:
+    from flows.discover import discover
+    from tasks.tracking import Tracker
+
+    assert discover("tiny") == ["concealed"]
+    found = tmp_path / "discoveries" / "concealed"
+    assert {path.name for path in found.iterdir()} == {*steps.COMPARED, "recording.csv"}
+    document = json.loads((found / "discrepancy.json").read_text())
+    assert not Path(document["recording"]["path"]).is_absolute()
+    assert (tmp_path / "reports" / "discover" / "concealed" / "report.html").exists()
+    before = content_hash(tmp_path / "discoveries")
+    again = workspace()
+    assert discover("tiny") == ["concealed"] and not again.timings
+    assert content_hash(tmp_path / "discoveries") == before
+
+    # The user's own: a second good one, and one that can't carry a verdict.
+    text = (found / "recording.csv").read_text()
+    (tmp_path / "mine.csv").write_text(text)
+    (tmp_path / "short.csv").write_text("".join(text.splitlines(keepends=True)[:60]))
+    context = workspace()
+    with pytest.raises(StepFailed) as failed:
+        discover("tiny", [str(tmp_path / "short.csv"), str(tmp_path / "mine.csv")])
+    assert failed.value.exit_code == 2 and "\n" not in str(failed.value)
+    assert set(context.timings) == {"discover-mine"}
+    assert (tmp_path / "reports" / "discover" / "mine" / "report.html").exists()
+    assert content_hash(tmp_path / "discoveries") == before
+
+    client = Tracker(Workspace(tmp_path)).client
+    experiment = client.get_experiment_by_name("discover")
+    runs = {run.info.run_name: run.data for run in client.search_runs([experiment.experiment_id])}
+    assert set(runs) == {"concealed", "mine"}
+    metrics = runs["mine"].metrics
+    assert metrics["p_value"] == document["p_value"] and metrics["mismatch"] == float(document["mismatch"])
+    assert metrics["eta_sc_before"] == document["health"]["eta_sc"]["before"]
+    assert "detectable/boost_leak" in metrics and runs["mine"].params["effects"]
+
+
+def test_the_concealed_machine_has_a_fault_worth_finding(workspace: Callable[[], RunContext]) -> None:
+    """The example of the chain: single, catalogued, three tolerances or more."""
+    from dieseltwin.config import load_params
+
+    config = load_params(profile="quick")
+    made = prove.benchmark(
+        cases=1,
+        seed=config.discover.concealed_seed,
+        tier="main",
+        sensors=6,
+        duration_s=120.0,
+        jobs=1,
+    )
+    answers = json.loads((made.path / "benchmark" / "sealed" / "case_0001.json").read_text())
+    assert answers["kind"] == "single"
+    assert all(effect["ratio"] >= 3.0 for effect in answers["effects"])
