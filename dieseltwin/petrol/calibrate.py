@@ -1,0 +1,203 @@
+"""Calibration on a fault-free recording: maps with covariance, scatter, and the detection threshold by held-out pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from dieseltwin.errors import InputError
+from dieseltwin.petrol.likelihood import FREEDOM
+from dieseltwin.petrol.maps import sum_roughness, tensor_roughness
+from dieseltwin.petrol.model import (
+    ALPHA_SHIFT,
+    at_rest,
+    bind,
+    cylinder_basis,
+    scale_of,
+    throttle_basis,
+    unsteadiness,
+)
+from dieseltwin.petrol.parameters import Detection, PetrolParameters, SplineMap, Spread
+from dieseltwin.petrol.recording import Blocks, Signals, balances, make_grid
+from dieseltwin.petrol.search import search
+
+Array = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+CYLINDER_KNOTS, THROTTLE_KNOTS = (8, 11), (10, 5)
+BEND = 0.3  # standard deviation of a map's second differences: a wavy eta_vol (cam phasing) needs as much
+REACH = 3.0  # standard deviation of a coefficient, where nothing else is known [-]
+SUMMAND_REACH = 1.0  # the same of the second summand of the throttle's map: fixes the constant between the two
+FOLDS, FOLD_S = 5, 20.0  # cross-validation of the scatter
+ROUNDS = 3  # of maps and scatter in turn
+REWEIGHTINGS = 8
+PIECE_S = 300.0  # of the pieces that set the threshold
+SAFETY = 1.5  # threshold over the largest score of a fault-free piece
+LEAST_THRESHOLD = 30.0
+LEAST_DURATION_S = 600.0
+LEAST_BOOST_SCALE, LEAST_SCALE = 2e-4, 4e-3  # of the boost balance; of the others [-]
+
+
+@dataclass(frozen=True)
+class SubmodelFit:
+    """How well one balance is met on held-out stretches: robust standard deviation over steady and all blocks [-]."""
+
+    name: str
+    steady: float
+    all_blocks: float
+    blocks: int
+
+
+def _spline_map(B: Array, y: Array, scale: Array, tempering: float, prior: Array, knots: tuple[Array, Array]) -> SplineMap:
+    theta = np.zeros(B.shape[1])
+    residual = y - np.median(y[np.isfinite(scale)])
+    inverse = 1.0 / scale**2
+    for _ in range(REWEIGHTINGS):
+        w = (FREEDOM + 1.0) / (FREEDOM + residual**2 * inverse) * inverse / tempering
+        A = prior + B.T @ (B * w[:, None])
+        theta = np.linalg.solve(A, B.T @ (w * y))
+        residual = y - B @ theta
+    factor = np.linalg.cholesky(np.linalg.inv(A))
+    rows = tuple(tuple(float(f"{v:.5g}") for v in row[: i + 1]) for i, row in enumerate(factor))
+    return SplineMap(knots_x=tuple(float(f"{k:.6g}") for k in knots[0]), knots_y=tuple(float(f"{k:.6g}") for k in knots[1]),
+                     coefficients=tuple(float(f"{t:.6g}") for t in theta), covariance_factor=rows)
+
+
+def _knots(x: Array, count: int, margin: float) -> Array:
+    low, high = float(x.min()), float(x.max())
+    return np.linspace(low - margin * (high - low), high + margin * (high - low), count)
+
+
+@dataclass(frozen=True)
+class _Balance:
+    y: Array
+    basis: Array
+    prior: Array
+    knots: tuple[Array, Array]
+
+
+def _tables(b: Blocks, kept: Bool) -> dict[str, _Balance]:
+    cyl_knots = (_knots(b.omega_e[kept], CYLINDER_KNOTS[0], 0.05), _knots(np.log(b.p_im[kept]), CYLINDER_KNOTS[1], 0.05))
+    th_knots = (_knots(np.log(b.alpha[kept] + ALPHA_SHIFT), THROTTLE_KNOTS[0], 0.02), np.linspace(0.0, 0.69, THROTTLE_KNOTS[1]))
+    shell = SplineMap(knots_x=(), knots_y=(), coefficients=(), covariance_factor=())
+    cyl = cylinder_basis(b, shell.model_copy(update={"knots_x": tuple(cyl_knots[0]), "knots_y": tuple(cyl_knots[1])}))
+    th = throttle_basis(b, shell.model_copy(update={"knots_x": tuple(th_knots[0]), "knots_y": tuple(th_knots[1])}))
+    sizes = [len(k) + 2 for k in (*cyl_knots, *th_knots)]
+    cyl_prior = tensor_roughness(sizes[0], sizes[1]) / BEND**2 + np.eye(cyl.shape[1]) / REACH**2
+    reach = np.concatenate([np.full(sizes[2], 10.0 * REACH), np.full(sizes[3], SUMMAND_REACH)])
+    th_prior = sum_roughness(sizes[2], sizes[3]) / BEND**2 + np.diag(1.0 / reach**2)
+    return {"cylinder": _Balance(b.y_cyl, cyl, cyl_prior, cyl_knots), "throttle": _Balance(b.y_th, th, th_prior, th_knots)}
+
+
+def _held_out(t: _Balance, scale: Array, kept: Bool, fold: NDArray[np.int64]) -> Array:
+    residual = np.full(len(t.y), np.nan)
+    for k in range(FOLDS):
+        train, test = kept & (fold != k), kept & (fold == k)
+        m = _spline_map(t.basis[train], t.y[train], scale[train], 1.0, t.prior, t.knots)
+        residual[test] = t.y[test] - t.basis[test] @ np.array(m.coefficients)
+    return residual
+
+
+def _spread(residual: Array, unsteady: Array, kept: Bool) -> Spread:
+    r, u = residual[kept], unsteady[kept]
+
+    def loss(log_values: Array) -> float:
+        values = np.exp(log_values)
+        s2 = LEAST_SCALE**2 + values[0] ** 2 + (u**2) @ values[1:] ** 2
+        return float(np.sum(0.5 * np.log(s2) + 0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / (FREEDOM * s2))))
+
+    start = np.log(np.array([0.01, *[0.05] * u.shape[1]]))
+    found = minimize(loss, start, method="Nelder-Mead", options={"maxiter": 600, "xatol": 1e-2, "fatol": 1e-2})
+    values = np.exp(found.x)
+    base = Spread(base=float(np.hypot(LEAST_SCALE, values[0])), rates=tuple(float(v) for v in values[1:]))
+    z = residual / scale_of(base, unsteady)
+    return base.model_copy(update={"tempering": _tempering(z, kept)})
+
+
+def _tempering(z: Array, kept: Bool) -> float:
+    clipped = np.clip(z, -3.0, 3.0)
+    pairs = kept[1:] & kept[:-1] & np.isfinite(z[1:]) & np.isfinite(z[:-1])
+    if pairs.sum() < 20:
+        return 1.0
+    rho = float(np.corrcoef(clipped[1:][pairs], clipped[:-1][pairs])[0, 1])
+    rho = min(max(rho, 0.0), 0.9)
+    return (1.0 + rho) / (1.0 - rho)
+
+
+def fit_maps(signals: Signals, base: PetrolParameters, without: tuple[float, float] | None = None
+             ) -> tuple[PetrolParameters, list[SubmodelFit]]:
+    """Maps and scatter from a fault-free recording; blocks in the span `without` [s] are not used."""
+    grid = make_grid(signals.time_s)
+    b = balances(signals, grid, base.volumes.geometry)
+    unsteady = unsteadiness(signals, grid, b)
+    kept = grid.kept.copy()
+    kept[-1] = False
+    if without is not None:
+        kept &= (b.mid_s < without[0]) | (b.mid_s >= without[1])
+    fold = (b.mid_s // FOLD_S).astype(np.int64) % FOLDS
+    maps, spreads, fits = {}, {}, []
+    for name, table in _tables(b, kept).items():
+        spread = Spread(base=0.02, rates=(0.1, 0.1, 0.1, 0.02))
+        for _ in range(ROUNDS):
+            residual = _held_out(table, scale_of(spread, unsteady), kept, fold)
+            spread = _spread(residual, unsteady, kept)
+        scale = scale_of(spread, unsteady)
+        maps[name] = _spline_map(table.basis[kept], table.y[kept], scale[kept], spread.tempering, table.prior, table.knots)
+        spreads[name] = spread
+        steady = kept & (scale < 1.5 * spread.base)
+        fits.append(SubmodelFit(name, _robust_std(residual[steady]), _robust_std(residual[kept]), int(kept.sum())))
+    rest = at_rest(b) & kept
+    if rest.sum() < 20:
+        raise InputError("calibration", f"{int(rest.sum())} s at idle with the throttle shut", "at least 20 s",
+                         "record idling too: there the boost sensor is compared with the surroundings")
+    level = float(np.median(b.y_ic[rest]))
+    z = np.where(rest, b.y_ic - level, np.nan)
+    scale_ic = max(_robust_std(z[rest]), LEAST_BOOST_SCALE)
+    fits.append(SubmodelFit("boost", scale_ic, scale_ic, int(rest.sum())))
+    boost = Spread(base=scale_ic, tempering=_tempering(z / scale_ic, rest))
+    return base.model_copy(update={
+        "cylinder": maps["cylinder"], "throttle": maps["throttle"], "boost_level": level,
+        "cylinder_spread": spreads["cylinder"], "throttle_spread": spreads["throttle"], "boost_spread": boost,
+    }), fits
+
+
+def _robust_std(x: Array) -> float:
+    return float(1.4826 * np.median(np.abs(x - np.median(x)))) if len(x) else float("nan")
+
+
+def pieces(duration_s: float, piece_s: float = PIECE_S) -> list[tuple[float, float]]:
+    """Spans of `piece_s` [s]; a rest shorter than half a piece goes to the last one."""
+    count = max(int(round(duration_s / piece_s)), 1)
+    edges = [k * piece_s for k in range(count)] + [duration_s + 1.0]
+    return list(zip(edges[:-1], edges[1:], strict=True))
+
+
+def calibrate(signals: Signals, base: PetrolParameters, sha256: str, tell: Callable[[str], None] = lambda _: None
+              ) -> tuple[PetrolParameters, list[SubmodelFit], list[tuple[tuple[float, float], float, str]]]:
+    """Calibrate, then set the threshold by the scores of pieces that the maps of that score did not see.
+
+    Returns:
+        the engine; the fit of each balance on held-out stretches; (span, score, strongest name) for each piece.
+
+    Raises:
+        InputError: a recording of less than ten minutes, or without idling.
+    """
+    duration = float(signals.time_s[-1])
+    if duration < LEAST_DURATION_S:
+        raise InputError("calibration", f"{duration:.0f} s", f"at least {LEAST_DURATION_S:.0f} s", "record longer")
+    engine, fits = fit_maps(signals, base)
+    for f in fits:
+        tell(f"{f.name}: {100 * f.steady:.2f} % over steady, {100 * f.all_blocks:.2f} % over all held-out blocks")
+    scores = []
+    for span in pieces(duration):
+        rest, _ = fit_maps(signals, base, without=span)
+        strongest = search(bind(rest, signals.part(*span)), keep=3)[0][0]
+        scores.append((span, 2.0 * strongest.gain, strongest.name))
+        tell(f"fault-free piece {span[0]:.0f}-{span[1]:.0f} s: score {2.0 * strongest.gain:.1f} ({strongest.name})")
+    threshold = max(SAFETY * max(s for _, s, _ in scores), LEAST_THRESHOLD)
+    detection = Detection(threshold=threshold, piece_scores=tuple(s for _, s, _ in scores), piece_s=PIECE_S)
+    return engine.model_copy(update={"detection": detection, "calibrated_on": sha256}), fits, scores

@@ -1,0 +1,46 @@
+"""Smooth maps as cubic B-splines: a tensor product over two arguments, or a sum over two arguments."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+Array = NDArray[np.float64]
+DEGREE = 3
+
+
+def spline_basis(x: Array, knots: Array) -> Array:
+    """Cubic B-spline basis (n, len(knots) + 2) over `knots` (ascending); beyond them the end value holds."""
+    padded = np.concatenate([[knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE])
+    inside = np.clip(x, knots[0], knots[-1] - 1e-9 * (knots[-1] - knots[0]))
+    return np.asarray(BSpline.design_matrix(inside, padded, DEGREE).toarray())
+
+
+def tensor_basis(x: Array, y: Array, knots_x: Array, knots_y: Array) -> Array:
+    """Tensor product basis (n, nx*ny) of two cubic splines."""
+    a, b = spline_basis(x, knots_x), spline_basis(y, knots_y)
+    return (a[:, :, None] * b[:, None, :]).reshape(len(x), -1)
+
+
+def sum_basis(x: Array, y: Array, knots_x: Array, knots_y: Array) -> Array:
+    """Basis (n, nx + ny) of a sum of two cubic splines."""
+    return np.hstack([spline_basis(x, knots_x), spline_basis(y, knots_y)])
+
+
+def roughness(size: int) -> Array:
+    """Penalty matrix of second differences (size, size) (Eilers and Marx 1996)."""
+    second = np.diff(np.eye(size), 2, axis=0)
+    return np.asarray(second.T @ second)
+
+
+def tensor_roughness(size_x: int, size_y: int) -> Array:
+    """Second-difference penalty of a tensor product, both directions alike."""
+    return np.kron(roughness(size_x), np.eye(size_y)) + np.kron(np.eye(size_x), roughness(size_y))
+
+
+def sum_roughness(size_x: int, size_y: int) -> Array:
+    """Second-difference penalty of a sum of two splines."""
+    both = np.zeros((size_x + size_y, size_x + size_y))
+    both[:size_x, :size_x], both[size_x:, size_x:] = roughness(size_x), roughness(size_y)
+    return both
