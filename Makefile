@@ -4,6 +4,9 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PROFILE ?= quick
 PORT ?= 5000
+# Where the flows' steps run: nothing (two at a time, here), local (a Dask cluster of two workers, here), tcp://HOST:8786.
+CLUSTER ?= $(DIESELTWIN_CLUSTER)
+RECORDINGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/installed.lock
@@ -22,13 +25,17 @@ export DO_NOT_TRACK := true
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_ROOT_USER_ACTION := ignore
 export PYTHONUNBUFFERED := 1
+export DIESELTWIN_CLUSTER := $(CLUSTER)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run repro test check ui serve
+.PHONY: help setup run repro discover proof promote test check ui serve
 
 help:  ## this list
 	@echo "make run    the whole chain: data, pretraining, identification, report (PROFILE=quick or paper)"
 	@echo "make repro  the same through DVC: checks every file against dvc.lock"
+	@echo "make discover  what physics the twin left out (RECORDINGS='a.csv b.parquet'; none: a concealed machine)"
+	@echo "make proof  the concealed benchmark: 24 machines, at most 15 minutes (PROFILE=paper: 300, hours)"
+	@echo "make promote  put newly trained networks into MLflow's registry, in use unless they are worse"
 	@echo "make test   all tests"
 	@echo "make check  style, types, import directions, hygiene"
 	@echo "make ui     MLflow with the results (PORT=5000)"
@@ -56,6 +63,15 @@ run: $(READY)  ## data, pretraining, the three identifications, report
 
 repro: $(READY)  ## the same flows as stages of dvc.yaml; what dvc.lock knows is not run again
 	@$(BIN)/dvc repro
+
+discover: $(READY)  ## what physics the twin left out of recordings
+	@$(BIN)/python -m flows.discover --profile $(PROFILE) $(RECORDINGS)
+
+proof: $(READY)  ## the concealed benchmark of the profile; goes on where it was stopped
+	@$(BIN)/python -m flows.prove --profile $(PROFILE)
+
+promote: $(READY)  ## the registry's champion, from models/
+	@$(BIN)/python -m flows.promote --profile $(PROFILE)
 
 test: $(READY)  ## all tests on two processes
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup -q

@@ -18,7 +18,7 @@ import pytest
 import tiny_settings
 import yaml
 
-from tasks import identify, pretrain, report, run_context, simulate
+from tasks import discover, identify, pretrain, prove, report, run_context, simulate
 from tasks.progress import Display
 from tasks.run_context import RunContext, Step
 from tasks.store import content_hash
@@ -31,6 +31,8 @@ STAGES: dict[str, tuple[Step, ...]] = {
     "simulate": (simulate.driving_sets, simulate.case_recordings),
     "pretrain": (pretrain.eta_tm_labels, pretrain.maps, pretrain.operators, pretrain.bodies),
     "identify": (identify.classical, identify.newton, identify.adam, report.comparison),
+    "discover": (prove.benchmark, discover.discover),
+    "prove": (prove.benchmark, prove.case, prove.opened, prove.bands, prove.baseline, prove.score),
 }
 
 
