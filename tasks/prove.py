@@ -101,7 +101,8 @@ def bands(out: Path, progress: Any, *, benchmark: Path, jobs: int) -> None:
     from dieseltwin.discovery.challenge.baselines import write_bands
 
     with _laid_out(benchmark, {}) as folder:
-        _copied(write_bands(folder, jobs=jobs, progress=progress), out / BASELINES_FOLDER / "bands.json")
+        path = write_bands(folder, jobs=jobs, progress=lambda done, of, _note: progress(done, of))
+        _copied(path, out / BASELINES_FOLDER / path.name)
 
 
 @step("baseline", "baselines", expected_s=15.0, many=True)

@@ -99,9 +99,11 @@ def mean_set_size(rows: Sequence[CaseRow]) -> float | None:
     return float(np.mean(sizes)) if sizes else None
 
 
-def top_names(rows: Sequence[CaseRow]) -> Share:
-    """Single faults (partial ones included) that are separable at the truth and whose name is reported first."""
-    units = [(row, row.truth[0]) for row in nameable(rows) if len(row.truth) == 1 and row.truth[0].separable]
+def top_names(rows: Sequence[CaseRow], any_size: bool = False) -> Share:
+    """Of counted single faults (partial ones included; `any_size`: smaller ones too) that are separable at the truth,
+    those whose name is reported first."""
+    cases = nameable(rows) if any_size else counted(nameable(rows))
+    units = [(row, row.truth[0]) for row in cases if len(row.truth) == 1 and row.truth[0].separable]
     return Share(sum(bool(row.said) and row.said[0].name == effect.name for row, effect in units), len(units))
 
 

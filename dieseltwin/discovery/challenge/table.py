@@ -134,6 +134,7 @@ def extra(rows: Sequence[CaseRow]) -> dict[str, Share]:
     found["mismatch at any magnitude"] = Share(sum(row.mismatch for row in everywhere), len(everywhere))
     for sort in ("onset", "region"):
         found[f"detection at >= 3 x: {sort}"] = metrics.detection([row for row in rows if row.partial == sort])
+    found["first name right, separable, at any magnitude"] = metrics.top_names(rows, any_size=True)
     found["first name right, separable or not"] = metrics.top_names_unconditioned(rows)
     found["withheld -> none, where no other name imitates it (D >= 9)"] = metrics.withheld_none(rows, True)
     found["false alarms, unstable region"] = metrics.false_alarms([r for r in rows if r.route == "unstable"])
