@@ -1,0 +1,303 @@
+"""Calibrate an engine of the same kind from settled points: submodel by submodel, then jointly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut
+from dieseltwin.calibration.coefficients import Coefficient, engine_coefficients, with_scalars
+from dieseltwin.calibration.likelihood import Estimate, estimate
+from dieseltwin.calibration.steady_model import EXTRA_ROWS, ROWS, SteadyModel
+from dieseltwin.engine.parameters import EngineParameters
+from dieseltwin.errors import InputError
+from dieseltwin.steady_points import SteadyPoints
+from dieseltwin.strict import read_mapping, unknown_name
+
+Array = NDArray[np.float64]
+
+GEOMETRY = ("bore_mm", "stroke_mm", "displacement_l")
+STARTS = 3  # of every submodel, besides the base engine's values
+START_SPREAD = 0.7  # prior standard deviations
+HELD_OUT = 3  # every third point of a drawn order is held out
+RANGE_MARGIN = 0.02  # input ranges are widened beyond the data by this share
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How one submodel meets measured values, in % (100 times the root mean square of ln measured/predicted).
+
+    Attributes:
+        train, held_out: at points used for the fit, at the held-out third [%].
+        median_held_out: median of the absolute error there [%].
+        coefficient_of_determination: 1 - variance of the error/variance of the measured quantity, held-out [-].
+        tolerance: relative standard deviation of the map itself, beyond sensor noise [-].
+    """
+
+    train: float
+    held_out: float
+    median_held_out: float
+    coefficient_of_determination: float
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Identified:
+    """One coefficient: value, interval, and whether the points or the belief decided.
+
+    `verdict` is "identified" (the points cut the prior's spread to less than half), "partly" or "prior only".
+    """
+
+    name: str
+    submodel: str
+    value: float
+    std: float
+    prior_mean: float
+    prior_std: float
+    unit: str
+    verdict: str
+    at_bound: bool
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated engine and how it was come by.
+
+    Attributes:
+        engine: the calibrated parameters, input ranges widened to the data.
+        base: what it started from.
+        points: those used, actuators turned round where needed.
+        held_out: (n,) mask of the held-out third.
+        fits: submodel -> fit of the engine calibrated on the other two thirds.
+        coefficients: of the fit to all points.
+        covariance: (P, P) of the coefficients.
+        actuators: EGR valve and VGT.
+        notes: what could not be told and what was assumed, one sentence each.
+        estimate: of all points.
+        model: the relations.
+        start: fixed values.
+        trained: coefficients of the fit to two thirds.
+    """
+
+    engine: EngineParameters
+    base: EngineParameters
+    points: SteadyPoints
+    held_out: NDArray[np.bool_]
+    fits: Mapping[str, Fit]
+    coefficients: tuple[Identified, ...]
+    covariance: Array
+    actuators: tuple[Actuator, Actuator]
+    notes: tuple[str, ...]
+    estimate: Estimate
+    model: SteadyModel
+    start: Mapping[str, float]
+    trained: Mapping[str, float]
+
+    def tolerances(self) -> dict[str, float]:
+        """Relative tolerance of each submodel's map [-]."""
+        return {name: fit.tolerance for name, fit in self.fits.items()}
+
+
+def read_geometry(path: str | Path, base: EngineParameters) -> EngineParameters:
+    """The base engine with the geometry of a YAML file: bore_mm, stroke_mm or displacement_l, and any engine parameter.
+
+    Raises:
+        InputError: unknown name, bore without stroke, or a value out of range.
+    """
+    content = read_mapping(path)
+    known = [*GEOMETRY, *EngineParameters.model_fields]
+    for name in content:
+        if name not in known:
+            raise unknown_name(str(path), str(name), known)
+    changes = {name: value for name, value in content.items() if name not in GEOMETRY}
+    numbers: dict[str, float] = {}
+    for name in GEOMETRY:
+        if name in content:
+            try:
+                numbers[name] = float(content[name])
+            except (TypeError, ValueError):
+                raise InputError(f"{path}: {name}", repr(content[name]), "a number", "change this value") from None
+            if not numbers[name] > 0:
+                raise InputError(f"{path}: {name}", numbers[name], "a number above 0", "change this value")
+    if ("bore_mm" in numbers) != ("stroke_mm" in numbers):
+        raise InputError(str(path), "bore or stroke alone", "both, or displacement_l", "add the other one")
+    if "bore_mm" in numbers:
+        cylinders = int(changes.get("n_cyl", base.n_cyl))
+        changes["V_d"] = np.pi / 4.0 * (numbers["bore_mm"] / 1e3) ** 2 * (numbers["stroke_mm"] / 1e3) * cylinders
+    elif "displacement_l" in numbers:
+        changes["V_d"] = numbers["displacement_l"] / 1e3
+    return base.replace(**changes)
+
+
+def split(points: SteadyPoints, seed: int = 0) -> NDArray[np.bool_]:
+    """Mask of the held-out third: every third point of an order drawn by `seed`."""
+    order = np.random.default_rng(seed).permutation(points.size)
+    mask = np.zeros(points.size, dtype=bool)
+    mask[order[::HELD_OUT]] = True
+    return mask
+
+
+def calibrate(
+    points: SteadyPoints,
+    base: EngineParameters,
+    geometry: EngineParameters | None = None,
+    *,
+    noise: Mapping[str, float] | None = None,
+    seed: int = 0,
+    where: str = "points",
+) -> Calibration:
+    """Calibrate the submodels of an engine to settled points.
+
+    Args:
+        points: n settled points with all of `STATES`.
+        base: engine whose maps are the first belief.
+        geometry: `base` with the new engine's displacement and the like; `base` itself by default.
+        noise: relative standard deviation of each reading [-].
+        seed: of the held-out third and the starts.
+        where: name for messages.
+
+    Raises:
+        InputError: too few points or swapped columns.
+    """
+    geometry = geometry or base
+    points = check_points(points, where)
+    valves = actuators(points)
+    points, notes = _turned(points, valves)
+    notes += [valve.sentence() for valve in valves]
+    engine = _with_ambient_and_ranges(geometry, points)
+    extra = tuple(name for name in EXTRA_ROWS if name in points and np.isfinite(points[name]).mean() > 0.5)
+    model = SteadyModel(engine, extra=extra)
+    free, fixed = _free(points, base, engine, valves, notes)
+    start = {**fixed, **{c.name: c.mean for c in free}}
+    mask = split(points, seed)
+    trained, _ = _fit(model, points.take(~mask), free, start, noise, seed)
+    whole, final = _fit(model, points, free, {**start, **trained.values()}, noise, seed, staged=False)
+    if not whole.converged:
+        notes.append("the joint fit was still moving when it ended: coefficients that trade against each other")
+    notes.append("c_pa, c_pe, the dead times, lags and volumes can't be told from settled points: the base's are kept")
+    notes.append("eta_c and eta_tm enter the balances as a product: without t_c_k their scale is the prior's")
+    if "t_im_k" not in points:
+        notes.append("volumetric efficiency and T_im enter as a quotient: T_im is the geometry file's or the base's")
+    fits = _fits(model, points, mask, {**start, **trained.values()}, whole)
+    calibrated = with_scalars(engine, final)
+    return Calibration(calibrated, base, points, mask, fits, _identified(whole), whole.covariance, valves,
+                       tuple(notes), whole, model, final, {**start, **trained.values()})
+
+
+def _turned(points: SteadyPoints, valves: Sequence[Actuator]) -> tuple[SteadyPoints, list[str]]:
+    notes = []
+    for valve in valves:
+        if valve.opens < 0:
+            points = points.with_columns(**{valve.column: 100.0 - points[valve.column]})
+            notes.append(f"{valve.column} is turned round (100 % - position); use the channel map written beside")
+    return points, notes
+
+
+def _with_ambient_and_ranges(engine: EngineParameters, points: SteadyPoints) -> EngineParameters:
+    changes: dict[str, Any] = {
+        "p_amb": float(np.median(points["p_amb_pa"])), "T_amb": float(np.median(points["t_amb_k"])),
+    }  # fmt: skip
+    for name, column in (("n_e_range", "n_e_rpm"), ("u_delta_range", "u_delta_mg"), ("u_egr_range", "u_egr_pct"),
+                         ("u_vgt_range", "u_vgt_pct")):  # fmt: skip
+        low, high = getattr(engine, name)
+        margin = RANGE_MARGIN * (points[column].max() - points[column].min())
+        low = min(low, float(points[column].min() - margin))
+        high = max(high, float(points[column].max() + margin))
+        if column.endswith("_pct"):
+            low, high = max(low, 0.0), min(high, 100.0)
+        changes[name] = (max(low, 0.0), high)
+    return engine.replace(**changes)
+
+
+def _free(points: SteadyPoints, base: EngineParameters, engine: EngineParameters, valves: Sequence[Actuator],
+          notes: list[str]) -> tuple[list[Coefficient], dict[str, float]]:  # fmt: skip
+    """Coefficients that these points can say something about, and the values of the others."""
+    free = list(engine_coefficients(base, engine))
+    dropped: set[str] = set()
+    if egr_shut(points):
+        dropped |= {c.name for c in free if c.submodel == "egr_flow"}
+        notes.append("not identifiable: the EGR valve is shut in every point, so A_egrmax, Pi_egropt and c_egr are "
+                     "the base engine's; measure points with EGR")
+    elif not valves[0].moves:
+        dropped |= {"c_egr1", "c_egr3"}
+        notes.append("not identifiable: u_egr_pct doesn't move; A_egrmax is the area at that position")
+    if not valves[1].moves:
+        dropped |= {"c_f2", "c_vgt1", "c_vgt2"}
+        notes.append("not identifiable: u_vgt_pct doesn't move; A_vgtmax is the area at that position, the shape of "
+                     "f_vgt the base engine's; vary the VGT")
+    fixed = {c.name: c.mean for c in free if c.name in dropped}
+    return [c for c in free if c.name not in dropped], fixed
+
+
+def _fit(model: SteadyModel, points: SteadyPoints, free: Sequence[Coefficient], start: Mapping[str, float],
+         noise: Mapping[str, float] | None, seed: int, staged: bool = True) -> tuple[Estimate, dict[str, float]]:  # fmt: skip
+    """Submodel by submodel from several starts, then all together."""
+    values = dict(start)
+    generator = np.random.default_rng(seed)
+    discrepancy: dict[str, float] = {}
+    used = tuple(row for row in model.rows if row not in ROWS or any(c.submodel == row for c in free))
+    if staged:
+        for row in ROWS:
+            own = [c for c in free if c.submodel == row]
+            if not own:
+                continue
+            best: Estimate | None = None
+            for trial in range(STARTS + 1):
+                begin = dict(values)
+                if trial:
+                    begin.update({c.name: float(np.clip(c.mean + START_SPREAD * c.std * generator.standard_normal(),
+                                                        c.low, c.high)) for c in own})
+                found = estimate(model, points, own, begin, rows=(row,), noise=noise, iterations=3)
+                if best is None or found.cost < best.cost * 0.98:
+                    best = found
+            if best is not None:
+                values.update(best.values())
+                discrepancy[row] = float(best.discrepancy[model.rows.index(row)])
+    joint = estimate(model, points, free, values, rows=used, noise=noise, discrepancy=discrepancy, iterations=7,
+                     inflate=True)
+    values.update(joint.values())
+    return joint, values
+
+
+def _fits(model: SteadyModel, points: SteadyPoints, mask: NDArray[np.bool_], values: Mapping[str, float],
+          whole: Estimate) -> dict[str, Fit]:  # fmt: skip
+    """Fit in % at the measured states, of coefficients that never saw the masked points."""
+    relations = model.relations(points, points.states(), values)
+    fits = {}
+    for i, row in enumerate(model.rows):
+        r = relations.residual[0, :, i]
+        fits[row] = fit_of(r, relations.measured[row][0], relations.predicted[row][0], mask,
+                           float(whole.discrepancy[i]))
+    return fits
+
+
+def fit_of(residual: Array, measured: Array, predicted: Array, mask: NDArray[np.bool_], tolerance: float) -> Fit:
+    """The figures of one submodel; `residual` is ln measured/predicted, (n,) each."""
+    good = np.isfinite(residual)
+
+    def rms(chosen: NDArray[np.bool_]) -> float:
+        chosen = chosen & good
+        return float(100.0 * np.sqrt(np.mean(residual[chosen] ** 2))) if chosen.any() else float("nan")
+
+    held = mask & good
+    variance = float(np.var(measured[held])) if held.any() else 0.0
+    determination = 1.0 - float(np.mean((measured - predicted)[held] ** 2)) / variance if variance > 0 else float("nan")
+    median = float(100.0 * np.median(np.abs(residual[held]))) if held.any() else float("nan")
+    return Fit(rms(~mask), rms(mask), median, determination, tolerance)
+
+
+def _identified(found: Estimate) -> tuple[Identified, ...]:
+    std = found.std()
+    rows = []
+    for c, value in zip(found.coefficients, found.theta, strict=True):
+        share = std[c.name] / c.std
+        verdict = "identified" if share < 0.5 else "partly" if share < 0.9 else "prior only"
+        near = min(value - c.low, c.high - value) < 1e-3 * (c.high - c.low)
+        rows.append(Identified(c.name, c.submodel, float(value), std[c.name], c.mean, c.std, c.unit, verdict,
+                               bool(near)))
+    return tuple(rows)

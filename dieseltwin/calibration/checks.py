@@ -1,0 +1,156 @@
+"""What can be seen in the points before anything is fitted: swapped columns, actuators that never move, directions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dieseltwin.errors import InputError
+from dieseltwin.steady_points import STATES, SteadyPoints
+
+Array = NDArray[np.float64]
+
+FEWEST_POINTS = 20
+SHUT = 0.005  # an EGR fraction below this everywhere is a shut valve [-]
+STILL = 1.5  # an actuator whose spread (standard deviation) stays below this does not move [%]
+STOICHIOMETRIC = 14.57
+SURE = 3.0  # a direction is told when its slope has this many standard deviations
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """What the points say about one actuator.
+
+    Attributes:
+        column: u_egr_pct or u_vgt_pct.
+        moves: whether it was varied.
+        opens: +1 opens with rising position, -1 closes, 0 can't be told.
+        significance: standard deviations of the slope from 0.
+        low, high: range met with [%].
+    """
+
+    column: str
+    moves: bool
+    opens: int
+    significance: float
+    low: float
+    high: float
+
+    def sentence(self) -> str:
+        """In words."""
+        span = f"{self.column} between {self.low:.3g} and {self.high:.3g} %"
+        if not self.moves:
+            return f"{span}: it doesn't move, so its map can't be told; the base engine's shape is kept"
+        if self.opens == 0:
+            return f"{span}: which way it opens can't be told; taken as opening with rising position"
+        way = "opens" if self.opens > 0 else "closes (turned round by a channel map 100 % - position)"
+        return f"{span}: {way} with rising position ({self.significance:.0f} standard deviations)"
+
+
+def check_points(points: SteadyPoints, where: str) -> SteadyPoints:
+    """Refuse what can't be calibrated from; drop rows without any sensor.
+
+    Raises:
+        InputError: too few points, columns that are swapped.
+    """
+    complete = np.isfinite(points.states()).sum(axis=1) >= len(STATES) - 1
+    if complete.sum() < FEWEST_POINTS:
+        raise InputError(where, f"{int(complete.sum())} usable points", f"at least {FEWEST_POINTS}; 60 or more to tell "
+                         "the maps' coefficients", "measure more points over speed, load, EGR and VGT")
+    points = points.take(complete)
+    _swapped(points, where)
+    return points
+
+
+def _swapped(points: SteadyPoints, where: str) -> None:
+    p_im, p_em, omega, W_c, W_egr, _ = points.states().T
+    p_0, T_em = points["p_amb_pa"], points["t_em_k"]
+    if np.nanmedian(W_egr) > 0.0 and np.nanmean((p_em < p_im) & (W_egr > 0.05 * W_c)) > 0.5:
+        raise InputError(f"{where}: columns p_im_pa and p_em_pa", "p_em below p_im while EGR flows in most points",
+                         "p_em above p_im where EGR flows", "are the two columns swapped?")
+    W_f = 1e-6 / 120.0 * points["u_delta_mg"] * points["n_e_rpm"] * 6
+    if np.nanmedian(W_c / (W_f * STOICHIOMETRIC)) < 0.9 and np.nanmedian(W_egr / W_c) > 1.0:
+        raise InputError(f"{where}: columns w_c_kg_s and w_egr_kg_s", "less air than the fuel needs, more EGR than air",
+                         "lambda above 1", "are the two columns swapped?")
+    if np.nanmedian(T_em) < np.nanmedian(points["t_amb_k"]):
+        raise InputError(f"{where}: columns t_em_k and t_amb_k", "exhaust colder than the surroundings",
+                         "t_em above t_amb", "are the two columns swapped?")
+    if np.nanmedian(p_0) > np.nanmedian(p_im) * 1.05 and np.nanmedian(p_0) > 1.15e5:
+        raise InputError(f"{where}: columns p_amb_pa and p_im_pa", "ambient above intake pressure", "p_im above p_amb",
+                         "are the two columns swapped?")
+    flow, expected = W_c, np.maximum(p_im - p_0, 0.0)
+    good = np.isfinite(flow) & np.isfinite(omega) & (expected > 2e3)
+    if good.sum() > FEWEST_POINTS // 2 and _rank_correlation(omega[good], expected[good]) < 0.0:
+        raise InputError(f"{where}: column omega_t_rad_s", "a turbo that runs slower the more it boosts",
+                         "speed rising with boost", "is another column under this name?")
+    egr, vgt = conductances(points)
+    own = _explained(egr, points["u_egr_pct"]) + _explained(vgt, points["u_vgt_pct"])
+    crossed = _explained(egr, points["u_vgt_pct"]) + _explained(vgt, points["u_egr_pct"])
+    if crossed > own + 0.5 and crossed > 1.0:
+        raise InputError(f"{where}: columns u_egr_pct and u_vgt_pct",
+                         "u_vgt_pct explains the EGR flow and u_egr_pct the turbine flow, far better than the other "
+                         "way round", "each its own", "are the two columns swapped?")
+
+
+def conductances(points: SteadyPoints) -> tuple[Array, Array]:
+    """Logarithm of the effective areas of the EGR valve and the turbine, up to constants, (n,) each.
+
+    The pressure quotients are taken as those of plain nozzles; that is enough to see which way an actuator opens.
+    """
+    p_im, p_em, _, W_c, W_egr, T_em = points.states().T
+    W_f = 1e-6 / 120.0 * points["u_delta_mg"] * points["n_e_rpm"] * 6
+    with np.errstate(invalid="ignore", divide="ignore"):
+        drop = np.sqrt(np.clip(1.0 - p_im / p_em, 1e-4, 0.35))
+        egr = np.log(np.maximum(W_egr, 1e-6) * np.sqrt(T_em) / (p_em * drop))
+        choking = np.sqrt(np.clip(1.0 - (points["p_amb_pa"] / p_em) ** 2.5, 1e-3, 1.0))
+        vgt = np.log((W_c + W_f) * np.sqrt(T_em) / (p_em * choking))
+    shut = W_egr < SHUT * W_c
+    return np.where(shut, np.nan, egr), vgt
+
+
+def actuators(points: SteadyPoints) -> tuple[Actuator, Actuator]:
+    """EGR valve and VGT: ranges, whether they move, which way they open."""
+    egr, vgt = conductances(points)
+    found = []
+    for column, area in (("u_egr_pct", egr), ("u_vgt_pct", vgt)):
+        u = points[column]
+        moves = bool(np.std(u) > STILL)
+        slope = _slope(u, area, points) if moves and np.isfinite(area).sum() > 8 else 0.0
+        opens = int(np.sign(slope)) if abs(slope) > SURE else 0
+        found.append(Actuator(column, moves, opens, abs(slope), float(u.min()), float(u.max())))
+    return found[0], found[1]
+
+
+def egr_shut(points: SteadyPoints) -> bool:
+    """Whether the EGR valve is shut in (nearly) every point."""
+    return bool(np.nanmean(points["w_egr_kg_s"] > SHUT * points["w_c_kg_s"]) < 0.1)
+
+
+def _slope(u: Array, area: Array, points: SteadyPoints) -> float:
+    """t-value of the slope of ln area over u, the pressure quotient and the speed carried along."""
+    good = np.isfinite(area) & np.isfinite(u)
+    quotient = np.log(points["p_em_pa"] / points["p_amb_pa"])
+    A = np.stack([np.ones(good.sum()), u[good], quotient[good], np.log(points["n_e_rpm"][good])], axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(A, area[good], rcond=None)
+    if rank < A.shape[1] or good.sum() <= A.shape[1] + 2:
+        return 0.0
+    error = area[good] - A @ solution
+    variance = np.linalg.inv(A.T @ A)[1, 1] * np.sum(error**2) / (good.sum() - A.shape[1])
+    return float(solution[1] / np.sqrt(max(variance, 1e-30)))
+
+
+def _explained(area: Array, u: Array) -> float:
+    """Share of the variance of ln area that a parabola of u explains [-]."""
+    good = np.isfinite(area) & np.isfinite(u)
+    if good.sum() < 8 or np.std(u[good]) < STILL or np.std(area[good]) == 0.0:
+        return 0.0
+    y = area[good]
+    fit = np.polyval(np.polyfit(u[good], y, 2), u[good])
+    return float(1.0 - np.var(y - fit) / np.var(y))
+
+
+def _rank_correlation(a: Array, b: Array) -> float:
+    ranks = [np.argsort(np.argsort(v)) for v in (a, b)]
+    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])

@@ -1,0 +1,224 @@
+"""Which coefficients each submodel has, what is believed of them before the data, and the terms that may be added.
+
+Priors are the base engine's values, flows scaled with the displacement, with wide standard deviations. Where the
+balances give a product alone (the two efficiencies of the turbocharger; volumetric efficiency over temperature) the
+prior decides, and the result says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dieseltwin.engine.parameters import EngineParameters
+
+VECTORS: Mapping[str, tuple[str, int]] = {
+    **{f"c_vol{i + 1}": ("c_vol", i) for i in range(3)},
+    **{f"c_egr{i + 1}": ("c_egr", i) for i in range(3)},
+    **{f"c_m{i + 1}": ("c_m", i) for i in range(3)},
+    **{f"a_{i + 1}": ("Q_c", i) for i in range(3)},
+    **{f"c_omega_psi{i + 1}": ("c_omega_psi", i) for i in range(3)},
+    **{f"c_omega_phi{i + 1}": ("c_omega_phi", i) for i in range(3)},
+}
+"""Element of a vector parameter -> (parameter, index)."""
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One free number of the calibration.
+
+    Attributes:
+        name: scalar engine parameter ("c_vol1") or parameter of a term ("flap_0").
+        submodel: row of the relations that it belongs to first.
+        mean, std: what is believed before the data [unit].
+        low, high: bounds [unit].
+        unit: unit.
+        source: where the belief comes from.
+    """
+
+    name: str
+    submodel: str
+    mean: float
+    std: float
+    low: float
+    high: float
+    unit: str = "-"
+    source: str = "base engine"
+
+
+# name: (submodel, standard deviation, lowest, highest, unit); deviations "x" relative to the base value where < 0
+_ENGINE: Mapping[str, tuple[str, float, float, float, str]] = {
+    "c_vol1": ("cylinder_flow", 3e-4, -3e-3, 3e-3, "1/sqrt(Pa)"),
+    "c_vol2": ("cylinder_flow", 4e-3, -0.03, 0.03, "1/sqrt(rpm)"),
+    "c_vol3": ("cylinder_flow", 0.3, 0.3, 2.0, "-"),
+    "A_vgtmax": ("turbine_flow", -0.5, 1e-5, 1e-2, "m2"),
+    "K_t": ("turbine_flow", 0.5, 1.2, 6.0, "-"),
+    "c_f2": ("turbine_flow", 0.5, -3.0, 2.0, "-"),
+    "c_vgt1": ("turbine_flow", 30.0, 60.0, 300.0, "%"),
+    "c_vgt2": ("turbine_flow", 25.0, 75.0, 200.0, "%"),
+    "eta_tmmax": ("turbo_power", 0.05, 0.4, 0.95, "-"),
+    "BSR_opt": ("turbo_power", 0.2, 0.3, 1.6, "-"),
+    "c_m1": ("turbo_power", 1.0, 0.0, 10.0, "-"),
+    "eta_cmax": ("turbo_power", 0.03, 0.5, 0.9, "-"),
+    "a_1": ("turbo_power", 3.0, 0.0, 60.0, "s2/kg2"),
+    "a_2": ("turbo_power", 1.5, 0.0, 30.0, "-"),
+    "a_3": ("turbo_power", 2.0, -30.0, 10.0, "s/kg"),
+    "W_copt": ("turbo_power", -0.25, 0.01, 3.0, "kg/s"),
+    "pi_copt": ("turbo_power", 0.15, 0.5, 1.8, "-"),
+    "c_omega_psi1": ("compressor_flow", 1e-8, -1e-7, 1e-7, "s2/rad2"),
+    "c_omega_psi2": ("compressor_flow", 1e-4, -1e-3, 1e-3, "s/rad"),
+    "c_omega_psi3": ("compressor_flow", 0.5, -3.0, 5.0, "-"),
+    "c_omega_phi1": ("compressor_flow", 4e-7, -5e-6, 5e-6, "s2/rad2"),
+    "c_omega_phi2": ("compressor_flow", 6e-3, -0.06, 0.06, "s/rad"),
+    "c_omega_phi3": ("compressor_flow", 20.0, 0.0, 200.0, "-"),
+    "A_egrmax": ("egr_flow", -0.6, 1e-6, 1e-2, "m2"),
+    "Pi_egropt": ("egr_flow", 0.1, 0.3, 0.95, "-"),
+    "c_egr1": ("egr_flow", 1e-4, -1e-3, -1e-6, "1/%2"),
+    "c_egr3": ("egr_flow", 0.15, -1.0, 1.0, "-"),
+    "eta_sc": ("exhaust_temperature", 0.15, 0.4, 2.0, "-"),
+    "h_tot": ("exhaust_temperature", 60.0, 0.0, 600.0, "W/(m2 K)"),
+    "x_cv": ("exhaust_temperature", 0.2, 0.0, 1.0, "-"),
+}
+_SCALED = ("A_vgtmax", "W_copt", "A_egrmax")  # with the displacement
+_SLOPE = ("a_1", "a_3")  # over the flow: fall with its square, with it
+
+
+@dataclass(frozen=True)
+class SteadyTerm:
+    """Physics that the mean-value model leaves out, for settled points.
+
+    Attributes:
+        name: of the catalogue of effects, or of this engine's own law.
+        site: DISCOVERY.md's word.
+        law: in symbols.
+        catalogue: whether the name is one of the catalogue of effects (else the report says none_of_these and the law).
+        parameters: its coefficients with priors; the first is the magnitude of the report.
+        magnitude_unit: of the report.
+        needs: columns that it needs.
+        confused_with: names that look alike in these balances.
+        smallest: size of the magnitude below which it is not reported.
+        split_by: sensor or points that would tell it from those.
+    """
+
+    name: str
+    site: str
+    law: str
+    catalogue: bool
+    parameters: tuple[Coefficient, ...]
+    needs: tuple[str, ...] = ()
+    confused_with: tuple[str, ...] = ()
+    smallest: float = 0.0
+    split_by: str = ""
+
+
+def _c(name: str, row: str, mean: float, std: float, low: float, high: float, unit: str, source: str) -> Coefficient:
+    return Coefficient(name, row, mean, std, low, high, unit, source)
+
+
+_HD = "heavy-duty practice (stated belief)"
+
+TERMS: Mapping[str, SteadyTerm] = {
+    term.name: term
+    for term in (
+        SteadyTerm(
+            "back_pressure", "turbine_flow", "p_es = p_amb + k W_t^2 T_es/700 K", True,
+            (_c("k_back_pressure", "turbine_flow", 1.1e5, 4e4, 0.0, 2e6, "Pa/(kg/s)^2",
+                "10 to 25 kPa at 0.4 kg/s, " + _HD),),
+            confused_with=("turbine_efficiency_loss",), smallest=2e4, split_by="p_es_pa",
+        ),
+        SteadyTerm(
+            "exhaust_flap", "turbine_flow",
+            "p_es^2 = (p_amb + k W_t^2 T_es/700 K)^2 + W_t^2 R_e T_es/A^2, ln A = flap_0 + flap_1 y + flap_2 y^2, "
+            "y = ln(u_flap/50 %)", False,
+            (_c("flap_0", "turbine_flow", -5.5, 1.0, -9.0, -2.0, "ln m2", _HD),
+             _c("flap_1", "turbine_flow", 1.5, 0.8, -4.0, 8.0, "-", _HD),
+             _c("flap_2", "turbine_flow", 0.0, 0.8, -6.0, 6.0, "-", _HD)),
+            needs=("u_flap_pct",), split_by="p_es_pa",
+        ),
+        SteadyTerm(
+            "air_filter_restriction", "compressor_flow", "p_bc = p_amb - k W_c^2", True,
+            (_c("k_filter", "compressor_flow", 1.8e4, 8e3, 0.0, 8e4, "Pa/(kg/s)^2", "2 to 5 kPa at 0.4 kg/s, " + _HD),),
+            confused_with=("compressor_efficiency_loss",), smallest=1.5e4, split_by="p_bc_pa",
+        ),
+        SteadyTerm(
+            "charge_cooler_loss", "intake_temperature", "T_ic = T_amb + dT + (1 - effectiveness)(T_c - T_amb)", True,
+            (_c("cooler_loss", "cylinder_flow", 0.10, 0.05, 0.0, 0.5, "-", "effectiveness 0.85 to 0.95, " + _HD),
+             _c("cooler_approach", "cylinder_flow", 10.0, 7.0, -5.0, 40.0, "K", _HD)),
+            confused_with=("egr_heating", "volumetric_efficiency_residual"), smallest=0.05, split_by="t_im_k",
+        ),
+        SteadyTerm(
+            "egr_heating", "intake_temperature", "T_im = T_ic + W_egr/(W_c + W_egr) (T_egr - T_ic), "
+            "T_egr = T_w + f (T_em - T_w)", True,
+            (_c("egr_cooler_loss", "cylinder_flow", 0.12, 0.06, 0.0, 0.7, "-",
+                "EGR cooler effectiveness 0.8 to 0.95, " + _HD),
+             _c("egr_coolant", "cylinder_flow", 360.0, 6.0, 330.0, 390.0, "K", "engine coolant, " + _HD)),
+            confused_with=("charge_cooler_loss", "volumetric_efficiency_residual"), smallest=0.05, split_by="t_im_k",
+        ),
+        SteadyTerm(
+            "volumetric_efficiency_residual", "cylinder_flow",
+            "eta_vol (1 - k (p_em/p_im - 1)) (T_im/310 K)^m", True,
+            (_c("vol_residual", "cylinder_flow", 0.06, 0.05, -0.3, 0.5, "-", "1/(r_c - 1), clearance volume"),
+             _c("vol_heating", "cylinder_flow", 0.35, 0.12, 0.0, 0.8, "-",
+                "charge heated by the walls: eta_vol ~ T^0.2..0.5")),
+            confused_with=("egr_heating",), smallest=0.1, split_by="t_im_k",
+        ),
+        SteadyTerm(
+            "turbo_speed_low", "sensor:omega_t_rad_s",
+            "omega_t = reading (1 + s + q (omega_k - reading)/1000) below omega_k", False,
+            (_c("omega_step", "compressor_flow", 0.05, 0.1, -0.3, 0.4, "-", "none"),
+             _c("omega_slope", "compressor_flow", 0.0, 0.05, -0.3, 0.3, "s/rad/1000", "none"),
+             _c("omega_knee", "compressor_flow", 4500.0, 400.0, 2500.0, 7000.0, "rad/s", "none")),
+            confused_with=("compressor_flow_loss",), smallest=0.01, split_by="a second speed sensor",
+        ),
+    )
+}  # fmt: skip
+
+COOLER_DROP = _c("k_cooler_dp", "compressor_flow", 1.0e5, 6e4, 0.0, 5e5, "Pa/(kg/s)^2 at 300 K and 1 bar",
+                 "5 to 12 kPa at full load, " + _HD)
+WORK = (
+    _c("work_0", "compressor_work", 1.0, 0.2, 0.4, 2.0, "-", "Euler's work at no flow over R_c^2 omega_t^2"),
+    _c("work_slope", "compressor_work", 2.0, 0.7, 0.0, 5.0, "-", "backswept blades, 30 to 40 degrees"),
+)
+
+
+def engine_coefficients(base: EngineParameters, engine: EngineParameters) -> tuple[Coefficient, ...]:
+    """The engine's own coefficients with priors around the base, flows scaled from `base` to `engine` by V_d."""
+    ratio = engine.V_d / base.V_d
+    found = []
+    for name, (row, std, low, high, unit) in _ENGINE.items():
+        value = scalar(base, name)
+        factor = ratio if name in _SCALED else 1.0
+        if name in _SLOPE:
+            factor = ratio ** (-2.0 if name == "a_1" else -1.0)
+        mean = value * factor
+        spread = -std * abs(mean) if std < 0 else std * (factor if name in _SLOPE else 1.0)
+        found.append(Coefficient(name, row, mean, spread, low, high, unit))
+    return tuple(found)
+
+
+def scalar(engine: EngineParameters, name: str) -> float:
+    """One scalar of an engine by the name of `VECTORS` or of the parameter itself."""
+    if name in VECTORS:
+        vector, index = VECTORS[name]
+        return float(getattr(engine, vector)[index])
+    return float(getattr(engine, name))
+
+
+def with_scalars(engine: EngineParameters, values: Mapping[str, float]) -> EngineParameters:
+    """The engine with scalars (vector elements by their names) changed; other names are passed over.
+
+    The straight part of the turbine's curvature (c_mlin) follows c_m1, so that the curve stays continuous.
+    """
+    changes: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in VECTORS:
+            vector, index = VECTORS[name]
+            current = list(changes.get(vector, getattr(engine, vector)))
+            current[index] = float(value)
+            changes[vector] = tuple(current)
+        elif name in type(engine).model_fields:
+            changes[name] = float(value)
+    if "c_m" in changes and engine.c_m[0] > 0:
+        changes["c_mlin"] = engine.c_mlin * changes["c_m"][0] / engine.c_m[0]
+    return engine.replace(**changes) if changes else engine

@@ -1,0 +1,213 @@
+"""What nobody measured: every quantity of a point with its standard deviation, from whatever was measured there.
+
+For a point the unknowns are its six states and how far the laws are off there (pressure after the turbine and before
+the compressor, charge temperature, compressor efficiency). The relations, each with its own error, and the readings
+update them; the coefficients' covariance, carried through the same update, adds the rest. Without readings the same
+update solves the balances from the inputs alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dieseltwin.calibration.likelihood import NOISE, STEEPEST
+from dieseltwin.calibration.steady_model import IMPLIED, SteadyModel
+from dieseltwin.channels import INPUTS
+from dieseltwin.steady_points import STATES, SteadyPoints
+
+Array = NDArray[np.float64]
+
+COLUMNS: Mapping[str, str] = {
+    "p_es_pa": "p_es", "p_bc_pa": "p_bc", "t_im_k": "T_im", "t_c_k": "T_c", "t_es_k": "T_es", "eta_c": "eta_c",
+    "eta_tm": "eta_tm", "eta_vol": "eta_vol", "p_c_w": "P_c", "w_t_kg_s": "W_t", "w_ei_kg_s": "W_ei",
+}  # fmt: skip
+"""Column of the table -> quantity."""
+
+LOCAL = ("p_es", "p_bc", "T_im", "eta_c")
+# How far the laws may be off at a point (standard deviation, stated belief): share of the rise, and an absolute part.
+P_ES_SHARE, P_ES_PA = 0.10, 400.0
+P_BC_SHARE, P_BC_PA = 0.25, 150.0
+T_IM_K = 4.0
+ETA_C_SHARE = 0.03
+SHARE = 0.02  # of a standard deviation, for the slopes in the coefficients
+ITERATIONS = 25
+STEP = 5e-4
+WIDE = 0.25  # prior spread of a state known from the regression on the inputs alone [-]
+LARGEST = 0.15  # of ln x in one iteration
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Regression of the states on the inputs: a first guess where nothing was measured.
+
+    Attributes:
+        weights: (k, 6) of ln x on the features.
+        centre, spread: (4,) of the inputs.
+        residual: (6,) standard deviation of ln x about it.
+    """
+
+    weights: Array
+    centre: Array
+    spread: Array
+    residual: Array
+
+    def states(self, points: SteadyPoints) -> Array:
+        """(n, 6) states."""
+        return np.exp(_features(points, self.centre, self.spread) @ self.weights)
+
+
+def _inputs(points: SteadyPoints) -> Array:
+    return np.stack([points[name] for name in INPUTS], axis=1)
+
+
+def _features(points: SteadyPoints, centre: Array, spread: Array) -> Array:
+    z = (_inputs(points) - centre) / spread
+    pairs = [z[:, i] * z[:, j] for i in range(4) for j in range(i, 4)]
+    return np.stack([np.ones(len(z)), *z.T, *pairs], axis=1)
+
+
+def guess_of(points: SteadyPoints) -> Guess:
+    """The regression (a quadric in the four inputs, lightly ridged) of the measured states."""
+    u = _inputs(points)
+    centre, spread = u.mean(axis=0), np.maximum(u.std(axis=0), 1e-6)
+    A = _features(points, centre, spread)
+    y = np.log(np.maximum(points.states(), 1e-6))
+    good = np.isfinite(y).all(axis=1)
+    weights = np.linalg.solve(A[good].T @ A[good] + 1e-2 * np.eye(A.shape[1]), A[good].T @ y[good])
+    return Guess(weights, centre, spread, np.std(y[good] - A[good] @ weights, axis=0))
+
+
+@dataclass(frozen=True)
+class Answerer:
+    """A repaired engine that answers for new points.
+
+    Attributes:
+        model: with all its terms.
+        values: every coefficient.
+        names, covariance: the free coefficients and their covariance (P, P).
+        discrepancy: relation -> standard deviation of its own error [-].
+        guess: of the states.
+        noise: relative standard deviation of the readings [-].
+    """
+
+    model: SteadyModel
+    values: Mapping[str, float]
+    names: tuple[str, ...]
+    covariance: Array
+    discrepancy: Mapping[str, float]
+    guess: Guess
+    noise: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+
+    def __call__(self, points: SteadyPoints) -> pd.DataFrame:
+        """Implied quantities of n points: every column of `COLUMNS` with `<column>_std`, and the reconciled states.
+
+        States that the points do not carry (or are NaN) are solved for.
+        """
+        model = replace(self.model, extra=())
+        measured = points.states()
+        known = np.isfinite(measured)
+        first = self.guess.states(points)
+        centre = np.log(np.where(known, measured, first))
+        sigma = np.array([self.noise.get(name, NOISE[name]) for name in STATES])
+        prior = np.where(known, sigma, WIDE)
+        S = np.array([self.discrepancy.get(row, 0.03) for row in model.rows])
+        deviations = self._deviations(model, points, np.exp(centre))
+        variance = np.concatenate([prior**2, deviations**2], axis=1)
+        y0 = np.concatenate([centre, np.zeros((points.size, len(LOCAL)))], axis=1)
+        y, gain, posterior = _solve(model, points, self.values, y0, variance, S)
+        lanes, unit = self._lanes()
+        r = _residual(model, points, y, lanes)
+        d_r = (r[1:] - r[:1]) / unit[..., None]  # (P, n, R) per standard deviation
+        q = _quantities(model, points, y, lanes)
+        d_y = -np.einsum("nij,pnj->pni", gain, d_r)
+        out: dict[str, Array] = {name: np.exp(y[:, i]) for i, name in enumerate(STATES) if not known[:, i].all()}
+        slopes = _slopes(model, points, y, self.values)
+        for column, name in COLUMNS.items():
+            out[column] = q[name][0]
+            d_q = (q[name][1:] - q[name][:1]) / unit + np.einsum("ni,pni->pn", slopes[name], d_y)
+            between = np.einsum("pn,pq,qn->n", d_q, self._correlation(), d_q)
+            within = np.einsum("ni,nij,nj->n", slopes[name], posterior, slopes[name])
+            out[f"{column}_std"] = np.sqrt(between + np.maximum(within, 0.0))
+        return pd.DataFrame(out)
+
+    def _correlation(self) -> Array:
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        return self.covariance / np.outer(spread, spread)
+
+    def _lanes(self) -> tuple[dict[str, Array], Array]:
+        """The estimate itself, then each free coefficient moved by a small share of its standard deviation."""
+        size = len(self.names)
+        lanes: dict[str, Array] = {name: np.full(size + 1, value) for name, value in self.values.items()}
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        for i, name in enumerate(self.names):
+            inward = -1.0 if self.values[name] + SHARE * spread[i] > self.bounds[name][1] else 1.0
+            lanes[name][i + 1] += inward * SHARE * spread[i]
+        signs = np.array([np.sign(lanes[n][i + 1] - self.values[n]) or 1.0 for i, n in enumerate(self.names)])
+        return lanes, SHARE * signs[:, None]
+
+    def _deviations(self, model: SteadyModel, points: SteadyPoints, x: Array) -> Array:
+        q = model.relations(points, x, self.values).quantities
+        p_0 = points["p_amb_pa"]
+        p_es, p_bc, T_im = q["p_es"][0], q["p_bc"][0], q["T_im"][0]
+        parts = [
+            (P_ES_SHARE * np.abs(p_es - p_0) + P_ES_PA) / p_es, (P_BC_SHARE * np.abs(p_0 - p_bc) + P_BC_PA) / p_bc,
+            T_IM_K / T_im, np.full(points.size, ETA_C_SHARE),
+        ]  # fmt: skip
+        return np.stack(parts, axis=1)
+
+
+def _with(model: SteadyModel, y: Array) -> SteadyModel:
+    return replace(model, signals={name: y[..., 6 + i] for i, name in enumerate(LOCAL)})
+
+
+def _residual(model: SteadyModel, points: SteadyPoints, y: Array, values: Mapping[str, Any]) -> Array:
+    r = _with(model, y).relations(points, np.exp(y[..., :6]), values).residual
+    return np.clip(np.nan_to_num(r), -3.0, 3.0)
+
+
+def _quantities(model: SteadyModel, points: SteadyPoints, y: Array, values: Mapping[str, Any]) -> Mapping[str, Array]:
+    return _with(model, y).relations(points, np.exp(y[..., :6]), values).quantities
+
+
+def _solve(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], y0: Array, variance: Array,
+           S: Array) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Most likely unknowns (n, 10), their gain on the residuals (n, 10, R) and their covariance (n, 10, 10)."""
+    y = y0.copy()
+    for _ in range(ITERATIONS):
+        r, J = _linear(model, points, y, values)
+        P_J = variance[..., None] * np.swapaxes(J, 1, 2)
+        C = J @ P_J + np.diag(S**2)
+        innovation = r - np.einsum("nij,nj->ni", J, y - y0)
+        target = y0 - np.einsum("nij,nj->ni", P_J, np.linalg.solve(C, innovation[..., None])[..., 0])
+        step = np.clip(target - y, -LARGEST, LARGEST)
+        y = y + step
+        if np.max(np.abs(step)) < 1e-6:
+            break
+    r, J = _linear(model, points, y, values)
+    P_J = variance[..., None] * np.swapaxes(J, 1, 2)
+    C = J @ P_J + np.diag(S**2)
+    gain = P_J @ np.linalg.inv(C)
+    prior = variance[..., None] * np.eye(variance.shape[1])
+    return y, gain, prior - gain @ np.swapaxes(P_J, 1, 2)
+
+
+def _linear(model: SteadyModel, points: SteadyPoints, y: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
+    size = y.shape[1]
+    shifts = np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)]) * STEP
+    r = _residual(model, points, y + shifts[:, None], values)
+    J = np.moveaxis((r[1 : size + 1] - r[size + 1 :]) / (2.0 * STEP), 0, -1)
+    return r[0], np.clip(J, -STEEPEST, STEEPEST)
+
+
+def _slopes(model: SteadyModel, points: SteadyPoints, y: Array, values: Mapping[str, float]) -> dict[str, Array]:
+    size = y.shape[1]
+    shifts = np.concatenate([np.eye(size), -np.eye(size)]) * STEP
+    q = _quantities(model, points, y + shifts[:, None], values)
+    return {name: ((q[name][:size] - q[name][size:]) / (2.0 * STEP)).T for name in {*COLUMNS.values(), *IMPLIED}}

@@ -1,0 +1,240 @@
+"""Coefficients from relations between noisy readings: generalised least squares with latent states.
+
+Every reading is noisy and every relation only nearly right. For each point the true states x are unknown:
+
+    sum over points (ln x_m - ln x)' N^-1 (ln x_m - ln x) + r(x, theta)' S^-1 r(x, theta)  +  prior
+
+is minimised over theta and x (Gauss-Helmert model). Linearised in x, the states drop out: the whitened residual of
+a point is L^-1 (r(x^, theta) + J (ln x_m - ln x^)) with L L' = J N J' + S. So noise on both sides of a relation does
+not bias the coefficients, and a valve with a small pressure difference counts as little as it knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from dieseltwin.calibration.coefficients import Coefficient
+from dieseltwin.calibration.steady_model import SteadyModel
+from dieseltwin.steady_points import SteadyPoints
+
+Array = NDArray[np.float64]
+
+NOISE: Mapping[str, float] = {
+    "p_im_pa": 0.005, "p_em_pa": 0.005, "omega_t_rad_s": 0.005, "w_c_kg_s": 0.01, "w_egr_kg_s": 0.02, "t_em_k": 0.01,
+}  # fmt: skip
+"""Relative standard deviation of a reading on a test bed, if none is given [-]; order of `STATES`."""
+
+STATE_STEP = 5e-4  # relative, of central differences in the states
+COEFFICIENT_STEP = 1e-4  # of a prior standard deviation
+STEEPEST = 200.0  # d ln r/d ln x is cut there: a speed line that is flat
+LARGEST_SHIFT = 0.3  # of ln x in one iteration
+ROBUST = 2.0  # whitened residuals beyond this count linearly
+FLOOR = 0.003  # a submodel is never believed better than this [-]; `floors` of a call can say more
+FIRST_STEPS, MORE_STEPS = 30, 10  # of the inner minimiser
+UNKNOWN = 1.0  # relative prior spread of a state that was not measured
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated coefficients and states.
+
+    Attributes:
+        coefficients: the P free ones.
+        theta: (P,) values [unit]; covariance: (P, P).
+        x: (n, 6) states after reconciliation.
+        discrepancy: (R,) standard deviation of each relation beyond sensor noise [-].
+        residual: (n, R) whitened residuals.
+        cost: half the sum of robust squares, prior included.
+        inflation: how many times the information was divided because neighbouring points err alike.
+        converged: whether the last iterations changed nothing of note.
+    """
+
+    coefficients: tuple[Coefficient, ...]
+    theta: Array
+    covariance: Array
+    x: Array
+    discrepancy: Array
+    residual: Array
+    cost: float
+    inflation: float
+    converged: bool
+
+    def values(self) -> dict[str, float]:
+        """Name -> value."""
+        return {c.name: float(v) for c, v in zip(self.coefficients, self.theta, strict=True)}
+
+    def std(self) -> dict[str, float]:
+        """Name -> standard deviation."""
+        return {c.name: float(s) for c, s in zip(self.coefficients, np.sqrt(np.diag(self.covariance)), strict=True)}
+
+
+def state_jacobian(model: SteadyModel, points: SteadyPoints, x: Array, values: Mapping[str, float]) -> Array:
+    """d residual / d ln x, (n, R, 6), by central differences in one evaluation each."""
+    columns = []
+    for j in range(x.shape[1]):
+        up, down = x.copy(), x.copy()
+        up[:, j] *= 1.0 + STATE_STEP
+        down[:, j] *= 1.0 - STATE_STEP
+        both = model.relations(points, np.stack([up, down]), values).residual
+        columns.append((both[0] - both[1]) / (2.0 * STATE_STEP))
+    return np.clip(np.nan_to_num(np.stack(columns, axis=-1)), -STEEPEST, STEEPEST)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    whiten: Array  # (n, R, R) L^-1
+    shift: Array  # (n, R) J (ln x_m - ln x^)
+    jacobian: Array
+    covariance: Array
+
+
+def estimate(
+    model: SteadyModel,
+    points: SteadyPoints,
+    coefficients: Sequence[Coefficient],
+    start: Mapping[str, float],
+    *,
+    rows: Sequence[str] | None = None,
+    noise: Mapping[str, float] | None = None,
+    discrepancy: Mapping[str, float] | None = None,
+    iterations: int = 6,
+    inflate: bool = False,
+    use_prior: bool = True,
+    floors: Mapping[str, float] | None = None,
+) -> Estimate:
+    """Fit coefficients to points.
+
+    Args:
+        model, points: relations and n points.
+        coefficients: what is free; all others as in `start` or the engine.
+        start: name -> starting value (fixed values too).
+        rows: relations that count; all of the model's by default.
+        noise: relative standard deviation of each reading [-].
+        discrepancy: first guess of each relation's own error [-]; 0.02 by default, re-estimated at every iteration.
+        iterations: of the latent states.
+        inflate: divide the information by the number of points that err alike (`correlation_inflation`).
+        use_prior: keep the priors of the coefficients.
+        floors: least error believed of a relation [-], by name; `FLOOR` for the others.
+
+    Returns:
+        The estimate; `converged` tells whether to trust it.
+    """
+    chosen = tuple(rows or model.rows)
+    keep = np.array([name in chosen for name in model.rows])
+    mean, std = np.array([c.mean for c in coefficients]), np.array([c.std for c in coefficients])
+    low, high = np.array([c.low for c in coefficients]), np.array([c.high for c in coefficients])
+    values = dict(start)
+    theta = np.clip(np.array([values.get(c.name, c.mean) for c in coefficients]), low, high)
+    values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
+    measured = points.states()
+    sigma = np.array([(noise or NOISE)[k] for k in NOISE])
+    x = np.where(np.isfinite(measured), measured, np.nanmedian(measured, axis=0))
+    S = np.array([(discrepancy or {}).get(name, 0.02) for name in model.rows])
+    least = np.array([(floors or {}).get(name, FLOOR) for name in model.rows])
+    inflation, cost, change, solution = 1.0, np.inf, np.inf, None
+    P = len(coefficients)
+    for iteration in range(iterations):
+        linear = _linearised(model, points, x, measured, values, sigma, S, keep)
+        scale = 1.0 / np.sqrt(inflation)
+
+        def whitened(columns: Mapping[str, float | Array], linear: _Linear = linear, scale: float = scale,
+                     x: Array = x) -> Array:
+            r = model.relations(points, x, {**values, **columns}).residual
+            r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
+            return (linear.whiten @ np.clip(r, -3.0, 3.0)[..., None])[..., 0] * scale
+
+        def residuals(z: Array, whitened=whitened) -> Array:  # type: ignore[no-untyped-def]
+            columns = {c.name: float(v) for c, v in zip(coefficients, z * std + mean, strict=True)}
+            parts = [whitened(columns)[0].ravel()]
+            return np.concatenate([*parts, z]) if use_prior else parts[0]
+
+        def jacobian(z: Array, whitened=whitened) -> Array:  # type: ignore[no-untyped-def]
+            shifts = np.concatenate([np.zeros((1, P)), np.eye(P)]) * COEFFICIENT_STEP
+            lanes = (z + shifts) * std + mean
+            columns = {c.name: lanes[:, i] for i, c in enumerate(coefficients)}
+            all_lanes = whitened(columns).reshape(P + 1, -1)
+            J = ((all_lanes[1:] - all_lanes[0]) / COEFFICIENT_STEP).T
+            return np.vstack([J, np.eye(P)]) if use_prior else J
+
+        z_low, z_high = (low - mean) / std, (high - mean) / std
+        z = np.clip((theta - mean) / std, z_low + 1e-9, z_high - 1e-9)
+        solution = least_squares(residuals, z, jacobian, bounds=(z_low, z_high), loss="soft_l1", f_scale=ROBUST,
+                                 max_nfev=FIRST_STEPS if iteration == 0 else MORE_STEPS, x_scale="jac")
+        change = float(np.max(np.abs(solution.x - z))) if P else 0.0
+        theta = solution.x * std + mean
+        values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
+        cost = float(solution.cost)
+        x = _reconciled(model, points, x, measured, values, linear, sigma, keep)
+        S = np.maximum(_discrepancy(model, points, x, values, S, keep, linear), least)
+        if inflate and iteration >= 2:
+            inflation = correlation_inflation(points, _whitened_residual(model, points, x, values, linear, keep))
+    linear = _linearised(model, points, x, measured, values, sigma, S, keep)
+    residual = _whitened_residual(model, points, x, values, linear, keep)
+    J = solution.jac if solution is not None else np.zeros((1, P))
+    information = J.T @ J + 1e-12 * np.eye(P)
+    covariance = np.linalg.pinv(information) * np.outer(std, std)
+    return Estimate(tuple(coefficients), theta, covariance, x, S, residual, cost, inflation, change < 0.1)
+
+
+def _linearised(model: SteadyModel, points: SteadyPoints, x: Array, measured: Array, values: Mapping[str, float],
+                sigma: Array, S: Array, keep: NDArray[np.bool_]) -> _Linear:  # fmt: skip
+    J = state_jacobian(model, points, x, values) * keep[:, None]
+    known = np.isfinite(measured)
+    variance = np.where(known, sigma**2, UNKNOWN**2)
+    dx = np.where(known, np.log(np.where(known, measured, 1.0) / np.where(known, x, 1.0)), 0.0)
+    C = np.einsum("nij,nj,nkj->nik", J, variance, J) + np.diag(S**2)
+    extra = np.array([name in ("T_im", "T_c", "p_es", "p_bc") for name in model.rows])
+    C = C + np.diag(np.where(extra, 0.01**2, 0.0))
+    whiten = np.linalg.inv(np.linalg.cholesky(C))
+    return _Linear(whiten, np.einsum("nij,nj->ni", J, dx), J, C)
+
+
+def _reconciled(model: SteadyModel, points: SteadyPoints, x: Array, measured: Array, values: Mapping[str, float],
+                linear: _Linear, sigma: Array, keep: NDArray[np.bool_]) -> Array:  # fmt: skip
+    r = model.relations(points, x, values).residual[0]
+    r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
+    weighted = np.linalg.solve(linear.covariance, r[..., None])[..., 0]
+    known = np.isfinite(measured)
+    variance = np.where(known, sigma**2, UNKNOWN**2)
+    step = -variance * np.einsum("nij,ni->nj", linear.jacobian, weighted)
+    target = np.log(np.where(known, measured, x)) + step
+    return np.exp(np.log(x) + np.clip(target - np.log(x), -LARGEST_SHIFT, LARGEST_SHIFT))
+
+
+def _whitened_residual(model: SteadyModel, points: SteadyPoints, x: Array, values: Mapping[str, float],
+                       linear: _Linear, keep: NDArray[np.bool_]) -> Array:  # fmt: skip
+    r = model.relations(points, x, values).residual[0]
+    r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
+    return np.einsum("nij,nj->ni", linear.whiten, r)
+
+
+def _discrepancy(model: SteadyModel, points: SteadyPoints, x: Array, values: Mapping[str, float], S: Array,
+                 keep: NDArray[np.bool_], linear: _Linear) -> Array:  # fmt: skip
+    """The error of each relation itself: the reconciled residual's spread, its own share of it undone."""
+    r = model.relations(points, x, values).residual[0]
+    spread = 1.4826 * np.nanmedian(np.abs(r), axis=0)
+    share = np.median(np.einsum("nii->ni", np.linalg.inv(linear.covariance)), axis=0) * S**2  # of S in the total, 0..1
+    fresh = np.clip(spread / np.sqrt(np.clip(share, 0.05, 1.0)), FLOOR, 0.3)
+    return np.where(keep, np.sqrt(0.5 * S**2 + 0.5 * fresh**2), S)
+
+
+def correlation_inflation(points: SteadyPoints, residual: Array) -> float:
+    """(1 + rho)/(1 - rho) of neighbouring points' residuals [-], from 1 to 10: map errors are smooth, not noise."""
+    place = np.stack([_unit(points["n_e_rpm"]), _unit(points["u_delta_mg"])], axis=1)
+    distance = np.sum((place[:, None] - place[None]) ** 2, axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    nearest = np.argmin(distance, axis=1)
+    bounded = np.clip(residual, -3.0, 3.0)
+    power = np.mean(bounded**2)
+    rho = float(np.mean(bounded * bounded[nearest]) / power) if power > 0 else 0.0
+    return float(np.clip((1.0 + max(rho, 0.0)) / (1.0 - min(max(rho, 0.0), 0.82)), 1.0, 10.0))
+
+
+def _unit(values: Array) -> Array:
+    spread = float(np.std(values))
+    return (values - np.mean(values)) / spread if spread > 0 else np.zeros_like(values)
