@@ -121,6 +121,11 @@ class Metric:
         out -= weights @ self._nuisance
         return out
 
+    @property
+    def nuisance_basis(self) -> Array | None:
+        """Orthonormal directions of the nuisances (K, rows + K), None without any."""
+        return self._nuisance
+
     def without_local(self, values: Array) -> Array:
         """(B, n, C) -> (B, rows): whitened with the initial states alone taken out."""
         return self._without_local(self.whitening.apply(np.asarray(values)))

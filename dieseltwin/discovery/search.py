@@ -28,7 +28,7 @@ from dieseltwin.discovery.score import (
     secant_sizes,
 )
 from dieseltwin.discovery.twin import Array, Twin
-from dieseltwin.discovery.variants import Variant, best_variants
+from dieseltwin.discovery.variants import Variant, onset_candidates, scan
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class Settings:
         alarm_size: and this share of the effect's tolerance of interest.
         second_gain: what a second effect, beyond one, must add.
         variant_gain: what an onset or a region must add.
+        hidden_gain: gain of an onset or a region that raises an alarm by itself.
         unnamed_gain: gain of a term without a name that raises an alarm by itself.
         law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
         equivalent_gain: names within this gain of the best can't be told apart (DISCOVERY.md).
@@ -56,8 +57,9 @@ class Settings:
     alarm_level: float = 1e-3
     alarm_gain: float = 18.0
     alarm_size: float = 0.8
-    second_gain: float = 25.0
-    variant_gain: float = 22.0
+    second_gain: float = 32.0
+    variant_gain: float = 30.0
+    hidden_gain: float = 45.0
     unnamed_gain: float = 40.0
     law_gain: float = 25.0
     equivalent_gain: float = 9.0
@@ -78,6 +80,7 @@ class Search:
     chance: Chance
     singles: list[Fit] = field(default_factory=list)
     pairs: list[Fit] = field(default_factory=list)
+    scanned: list[Variant] = field(default_factory=list)
     variants: list[tuple[Variant, Fit]] = field(default_factory=list)
     structure: list[Structure] = field(default_factory=list)
     best: Linearisation | None = None
@@ -96,6 +99,7 @@ class Search:
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _REFIT_AT_LEAST = 6
 _PAIRS = 10
+_VARIANTS = 6
 _POLISHED = 4  # of the best fits get sensitivities of their own
 GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
 PARTS = 4
@@ -164,7 +168,9 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     features = generic_features(twin, found.null.fit)
     found.structure = score_features(found.null, features)
     found.seconds["structure"] = time.perf_counter() - clock
-    if not _alarm(found, found.singles[0]):
+    found.scanned = scan(found.null, found.scored, _VARIANTS)
+    hidden = bool(found.scanned) and found.scanned[0].gain > found.settings.hidden_gain
+    if not _alarm(found, found.singles[0]) and not hidden:
         if found.structure and found.structure[0].gain > settings.unnamed_gain:
             _law(found, laws)
         return found
@@ -173,7 +179,7 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     lead = found.singles[0]
     first = fit_fully(twin, found.whitening, lead, rounds=2, frozen=found.null)
     found.best = first
-    _try_variants(found, ranked)
+    _try_variants(found)
     found.seconds["variants"] = time.perf_counter() - clock
     clock = time.perf_counter()
     _try_pairs(found, first)
@@ -217,15 +223,29 @@ def _polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[
     return sorted(out, key=lambda fit: fit.objective)
 
 
-def _try_variants(found: Search, ranked: Sequence[Scored]) -> None:
+def _try_variants(found: Search) -> None:
     """Effects that begin in the middle or act in a part of the operating range only."""
-    variants = best_variants(found.null, ranked[:5], count=5)
-    if not variants:
-        return
+    top = found.gain(found.singles[0]) if found.singles else 0.0
+    variants = [v for v in found.scanned[:_VARIANTS] if v.gain > 0.5 * top]
+    if variants:
+        _refit_variants(found, variants)
+        best = found.variants[0][0]
+        if best.onset_s is not None:
+            for reach, count in ((8.0, 5), (2.0, 5)):
+                best, fit = found.variants[0]
+                _refit_variants(found, [
+                    replace(best, onset_s=t, schedule=(found.twin.time_s >= t).astype(float))
+                    for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
+                ], fit)  # fmt: skip
+
+
+def _refit_variants(found: Search, variants: Sequence[Variant], start: Fit | None = None) -> None:
+    """Refits of variants, added to those that are known; from `start` if it has the same effect."""
+    del start
     candidates = [Candidate((v.name,), {v.name: v.schedule}) for v in variants]
-    responses = [v.response[None] for v in variants]
-    fits = refit_all(found.null, candidates, responses)
-    found.variants = sorted(zip(variants, fits, strict=True), key=lambda pair: pair[1].objective)
+    fits = refit_all(found.null, candidates, [v.response[None] for v in variants])
+    pairs = [*found.variants, *zip(variants, fits, strict=True)]
+    found.variants = sorted(pairs, key=lambda pair: pair[1].objective)
 
 
 def _pair_gains(found: Search) -> list[tuple[float, Scored, Scored]]:
