@@ -23,6 +23,7 @@ from dieseltwin.discovery.document import (
     RecordingInfo,
 )
 from dieseltwin.discovery.document import Fit as FitFigures
+from dieseltwin.discovery.effect_curve import effect_curves
 from dieseltwin.discovery.engine_twin import EngineTwin
 from dieseltwin.discovery.fit import Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.held_out import held_out_scores
@@ -79,7 +80,7 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
         after=after, sigma=found.noise.sigma, evidence_over_time=_by_window(found, evidence),
-        evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found),
+        evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found, twin),
         sensitivity=document.minimum_detectable,
         tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
@@ -366,7 +367,9 @@ def _engine(twin: EngineTwin, parameters: Array, terms: tuple[Any, ...]) -> Engi
     return twin.engine.replace(**values, terms=(*twin.engine.terms, *terms))
 
 
-def _law_curves(found: Search) -> list[LawCurve]:
+def _law_curves(found: Search, twin: EngineTwin) -> list[LawCurve]:
+    if found.best is not None and found.kind not in ("law", "healthy"):
+        return effect_curves(found.best, twin.engine)
     curve = None if found.law is None else found.law.curve
     if curve is None or found.law is None:
         return []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,7 @@ class LawCurve(TypedDict):
         x, curve, low, high: (m,) the law and its 90 % band over the domain of the recording.
         points_x, points_y: (k,) what the recording says without the law: the term freed in k bins of x.
         unit: of the curve ("kg/s").
+        points_std: (k,) standard deviations of the points, where known.
     """
 
     name: str
@@ -55,6 +56,7 @@ class LawCurve(TypedDict):
     points_x: Array
     points_y: Array
     unit: str
+    points_std: NotRequired[Array]
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ EVIDENCE_TIME_HEALTHY = _line("""
 """)
 EVIDENCE_MAP = _line("""
     The same evidence over the operating map, mean per sample in each cell: engine speed and load, the two actuators.
-    White cells were never visited. Boxes: the regions of the document, with their share of the evidence.
+    White cells were never visited. Box: the region that holds most of the evidence, with its share.
 """)
 
 RESIDUAL_TIME = _line("""
@@ -37,13 +37,15 @@ RESIDUAL_TIME = _line("""
 RESIDUAL_MAP = _line("""
     The same residuals averaged over cells of the operating map and divided by what noise alone leaves of the average:
     chance gives about ±2. One column a channel. A pattern in the upper row that fades in the lower one is missing
-    physics that the repair accounts for. A pattern that stays says that the law, or its place, is not right yet. The
-    number over each panel is the mean square of its cells; noise alone gives 1.
+    physics that the repair accounts for; a strong one that stays says that the law, or its place, is not right yet. A
+    faint one may stay: what the tolerances of maps and sensors allow is believed, not subtracted. The number over each
+    panel is the mean square of its cells; noise alone gives 1.
 """)
 
 LAW = _line("""
     The found law over its main argument with its 90 % band. Points: what the recording says without the law, the term
-    freed in bins of the argument. The law is right where the points follow it; it claims nothing outside the curve.
+    freed in bins of the argument (bars: one standard deviation, neighbours go together). The law is right where the
+    points follow it; it claims nothing outside the curve.
 """)
 
 HEALTH = _line("""

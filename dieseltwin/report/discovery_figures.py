@@ -188,7 +188,9 @@ def law_curves(found: Discovery) -> style.ReportFigure | None:
     for axes, law in zip(panels, laws, strict=True):
         axes.fill_between(law["x"], law["low"], law["high"], color=AFTER, alpha=0.22, linewidth=0, label="90 % band")
         axes.plot(law["x"], law["curve"], color=AFTER, linewidth=2.0, label="law")
-        axes.plot(law["points_x"], law["points_y"], "o", color="#444444", markersize=4.5, label="freed in bins")
+        bars = law.get("points_std")
+        axes.errorbar(law["points_x"], law["points_y"], yerr=bars, fmt="o", color="#444444", markersize=4.5,
+                      linewidth=1.0, label="freed in bins")
         axes.axhline(0.0, color="#777777", linewidth=0.8)
         axes.set_xlabel(_axis(law["x_name"]))
         axes.set_ylabel(f"{law['name']} [{'–' if law['unit'] == '-' else law['unit']}]")

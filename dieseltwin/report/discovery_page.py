@@ -159,8 +159,8 @@ def _fit(found: Discovery) -> list[dict[str, str]]:
         rows.append(
             {
                 "name": f"rms residual of {quantities.html_symbol(name)} [{unit or '–'}]",
-                "before": _EMPTY if before is None else quantities.significant(before * scale, 4),
-                "after": quantities.significant(after * scale, 4),
+                "before": _EMPTY if before is None else quantities.significant(before * scale, 3),
+                "after": quantities.significant(after * scale, 3),
             }
         )
     return rows
