@@ -67,9 +67,5 @@ def _initial(recording: Recording, parameters: EngineParameters) -> np.ndarray:
     if np.isfinite(first).all():
         return first
     inputs = _inputs(recording).clipped(parameters)
-    if parameters.terms:
-        from dieseltwin.engine.extended_frame import settle_terms as at_rest
-    else:
-        at_rest = settle
-    settled = at_rest(inputs.n_e_rpm[0], inputs.u_delta_mg[0], inputs.u_egr_pct[0], inputs.u_vgt_pct[0], parameters)
+    settled = settle(inputs.n_e_rpm[0], inputs.u_delta_mg[0], inputs.u_egr_pct[0], inputs.u_vgt_pct[0], parameters)
     return np.where(np.isfinite(first), first, settled)

@@ -11,6 +11,7 @@ from dieseltwin.engine.effect_catalogue import ACTUATOR_EFFECTS
 from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, half_step_times, steps_between
 from dieseltwin.engine.parameters import EngineParameters, constants
+from dieseltwin.engine.terms import REGION_COLUMNS, amounts
 from dieseltwin.errors import InputError
 
 
@@ -121,3 +122,15 @@ def actuate_lanes(
             made[key] = actuate_with(inputs, parameters, dict(zip(columns, key, strict=True)), schedules, step_s)
         lanes.append(made[key])
     return lanes
+
+
+def actuate_terms(
+    inputs: Inputs, parameters: EngineParameters, step_s: float | np.ndarray = DEFAULT_STEP_S
+) -> Actuation:
+    """`inputs.actuate` under the parameters' terms on the actuators, which count from `inputs.recording_start_s`."""
+    start, conditions = inputs.recording_start_s, {name: getattr(inputs, name) for name in REGION_COLUMNS}
+    rows = amounts(parameters.terms, ACTUATOR_EFFECTS, inputs.time_s, start, conditions)
+    used = {name: row for name, row in zip(ACTUATOR_EFFECTS, rows, strict=True) if row.any()}
+    magnitudes = {name: float(row.max()) for name, row in used.items()}
+    schedules = {name: row / row.max() for name, row in used.items() if row.min() < row.max()}
+    return actuate_with(inputs, parameters, magnitudes, schedules, step_s)

@@ -7,35 +7,29 @@ import pandas as pd
 
 from dieseltwin.engine._compiled import follow_oxygen
 from dieseltwin.engine.effect_catalogue import EFFECTS
-from dieseltwin.engine.extended_terms import (
-    actuate_terms,
-    along,
-    amounts,
-    conditions_of,
-    effect_terms,
-    simulate_terms,
-)
-from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs
+from dieseltwin.engine.extended_terms import along, conditions_of, simulate_terms
+from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate
 from dieseltwin.engine.parameters import EngineParameters, constants, parameter_batch
-from dieseltwin.engine.simulate import MEASURED, SETTLE_S, SETTLE_START, actuate_like, numpy_model
+from dieseltwin.engine.simulate import MEASURED, actuate_like, numpy_model, settle
+from dieseltwin.engine.terms import amounts, effect_terms
 
 
-def extended_frame(
-    states: np.ndarray, actuation: Actuation, parameters: EngineParameters, start_s: float | None = None
-) -> pd.DataFrame:
-    """Every quantity at given states, (n, 6), under the parameters' terms.
+def extended_frame(states: np.ndarray, actuation: Actuation, parameters: EngineParameters) -> pd.DataFrame:
+    """Every quantity at given states, (n, 6) or (n, 5) as in `extended_terms.along`, under the parameters' terms.
 
     Columns of `simulate.quantities_frame`, then p_es_pa, p_bc_pa, t_im_k, w_leak_im_kg_s, w_leak_em_kg_s,
     p_friction_w, t_em_static_k (without thermal inertia). Actuator terms are in `actuation`; sensor terms don't enter.
     """
     model, c = numpy_model(), constants(parameters)
-    q, s = along(states, actuation, parameters, c, start_s)
-    p_im, p_em, omega_t, x_r, T_1, _ = states.T
+    q, s = along(states, actuation, parameters.terms, c)
+    p_im, p_em, omega_t, x_r, T_1 = states[:, :5].T
     inputs = actuation.inputs
     rows = slice(inputs.n_history, None)
     n_e = inputs.n_e_rpm[rows]
-    start = float(actuation.time_s[0] if start_s is None else start_s)
-    drift = amounts(parameters, ("injector_drift",), actuation.time_s, start, conditions_of(inputs))[0]
+    conditions = conditions_of(inputs)
+    drift = amounts(
+        parameters.terms, ("injector_drift",), actuation.time_s, inputs.recording_start_s, conditions
+    )[0]
     fuel = inputs.u_delta_mg[rows] * (1.0 + drift) * (1.0 + s.u_delta)
     columns = {
         "time_s": actuation.time_s, "n_e_rpm": n_e, "u_delta_mg": inputs.u_delta_mg[rows],
@@ -54,44 +48,32 @@ def extended_frame(
     return pd.DataFrame({name: np.broadcast_to(value, n_e.shape) for name, value in columns.items()})
 
 
-def settle_terms(
-    n_e_rpm: float, u_delta_mg: float, u_egr_pct: float, u_vgt_pct: float, parameters: EngineParameters
-) -> np.ndarray:
-    """`simulate.settle` under the parameters' terms (onsets counted from 0 s, so not yet acting), shape (3,)."""
-    values = (np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct))
-    inputs = Inputs(np.array([0.0, SETTLE_S]), *values)
-    actuation = actuate_terms(inputs, parameters)
-    result = simulate_terms(actuation, parameter_batch(parameters), parameters, np.array(SETTLE_START), sensors=False)
-    return result.states[0, -1, :3].copy()
-
-
 def simulate_table(
     inputs: Inputs, parameters: EngineParameters, initial: np.ndarray | None = None, step_s: float = DEFAULT_STEP_S,
-    oxygen: bool = True, start_s: float | None = None,
+    oxygen: bool = True,
 ) -> pd.DataFrame:  # fmt: skip
     """`simulate.simulate` for parameters with terms: columns of `extended_frame`; sensor terms change the columns that
-    sensors see. Inputs are taken as clipped already; start_s: the recording's start, None: the first row."""
-    start = float(inputs.time_s[0] if start_s is None else start_s)
-    actuation = actuate_terms(inputs, parameters, step_s, start)
+    sensors see. Inputs are taken as clipped already."""
+    actuation = actuate(inputs, parameters, step_s)
     if initial is None:
         row = inputs.n_history
         at_rest = (getattr(inputs, name)[row] for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"))
-        initial = settle_terms(*at_rest, parameters)
+        initial = settle(*at_rest, parameters)
     initial = np.asarray(initial, dtype=np.float64)
     batch = parameter_batch(parameters)
-    observed = simulate_terms(actuation, batch, parameters, initial, start_s=start)
-    frame = extended_frame(observed.states[0], actuation, parameters, start)
+    observed = simulate_terms(actuation, batch, initial)
+    frame = extended_frame(observed.states[0], actuation, parameters)
     if oxygen:
         fine = actuate_like(actuation, actuation.inputs.resampled(step_s))
-        states = simulate_terms(fine, batch, parameters, initial, start_s=start, sensors=False).states[0]
-        q, _ = along(states, fine, parameters, start_s=start)
+        states = simulate_terms(fine, batch, initial, sensors=False).states[0]
+        q, _ = along(states, fine, parameters.terms, constants(parameters))
         flows = [np.ascontiguousarray(np.broadcast_to(v, fine.time_s.shape)) for v in
                  (states[:, 0], states[:, 1], q.T_em, q.W_c, q.W_egr, q.W_ei, q.W_f, q.W_eo)]  # fmt: skip
         intake, exhaust = follow_oxygen(fine.time_s, *flows, batch.values[:, 0].copy())
         at = np.concatenate([[0], np.cumsum(actuation.steps)])
         frame.insert(frame.columns.get_loc("lambda"), "x_oim", intake[at])
         frame.insert(frame.columns.get_loc("lambda"), "x_oem", exhaust[at])
-    for term in effect_terms(parameters):
+    for term in effect_terms(parameters.terms):
         column = EFFECTS[term.effect].site.removeprefix("sensor:")
         if column in MEASURED:
             frame[column] = observed.measured[0, :, MEASURED.index(column)]

@@ -1,163 +1,152 @@
-"""Terms of an engine in the simulator: schedules, law terms along a trajectory, and every quantity as a table."""
+"""Terms of an engine in the simulator: schedules, and law terms along a trajectory."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from dieseltwin.engine.actuator_effects import actuate_with
+from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.binding import Model
-from dieseltwin.engine.effect_catalogue import ACTUATOR_EFFECTS, POINTS, STATE_EFFECTS
+from dieseltwin.engine.effect_catalogue import POINTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.extended_model import ExtendedQuantities, Gas, Magnitudes, Signals
-from dieseltwin.engine.inputs import DEFAULT_STEP_S, INPUT_COLUMNS, Actuation, Inputs, actuate
-from dieseltwin.engine.parameters import Constants, EngineParameters, ParameterBatch, constants
+from dieseltwin.engine.inputs import Actuation, Inputs
+from dieseltwin.engine.parameters import Constants, ParameterBatch
 from dieseltwin.engine.sensor_effects import SENSOR_EFFECTS, apply_sensor_effects
 from dieseltwin.engine.simulate import MEASURED, Observations, numpy_model
-from dieseltwin.engine.terms import LawTerm, Term
+from dieseltwin.engine.terms import REGION_COLUMNS, LawTerm, Term, amounts, effect_terms, law_terms
+from dieseltwin.errors import InputError
 
 LAW_SWEEPS = 4
-"""Simulations of the fixed point between a law term and the trajectory it depends on (the last changes 1e-4 of it)."""
+"""Rounds of the fixed point between a law term and the trajectory it depends on (the last changes 1e-4 of it)."""
 
+GAS_SWEEPS = 4
+"""Rounds of the fixed point between the gas temperature and the EGR that it heats, from a cold start."""
+
+Terms = Sequence[Term | LawTerm]
 Power = Callable[[Any, Any], Any]
 
 
-def effect_terms(parameters: EngineParameters) -> tuple[Term, ...]:
-    """The terms that are effects of the catalogue."""
-    return tuple(term for term in parameters.terms if isinstance(term, Term))
-
-
-def law_terms(parameters: EngineParameters) -> tuple[LawTerm, ...]:
-    """The terms that are found laws."""
-    return tuple(term for term in parameters.terms if isinstance(term, LawTerm))
-
-
-def conditions_of(inputs: Inputs, whole: bool = False) -> dict[str, np.ndarray]:
-    """The input columns over which regions are stated, (n,) each; with the history if `whole`."""
-    rows = slice(0 if whole else inputs.n_history, None)
-    return {name: getattr(inputs, name)[rows] for name in INPUT_COLUMNS}
-
-
-def amounts(
-    parameters: EngineParameters, names: Sequence[str], time_s: np.ndarray, start_s: float,
-    conditions: Mapping[str, np.ndarray],
-) -> np.ndarray:  # fmt: skip
-    """Magnitude of each named effect at the samples, onset and region applied, (len(names), n) [its unit]."""
-    out = np.zeros((len(names), time_s.size))
-    for term in effect_terms(parameters):
-        if term.effect in names:
-            factor = term.factor(time_s, start_s, dict(conditions))
-            out[list(names).index(term.effect)] += term.magnitude * factor
-    return out
-
-
-def actuate_terms(
-    inputs: Inputs, parameters: EngineParameters, step_s: float | np.ndarray = DEFAULT_STEP_S,
-    start_s: float | None = None,
-) -> Actuation:  # fmt: skip
-    """`inputs.actuate` under the parameters' actuator terms.
-
-    Args:
-        inputs: inputs with their history.
-        parameters: with or without terms.
-        step_s: largest integration step [s].
-        start_s: the recording's start, from which `onset_s` counts; None: the first row of `inputs`.
-    """
-    if not any(term.effect in ACTUATOR_EFFECTS for term in effect_terms(parameters)):
-        return actuate(inputs, parameters, step_s)
-    start = inputs.time_s[0] if start_s is None else start_s
-    rows = amounts(parameters, ACTUATOR_EFFECTS, inputs.time_s, start, conditions_of(inputs, whole=True))
-    used = {name: row for name, row in zip(ACTUATOR_EFFECTS, rows, strict=True) if row.any()}
-    magnitudes = {name: float(row.max()) for name, row in used.items()}
-    schedules = {name: row / row.max() for name, row in used.items() if row.min() < row.max()}
-    return actuate_with(inputs, parameters, magnitudes, schedules, step_s)
+def conditions_of(inputs: Inputs) -> dict[str, np.ndarray]:
+    """The input columns over which regions are stated, without the history, (n,) each."""
+    return {name: getattr(inputs, name)[inputs.n_history :] for name in REGION_COLUMNS}
 
 
 def extension_of(
-    actuation: Actuation, parameters: EngineParameters, size: int, start_s: float | None = None,
-    restarts: np.ndarray | Sequence[int] = (0,),
-) -> Extension:  # fmt: skip
-    """The parameters' effect terms as an extension of `size` lanes (law terms aside)."""
-    start = actuation.time_s[0] if start_s is None else start_s
-    schedule = amounts(parameters, STATE_EFFECTS, actuation.time_s, start, conditions_of(actuation.inputs))
+    actuation: Actuation, terms: Terms, size: int, restarts: Sequence[int] | np.ndarray = (0,)
+) -> Extension:
+    """Effect terms as an extension of `size` lanes (laws aside); drifts and onsets count from the recording's start."""
+    start = actuation.inputs.recording_start_s
+    schedule = amounts(terms, STATE_EFFECTS, actuation.time_s, start, conditions_of(actuation.inputs))
     return Extension(np.ones((len(STATE_EFFECTS), size)), schedule, restarts=restarts, start_s=start)
 
 
 def simulate_terms(
     actuation: Actuation,
     batch: ParameterBatch,
-    parameters: EngineParameters,
     initial: np.ndarray,
     *,
     restarts: np.ndarray | Sequence[int] = (0,),
-    start_s: float | None = None,
     sensors: bool = True,
     threads: int | None = None,
 ) -> Observations:
-    """Simulate B parameter sets under the parameters' terms, sensor terms on the readings included.
+    """Simulate B parameter sets under their terms, sensor terms on the readings included.
 
     Args:
-        actuation: by `actuate_terms`, one for all lanes.
-        batch: B parameter sets.
-        parameters: gives the terms.
+        actuation: one for all lanes, made with the same terms (`inputs.actuate`).
+        batch: B parameter sets and their terms.
         initial, restarts, threads: as in `simulate_extended`.
-        start_s: the recording's start, from which onsets and drifts count; None: the first sample.
         sensors: apply sensor terms to `measured`.
 
-    Law terms enter as signals that are iterated with the trajectory, lane by lane (`LAW_SWEEPS` simulations).
+    Returns:
+        States (B, n, 6) and measured (B, n, 6). Law terms enter as signals that are iterated with the trajectory
+        (`LAW_SWEEPS` simulations); between samples they are linear.
     """
-    extension = extension_of(actuation, parameters, batch.size, start_s, restarts)
-    laws = law_terms(parameters)
-    if laws:
-        observed = _simulate_laws(actuation, batch, parameters, extension, initial, threads)
+    extension = extension_of(actuation, batch.terms, batch.size, restarts)
+    starts = np.asarray(initial, dtype=np.float64)
+    if starts.ndim == 2:
+        starts = starts[:, None]
+    starts = np.broadcast_to(starts, (batch.size, len(extension.restarts), 3))
+    laws = law_terms(batch.terms)
+    if len({law.point for law in laws}) > 1:  # a lane has one signal of its own, so each is simulated alone
+        parts = [
+            _with_laws(actuation, one, extension_of(actuation, batch.terms, 1, restarts), starts[[lane]], threads)
+            for lane, one in enumerate(_one_by_one(batch))
+        ]
+        states, measured = (np.concatenate([getattr(part, name) for part in parts]) for name in ("states", "measured"))
+        observed = Observations(states, measured)
     else:
-        observed = simulate_extended(actuation, batch, extension, initial, threads)
-    if sensors and any(term.effect in SENSOR_EFFECTS for term in effect_terms(parameters)):
-        conditions = conditions_of(actuation.inputs)
-        rows = amounts(parameters, SENSOR_EFFECTS, actuation.time_s, extension.start_s or 0.0, conditions)
-        ones = {name: np.ones(batch.size) for name, row in zip(SENSOR_EFFECTS, rows, strict=True) if row.any()}
-        schedules = dict(zip(SENSOR_EFFECTS, rows, strict=True))
-        measured = apply_sensor_effects(observed.measured, actuation.time_s, ones, schedules, MEASURED)
-        observed = replace(observed, measured=measured)
+        observed = _with_laws(actuation, batch, extension, starts, threads)
+    if sensors:
+        observed = _sensed(observed, actuation, batch)
     return observed
 
 
-def _simulate_laws(
-    actuation: Actuation, batch: ParameterBatch, parameters: EngineParameters, extension: Extension,
-    initial: np.ndarray, threads: int | None,
-) -> Observations:  # fmt: skip
-    points = {law.point for law in law_terms(parameters)}
-    if len(points) == 1:  # all lanes together: a lane has one signal of its own
-        at = POINTS.index(points.pop())
-        for _ in range(LAW_SWEEPS):
-            states = simulate_extended(actuation, batch, extension, initial, threads).states
-            signal = _law_signals(states, actuation, batch.constants(), parameters, extension)[at]
-            own = np.full(batch.size, at)
-            extension = replace(extension, lane_point=own, lane_signal=np.ascontiguousarray(signal))
-        return simulate_extended(actuation, batch, extension, initial, threads)
-    starts = np.asarray(initial, dtype=np.float64)
-    lanes = []
+def simulate_lanes(
+    actuation: Actuation | Sequence[Actuation], batch: ParameterBatch, initial: np.ndarray, threads: int | None = None
+) -> Observations:
+    """`simulate.simulate_states` for a batch with terms: lanes with the same actuation share their schedules."""
+    starts = np.broadcast_to(np.asarray(initial, dtype=np.float64), (batch.size, 3))
+    if isinstance(actuation, Actuation) or len(actuation) == 1:
+        one = actuation if isinstance(actuation, Actuation) else actuation[0]
+        observed = simulate_terms(one, batch, starts, threads=threads)
+        return Observations(observed.states[..., :5], observed.measured)
+    if len(actuation) != batch.size:
+        raise InputError("simulate_states", f"{len(actuation)} actuations", f"1 or {batch.size}", "give one per lane")
+    if not law_terms(batch.terms) and all(_is_constant(term) for term in effect_terms(batch.terms)):
+        extension = extension_of(actuation[0], batch.terms, batch.size)
+        observed = simulate_extended(actuation, batch, extension, starts, threads)
+        return Observations(observed.states[..., :5], _sensed(observed, actuation[0], batch).measured)
+    n = actuation[0].time_s.size
+    states, measured = np.empty((batch.size, n, 5)), np.empty((batch.size, n, len(MEASURED)))
+    for key in {id(item): item for item in actuation}:
+        lanes = np.array([lane for lane, item in enumerate(actuation) if id(item) == key])
+        part = replace(batch, values=batch.values[:, lanes])
+        observed = simulate_terms(actuation[lanes[0]], part, starts[lanes], threads=threads)
+        states[lanes], measured[lanes] = observed.states[..., :5], observed.measured
+    return Observations(states, measured)
+
+
+def _is_constant(term: Term) -> bool:
+    return term.onset_s is None and not term.region and term.effect != "egr_clogging"
+
+
+def _one_by_one(batch: ParameterBatch) -> Iterator[ParameterBatch]:
     for lane in range(batch.size):
-        one = ParameterBatch(batch.values[:, [lane]])
-        start = starts if starts.ndim < 2 else starts[[min(lane, starts.shape[0] - 1)]]
-        own_extension = replace(extension, magnitudes=np.ones((len(STATE_EFFECTS), 1)))
-        for _ in range(LAW_SWEEPS):
-            states = simulate_extended(actuation, one, own_extension, start, threads).states
-            signals = _law_signals(states, actuation, one.constants(), parameters, extension)[:, 0]
-            own_extension = replace(own_extension, signals=np.ascontiguousarray(signals))
-        lanes.append(simulate_extended(actuation, one, own_extension, start, threads))
-    return Observations(np.concatenate([o.states for o in lanes]), np.concatenate([o.measured for o in lanes]))
+        yield replace(batch, values=batch.values[:, [lane]])
 
 
-def _law_signals(
-    states: np.ndarray, actuation: Actuation, c: Constants, parameters: EngineParameters, extension: Extension
-) -> np.ndarray:
-    """Signals of the law terms along trajectories (B, n, 6): (len(POINTS), B, n)."""
-    _, s = along(states, actuation, parameters, c, start_s=extension.start_s)
-    return np.stack([np.broadcast_to(value, states.shape[:2]) for value in s])
+def _sensed(observed: Observations, actuation: Actuation, batch: ParameterBatch) -> Observations:
+    rows = amounts(
+        batch.terms, SENSOR_EFFECTS, actuation.time_s, actuation.inputs.recording_start_s,
+        conditions_of(actuation.inputs),
+    )  # fmt: skip
+    ones = {name: np.ones(batch.size) for name, row in zip(SENSOR_EFFECTS, rows, strict=True) if row.any()}
+    schedules = dict(zip(SENSOR_EFFECTS, rows, strict=True))
+    return replace(
+        observed, measured=apply_sensor_effects(observed.measured, actuation.time_s, ones, schedules, MEASURED)
+    )
+
+
+def _with_laws(
+    actuation: Actuation, batch: ParameterBatch, extension: Extension, starts: np.ndarray, threads: int | None
+) -> Observations:
+    """Lanes under laws at one point, or one lane under laws at several."""
+    laws = law_terms(batch.terms)
+    for _ in range(LAW_SWEEPS if laws else 0):
+        states = simulate_extended(actuation, batch, extension, starts, threads).states
+        _, s = along(states, actuation, batch.terms, batch.constants())
+        if batch.size == 1:
+            signals = np.stack([np.broadcast_to(value, states.shape[:2])[0] for value in s])
+            extension = replace(extension, signals=signals)
+        else:
+            at = POINTS.index(laws[0].point)
+            signal = np.ascontiguousarray(np.broadcast_to(s[at], states.shape[:2]))
+            extension = replace(extension, lane_point=np.full(batch.size, at), lane_signal=signal)
+    return simulate_extended(actuation, batch, extension, starts, threads)
 
 
 def signals_of(
@@ -170,9 +159,7 @@ def signals_of(
     return Signals(**values)
 
 
-def law_variables(
-    q: ExtendedQuantities, states: Mapping[str, Any], c: Constants
-) -> dict[str, Any]:
+def law_variables(q: ExtendedQuantities, states: Mapping[str, Any], c: Constants) -> dict[str, Any]:
     """Variables that a law may depend on; states: p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, t."""
     p_im, p_em = states["p_im"], states["p_em"]
     return {
@@ -195,7 +182,7 @@ def quantities_under(
         gas, m, c: as in `quantities_extended`.
         laws, factors: law terms and where they act.
         power: raises to a power in the backend.
-        sweeps: of the fixed point between laws and quantities.
+        sweeps: rounds of the fixed point between laws and quantities.
     """
     order = ("p_im", "p_em", "omega_t", "x_r", "T_1")
     inputs = ("n_e", "u_delta", "u_egr", "u_vgt")
@@ -209,27 +196,44 @@ def quantities_under(
 
 
 def along(
-    states: np.ndarray, actuation: Actuation, parameters: EngineParameters, c: Constants | None = None,
-    start_s: float | None = None,
-) -> tuple[ExtendedQuantities, Signals]:  # fmt: skip
-    """All quantities and law signals along trajectories (..., n, 6) under the parameters' terms.
+    states: np.ndarray, actuation: Actuation, terms: Terms, c: Constants
+) -> tuple[ExtendedQuantities, Signals]:
+    """All quantities and law signals along trajectories under terms.
 
-    c: constants, arrays of shape (B, 1) for several lanes; default those of `parameters`.
+    Args:
+        states: (..., n, 6) as of `simulate_extended`; (..., n, 5) without the gas temperature, which is then found
+            from the others.
+        actuation: with the inputs.
+        terms: of the engine.
+        c: constants; arrays of shape (B, 1) for several lanes.
     """
-    c = constants(parameters) if c is None else c
-    start = float(actuation.time_s[0] if start_s is None else start_s)
-    rows = slice(actuation.inputs.n_history, None)
-    conditions = conditions_of(actuation.inputs)
-    m = Magnitudes(*amounts(parameters, STATE_EFFECTS, actuation.time_s, start, conditions))
+    inputs = actuation.inputs
+    start, conditions = inputs.recording_start_s, conditions_of(inputs)
+    m = Magnitudes(*amounts(terms, STATE_EFFECTS, actuation.time_s, start, conditions))
+    inertia = m.exhaust_thermal_inertia
     m = m._replace(egr_clogging=m.egr_clogging * np.maximum(actuation.time_s - start, 0.0))
-    laws = law_terms(parameters)
+    laws = law_terms(terms)
     factors = [law.factor(actuation.time_s, start, conditions) for law in laws]
-    p_im, p_em, omega_t, x_r, T_1, T_gas = np.moveaxis(states, -1, 0)
-    inert = m.exhaust_thermal_inertia > 0.0
+    p_im, p_em, omega_t, x_r, T_1 = np.moveaxis(states[..., :5], -1, 0)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega_t, "x_r": x_r, "T_1": T_1,
-        "n_e": actuation.inputs.n_e_rpm[rows], "u_delta": actuation.inputs.u_delta_mg[rows],
+        "n_e": conditions["n_e_rpm"], "u_delta": conditions["u_delta_mg"],
         "u_egr": actuation.u_egr, "u_vgt": actuation.u_vgt, "t": actuation.time_s - start,
     }  # fmt: skip
+    model = numpy_model()
+    if states.shape[-1] > 5:
+        T_gas = states[..., 5]
+    else:
+        T_gas = np.full(p_im.shape, 700.0)
+        for _ in range(GAS_SWEEPS):
+            q, _ = quantities_under(model, named, Gas(T_gas, 1.0, 0.0), m, laws, factors, c)
+            T_gas = _lagged(q.T_em_static, actuation.time_s, inertia) if inertia.any() else q.T_em
+    inert = inertia > 0.0
     gas = Gas(T_gas, np.where(inert, 0.0, 1.0), np.where(inert, T_gas, 0.0))
-    return quantities_under(numpy_model(), named, gas, m, laws, factors, c)
+    return quantities_under(model, named, gas, m, laws, factors, c)
+
+
+def _lagged(static: np.ndarray, time_s: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    flat = np.ascontiguousarray(np.asarray(static).reshape(-1, time_s.size))
+    held = np.concatenate([tau[:1], tau[:-1]])  # the factor of a sample holds over the interval after it
+    return follow_lanes(time_s, flat, np.ascontiguousarray(np.broadcast_to(held, flat.shape))).reshape(static.shape)

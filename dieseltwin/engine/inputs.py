@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dieseltwin.engine._compiled import follow_lags
+from dieseltwin.engine.effect_catalogue import ACTUATOR_EFFECTS
 from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.engine.parameters import EngineParameters, constants
 from dieseltwin.errors import InputError
@@ -30,6 +31,8 @@ class Inputs:
         u_egr_pct, u_vgt_pct: commanded positions [%], (n,).
         n_history: number of leading rows that lie before the segment. They drive dead times and actuator lags only;
             the states start at row `n_history`.
+        start_s: start of the recording that they were cut from, from which drifts and onsets of terms count [s];
+            None: the first row.
     """
 
     time_s: np.ndarray
@@ -38,6 +41,7 @@ class Inputs:
     u_egr_pct: np.ndarray
     u_vgt_pct: np.ndarray
     n_history: int = 0
+    start_s: float | None = None
 
     def __post_init__(self) -> None:
         time = np.ascontiguousarray(self.time_s, dtype=np.float64)
@@ -72,6 +76,11 @@ class Inputs:
             )
 
     @property
+    def recording_start_s(self) -> float:
+        """`start_s`, or the first row's time [s]."""
+        return float(self.time_s[0] if self.start_s is None else self.start_s)
+
+    @property
     def segment_time_s(self) -> np.ndarray:
         """Sample times of the segment itself [s], shape (n - n_history,)."""
         return self.time_s[self.n_history :]
@@ -96,7 +105,7 @@ class Inputs:
             + [time[-1:]]
         )
         columns = {name: np.interp(fine, time, getattr(self, name)[rows]) for name in INPUT_COLUMNS}
-        return Inputs(fine, **columns)
+        return Inputs(fine, **columns, start_s=self.recording_start_s)
 
 
 def steps_between(time_s: np.ndarray, step_s: float | np.ndarray) -> np.ndarray:
@@ -151,9 +160,13 @@ def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.nda
 
     Args:
         inputs: inputs with their history.
-        parameters: gives dead times, lags and K_egr (A.16-A.18, A.25).
+        parameters: gives dead times, lags and K_egr (A.16-A.18, A.25), and terms on the actuators.
         step_s: largest integration step [s], one for all or one per sample interval, (n - 1,).
     """
+    if any(getattr(term, "effect", None) in ACTUATOR_EFFECTS for term in parameters.terms):
+        from dieseltwin.engine.actuator_effects import actuate_terms
+
+        return actuate_terms(inputs, parameters, step_s)
     if not (np.isfinite(step_s) & (np.asarray(step_s) > 0)).all():
         raise InputError(
             "integration step", got=repr(step_s), allowed="a positive time in s", do=f"use {DEFAULT_STEP_S}"

@@ -291,9 +291,11 @@ class ParameterBatch:
 
     Attributes:
         values: constants, shape (n_constants, B), rows in the order of `CONSTANT_NAMES`.
+        terms: what the published model leaves out, the same in all sets.
     """
 
     values: np.ndarray
+    terms: tuple[AnyTerm, ...] = ()
 
     @property
     def size(self) -> int:
@@ -341,4 +343,5 @@ def parameter_batch(parameters: EngineParameters, size: int | None = None, **col
             )
         values[name] = np.asarray(column, dtype=np.float64).reshape(batch)
     values.update(_derived(values))
-    return ParameterBatch(np.array([values[name] for name in CONSTANT_NAMES], dtype=np.float64))
+    rows = np.array([values[name] for name in CONSTANT_NAMES], dtype=np.float64)
+    return ParameterBatch(rows, parameters.terms)

@@ -24,8 +24,8 @@ STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k")
 """Order of `Observations.states`."""
 
 _MEASURED_AT = (0, 1, 2, 5, 6, 7)
-SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
-SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
+_SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
+_SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
 
 
 @dataclass(frozen=True)
@@ -71,18 +71,24 @@ def simulate_states(
 
     Args:
         actuation: one for all lanes, or one per lane; all on the same sample times and steps.
-        batch: B parameter sets. The actuator constants are those the actuation was made with.
+        batch: B parameter sets, with their terms. The actuator constants are those the actuation was made with.
         initial: p_im, p_em [Pa], omega_t [rad/s] at the first sample, shape (B, 3) or (3,).
         threads: threads to use (default `thread_count`); the result doesn't depend on it.
         kernels: for a block of lanes and for one lane; others than the exact engine's may want further rows of
             constants (`surrogates.map_compiled`).
 
     Returns:
-        `Observations` of shapes (B, n, 5) and (B, n, 6).
+        `Observations` of shapes (B, n, 5) and (B, n, 6). Sensor terms enter `measured`.
 
     Raises:
-        InputError: shapes that don't fit each other.
+        InputError: shapes that don't fit each other; terms together with other kernels.
     """
+    if batch.terms:
+        if kernels[0] is not integrate_block:
+            raise InputError("terms of the engine", "learned maps", "the exact maps", "take --maps exact, or no terms")
+        from dieseltwin.engine.extended_terms import simulate_lanes
+
+        return simulate_lanes(actuation, batch, initial, threads=threads)
     integrate_lanes, integrate_alone = kernels
     lanes = batch.size
     actuations = [actuation] if isinstance(actuation, Actuation) else list(actuation)
@@ -148,10 +154,10 @@ def settle(
 
     The engine is not stable everywhere (light load, high speed); there it returns a state on the limit cycle.
     """
-    time = np.array([0.0, SETTLE_S])
+    time = np.array([0.0, _SETTLE_S])
     n_e, u_delta, u_egr, u_vgt = (np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct))
     inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt)
-    result = simulate_states(actuate(inputs, parameters), parameter_batch(parameters), np.array(SETTLE_START))
+    result = simulate_states(actuate(inputs, parameters), parameter_batch(parameters), np.array(_SETTLE_START))
     return result.states[0, -1, :3].copy()
 
 
@@ -203,7 +209,14 @@ _DRIVER_COLUMNS = ("x_oim", "x_oem", "lambda", "egr_fraction", "torque_nm")
 
 
 def quantities_frame(states: np.ndarray, actuation: Actuation, parameters: EngineParameters) -> pd.DataFrame:
-    """Every algebraic quantity at given states, shape (n, 5), as a table in the columns of the reference traces."""
+    """Every algebraic quantity at given states, shape (n, 5), as a table in the columns of the reference traces.
+
+    With terms the columns of `extended_frame.extended_frame`.
+    """
+    if parameters.terms:
+        from dieseltwin.engine.extended_frame import extended_frame
+
+        return extended_frame(states, actuation, parameters)
     model, c = numpy_model(), constants(parameters)
     rows = slice(actuation.inputs.n_history, None)
     n_e, u_delta = actuation.inputs.n_e_rpm[rows], actuation.inputs.u_delta_mg[rows]

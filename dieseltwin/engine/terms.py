@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
@@ -49,7 +50,7 @@ class _Limited(BaseModel):
                 raise ValueError(f"region {column}: low {low:g} above high {high:g}")
         return region
 
-    def factor(self, time_s: np.ndarray, start_s: float, conditions: dict[str, np.ndarray]) -> np.ndarray:
+    def factor(self, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
         """1 where the term acts, else 0, shape (n,).
 
         Args:
@@ -146,3 +147,32 @@ AnyTerm = Annotated[
     Annotated[Term, Tag("effect")] | Annotated[LawTerm, Tag("law")], Discriminator(_kind_of_term)
 ]
 """A term of either kind; in a file a law is what has a `point`."""
+
+
+def effect_terms(terms: Sequence[Term | LawTerm]) -> tuple[Term, ...]:
+    """Those that are effects of the catalogue."""
+    return tuple(term for term in terms if isinstance(term, Term))
+
+
+def law_terms(terms: Sequence[Term | LawTerm]) -> tuple[LawTerm, ...]:
+    """Those that are found laws."""
+    return tuple(term for term in terms if isinstance(term, LawTerm))
+
+
+def amounts(
+    terms: Sequence[Term | LawTerm], names: Sequence[str], time_s: np.ndarray, start_s: float,
+    conditions: Mapping[str, np.ndarray],
+) -> np.ndarray:  # fmt: skip
+    """Magnitude of each named effect at the samples, onset and region applied, (len(names), n) [its unit].
+
+    Args:
+        terms: of an engine; laws and effects that aren't named are not looked at.
+        names: of effects.
+        time_s: sample times [s], (n,); start_s: the recording's start.
+        conditions: the input columns of `REGION_COLUMNS`, (n,) each.
+    """
+    out = np.zeros((len(names), time_s.size))
+    for term in effect_terms(terms):
+        if term.effect in names:
+            out[list(names).index(term.effect)] += term.magnitude * term.factor(time_s, start_s, conditions)
+    return out

@@ -7,12 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dieseltwin.engine import Inputs, actuate, load_engine, parameter_batch, simulate, simulate_states, we2011
+from dieseltwin.engine import (
+    Inputs,
+    actuate,
+    constants,
+    load_engine,
+    parameter_batch,
+    simulate,
+    simulate_states,
+    we2011,
+)
 from dieseltwin.engine.effects import ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS, LawTerm, Term
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.extended_model import Magnitudes, Signals
-from dieseltwin.engine.extended_terms import actuate_terms, along, simulate_terms
+from dieseltwin.engine.extended_terms import along, simulate_terms
 from dieseltwin.engine.simulate import actuate_like
 from dieseltwin.errors import InputError
 
@@ -63,16 +72,16 @@ def test_kernel_equals_numpy(drive, name: str) -> None:  # type: ignore[no-untyp
     """What the kernel's sensors see is what the numpy equations give at its states."""
     inputs, actuation, initial = drive
     parameters = ENGINE.replace(terms=(Term(effect=name, magnitude=2.0 * EFFECTS[name].tolerance),))
-    observed = simulate_terms(actuation, parameter_batch(parameters), parameters, initial)
-    q, _ = along(observed.states[0], actuation, parameters)
+    observed = simulate_terms(actuation, parameter_batch(parameters), initial)
+    q, _ = along(observed.states[0], actuation, parameters.terms, constants(parameters))
     np.testing.assert_allclose(observed.measured[0, :, 3], q.W_egr, rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(observed.measured[0, :, 4], q.T_em, rtol=1e-7)
     np.testing.assert_allclose(observed.measured[0, :, 5], q.W_c, rtol=1e-7)
     plain = simulate_states(actuation, parameter_batch(ENGINE), initial)
     assert np.abs(observed.measured / np.where(plain.measured == 0, 1, plain.measured) - 1).max() > 1e-4
     fine = actuate_like(actuation, inputs.resampled(0.0125))
-    states = simulate_terms(fine, parameter_batch(parameters), parameters, initial, sensors=False).states[0]
-    q, _ = along(states, fine, parameters)
+    states = simulate_terms(fine, parameter_batch(parameters), initial, sensors=False).states[0]
+    q, _ = along(states, fine, parameters.terms, constants(parameters))
     for column, rate in enumerate((q.dp_im, q.dp_em, q.domega_t)):
         error = np.abs(np.gradient(states[:, column], fine.time_s) - rate)[2:-2]
         assert np.median(error) < 0.02 * np.abs(rate).mean()
@@ -135,7 +144,7 @@ def test_schedule_holds_the_interval_after_its_sample(drive) -> None:  # type: i
     onset = 50
     term = Term(effect="boost_leak", magnitude=4e-5, onset_s=float(inputs.time_s[onset] - inputs.time_s[0]) - 1e-6)
     parameters = ENGINE.replace(terms=(term,))
-    late = simulate_terms(actuation, parameter_batch(parameters), parameters, initial)
+    late = simulate_terms(actuation, parameter_batch(parameters), initial)
     np.testing.assert_allclose(late.states[0, : onset + 1, :5], plain.states[0, : onset + 1], rtol=1e-9)
     assert late.states[0, onset + 5, 0] < plain.states[0, onset + 5, 0]
 
@@ -145,7 +154,7 @@ def test_thermal_inertia_is_a_lag_of_the_gas_temperature(drive) -> None:  # type
     _, actuation, initial = drive
     plain = simulate_states(actuation, parameter_batch(ENGINE), initial)
     parameters = ENGINE.replace(terms=(Term(effect="exhaust_thermal_inertia", magnitude=0.4),))
-    observed = simulate_terms(actuation, parameter_batch(parameters), parameters, initial)
+    observed = simulate_terms(actuation, parameter_batch(parameters), initial)
     frame = extended_frame(observed.states[0], actuation, parameters)
     time = actuation.time_s
     fine = np.linspace(time[0], time[-1], 100 * (time.size - 1) + 1)
@@ -166,8 +175,8 @@ def test_law_term_equals_its_effect(drive) -> None:  # type: ignore[no-untyped-d
     c = 5e-6
     law = LawTerm(point="shaft_power", coefficient=-c * 5000.0**2, unit="W", factors=(("omega_t", 5000.0, 2.0),))
     a, b = ENGINE.replace(terms=(law,)), ENGINE.replace(terms=(Term(effect="bearing_friction", magnitude=c),))
-    found = simulate_terms(actuation, parameter_batch(a, size=2), a, initial)
-    exact = simulate_terms(actuation, parameter_batch(b), b, initial)
+    found = simulate_terms(actuation, parameter_batch(a, size=2), initial)
+    exact = simulate_terms(actuation, parameter_batch(b), initial)
     plain = simulate_states(actuation, parameter_batch(ENGINE), initial)
     change = np.abs(exact.measured[0] - plain.measured[0]).max(axis=0)
     assert (np.abs(found.measured[0] - exact.measured[0]).max(axis=0) < 1e-2 * change + 1e-12).all()
@@ -180,7 +189,7 @@ def test_two_laws_at_two_points(drive) -> None:  # type: ignore[no-untyped-def]
         LawTerm(point="W_t", coefficient=0.02, unit="-"),
     )
     parameters = ENGINE.replace(terms=laws)
-    observed = simulate_terms(actuation, parameter_batch(parameters, size=2), parameters, initial)
+    observed = simulate_terms(actuation, parameter_batch(parameters, size=2), initial)
     np.testing.assert_allclose(observed.states[0], observed.states[1], rtol=1e-12)
     signals = np.zeros((len(POINTS), actuation.time_s.size))
     signals[POINTS.index("W_t")] = 0.02
@@ -242,6 +251,6 @@ def test_wrong_shapes_are_refused(drive) -> None:  # type: ignore[no-untyped-def
 def test_actuator_terms_enter_the_actuation(drive) -> None:  # type: ignore[no-untyped-def]
     inputs, plain, _ = drive
     for name in ("egr_backlash", "egr_dead_time"):
-        changed = actuate_terms(inputs, ENGINE.replace(terms=(Term(effect=name, magnitude=0.8),)))
+        changed = actuate(inputs, ENGINE.replace(terms=(Term(effect=name, magnitude=0.8),)))
         assert np.abs(changed.u_egr - plain.u_egr).max() > 0.1
         np.testing.assert_allclose(changed.u_vgt, plain.u_vgt, atol=1e-9)
