@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dieseltwin.discovery.engine_twin import EngineTwin
 from dieseltwin.discovery.twin import Array
-from dieseltwin.engine import EngineParameters
+from dieseltwin.engine import EngineParameters, actuate
 from dieseltwin.engine.effects import EFFECTS, Term
 from dieseltwin.engine.extended import extended_frame
-from dieseltwin.engine.extended_terms import actuate_terms, simulate_terms
+from dieseltwin.engine.extended_terms import simulate_terms
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.recordings import Recording
 
@@ -50,9 +50,9 @@ def implied_frame(
     engine = twin.engine
     if starts is None or local is None:
         starts, local = twin.starts, twin.initial(twin.first_local())
-    actuation = actuate_terms(twin.inputs, engine, twin.step_s)
+    actuation = actuate(twin.inputs, engine, twin.step_s)
     observed = simulate_terms(
-        actuation, parameter_batch(engine), engine, local[None], restarts=starts, sensors=False
+        actuation, parameter_batch(engine), local[None], restarts=starts, sensors=False
     )
     states = observed.states[0]
     frame = extended_frame(states, actuation, engine)

@@ -26,10 +26,8 @@ def extended_frame(states: np.ndarray, actuation: Actuation, parameters: EngineP
     inputs = actuation.inputs
     rows = slice(inputs.n_history, None)
     n_e = inputs.n_e_rpm[rows]
-    conditions = conditions_of(inputs)
-    drift = amounts(
-        parameters.terms, ("injector_drift",), actuation.time_s, inputs.recording_start_s, conditions
-    )[0]
+    start, conditions = inputs.recording_start_s, conditions_of(actuation)
+    drift = amounts(parameters.terms, ("injector_drift",), actuation.time_s, start, conditions)[0]
     fuel = inputs.u_delta_mg[rows] * (1.0 + drift) * (1.0 + s.u_delta)
     columns = {
         "time_s": actuation.time_s, "n_e_rpm": n_e, "u_delta_mg": inputs.u_delta_mg[rows],

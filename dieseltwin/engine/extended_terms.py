@@ -13,7 +13,7 @@ from dieseltwin.engine.binding import Model
 from dieseltwin.engine.effect_catalogue import POINTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.extended_model import ExtendedQuantities, Gas, Magnitudes, Signals
-from dieseltwin.engine.inputs import Actuation, Inputs
+from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.parameters import Constants, ParameterBatch
 from dieseltwin.engine.sensor_effects import SENSOR_EFFECTS, apply_sensor_effects
 from dieseltwin.engine.simulate import MEASURED, Observations, numpy_model
@@ -30,9 +30,10 @@ Terms = Sequence[Term | LawTerm]
 Power = Callable[[Any, Any], Any]
 
 
-def conditions_of(inputs: Inputs) -> dict[str, np.ndarray]:
-    """The input columns over which regions are stated, without the history, (n,) each."""
-    return {name: getattr(inputs, name)[inputs.n_history :] for name in REGION_COLUMNS}
+def conditions_of(actuation: Actuation) -> dict[str, np.ndarray]:
+    """The input columns over which regions are stated, commanded positions, at the samples, (n,) each."""
+    inputs = actuation.inputs
+    return {name: np.interp(actuation.time_s, inputs.time_s, getattr(inputs, name)) for name in REGION_COLUMNS}
 
 
 def extension_of(
@@ -40,7 +41,7 @@ def extension_of(
 ) -> Extension:
     """Effect terms as an extension of `size` lanes (laws aside); drifts and onsets count from the recording's start."""
     start = actuation.inputs.recording_start_s
-    schedule = amounts(terms, STATE_EFFECTS, actuation.time_s, start, conditions_of(actuation.inputs))
+    schedule = amounts(terms, STATE_EFFECTS, actuation.time_s, start, conditions_of(actuation))
     return Extension(np.ones((len(STATE_EFFECTS), size)), schedule, restarts=restarts, start_s=start)
 
 
@@ -122,7 +123,7 @@ def _one_by_one(batch: ParameterBatch) -> Iterator[ParameterBatch]:
 def _sensed(observed: Observations, actuation: Actuation, batch: ParameterBatch) -> Observations:
     rows = amounts(
         batch.terms, SENSOR_EFFECTS, actuation.time_s, actuation.inputs.recording_start_s,
-        conditions_of(actuation.inputs),
+        conditions_of(actuation),
     )  # fmt: skip
     ones = {name: np.ones(batch.size) for name, row in zip(SENSOR_EFFECTS, rows, strict=True) if row.any()}
     schedules = dict(zip(SENSOR_EFFECTS, rows, strict=True))
@@ -207,8 +208,8 @@ def along(
         terms: of the engine.
         c: constants; arrays of shape (B, 1) for several lanes.
     """
-    inputs = actuation.inputs
-    start, conditions = inputs.recording_start_s, conditions_of(inputs)
+    start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
+    n_e, u_delta, u_egr, u_vgt = actuation.grid[:, np.concatenate([[0], np.cumsum(2 * actuation.steps)])]
     m = Magnitudes(*amounts(terms, STATE_EFFECTS, actuation.time_s, start, conditions))
     inertia = m.exhaust_thermal_inertia
     m = m._replace(egr_clogging=m.egr_clogging * np.maximum(actuation.time_s - start, 0.0))
@@ -217,8 +218,7 @@ def along(
     p_im, p_em, omega_t, x_r, T_1 = np.moveaxis(states[..., :5], -1, 0)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega_t, "x_r": x_r, "T_1": T_1,
-        "n_e": conditions["n_e_rpm"], "u_delta": conditions["u_delta_mg"],
-        "u_egr": actuation.u_egr, "u_vgt": actuation.u_vgt, "t": actuation.time_s - start,
+        "n_e": n_e, "u_delta": u_delta, "u_egr": u_egr, "u_vgt": u_vgt, "t": actuation.time_s - start,
     }  # fmt: skip
     model = numpy_model()
     if states.shape[-1] > 5:

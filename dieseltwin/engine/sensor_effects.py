@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.effect_catalogue import EFFECTS
+from dieseltwin.engine.parameters import EngineParameters
+from dieseltwin.engine.terms import amounts
+
+SENSORS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s")
+"""Columns that sensors can see (`simulate.MEASURED`)."""
 
 SENSOR_EFFECTS = tuple(name for name, effect in EFFECTS.items() if effect.kind == "sensor")
 
@@ -17,7 +23,7 @@ def apply_sensor_effects(
     time_s: np.ndarray,
     magnitudes: Mapping[str, np.ndarray],
     schedules: Mapping[str, np.ndarray] | None = None,
-    columns: tuple[str, ...] = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s"),
+    columns: tuple[str, ...] = SENSORS,
 ) -> np.ndarray:
     """Readings (B, n, C) under sensor effects; the lag first, then gains, then offsets. `measured` isn't changed.
 
@@ -50,3 +56,27 @@ def apply_sensor_effects(
             else:
                 out[..., at] += amount
     return out
+
+
+def undo_sensor_terms(
+    measured: np.ndarray, time_s: np.ndarray, start_s: float, conditions: dict[str, np.ndarray],
+    parameters: EngineParameters,
+) -> tuple[np.ndarray, EngineParameters]:  # fmt: skip
+    """Readings without the offsets and gains that the engine's terms know of, and the engine without these terms.
+
+    Args:
+        measured: (.., n, 6) readings in the order of `SENSORS`.
+        time_s: sample times, (n,) [s]; start_s: the recording's start; conditions: input columns, (n,) each.
+        parameters: with terms; a `thermocouple_lag` can't be undone and stays.
+    """
+    def undone(term: Any) -> bool:
+        return getattr(term, "effect", "").endswith(("_offset", "_gain")) and EFFECTS[term.effect].kind == "sensor"
+
+    names = sorted({term.effect for term in parameters.terms if undone(term)}, key=lambda n: n.endswith("_gain"))
+    out = np.array(measured, dtype=np.float64)
+    for name, amount in zip(names, amounts(parameters.terms, names, time_s, start_s, conditions), strict=True):
+        at = SENSORS.index(EFFECTS[name].site.removeprefix("sensor:"))
+        out[..., at] = out[..., at] - amount if name.endswith("_offset") else out[..., at] / (1.0 + amount)
+    if not names:
+        return out, parameters
+    return out, parameters.replace(terms=[term for term in parameters.terms if not undone(term)])

@@ -122,16 +122,19 @@ def prepare(problem: SegmentProblem, bodies: Any = None, operators: Any = None) 
         heads_for(problem.time_s, bodies),
         inputs,
         windows_for(actuation),
-        PointModel(problem.parameters),
+        PointModel(problem.parameters, actuation=actuation),
     )
 
 
-def point_model(parameters: EngineParameters, maps: Any, runs: Sequence[int]) -> PointModel:
+def point_model(
+    parameters: EngineParameters, maps: Any, runs: Sequence[int], actuation: Actuation | None = None
+) -> PointModel:
     """The estimator's equations for the runs with these numbers, each with its own member of learned maps."""
     if maps is None:
-        return PointModel(parameters)
+        return PointModel(parameters, actuation=actuation)
     members = [run + 1 for run in runs]  # member 0 would be the nominal one
-    return PointModel(parameters, maps.replacements("torch", member=members, slopes=True), lanes=len(members))
+    replaced = maps.replacements("torch", member=members, slopes=True)
+    return PointModel(parameters, replaced, lanes=len(members), actuation=actuation)
 
 
 @dataclass(frozen=True)
@@ -303,7 +306,7 @@ def _segment(
 def _solved(
     setting: Setting, maps: Any, readings: Tensor, begin: Tensor, members: list[int], settings: NewtonSettings
 ) -> tuple[Solution, Tensor]:
-    model = point_model(setting.problem.parameters, maps, members)
+    model = point_model(setting.problem.parameters, maps, members, setting.actuation)
     found = solve(setting, model, readings, begin, settings)
     return found, _states(setting, model, found)
 

@@ -31,6 +31,7 @@ from dieseltwin.identification.residuals import (
     driven_inputs,
     physics_residuals,
 )
+from dieseltwin.identification.term_model import TermModel
 from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts, to_masked, to_physical
 
 BODIES = ("pressures", "pressures", "omega_t", "x_r", "T_1")
@@ -213,7 +214,7 @@ def make_program(
                     u_egr=torch.tensor(k * states.u_egr1 - (k - 1.0) * states.u_egr2), u_vgt=torch.tensor(states.u_vgt)
                 )
             inputs[lane.index] = told
-            initial[lane.index] = _initial(lane.problem, told)
+            initial[lane.index] = _initial(lane.problem, told, actuations[lane.index])
     stacked = DrivenInputs(
         *(torch.stack(v).to(dtype) for v in zip(*(inputs[lane.index] for lane in lanes), strict=True))
     )
@@ -228,7 +229,11 @@ def make_program(
     learned = None
     if maps is not None:
         learned = fused_replacements(maps, [lane.run + 1 for lane in lanes], stacked.u_egr, c, dtype)
-    return Program(tuple(columns), stacked, observed, bind("torch", replace=learned), c, len(time_s), held_out)
+    model: Any = bind("torch", replace=learned)
+    if lanes[0].problem.parameters.terms:
+        own = [actuations[lane.index] for lane in lanes]
+        model = TermModel(learned, lanes[0].problem.parameters, own, dtype=dtype)
+    return Program(tuple(columns), stacked, observed, model, c, len(time_s), held_out)
 
 
 def _shared_constants(lanes: Sequence[Lane], dtype: torch.dtype) -> Any:
@@ -241,12 +246,12 @@ def _shared_constants(lanes: Sequence[Lane], dtype: torch.dtype) -> Any:
     return type(sets[0])(*columns)
 
 
-def _initial(problem: SegmentProblem, inputs: DrivenInputs) -> NDArray[np.float64]:
+def _initial(problem: SegmentProblem, inputs: DrivenInputs, actuation: Actuation) -> NDArray[np.float64]:
     """True initial states where the problem has them (as in the paper), else first readings and the fixed point."""
     if problem.true_initial is not None:
         return np.asarray(problem.true_initial, dtype=np.float64)
     states = torch.tensor(problem.first_states())
-    model = PointModel(problem.parameters)
+    model = PointModel(problem.parameters, actuation=actuation)
     health = [torch.tensor([[v]]) for v in health_of(problem.parameters)]
     first = DrivenInputs(*(v[:1] for v in inputs))
     cylinder = model.cylinder(states[None, None], health, first, None)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dieseltwin.engine import MEASURED, EngineParameters, Inputs
+from dieseltwin.engine import INPUT_COLUMNS, MEASURED, EngineParameters, Inputs
+from dieseltwin.engine.sensor_effects import undo_sensor_terms
 from dieseltwin.errors import InputError
 
 Array = NDArray[np.float64]
@@ -206,7 +207,8 @@ def problem_from_segment(
 
     Args:
         segment: `recordings.Segment` (t0_s, t1_s, inputs, measured).
-        parameters: known parameters; ambient values must be those of the recording.
+        parameters: known parameters; ambient values must be those of the recording. Offsets and gains of sensors
+            among its terms are taken out of the readings.
         noise: noise of the whole recording.
         channels: channels of `MEASURED` to use, the others are masked; None = all that are recorded.
         true_initial: (5,) true p_im, p_em, omega_t, x_r, T_1 of simulated data, for the faithful methods.
@@ -218,7 +220,11 @@ def problem_from_segment(
     Raises:
         InputError: an unknown channel name.
     """
-    measured = np.array(segment.measured, dtype=np.float64)
+    inputs = segment.inputs
+    conditions = {name: getattr(inputs, name)[inputs.n_history :] for name in INPUT_COLUMNS}
+    measured, parameters = undo_sensor_terms(
+        segment.measured, inputs.segment_time_s, inputs.recording_start_s, conditions, parameters
+    )
     if channels is not None:
         unknown = sorted(set(channels) - set(MEASURED))
         if unknown:

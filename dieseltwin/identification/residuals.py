@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, bind, constants
+from dieseltwin.identification.term_model import TermModel
 
 N_HEALTH = len(HEALTH)
 N_POINT = 3 + N_HEALTH
@@ -94,6 +95,7 @@ class PointModel:
         parameters: known parameters (the health values in it are not used).
         maps: equation name -> learned map over torch tensors, or None for the exact formulae.
         lanes: runs R that the maps hold a member for each, 1 where all runs share one.
+        actuation: of the segment, needed where the parameters have terms: these may depend on time.
     """
 
     def __init__(
@@ -101,8 +103,13 @@ class PointModel:
         parameters: EngineParameters,
         maps: Mapping[str, Callable[..., Tensor]] | None = None,
         lanes: int = 1,
+        actuation: Actuation | None = None,
     ) -> None:
-        self.model = bind("torch", replace=maps)
+        self.model: Any = bind("torch", replace=maps)
+        if parameters.terms:
+            if actuation is None:
+                raise ValueError("equations with terms need the segment's actuation")
+            self.model = TermModel(maps, parameters, [actuation], pointwise=True)
         self.lanes = lanes
         self.constants: Constants = constants(parameters)
 
@@ -116,8 +123,12 @@ class PointModel:
         p_im, p_em = states[..., 0], states[..., 1]
         now = start or Cylinder(torch.full_like(p_im, X_R_START), torch.full_like(p_im, T_1_START))
         for _ in range(COLD_SWEEPS if start is None else WARM_SWEEPS):
-            sweep = self.model.settle_cylinder(p_im, p_em, inputs.n_e, inputs.u_delta, now.x_r, now.T_1, c)
-            now = Cylinder(sweep.x_r, sweep.T_1)
+            if isinstance(self.model, TermModel):
+                q = self.model.settle((p_im, p_em, states[..., 2]), inputs, now.x_r, now.T_1, c)
+                now = Cylinder(q.x_r_next, q.T_1_next)
+            else:
+                sweep = self.model.settle_cylinder(p_im, p_em, inputs.n_e, inputs.u_delta, now.x_r, now.T_1, c)
+                now = Cylinder(sweep.x_r, sweep.T_1)
         return now
 
     @torch.no_grad()

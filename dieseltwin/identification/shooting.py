@@ -75,6 +75,11 @@ class Shooting:
     def __post_init__(self) -> None:
         if len({grid_key(p) for p in self.problems}) != 1:
             raise InputError("segments of one batch", "different sample times", "one grid", "group them by `grid_key`")
+        terms = self.problems[0].parameters.terms
+        if any(p.parameters.terms != terms for p in self.problems):
+            raise InputError("segments of one batch", "different terms of the engine", "the same terms", "group them")
+        if terms and self.simulator is not exact_engine:
+            raise InputError("terms of the engine", "learned maps", "the exact maps", "take --maps exact, or no terms")
         steps_s = np.full(len(self.problems[0].time_s) - 1, self.step_s)
         steps_s[0] = min(FIRST_STEP_S, self.step_s)
         actuations = tuple(actuate(p.inputs, p.parameters, steps_s) for p in self.problems)
@@ -104,7 +109,8 @@ class Shooting:
             batches[:, lanes] = part
         actuations = [self.actuations[s] for s in segment]
         variants = np.zeros(len(segment), dtype=np.int64) if variant is None else variant
-        return self.simulator(actuations, ParameterBatch(batches), values[:, N_HEALTH:], variants)
+        batch = ParameterBatch(batches, self.problems[0].parameters.terms)
+        return self.simulator(actuations, batch, values[:, N_HEALTH:], variants)
 
     def degrees_of_freedom(self) -> Index:
         """(S,) readings minus unknowns of each segment, at least 1."""
