@@ -17,6 +17,7 @@ from dieseltwin.discovery.challenge.run import FAILED, RESULTS
 from dieseltwin.discovery.challenge.seal import SEALED, file_sha256
 from dieseltwin.discovery.document import FILE_NAME, NONE_OF_THESE, Discrepancy, load_discrepancy
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
+from dieseltwin.engine.effects import Term
 from dieseltwin.engine.parameters import load_engine
 from dieseltwin.recordings import Recording, read_recording
 
@@ -121,46 +122,33 @@ class CaseRow:
 
 @dataclass(frozen=True)
 class Scoring:
-    """What the scorer asks of the tool's library; a function that is absent leaves its metrics out.
+    """What the scorer asks of the tool's library; a function that is None leaves its metrics out.
 
     Attributes:
         held_out_nll: (engine, recording) -> negative log-likelihood per sample.
         fit_oracle: (recording, engine, terms) -> engine.
         separability: (recording, engine, term) -> name -> D.
-        law_error: (result folder, clean held-out signals, fault) -> relative error of the found law, or None.
+        law_error: (result folder, clean held-out signals, fault, true health) -> error of the found law, or None.
         terms: (faults) -> terms of the engine file.
     """
 
     held_out_nll: Callable[[EngineParameters, Recording], float] | None = None
     fit_oracle: Callable[..., EngineParameters] | None = None
     separability: Callable[..., Mapping[str, float]] | None = None
-    law_error: Callable[[Path, pd.DataFrame, Fault], float | None] | None = None
+    law_error: Callable[[Path, pd.DataFrame, Fault, Mapping[str, float]], float | None] | None = None
     terms: Callable[[Sequence[Fault]], tuple[Any, ...]] | None = None
 
     @classmethod
     def of_the_tool(cls) -> Scoring:
-        """The functions of `dieseltwin.discovery.scoring` and `engine.effects` that exist."""
-        found: dict[str, Any] = {}
-        try:
-            from dieseltwin.discovery import scoring
+        """The functions of `dieseltwin.discovery.scoring`, and the law's error of `challenge.laws`."""
+        from dieseltwin.discovery import scoring
+        from dieseltwin.discovery.challenge.laws import law_error
 
-            for name in ("held_out_nll", "fit_oracle", "separability", "law_error"):
-                found[name] = getattr(scoring, name, None)
-        except ImportError:
-            pass
-        try:
-            from dieseltwin.engine import effects  # noqa: F401
-
-            found["terms"] = engine_terms
-        except ImportError:
-            pass
-        return cls(**found)
+        return cls(scoring.held_out_nll, scoring.fit_oracle, scoring.separability, law_error, engine_terms)
 
 
 def engine_terms(faults: Sequence[Fault]) -> tuple[Any, ...]:
     """The faults as terms of the tool's engine files."""
-    from dieseltwin.engine.effects import Term
-
     return tuple(
         Term(effect=f.effect, magnitude=f.magnitude, onset_s=f.onset_s, region=dict(f.region) if f.region else None)
         for f in faults
@@ -245,7 +233,7 @@ def _computed(
             values["nearest"] = [other, float(distances[other])]
     if scoring.law_error is not None and answers["kind"] == "withheld":
         clean = pd.read_parquet(folder / SEALED / f"{name}_held_out_clean.parquet")
-        error = scoring.law_error(result, clean, faults[0])
+        error = scoring.law_error(result, clean, faults[0], answers["health"])
         values["law_error"] = None if error is None or not np.isfinite(error) else float(error)
     with_numbers = {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in values.items()}
     if scoring != Scoring():
