@@ -19,7 +19,7 @@ from dieseltwin.discovery.twin import Array, Point
 
 Kind = Literal[
     "power", "signed_power", "sign", "ratio", "share", "difference", "head", "orifice", "excess", "shortage",
-    "one_way", "lag", "dead_time", "play", "time",
+    "one_way", "lag", "dead_time", "play", "time", "above_one",
 ]  # fmt: skip
 
 GAMMA = 1.4
@@ -36,6 +36,8 @@ _THRESHOLD_QUANTILES = (0.05, 0.15, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 _COMPARABLE = ("Pa", "K", "kg/s", "W", "m", "V", "N")  # units whose differences and ratios mean something
 _TIMES = {"lag": (0.08, 0.4, 2.0), "dead_time": (0.05, 0.2)}  # s (DISCOVERY.md, prototype)
 _PLAYS = (1.0, 4.0, 10.0)  # % of full stroke
+AMBIENT = ("p_amb", "T_amb")
+TIMES = ("t", "time_s")
 _SMOOTHED = 1e-3  # of the reference: width of the smoothed sign
 
 
@@ -47,7 +49,7 @@ class Variable:
         name, unit: as the twin says.
         reference: rounded typical size [unit].
         signed: takes both signs.
-        thresholds: values between which it moves.
+        thresholds: values between which it moves; none for a constant.
     """
 
     name: str
@@ -77,6 +79,8 @@ def describe(name: str, values: Array, unit: str) -> Variable:
     finite = values[np.isfinite(values)]
     size = float(np.median(np.abs(finite)))
     spread = float(np.std(finite))
+    if spread <= 1e-9 * max(size, 1e-300):
+        return Variable(name, unit, rounded(size), False, ())
     low, high = np.quantile(finite, (0.01, 0.99))
     signed = bool(low < -0.02 * spread and high > 0.02 * spread and low * high < 0)
     thresholds = tuple(float(f"{q:.3g}") for q in np.unique(np.quantile(finite, _THRESHOLD_QUANTILES)))
@@ -160,6 +164,8 @@ class Factor:
             return np.tanh(x / (_SMOOTHED * r))
         if self.kind == "time":
             return x / r
+        if self.kind == "above_one":
+            return signed_power(x - 1.0, s)
         if self.kind == "one_way":
             return 0.5 * (1.0 + np.tanh(s * x / (_SMOOTHED * r)))
         if self.kind == "excess":
@@ -204,6 +210,8 @@ class Factor:
             return f"sign({x})"
         if self.kind == "time":
             return f"(t/{size})"
+        if self.kind == "above_one":
+            return f"({x} - 1){raised}"
         if self.kind == "one_way":
             return f"[{x} {'>' if s > 0 else '<'} 0]"
         if self.kind in ("excess", "shortage"):
@@ -300,7 +308,9 @@ def factors(names: Iterable[str], variables: Mapping[str, Variable]) -> list[Fac
     out: list[Factor] = []
     for v in known:
         one = ((v.name,), (v.reference,))
-        if v.name == "time_s":
+        if not v.thresholds:  # constant: enters in pairs only
+            continue
+        if v.name in TIMES:
             out.append(Factor("time", *one, 1.0, ("s",)))
             continue
         if v.signed:
@@ -309,6 +319,8 @@ def factors(names: Iterable[str], variables: Mapping[str, Variable]) -> list[Fac
             out += [Factor("one_way", *one, s, (v.unit,)) for s in (1.0, -1.0)]
         else:
             out += [Factor("power", *one, s, (v.unit,)) for s in _POWERS]
+        if v.name.startswith("Pi_"):
+            out.append(Factor("above_one", *one, 1.0, (v.unit,)))
         out += [Factor("excess", *one, t, (v.unit,)) for t in v.thresholds[1:]]
         out += [Factor("shortage", *one, t, (v.unit,)) for t in v.thresholds[:-1]]
     for a, b in combinations(known, 2):
@@ -318,6 +330,8 @@ def factors(names: Iterable[str], variables: Mapping[str, Variable]) -> list[Fac
 
 
 def _of_pair(a: Variable, b: Variable, known: Sequence[Variable]) -> Iterator[Factor]:
+    if not a.thresholds and not b.thresholds:
+        return
     both, units = (a.name, b.name), (a.unit, b.unit)
     reference = rounded(0.5 * abs(a.reference - b.reference) or 0.3 * a.reference)
     for s in (0.5, 1.0, 2.0):
@@ -331,10 +345,15 @@ def _of_pair(a: Variable, b: Variable, known: Sequence[Variable]) -> Iterator[Fa
         if a.unit == "Pa":
             up = a if pair[0] == a.name else b
             yield Factor("orifice", pair, (up.reference, 1.0), 1.0, units)
-            for t in (v for v in known if v.unit == "K"):
+            for t in (v for v in known if v.unit == "K" and v.thresholds):
                 yield Factor("orifice", (*pair, t.name), (up.reference, 1.0, t.reference), 1.0, (*units, "K"))
 
 
 def admissible(form: Form, point: Point) -> bool:
-    """The port rule: a law may depend only on variables of the nodes that its point touches (and on time)."""
-    return set(form.variables) <= {*point.ports, "time_s"}
+    """The port rule: a law may depend only on variables of the nodes that its point touches, and on ambient."""
+    return set(form.variables) <= set(arguments(point))
+
+
+def arguments(point: Point) -> tuple[str, ...]:
+    """Variables that a law at a point may depend on: its ports, and ambient, to which everything can leak or lose."""
+    return (*point.ports, *(name for name in AMBIENT if name not in point.ports))

@@ -14,7 +14,7 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, prior_precision
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, bounded, fit_fully, prior_precision
 from dieseltwin.discovery.grammar import Form, rounded
 from dieseltwin.discovery.law_curve import Curve, binned, law_curve
 from dieseltwin.discovery.law_ranking import Ranked, rank, shortlist
@@ -79,6 +79,7 @@ class Law:
         rivals: laws within 9 units.
         parameters: (P,) of the twin, refitted with the law.
         local: (W, S) initial states.
+        placed: all its terms (one or two) with their estimates, for `LawTwin`; `form` is the first one's.
     """
 
     point: str
@@ -100,15 +101,7 @@ class Law:
     rivals: tuple[Rival, ...]
     parameters: Array
     local: Array
-
-    @property
-    def placed(self) -> Placed:
-        """For `LawTwin`."""
-        first = self.form.factors[:1]
-        if self.shape is not None and first:
-            changed = replace(self.form, factors=(replace(first[0], shape=self.shape), *self.form.factors[1:]))
-            return Placed(changed, self.coefficient)
-        return Placed(self.form, self.coefficient)
+    placed: tuple[Placed, ...]
 
 
 @dataclass(frozen=True)
@@ -279,7 +272,7 @@ def _refit(twin: Twin, at: Linearisation, worth: Worth, item: Ranked) -> _Refit:
         rest = residual - np.tensordot(change, columns, 1)
         if at.nuisance_response is not None:
             rest = rest - np.tensordot(at.metric.nuisance_estimate(rest), at.nuisance_response, 1)
-        trial = replace(best, parameters=parameters, local=best.local + at.metric.local_step(rest))
+        trial = replace(best, parameters=parameters, local=bounded(twin, best.local + at.metric.local_step(rest)))
         new = np.nan_to_num(twin.measured - law.simulate(trial.lanes())[0], nan=1e6)
         new_vector = at.metric.project(new[None])[0]
         value = objective(new_vector, parameters)
@@ -308,7 +301,7 @@ def _renewed(
         signals[law.form.point] = signals.get(law.form.point, 0.0) + signal
     fixed = cast(Twin, _WithSignal(twin, signals))
     start = replace(best.fit, parameters=best.fit.parameters[:known])
-    here = Linearisation(fixed, at.whitening, start, nuisance_response)
+    here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
     lanes = start.lanes()
     responses = Responses(cast(Linearised, here), lanes)
     for name, signal in signals.items():
@@ -343,6 +336,11 @@ def _report(
         freed = fit_fully(cast(Twin, loose), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
         at_shape = len(loose.parameters) - 1
         shape, shape_std = float(freed.fit.parameters[at_shape]), float(np.sqrt(scale) * freed.fit.std[at_shape])
+        price = np.log(worth.readings or at.whitening.present.sum())
+        if worth(at.fit.objective - freed.fit.objective) > worth(at.fit.objective - final[1].fit.objective) + price:
+            form = replace(form, factors=(replace(form.factors[0], shape=float(f"{shape:.3g}")), *form.factors[1:]))
+            placed = [Placed(form, float(np.sign(coefficient) * freed.fit.parameters[at_shape - 1]))]
+            final = _final(twin, at, placed, replace(best.fit, local=freed.fit.local), nuisance_response)
     law, lin = final
     at_coefficient = len(twin.parameters)
     coefficient = float(law.values(lin.fit.parameters)[0][0])
@@ -369,6 +367,10 @@ def _report(
         {name: (float(np.min(variables[name])), float(np.max(variables[name]))) for name in names},
         at.fit.objective - lin.fit.objective, best.score, at.fit.objective / readings, lin.fit.objective / readings,
         rivals, lin.fit.parameters[:at_coefficient], lin.fit.local,
+        tuple(
+            replace(q, coefficient=float(c), free_shape=False)
+            for q, (c, _) in zip(law.laws, law.values(lin.fit.parameters), strict=True)
+        ),
     )  # fmt: skip
 
 
@@ -376,6 +378,8 @@ def _final(
     twin: Twin, at: Linearisation, placed: Sequence[Placed], start: Fit, nuisance_response: Array | None
 ) -> tuple[LawTwin, Linearisation]:
     law = LawTwin(twin, placed)
+    extra = [p.value for p in law.parameters[len(twin.parameters) :]]
+    start = replace(start, parameters=np.append(start.parameters[: len(twin.parameters)], extra))
     return law, fit_fully(cast(Twin, law), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
 
 
@@ -389,7 +393,7 @@ def _curve(
     signal = law.signals(lin.fit.lanes())[0]
     fixed = cast(Twin, _WithSignal(twin, {name: signal}))
     start = replace(lin.fit, parameters=lin.fit.parameters[: len(twin.parameters)])
-    here = Linearisation(fixed, at.whitening, start, nuisance_response)
+    here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
     responses = Responses(cast(Linearised, here), start.lanes())
     responses.add_to_residual(responses.signals(index, signal[None])[0])
     return law_curve(twin.points[index], variables, argument, signal, spread, responses.point(index))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.discovery.grammar import Factor, Form, Variable, describe, factors, operators, unit_of
+from dieseltwin.discovery.grammar import TIMES, Factor, Form, Variable, arguments, describe, factors, operators, unit_of
 from dieseltwin.discovery.law_responses import PointResponse, Responses
 from dieseltwin.discovery.law_twin import Placed
 from dieseltwin.discovery.twin import Array, Point, Twin
@@ -80,7 +80,7 @@ def rank(
         points: names of the points to try; None for all.
         readings: independent ones where the size of the misfit counts as unknown (`worth`), else None.
     """
-    units = {**getattr(twin, "units", {}), "time_s": "s"}
+    units = {**getattr(twin, "units", {}), **dict.fromkeys(TIMES, "s")}
     worth = Worth(responses.explained(), readings)
     log_readings = float(np.log(readings or responses.at.whitening.present.sum()))
     out: list[Ranked] = []
@@ -90,8 +90,8 @@ def rank(
         point = twin.points[index]
         known = {
             name: describe(name, np.asarray(variables[name]), unit_of(name, units))
-            for name in point.ports
-            if name in variables and np.ptp(variables[name][np.isfinite(variables[name])]) > 0
+            for name in arguments(point)
+            if name in variables and np.isfinite(variables[name]).any()
         }
         found, count = _of_point(
             twin, index, point, known, responses.point(index), variables, units, worth, log_readings, len(chosen)
@@ -105,7 +105,7 @@ def _of_point(
     twin: Twin, index: int, point: Point, known: Mapping[str, Variable], response: PointResponse,
     variables: Mapping[str, Array], units: Mapping[str, str], worth: Worth, log_readings: float, points: int,
 ) -> tuple[list[Ranked], int]:  # fmt: skip
-    pool = factors(point.ports, known)
+    pool = factors(arguments(point), known)
     each = 2.0 * np.log(max(len(pool), 2))
     common = log_readings + 2.0 * np.log(points)
     n = len(twin.time_s)

@@ -134,7 +134,7 @@ def discover_stepwise(
         chosen = options or law_search.Options(points=inside, unknown_misfit=True)
         found = law_search.search(twin, here, None, chosen).law
         if found is not None:
-            extended = cast(Twin, LawTwin(twin, [found.placed]))
+            extended = cast(Twin, LawTwin(twin, found.placed))
             extra = [p.value for p in extended.parameters[len(twin.parameters) :]]
             fit = replace(here.fit, parameters=np.append(found.parameters, extra), local=found.local)
             if not _holds(twin, whitening, twin, here.fit, extended, fit, _GAIN_OF_LAW):
@@ -195,7 +195,7 @@ def repaired(twin: Twin, story: Story, law: bool = True) -> tuple[Twin, Fit]:
     """Twin and estimate of the story on any recording that `twin` is bound to; initial states are its first guess."""
     fit = replace(story.after, local=twin.first_local())
     if law and story.law is not None:
-        extended = LawTwin(twin, [story.law.placed])
+        extended = LawTwin(twin, story.law.placed)
         extra = [p.value for p in extended.parameters[len(twin.parameters) :]]
         return cast(Twin, extended), replace(fit, parameters=np.append(story.law.parameters, extra))
     return twin, fit
