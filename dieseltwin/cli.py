@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin import __version__
+from dieseltwin.cli_calibrate import calibrate_command, imply_command
 from dieseltwin.cli_challenge import challenge_app
 from dieseltwin.cli_effects import EffectOption, show_effects
 from dieseltwin.errors import DieselTwinError, InputError
@@ -36,6 +37,8 @@ app.add_typer(engine_app, name="engine")
 app.add_typer(params_app, name="params")
 app.add_typer(challenge_app, name="challenge")
 app.command("effects")(show_effects)
+app.command("calibrate")(calibrate_command)
+app.command("imply")(imply_command)
 
 EngineFile = Annotated[
     Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")

@@ -17,6 +17,8 @@ from typing import Any
 from dieseltwin import __version__
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.channels import SENSORS
+from dieseltwin.cli_petrol import is_petrol_engine, run_discover_petrol
+from dieseltwin.cli_calibrate import run_discover_points
 from dieseltwin.discovery.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.curves import Discovery
 from dieseltwin.discovery.document import FILE_NAME
@@ -25,6 +27,7 @@ from dieseltwin.engine import HEALTH, EngineParameters, load_engine, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import Recording, read_recording
+from dieseltwin.steady_points import has_time
 from dieseltwin.strict import unknown_name
 
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
@@ -76,6 +79,9 @@ def run_discover(
         InputError: any file or option that can't be used, a recording or an engine file that can't carry a verdict;
             nothing is written then.
     """
+    if is_petrol_engine(engine) and engine is not None and recording is not None:
+        yield from run_discover_petrol(recording, out, engine)
+        return
     asked = _asked(engine, sensors, channels, withhold, map_tolerance, seed)
     if name is not None:
         check_name(name)
@@ -86,6 +92,9 @@ def run_discover(
         return
     if name is not None and _answered(recording, out, asked):
         yield from explain(name, out)
+        return
+    if not has_time(recording, channels):
+        yield from run_discover_points(recording, out, engine=engine, channels=channels, seed=seed)
         return
     began = time.perf_counter()
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS

@@ -148,9 +148,14 @@ def read_points(
     return points(columns, engine, where=str(path), needed=needed, path=path, sha256=sha256, origin=origin)
 
 
-def has_time(path: str | Path) -> bool:
-    """Whether a table has a `time_s` column (a recording) or not (steady points)."""
-    return TIME in read_table(path).columns
+def has_time(path: str | Path, channels: ChannelMap | str | Path | None = None) -> bool:
+    """Whether a table is a recording (it has `time_s`, by a channel map too, or something called time) or points."""
+    names = [str(name) for name in read_table(path).columns]
+    if channels is not None:
+        mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
+        if any(entry.column == TIME and name in names for name, entry in mapping.entries.items()):
+            return True
+    return TIME in names or any(name.lower().startswith(("time", "timestamp", "t_s", "t [")) for name in names)
 
 
 def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") -> dict[str, np.ndarray]:

@@ -234,8 +234,10 @@ def _free(points: SteadyPoints, base: EngineParameters, engine: EngineParameters
     return [c for c in free if c.name not in dropped], fixed
 
 
-def _fit(model: SteadyModel, points: SteadyPoints, free: Sequence[Coefficient], start: Mapping[str, float],
-         noise: Mapping[str, float] | None, seed: int, staged: bool = True) -> tuple[Estimate, dict[str, float]]:  # fmt: skip
+def _fit(
+    model: SteadyModel, points: SteadyPoints, free: Sequence[Coefficient], start: Mapping[str, float],
+    noise: Mapping[str, float] | None, seed: int, staged: bool = True,
+) -> tuple[Estimate, dict[str, float]]:  # fmt: skip
     """Submodel by submodel from several starts, then all together."""
     values = dict(start)
     generator = np.random.default_rng(seed)

@@ -1,0 +1,177 @@
+"""Files of a calibration: an engine file that every command takes, and a sidecar with what it doesn't hold.
+
+`engine.yaml` holds engine parameters; beside it `engine.calibration.json` the fits, the covariance and each map's
+tolerance. A repaired engine is `repaired.yaml` with `repaired.steady.json`: the terms, every coefficient with its
+covariance, and the first guess of the states, so that `imply` can answer for new points.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from dieseltwin.atomic import write_json, write_text
+from dieseltwin.calibration.calibrate import Calibration
+from dieseltwin.calibration.coefficients import TERMS
+from dieseltwin.calibration.imply import Answerer, Guess, guess_of
+from dieseltwin.calibration.likelihood import NOISE
+from dieseltwin.calibration.repair import Repair
+from dieseltwin.calibration.steady_model import SteadyModel
+from dieseltwin.engine.parameters import EngineParameters, load_engine
+from dieseltwin.errors import InputError
+
+FORMAT = 1
+
+
+def calibration_sidecar(engine_file: Path) -> Path:
+    """`engine.yaml` -> `engine.calibration.json`."""
+    return engine_file.with_suffix(".calibration.json")
+
+
+def steady_sidecar(engine_file: Path) -> Path:
+    """`repaired.yaml` -> `repaired.steady.json`."""
+    return engine_file.with_suffix(".steady.json")
+
+
+def channel_map_file(engine_file: Path) -> Path:
+    """`engine.yaml` -> `engine.channels.yaml`."""
+    return engine_file.with_suffix(".channels.yaml")
+
+
+def write_engine(engine: EngineParameters, path: Path, heading: str) -> Path:
+    """The engine's parameters as YAML that --engine takes."""
+    content = engine.model_dump(mode="json", exclude_defaults=False)
+    body = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
+    return write_text(path, "".join(f"# {line}\n" for line in heading.splitlines()) + body)
+
+
+def write_calibration(calibration: Calibration, path: Path) -> list[Path]:
+    """Engine file, sidecar, and a channel map where an actuator is turned round; returns what was written."""
+    written = [write_engine(calibration.engine, path, "Calibrated by `dieseltwin calibrate`; fits, covariance and "
+                            f"tolerances: {calibration_sidecar(path).name}")]
+    geometry = calibration.model.engine
+    content = {
+        "format": FORMAT,
+        "points": {"path": str(calibration.points.path), "sha256": calibration.points.sha256,
+                   "used": calibration.points.size, "held_out": int(calibration.held_out.sum()),
+                   "origin": calibration.points.origin},
+        "fits": {name: _finite(asdict(fit)) for name, fit in calibration.fits.items()},
+        "tolerances": calibration.tolerances(),
+        "coefficients": [asdict(c) for c in calibration.coefficients],
+        "covariance": {"names": [c.name for c in calibration.coefficients],
+                       "matrix": calibration.covariance.tolist()},
+        "information_divided_by": calibration.estimate.inflation,
+        "converged": calibration.estimate.converged,
+        "actuators": [asdict(a) for a in calibration.actuators],
+        "notes": list(calibration.notes),
+        "base": calibration.base.model_dump(mode="json"),
+        "geometry": geometry.model_dump(mode="json"),
+    }  # fmt: skip
+    written.append(write_json(calibration_sidecar(path), content))
+    turned = [a.column for a in calibration.actuators if a.opens < 0]
+    if turned:
+        entries = {f"{c}": {"column": c, "scale": -1.0, "offset": 100.0} for c in turned}
+        text = "# These actuators close with rising position: give this map with --channels.\n"
+        text += yaml.safe_dump(entries)
+        written.append(write_text(channel_map_file(path), text))
+    return written
+
+
+def base_and_geometry(path: Path) -> tuple[EngineParameters, EngineParameters]:
+    """Base and geometry of a calibrated engine file (from its sidecar), else the engine itself for both."""
+    engine = load_engine(path)
+    sidecar = calibration_sidecar(path)
+    if not sidecar.is_file():
+        return engine, engine
+    content = _read(sidecar)
+    try:
+        return EngineParameters(**content["base"]), EngineParameters(**content["geometry"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise _broken(sidecar, error) from None
+
+
+def write_repaired(repair: Repair, path: Path) -> list[Path]:
+    """The repaired engine: engine file and the sidecar that `imply` reads."""
+    full, model = repair.full_estimate, repair.full_model
+    written = [write_engine(repair.engine(), path, "Repaired by `dieseltwin discover`; its terms (back-pressure with "
+                            f"flap, filter, coolers, sensor) stand in {steady_sidecar(path).name}")]
+    guess = guess_of(repair.calibration.points)
+    values = repair.values()
+    content = {
+        "format": FORMAT,
+        "engine": model.engine.model_dump(mode="json"),
+        "terms": {name: {"law": TERMS[name].law, "site": TERMS[name].site,
+                         "found": any(c.term.name == name for c in repair.chosen),
+                         "parameters": {c.name: {"value": values[c.name], "std": full.std()[c.name], "unit": c.unit,
+                                                 "belief": [c.mean, c.std], "source": c.source}
+                                        for c in TERMS[name].parameters}}
+                  for name in TERMS if name in model.active},
+        "active": sorted(model.active),
+        "values": values,
+        "free": [{"name": c.name, "low": c.low, "high": c.high} for c in full.coefficients],
+        "covariance": full.covariance.tolist(),
+        "discrepancy": dict(zip(model.rows, full.discrepancy.tolist(), strict=True)),
+        "noise": dict(NOISE),
+        "guess": {"weights": guess.weights.tolist(), "centre": guess.centre.tolist(), "spread": guess.spread.tolist(),
+                  "residual": guess.residual.tolist()},
+        "turned": [a.column for a in repair.calibration.actuators if a.opens < 0],
+    }  # fmt: skip
+    written.append(write_json(steady_sidecar(path), content))
+    return written
+
+
+def load_answerer(path: Path) -> tuple[Answerer, tuple[str, ...]]:
+    """What `imply` needs of a repaired engine file, and the actuator columns that must be turned round.
+
+    Raises:
+        InputError: no engine file, or no or a broken sidecar beside it.
+    """
+    load_engine(path)  # the same messages for a wrong engine file as everywhere
+    sidecar = steady_sidecar(path)
+    if not sidecar.is_file():
+        raise InputError(str(path), f"no {sidecar.name} beside it", "the repaired.yaml of `dieseltwin discover POINTS`",
+                         "run `dieseltwin discover POINTS --engine engine.yaml --out DIR` first")
+    content = _read(sidecar)
+    try:
+        model = SteadyModel(EngineParameters(**content["engine"]), frozenset(content["active"]))
+        guess = Guess(*(np.array(content["guess"][k]) for k in ("weights", "centre", "spread", "residual")))
+        answerer = Answerer(
+            model, content["values"], tuple(c["name"] for c in content["free"]), np.array(content["covariance"]),
+            content["discrepancy"], guess, content["noise"],
+            {c["name"]: (float(c["low"]), float(c["high"])) for c in content["free"]},
+        )  # fmt: skip
+        return answerer, tuple(content["turned"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise _broken(sidecar, error) from None
+
+
+def answerer_of(repair: Repair) -> Answerer:
+    """The same without a file."""
+    full = repair.full_estimate
+    return Answerer(repair.full_model, repair.values(), tuple(c.name for c in full.coefficients), full.covariance,
+                    dict(zip(repair.full_model.rows, full.discrepancy.tolist(), strict=True)),
+                    guess_of(repair.calibration.points), NOISE, {c.name: (c.low, c.high) for c in full.coefficients})
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise _broken(path, error) from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise _broken(path, "another format")
+    return content
+
+
+def _broken(path: Path, error: object) -> InputError:
+    return InputError(str(path), f"no readable sidecar ({error})", f"JSON of format {FORMAT}", "write it anew")
+
+
+def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: (v if not isinstance(v, float) or np.isfinite(v) else None) for k, v in values.items()}
