@@ -315,10 +315,11 @@ class VariantConfig(StrictModel):
     """One further ensemble on the noisy case: a method with something changed."""
 
     name: str
-    method: Literal["classical", "few-shot-newton", "few-shot-adam"]
+    method: Literal["classical", "few-shot-newton", "few-shot-adam", "baseline"]
     channels: tuple[str, ...] | None = Field(default=None, description="sensors that are read; none = all five")
     held_out_share: NonNegativeFloat = Field(default=0.0, lt=1.0, description="readings no loss sees: early stopping")
     weight_share: PositiveFloat = Field(default=1.0, description="factor on the paper's starting weights")
+    x_r_weight: PositiveFloat = Field(default=100.0, description="of the equation of x_r in the loss; paper: 100")
     start: Literal["lab", "truth"] = "lab"
     members: PositiveInt
 

@@ -101,11 +101,11 @@ _FIELDS = (
     "time_s", "parameters", "std", "interval_90", "states", "bound", "identifiable", "converged", "chi2_per_sample",
     "state_samples", "parameter_samples",
 )  # fmt: skip
-_PLAIN = ("t0_s", "t1_s", "seconds_per_run")
+_PLAIN = ("t0_s", "t1_s")
 
 
 def save_estimates(path: Path, estimates: Sequence[SegmentEstimate]) -> None:
-    """Write the estimates of a batch as one .npz file."""
+    """Write the estimates of a batch as one .npz file, but for their run times: equal seeds give equal bytes."""
     arrays: dict[str, Any] = {"method": np.array(estimates[0].method), "count": np.array(len(estimates))}
     for i, estimate in enumerate(estimates):
         for name in _FIELDS:
@@ -117,8 +117,8 @@ def save_estimates(path: Path, estimates: Sequence[SegmentEstimate]) -> None:
     np.savez(path, **arrays)
 
 
-def load_estimates(path: Path) -> list[SegmentEstimate]:
-    """Read what `save_estimates` wrote."""
+def load_estimates(path: Path, seconds_per_run: Sequence[float]) -> list[SegmentEstimate]:
+    """Read what `save_estimates` wrote, and give each segment its seconds per run [s]."""
     with np.load(path) as stored:
         method, count = str(stored["method"]), int(stored["count"])
         made = []
@@ -127,7 +127,9 @@ def load_estimates(path: Path) -> list[SegmentEstimate]:
             curves = {name.removeprefix(prefix): stored[name] for name in stored.files if name.startswith(prefix)}
             fields = {name: stored.get(f"{i}/{name}") for name in _FIELDS}
             plain = dict(zip(_PLAIN, stored[f"{i}/plain"].tolist(), strict=True))
-            made.append(SegmentEstimate(**fields, **plain, method=method, curves=curves))
+            made.append(
+                SegmentEstimate(**fields, **plain, method=method, curves=curves, seconds_per_run=seconds_per_run[i])
+            )
     return made
 
 
@@ -165,6 +167,36 @@ def diverged(parameters: NDArray[np.float64], truth: NDArray[np.float64]) -> NDA
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.abs(np.log(parameters / truth))
     return ~np.isfinite(parameters).all(axis=1) | ~(size <= np.log(FAR_OFF)).all(axis=1)
+
+
+def without_diverged(estimate: SegmentEstimate, truth: NDArray[np.float64]) -> SegmentEstimate | None:
+    """The estimate of the members that have a value, for bands and pooled values; None where no member has."""
+    keep = ~diverged(estimate.parameters, truth)
+    if not keep.any():
+        return None
+    if keep.all():
+        return estimate
+    chi2 = estimate.chi2_per_sample
+    curves = {
+        name: values[:, keep] if values.ndim == 2 and values.shape[1] == len(keep) else values
+        for name, values in estimate.curves.items()
+    }
+    samples, states = estimate.parameter_samples, estimate.state_samples
+    if samples is not None and states is not None:
+        whole = ~diverged(samples, truth) & np.isfinite(states).all(axis=(1, 2))
+        samples, states = (samples[whole], states[whole]) if whole.any() else (None, None)
+    return replace(
+        estimate,
+        parameters=estimate.parameters[keep],
+        std=estimate.std[keep],
+        interval_90=estimate.interval_90[keep],
+        converged=estimate.converged[keep],
+        chi2_per_sample=None if chi2 is None else chi2[keep],
+        curves=curves,
+        parameter_samples=samples,
+        state_samples=states,
+        states=estimate.states if states is None or np.isfinite(estimate.states).all() else states.mean(axis=0),
+    )
 
 
 def member_table(

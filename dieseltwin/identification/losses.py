@@ -22,7 +22,11 @@ from torch import Tensor
 from dieseltwin.identification.residuals import PhysicsResiduals
 
 X_R_WEIGHT = 100.0
-"""Weight of the residual of x_r (paper, total loss)."""
+"""Weight of the residual of x_r (paper, total loss).
+
+It is too small for noisy data: x_r moves T_em by 300-600 K, so the heads of x_r follow the noise of T_em (18 K) almost
+for free, T_em stops saying anything about h_tot, and h_tot drifts with the epochs. `Scales.x_r_weight` of 1e4 stops it.
+"""
 INITIAL_WEIGHTS = (1.0, 1.0, 1.0, 100.0, 100.0)
 """Weights of the initial-condition losses of p_im, p_em, omega_t, x_r, T_1 (paper, total loss)."""
 WEIGHT_SIGMA = 0.1
@@ -44,6 +48,7 @@ class Scales:
         p: pressures [Pa], and their rates [Pa/s]; omega: turbo speed [rad/s], and its rate [rad/s2].
         T_1, T_em: temperatures [K]; w_egr: EGR flow [kg/s].
         rate: further divisor of the three rates [-]: below 1 the differential equations count more against the data.
+        x_r_weight: weight of the residual of x_r [-]; the paper's is `X_R_WEIGHT`.
     """
 
     p: float = 1e5
@@ -52,6 +57,7 @@ class Scales:
     T_em: float = 300.0
     w_egr: float = 1.0
     rate: float = 1.0
+    x_r_weight: float = X_R_WEIGHT
 
     @property
     def physics(self) -> tuple[float, ...]:
@@ -160,7 +166,7 @@ def total_loss(residuals: PhysicsResiduals, states: tuple[Tensor, ...], weights:
     data = (mean_square[:, :4] * masked.square()).sum((1, 2))
     t_em = mean_square[:, 4].sum(-1)
     total = (
-        physics[0] + physics[1] + physics[2] + X_R_WEIGHT * physics[3] + single[:, 1] * physics[4]
+        physics[0] + physics[1] + physics[2] + scale.x_r_weight * physics[3] + single[:, 1] * physics[4]
         + initial + data + single[:, 0] * t_em
     )  # fmt: skip
     return Loss(total, mean_square[:, :4].detach(), torch.stack([t_em, physics[4]], -1).detach())

@@ -1,0 +1,298 @@
+"""The page of the evaluation: the paper's tables beside ours, and its figures, in one self-contained file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from dieseltwin.atomic import write_text
+from dieseltwin.identification.ensemble import CASES
+from dieseltwin.report import evaluation_printed as printed
+from dieseltwin.report import evaluation_words as words
+from dieseltwin.report import quantities, style, timeseries, training, violins
+from dieseltwin.report.evaluation_figures import over_epochs_figure, ratios_figure
+from dieseltwin.report.results import PARAMETERS, Results
+from dieseltwin.report.style import ReportFigure
+
+SIZE_LIMIT_BYTES = 12 * 1024 * 1024
+_SMALLER_DPI = (100, 75, 55)
+TITLE = "The paper's tables and figures, and ours beside them"
+_WORDS = {printed.MULTI_STAGE: "the paper's multi-stage table", printed.FEW_SHOT: "the paper's few-shot table"}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text of a table's cell and its CSS class."""
+
+    text: str
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page."""
+
+    id: str
+    title: str
+    words: str = ""
+    tables: Sequence[Table] = ()
+    figures: Sequence[ReportFigure] = field(default_factory=tuple)
+
+
+def build_page(
+    tables: Mapping[str, pd.DataFrame],
+    results: Mapping[str, Results],
+    out: Path,
+    *,
+    figures_dir: Path | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write the page.
+
+    Args:
+        tables: of `report.evaluation` by name: scores, beside_paper, cells, run_times, operators, bodies, maps,
+            calibration, over_epochs, identifiability.
+        results: case -> results of all methods on it, for the figures.
+        out: the HTML file.
+        figures_dir: folder for the figures as files too.
+        about: what the page says about where its numbers come from.
+
+    Returns:
+        The path.
+    """
+    found = sections(tables, results)
+    if figures_dir is not None:
+        for section in found:
+            for figure in section.figures:
+                figure.save(Path(figures_dir) / section.id)
+    notes = dict(about or {})
+    page = ""
+    for dpi in _SMALLER_DPI:
+        page = _render(found, tables, notes, dpi)
+        if len(page.encode("utf-8")) < SIZE_LIMIT_BYTES:
+            break
+    out.parent.mkdir(parents=True, exist_ok=True)
+    return write_text(out, page)
+
+
+def sections(tables: Mapping[str, pd.DataFrame], results: Mapping[str, Results]) -> list[Section]:
+    """All sections that there is something for."""
+    beside, scores = tables["beside_paper"], tables["scores"]
+    made = [
+        _section("scores", [_scores(scores)] if len(scores) else [], [ratios_figure(beside)] if len(beside) else []),
+        *(
+            Section(
+                f"parameters-{number}", f"Estimates beside {_WORDS[table]}", words.SECTIONS["parameters"][1],
+                [_beside(part, case) for case, part in whole.groupby("case", sort=False)],
+            )
+            for number, (table, whole) in enumerate(beside.groupby("table", sort=False))
+        ),
+        _section("times", [_times(tables["run_times"])] if len(tables["run_times"]) else []),
+        _section("learned", _learned(tables)),
+        _section("calibration", [_calibration(tables["calibration"])] if len(tables["calibration"]) else []),
+        _section("epochs", (), [over_epochs_figure(tables["over_epochs"])] if len(tables["over_epochs"]) else []),
+        _section("identifiability", _identifiability(tables["identifiability"])),
+        _section("variants", _variants(tables["cells"])),
+    ]  # fmt: skip
+    for case, found in results.items():
+        figures = [
+            violins.violins(found), timeseries.states(found), timeseries.flows(found), timeseries.empirical(found),
+            *(training.convergence(found, method) for method in found.methods),
+        ]  # fmt: skip
+        kept = tuple(figure for figure in figures if figure is not None)
+        made.append(Section(f"figures-{case}", f"Figures, {CASES[case].words}", "", (), kept))
+    return [section for section in made if section.tables or section.figures]
+
+
+def _section(name: str, tables: Sequence[Table], figures: Sequence[ReportFigure] = ()) -> Section:
+    title, text = words.SECTIONS[name]
+    return Section(name, title, text, tables, figures)
+
+
+def _pm(mean: float, std: float, digits: int = 4) -> str:
+    if not math.isfinite(mean):
+        return "–"
+    return f"{mean:.{digits}f} ± {std:.{digits}f}" if math.isfinite(std) else f"{mean:.{digits}f}"
+
+
+def _p(value: float) -> str:
+    return "p –" if not math.isfinite(value) else ("p < 0.001" if value < 1e-3 else f"p = {value:.2g}")
+
+
+def _percent(value: float, digits: int = 1) -> str:
+    return f"{100.0 * value:.{digits}f} %" if math.isfinite(value) else "–"
+
+
+def _label(method: str) -> str:
+    return style.method_style(method).label
+
+
+def _symbols() -> list[str]:
+    return [quantities.html_symbol(name) for name in PARAMETERS]
+
+
+def _scores(table: pd.DataFrame) -> Table:
+    heads = ["method", "against", "case", "cells scored", "ours at most the paper's", "RMSE ratio", "95 % interval",
+             "worse beyond interval", "members diverged", "cells not scored"]  # fmt: skip
+    rows = [
+        [Cell(_label(r.method)), Cell(_WORDS[r.table]), Cell(r.case), Cell(str(r.cells)),
+         Cell(_percent(r.better, 0), "better" if r.better >= 0.8 else "worse"), Cell(f"{r.ratio:.3g}"),
+         Cell(f"{r.low:.3g} – {r.high:.3g}"), Cell(str(r.worse_beyond)), Cell(str(r.diverged)), Cell(str(r.unscored))]
+        for r in table.itertuples()
+    ]  # fmt: skip
+    return Table("", heads, rows)
+
+
+def _beside(part: pd.DataFrame, case: Any) -> Table:
+    rows = []
+    for minute, cells in part.groupby("minute", sort=True):
+        printed_row = cells.drop_duplicates("parameter").set_index("parameter")
+        row = [Cell(str(minute)), Cell("paper")]
+        row += [Cell(_pm(printed_row.loc[p, "paper_mean"], printed_row.loc[p, "paper_std"])) for p in PARAMETERS]
+        rows.append(row)
+        for method, ours in cells.groupby("method", sort=True):
+            of = ours.set_index("parameter")
+            row = [Cell(""), Cell(_label(str(method)))]
+            for p in PARAMETERS:
+                r = of.loc[p]
+                text = f"{_pm(r['mean'], r['std'])}, {_p(r['p'])}"
+                text += f", {int(r['diverged'])} diverged" if r["diverged"] else ""
+                if r["bound_class"] == "not identifiable":
+                    row.append(Cell(f"({text})", "none"))
+                else:
+                    row.append(Cell(text, "better" if r["better"] else "worse"))
+            rows.append(row)
+    return Table(CASES[str(case)].words, ["minute", "", *_symbols()], rows)
+
+
+def _times(table: pd.DataFrame) -> Table:
+    heads = ["method", "case", "minute", "epochs", "s per run", "paper's epochs", "paper, s"]
+    rows = [
+        [Cell(_label(r.method)), Cell(r.case), Cell(r.minute), Cell(_whole(r.epochs)), Cell(f"{r.seconds:.3g}"),
+         Cell(_whole(r.paper_epochs)), Cell(_pm(r.paper, r.paper_std, 1))]
+        for r in table.fillna(math.nan).itertuples()
+    ]  # fmt: skip
+    return Table("", heads, rows)
+
+
+def _whole(value: Any) -> str:
+    return "–" if value is None or not math.isfinite(float(value)) else f"{int(value):,}"
+
+
+def _learned(tables: Mapping[str, pd.DataFrame]) -> list[Table]:
+    made = []
+    if tables["operators"]["trainings"].sum():
+        rows = [
+            [Cell(r.output), Cell(f"{r.labels} labels"), Cell(r.recording), Cell(str(r.trainings)),
+             Cell(_pm(r.mean, r.std, 3)), Cell(_pm(r.paper, r.paper_std, 2))]
+            for r in tables["operators"].itertuples()
+        ]  # fmt: skip
+        heads = ["operator's output", "", "recording", "trainings", "ours", "paper"]
+        made.append(Table("Actuator operators (DeepONets)", heads, rows))
+    if tables["bodies"]["trainings"].sum():
+        rows = [
+            [Cell(r.output), Cell(str(r.trainings)), Cell(_pm(r.mean, r.std, 3)), Cell(_pm(r.paper, r.paper_std, 3))]
+            for r in tables["bodies"].itertuples()
+        ]
+        made.append(Table("Multi-head bodies, training", ["output", "trainings", "ours", "paper"], rows))
+    if len(tables["maps"]):
+        wide = tables["maps"].pivot(index="map", columns="kind", values="test_pct")
+        rows = [[Cell(str(name)), *(Cell(f"{value:.3g}") for value in row)] for name, row in wide.T.items()]
+        made.append(Table("Empirical maps on Case-V", ["map", *wide.columns], rows))
+    return made
+
+
+def _calibration(table: pd.DataFrame) -> Table:
+    heads = ["method", "variant", "parameter", "stated by", "members", "coverage of 90 %", "mean z", "std of z"]
+    rows = [
+        [Cell(_label(r.method)), Cell(str(r.variant) if isinstance(r.variant, str) else ""), Cell(r.parameter),
+         Cell(r.stated_by), Cell(str(r.members)), Cell(_percent(r.coverage, 0)), Cell(f"{r.z_mean:.2f}"),
+         Cell(f"{r.z_std:.2f}")]
+        for r in table.itertuples()
+    ]  # fmt: skip
+    return Table("", heads, rows)
+
+
+def _identifiability(table: pd.DataFrame) -> list[Table]:
+    made = []
+    for (case, sensors), part in table.groupby(["case", "sensors"], sort=True):
+        rows = []
+        for minute, cells in part.groupby("minute", sort=True):
+            of = cells.set_index("parameter")
+            row = [Cell(str(minute))]
+            for p in PARAMETERS:
+                bound = of.loc[p, "bound"]
+                text = f"{100 * bound:.3g} %" if math.isfinite(bound) else "no information"
+                row.append(Cell(text, "none" if of.loc[p, "bound_class"] == "not identifiable" else ""))
+            rows.append(row)
+        made.append(Table(f"{CASES[str(case)].words}; sensors: {sensors}", ["minute", *_symbols()], rows))
+    return made
+
+
+def _variants(table: pd.DataFrame) -> list[Table]:
+    rows = []
+    noisy = table[(table["case"] == "noisy-301") & (table["bound_class"] != "not identifiable")]
+    named = noisy.assign(variant=noisy["variant"].fillna(""))
+    changed = set(named.loc[named["variant"] != "", "method"])
+    for (method, variant), part in named[named["method"].isin(changed)].groupby(["method", "variant"], sort=True):
+        median = part.groupby("parameter")["rmse"].median()
+        cells = [Cell(_percent(float(median.get(p, math.nan)), 2)) for p in PARAMETERS]
+        rows.append([Cell(_label(str(method))), Cell(variant or "as in the tables above"), *cells])
+    if len(rows) < 2:
+        return []
+    return [Table("Median over the identifiable minutes", ["method", "changed", *_symbols()], rows)]
+
+
+def headline(scores: pd.DataFrame) -> str:
+    """The result in one or two sentences."""
+    whole = scores[scores["case"] == "all"]
+    if whole.empty:
+        return "No ensemble has a counterpart in the paper's tables."
+    parts = [
+        f"{_label(r.method)}: RMSE at most the paper's in {_percent(r.better, 0)} of {r.cells} cells of "
+        f"{_WORDS[r.table]}, "
+        f"{r.ratio:.2g} times the paper's on average ({r.low:.2g} – {r.high:.2g})"
+        for r in whole.itertuples()
+    ]
+    return "; ".join(parts) + "."
+
+
+def _render(found: Sequence[Section], tables: Mapping[str, pd.DataFrame], about: Mapping[str, Any], dpi: int) -> str:
+    environment = Environment(
+        loader=PackageLoader("dieseltwin.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    return environment.get_template("evaluation.html.j2").render(
+        title=TITLE,
+        about=" · ".join(f"{key} {value}" for key, value in about.items() if key in ("profile", "seed")),
+        headline=headline(tables["scores"]),
+        sections=[
+            {
+                "id": s.id, "title": s.title, "words": s.words, "tables": s.tables,
+                "figures": [
+                    {
+                        "name": f"{s.id}-{figure.name}", "title": figure.title,
+                        "caption": quantities.with_symbols(figure.caption),
+                        "uri": style.data_uri(figure.encode(dpi), figure.kind),
+                    }
+                    for figure in s.figures
+                ],
+            }
+            for s in found
+        ],
+        provenance=[(key, str(value)) for key, value in about.items() if not isinstance(value, Mapping)],
+    )  # fmt: skip

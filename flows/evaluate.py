@@ -1,0 +1,157 @@
+"""The paper's tables and figures from ensembles of every method: ``results/evaluation/``, ``reports/evaluation/``."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from prefect import flow
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from tasks import ensembles as steps
+from tasks import evaluate as after
+from tasks import evaluation_records as records
+from tasks.evaluation_plan import Plan, ensembles_of
+from tasks.launch import run_alone
+from tasks.publish import publish, published
+from tasks.run_context import WORKERS, Pending, current, seed_for
+from tasks.settings import about, load_settings
+from tasks.store import RUNTIME, Artifact, content_hash
+
+LABELS = {"clean": 0.0, "noisy": 1.0}
+"""Label noise of the operators' trainings, in units of ``noise.label_rel``."""
+
+
+@flow(name="evaluate", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
+def evaluate(profile: str) -> str:
+    """Run every ensemble, then tables and page. Returns the hash of ``results/evaluation/``."""
+    context = current()
+    root = context.workspace.root
+    settings = load_settings(profile)
+    field = published(root / "data" / "field", "simulate")
+    lab = published(root / "data" / "lab", "simulate")
+    models = published(root / "models", "pretrain")
+
+    plans = ensembles_of(settings)
+    pending = _submit_ensembles(plans, settings, field, models)
+    trainings = _submit_trainings(settings, lab, field)
+    found: dict[str, Artifact] = {}
+    assembled = {}
+    for plan in plans:
+        parts = {f"part_{first:04d}": waiting.result() for first, waiting in pending[plan.slug].items()}
+        assembled[plan.slug] = after.ensemble.submit(
+            field=field,
+            settings=steps.own_settings(settings, plan.method),
+            what=plan.what,
+            method=plan.method,
+            variant=plan.variant,
+            epochs=plan.epochs,
+            kind=plan.slug,
+            run_times=_times(list(parts.values())),
+            **parts,
+        )
+    found = {f"ensemble_{i:03d}": assembled[plan.slug].result() for i, plan in enumerate(plans)}
+    times = _times(list(found.values()))
+    classical = steps.own_settings(settings, "classical")
+    common = after.tables.submit(
+        errors=models / "errors",
+        bootstrap=settings["evaluation"]["bootstrap"],
+        field=field,
+        run_times=times,
+        **found,
+        **{name: waiting.result() for name, waiting in trainings.items()},
+    ).result()
+    page = after.page.submit(
+        field=field,
+        common=common,
+        settings=classical,
+        what=plans[0].what,
+        about={**about(settings, field), "commands": "python -m flows.evaluate"},
+        run_times=[*times, *_times([common])],
+        **found,
+    ).result()
+    results = publish(
+        root / "results" / "evaluation",
+        {"": common.path, **{f"ensembles/{plan.slug}": assembled[plan.slug].result().path for plan in plans}},
+    )
+    publish(context.workspace.reports / "evaluation", {"": page.path})
+    records.evaluated(plans, found, common, page, {"field recordings": field, "models": models}, settings)
+    context.display.say(f"tables: {context.workspace.relative(root / 'results' / 'evaluation')}")
+    context.display.say(f"page: {context.workspace.relative(context.workspace.reports / 'evaluation' / after.PAGE)}")
+    return results.sha256
+
+
+def _times(parts: list[Artifact]) -> list[str]:
+    """Hashes of the run times, which are no part of a result's hash but are shown."""
+    return [content_hash(part.path / RUNTIME) for part in parts]
+
+
+def _submit_ensembles(
+    plans: list[Plan], settings: dict[str, Any], field: Artifact, models: Artifact
+) -> dict[str, dict[int, Pending]]:
+    """Every batch of every ensemble, the longest first; multi-stage waits for the source models of its case."""
+    maps, operators = models / "maps_paper.pt", models / "operators.pt"
+    given: dict[str, dict[str, Artifact]] = {
+        "baseline": {"maps": maps, "operators": operators},
+        "few-shot-adam": {"bodies": models / "bodies_paper.pt", "maps": maps, "operators": operators},
+        "few-shot-newton": {"bodies": models / "bodies_conditioned.pt"},
+        "classical": {},
+    }
+    step_of = {
+        "baseline": steps.baseline,
+        "few-shot-adam": steps.few_shot_adam,
+        "few-shot-newton": steps.few_shot_newton,
+        "classical": steps.classical,
+    }
+    pending: dict[str, dict[int, Pending]] = {plan.slug: {} for plan in plans}
+
+    def batch(plan: Plan, first: int, runs: int) -> dict[str, Any]:
+        return {
+            "field": field,
+            "settings": steps.own_settings(settings, plan.method),
+            "what": {**plan.what, "first": first, "runs": runs},
+            "kind": f"{plan.slug}-m{first:03d}",
+        }
+
+    for plan in plans:
+        if plan.method != "multi-stage":
+            for first, runs in plan.batches:
+                pending[plan.slug][first] = step_of[plan.method].submit(
+                    **batch(plan, first, runs), **given[plan.method]
+                )
+    sources = {plan.case: pending[plan.slug] for plan in plans if plan.method == "baseline" and not plan.variant}
+    for plan in plans:
+        if plan.method == "multi-stage":
+            for first, runs in plan.batches:
+                pending[plan.slug][first] = steps.multi_stage.submit(
+                    **batch(plan, first, runs), **given["baseline"], source=sources[plan.case][first].result()
+                )
+    return pending
+
+
+def _submit_trainings(settings: dict[str, Any], lab: Artifact, field: Artifact) -> dict[str, Pending]:
+    """Repeated trainings of the operators, with and without label noise, and of the bodies as printed."""
+    pending = {}
+    config = settings["pretrain"]
+    for number in range(settings["evaluation"]["trainings"]):
+        for labels, share in LABELS.items():
+            pending[f"training_{labels}_{number:02d}"] = steps.operators_training.submit(
+                lab=lab,
+                field=field,
+                config=config["operators"],
+                engine=settings["engine"],
+                seed=seed_for(settings["seed"], f"evaluation operators {number}") % 2**40,
+                label_noise_rel=share * settings["noise"]["label_rel"],
+                kind=f"{labels}-{number}",
+            )
+        pending[f"training_bodies_{number:02d}"] = steps.bodies_training.submit(
+            lab=lab,
+            config=config["bodies"],
+            seed=seed_for(settings["seed"], f"evaluation bodies {number}") % 2**40,
+            kind=f"{number}",
+        )
+    return pending
+
+
+if __name__ == "__main__":
+    sys.exit(run_alone(evaluate))

@@ -1,0 +1,327 @@
+"""Ensembles behind the paper's tables: one cached step for each method, case and batch of members.
+
+A kill loses the batch that was running. A member's draws (start, networks, dropout, noise) depend on the seed, the
+segment and its number alone, so the size of the batches changes nothing but rounding.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tasks.run_context import step
+from tasks.store import RUNTIME
+
+SECTIONS = {
+    "baseline": "baseline",
+    "multi-stage": "multi_stage",
+    "few-shot-adam": "adam",
+    "few-shot-newton": "newton",
+    "classical": "classical",
+}
+"""Method -> its section of ``identify``; only that one is part of a step's key."""
+ESTIMATES = "estimates.npz"
+SOURCES = "sources.npz"
+
+
+def own_settings(settings: dict[str, Any], method: str) -> dict[str, Any]:
+    """What one method reads: the shared part of ``identify`` and its own section, the engine and the noise."""
+    others = set(SECTIONS.values()) - {SECTIONS[method]} | {"runs"}
+    shared = {name: value for name, value in settings["identify"].items() if name not in others}
+    return {"identify": shared, "engine": settings["engine"], "noise": settings["noise"]}
+
+
+def _clean_problems(field: Path, settings: dict[str, Any]) -> list[Any]:
+    """Segments of the clean field recording, with true initial states, truth, and the noise of the recording."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from dieseltwin.config import NoiseConfig
+    from dieseltwin.datasets import MEASURED
+    from dieseltwin.identification.problem import NoiseLevels
+    from tasks.identify import problems_of
+
+    known, clean = problems_of(field, settings)
+    noise = NoiseLevels.from_signals(
+        clean[list(MEASURED)].to_numpy(), relative=NoiseConfig(**settings["noise"]).channels
+    )
+    rows = np.searchsorted(clean["time_s"], [problem.t0_s - 1e-6 for problem in known])
+    made = []
+    for problem, row in zip(known, rows, strict=True):
+        readings = clean[list(MEASURED)].to_numpy()[row : row + len(problem.time_s)].copy()
+        readings[np.isnan(problem.measured).all(axis=0)[None].repeat(len(readings), 0)] = np.nan
+        made.append(replace(problem, measured=readings, sigma=noise.sigma, noise_draws=None))
+    return made
+
+
+def problems_for(field: Path, settings: dict[str, Any], what: dict[str, Any], members: int) -> list[Any]:
+    """The segments of one case. ``what``: case, noise_seed, channels."""
+    from dieseltwin.identification.ensemble import case_problems
+
+    return case_problems(
+        _clean_problems(field, settings), what["case"], members, what["noise_seed"], what.get("channels")
+    )
+
+
+def _config(settings: dict[str, Any], what: dict[str, Any]) -> Any:
+    """``IdentifyConfig`` with the start of this ensemble."""
+    from dieseltwin.config import StartConfig
+    from tasks.identify import _config as read
+
+    config = read(settings)
+    return config.model_copy(update={"start": StartConfig(**{**config.start.model_dump(), "at": what["start"]})})
+
+
+def _networks(bodies: Path | None, maps: Path | None, operators: Path | None) -> dict[str, Any]:
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
+
+    given: dict[str, Any] = {}
+    if bodies is not None:
+        given["bodies"] = Bodies.load(bodies)
+    if maps is not None:
+        given["maps"] = EmpiricalMaps.load(maps)
+    if operators is not None:
+        given["operators"] = ActuatorOperators.load(operators)
+    return given
+
+
+def _write(out: Path, estimates: list[Any], seconds: float) -> None:
+    import json
+
+    from dieseltwin.identification.ensemble import save_estimates
+
+    save_estimates(out / ESTIMATES, estimates)
+    times = {"seconds": seconds, "seconds_per_run": [estimate.seconds_per_run for estimate in estimates]}
+    (out / RUNTIME).write_text(json.dumps(times) + "\n", encoding="utf-8")
+
+
+@step(
+    "ensemble-baseline",
+    "ensemble, baseline PINN",
+    expected_s=300.0,
+    entries=("dieseltwin.identification.baseline",),
+)
+def baseline(
+    out: Path,
+    progress: Any,
+    *,
+    field: Path,
+    maps: Path,
+    operators: Path,
+    settings: dict[str, Any],
+    what: dict[str, Any],
+    kind: str,
+) -> None:
+    """The first segment from scratch; its networks are the source models of multi-stage (``sources.npz``)."""
+    import time
+    from dataclasses import replace
+
+    import numpy as np
+
+    from dieseltwin.identification.baseline import METHOD, SETTINGS
+    from dieseltwin.identification.pinn_training import estimates_of, make_lanes, settings_from, train_lanes
+
+    problems = problems_for(field, settings, what, what["members"])
+    printed = settings_from(_config(settings, what), "baseline", SETTINGS)
+    chosen = replace(printed, scales=replace(printed.scales, x_r_weight=what["x_r_weight"]))
+    given = _networks(None, maps, operators)
+    began = time.perf_counter()
+    lanes = make_lanes(problems, [0], what["runs"], what["seed"], chosen, what["first"])
+    found = train_lanes(lanes, given["operators"], given["maps"], chosen)
+    estimates = estimates_of(problems[:1], found, what["runs"], began, METHOD)
+    _write(out, estimates, time.perf_counter() - began)
+    np.savez(
+        out / SOURCES, weights=found.weights.numpy(), masked=found.masked.numpy(),
+        health=found.trained.health[:, -1], loss=found.trained.loss[:, -1],
+    )  # fmt: skip
+
+
+@step(
+    "ensemble-multi-stage",
+    "ensemble, multi-stage",
+    expected_s=300.0,
+    entries=("dieseltwin.identification.multistage",),
+)
+def multi_stage(
+    out: Path,
+    progress: Any,
+    *,
+    field: Path,
+    maps: Path,
+    operators: Path,
+    source: Path,
+    settings: dict[str, Any],
+    what: dict[str, Any],
+    kind: str,
+) -> None:
+    """The segments behind the first, each member from the source model of the same number."""
+    import time
+    from types import SimpleNamespace
+
+    import numpy as np
+    import torch
+
+    from dieseltwin.identification.multistage import SETTINGS, later_segments, source_models
+    from dieseltwin.identification.pinn_training import settings_from
+
+    problems = problems_for(field, settings, what, what["members"])
+    chosen = settings_from(_config(settings, what), "multi_stage", SETTINGS)
+    given = _networks(None, maps, operators)
+    with np.load(source / SOURCES) as stored:
+        found: Any = SimpleNamespace(
+            weights=torch.tensor(stored["weights"]),
+            masked=torch.tensor(stored["masked"]),
+            trained=SimpleNamespace(health=stored["health"][:, None], loss=stored["loss"][:, None]),
+        )
+    began = time.perf_counter()
+    estimates = later_segments(
+        problems, source_models(found, what["runs"]), what["runs"], what["seed"], chosen, given["operators"],
+        given["maps"], what["first"],
+    )  # fmt: skip
+    _write(out, estimates, time.perf_counter() - began)
+
+
+@step(
+    "ensemble-few-shot-adam",
+    "ensemble, few-shot-adam",
+    expected_s=300.0,
+    entries=("dieseltwin.identification.fewshot_adam",),
+)
+def few_shot_adam(
+    out: Path,
+    progress: Any,
+    *,
+    field: Path,
+    bodies: Path,
+    maps: Path,
+    operators: Path,
+    settings: dict[str, Any],
+    what: dict[str, Any],
+    kind: str,
+) -> None:
+    """The paper's loop, everything as printed but for what ``what`` changes."""
+    import time
+    from dataclasses import replace
+
+    from dieseltwin.identification.fewshot_adam import estimate
+    from dieseltwin.identification.fewshot_program import AdamSettings
+
+    problems = problems_for(field, settings, what, what["members"])
+    printed = AdamSettings.from_config(_config(settings, what))
+    chosen = replace(
+        printed,
+        held_out_share=what["held_out_share"],
+        weight_share=what["weight_share"],
+        scales=replace(printed.scales, x_r_weight=what["x_r_weight"]),
+    )
+    given = _networks(bodies, maps, operators)
+    began = time.perf_counter()
+    estimates = estimate(problems, what["runs"], what["seed"], config=chosen, first_run=what["first"], **given)
+    _write(out, estimates, time.perf_counter() - began)
+
+
+@step(
+    "ensemble-few-shot-newton",
+    "ensemble, few-shot-newton",
+    expected_s=60.0,
+    entries=("dieseltwin.identification.fewshot_newton",),
+)
+def few_shot_newton(
+    out: Path,
+    progress: Any,
+    *,
+    field: Path,
+    bodies: Path,
+    settings: dict[str, Any],
+    what: dict[str, Any],
+    kind: str,
+) -> None:
+    """Conditioned bodies, exact formulae; all members in one step."""
+    import time
+
+    from dieseltwin.identification.fewshot_newton import estimate
+
+    problems = problems_for(field, settings, what, what["members"])
+    config, given = _config(settings, what), _networks(bodies, None, None)
+    estimate(problems[:1], 1, what["seed"], config=config, **given)  # seconds are those of a warm machine
+    began = time.perf_counter()
+    estimates = estimate(problems, what["runs"], what["seed"], config=config, **given)
+    _write(out, estimates, time.perf_counter() - began)
+
+
+@step(
+    "ensemble-classical",
+    "ensemble, classical",
+    expected_s=30.0,
+    entries=("dieseltwin.identification.classical",),
+)
+def classical(
+    out: Path, progress: Any, *, field: Path, settings: dict[str, Any], what: dict[str, Any], kind: str
+) -> None:
+    """Maximum likelihood by shooting, exact formulae; all members in one step."""
+    import time
+
+    from dieseltwin.identification.classical import estimate
+
+    problems = problems_for(field, settings, what, what["members"])
+    config = _config(settings, what)
+    estimate(problems[:1], 1, what["seed"], config=config)
+    began = time.perf_counter()
+    estimates = estimate(problems, what["runs"], what["seed"], config=config)
+    _write(out, estimates, time.perf_counter() - began)
+
+
+@step("training-operators", "repeated training, actuator operators", expected_s=80.0)
+def operators_training(
+    out: Path,
+    progress: Any,
+    *,
+    lab: Path,
+    field: Path,
+    config: dict[str, Any],
+    engine: dict[str, Any],
+    seed: int,
+    label_noise_rel: float,
+    kind: str,
+) -> None:
+    """``errors.json`` of one training of the operators with or without label noise, errors against clean data."""
+    import json
+
+    import numpy as np
+    import pandas as pd
+
+    from dieseltwin.config import EngineConfig, OperatorsConfig
+    from dieseltwin.datasets import laboratory_parameters
+    from dieseltwin.surrogates.operators import OPERATORS, TRAINING_CASES, train_operators
+    from tasks.pretrain import _cases, _symbol
+
+    cases = _cases(lab)
+    parameters = laboratory_parameters(EngineConfig(**engine))
+    trained = train_operators(cases, OperatorsConfig(**config), seed, parameters, label_noise_rel=label_noise_rel)
+    test = trained.errors(pd.read_parquet(field / "case_v_clean.parquet"))
+    errors = {}
+    for name, labels in OPERATORS.items():
+        for label in labels:
+            seen = [trained.errors(cases[case])[label] for case in TRAINING_CASES[name]]
+            errors[_symbol(label)] = {"train": float(np.mean(seen)), "test": float(test[label])}
+    (out / "errors.json").write_text(json.dumps(errors, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+@step("training-bodies", "repeated training, multi-head bodies", expected_s=60.0)
+def bodies_training(out: Path, progress: Any, *, lab: Path, config: dict[str, Any], seed: int, kind: str) -> None:
+    """``errors.json`` of one training of the bodies as printed: training errors."""
+    import json
+
+    from dieseltwin.config import BodiesConfig
+    from dieseltwin.surrogates.bodies import BODIES, train_bodies
+    from tasks.pretrain import _cases, _symbol
+
+    cases = _cases(lab)
+    trained = train_bodies(cases, BodiesConfig(**config), seed, "paper")
+    table = trained.training_errors(cases)
+    columns = [column for group in BODIES.values() for column in group]
+    errors = {_symbol(column): {"train": float(table[column])} for column in columns}
+    (out / "errors.json").write_text(json.dumps(errors, indent=1, sort_keys=True) + "\n", encoding="utf-8")

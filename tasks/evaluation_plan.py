@@ -1,0 +1,74 @@
+"""What the evaluation runs: ensembles and repeated trainings, as plain values from ``params.yaml``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from tasks.run_context import seed_for
+
+_BATCHED = ("baseline", "multi-stage", "few-shot-adam")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One ensemble.
+
+    ``what``: all that its members' numbers depend on but for the settings: case, seeds, start, sensors, members.
+    ``batches``: (first member, members) of each cached step.
+    """
+
+    method: str
+    case: str
+    variant: str
+    what: dict[str, Any]
+    batches: tuple[tuple[int, int], ...]
+    epochs: int | None
+
+    @property
+    def slug(self) -> str:
+        """A name for files and steps."""
+        parts = [self.case, self.method, self.variant]
+        return "-".join(part.replace(" ", "_") for part in parts if part)
+
+
+def ensembles_of(settings: Mapping[str, Any]) -> list[Plan]:
+    """Every ensemble of the evaluation, the paper's own first, the longest methods first."""
+    evaluation = settings["evaluation"]
+    found = [
+        _plan(settings, method, case, "", {"members": evaluation["members"][method]})
+        for method in ("baseline", "multi-stage", "few-shot-adam", "few-shot-newton", "classical")
+        for case in evaluation["cases"]
+        if method in evaluation["members"]
+    ]
+    for variant in evaluation["variants"]:
+        found.append(_plan(settings, variant["method"], "noisy-301", variant["name"], variant))
+    return found
+
+
+def _plan(settings: Mapping[str, Any], method: str, case: str, variant: str, changed: Mapping[str, Any]) -> Plan:
+    members = changed["members"]
+    what = {
+        "case": case,
+        "members": members,
+        # One noise draw a member, the same for every method; PROTOCOL.md.
+        "noise_seed": seed_for(settings["seed"], f"evaluation noise {case}"),
+        # A variant keeps the seed of what it is a variant of: nothing but the change differs.
+        "seed": seed_for(settings["seed"], f"evaluation {method} {case}"),
+        "start": changed.get("start", settings["identify"]["start"]["at"]),
+        "channels": changed.get("channels"),
+        "held_out_share": changed.get("held_out_share", 0.0),
+        "weight_share": changed.get("weight_share", 1.0),
+        "x_r_weight": changed.get("x_r_weight", 100.0),
+    }
+    at_a_time = settings["evaluation"]["members_per_batch"] if method in _BATCHED else members
+    batches = tuple((first, min(at_a_time, members - first)) for first in range(0, members, at_a_time))
+    return Plan(method, case, variant, what, batches, _epochs(settings["identify"], method))
+
+
+def _epochs(identify: Mapping[str, Any], method: str) -> int | None:
+    if method == "few-shot-adam":
+        return int(identify["adam"]["epochs"])
+    section = {"baseline": "baseline", "multi-stage": "multi_stage"}.get(method)
+    return None if section is None else int(identify[section]["stages"][-1]["until_epoch"])

@@ -1,0 +1,114 @@
+"""The evaluation in a tiny profile: plan, ensembles, tables, page, a second run that computes nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import tiny_settings
+import yaml
+
+from tasks import run_context
+from tasks.progress import Display
+from tasks.run_context import RunContext
+from tasks.workspace import PROJECT, Workspace
+
+pytestmark = pytest.mark.timeout(900)
+
+STAGES = [
+    {"until_epoch": 6, "layers": "all", "rate_networks": 1e-3, "rate_unknowns": 1e-3, "rate_weights": 1e-2},
+    {"until_epoch": 10, "layers": "last", "rate_networks": 1e-3, "rate_unknowns": 1e-3, "rate_weights": 0.0},
+]
+EVALUATION = {
+    "cases": ["clean-151", "noisy-301"],
+    "members": {"baseline": 2, "multi-stage": 2, "few-shot-adam": 2, "few-shot-newton": 2, "classical": 3},
+    "members_per_batch": 1,
+    "trainings": 1,
+    "bootstrap": 50,
+    "variants": [
+        {"name": "early stopping", "method": "few-shot-adam", "held_out_share": 0.1, "members": 2},
+        {"name": "three sensors", "method": "classical", "members": 2,
+         "channels": ["p_im_pa", "p_em_pa", "omega_t_rad_s"]},
+    ],
+}  # fmt: skip
+
+
+def write_tiny(root: Path) -> None:
+    path = tiny_settings.write_params(root)
+    settings = yaml.safe_load(path.read_text(encoding="utf-8"))
+    tiny = settings["profiles"]["tiny"]
+    tiny["evaluation"] = EVALUATION
+    tiny["identify"] = {
+        **tiny["identify"],
+        "minutes": 2.0,
+        "baseline": {"stages": STAGES},
+        "multi_stage": {"stages": STAGES},
+    }
+    path.write_text(yaml.safe_dump(settings, sort_keys=False), encoding="utf-8")
+
+
+def new_context(root: Path) -> RunContext:
+    display = Display(root / ".cache" / "expected_seconds.json")
+    display.console.quiet = True
+    made = RunContext(Workspace(root), display)
+    run_context.use(made)
+    return made
+
+
+def test_the_plan_gives_every_method_the_same_noise_and_variants_the_seed_of_their_method() -> None:
+    from dieseltwin.config import load_params
+    from tasks.evaluation_plan import ensembles_of
+
+    settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")
+    plans = ensembles_of(settings)
+    own = [plan for plan in plans if not plan.variant]
+    assert len(own) == 15
+    assert {plan.what["members"] for plan in own} == {30}
+    assert len({plan.what["noise_seed"] for plan in own if plan.case == "noisy-301"}) == 1
+    adam = {plan.variant: plan for plan in plans if plan.method == "few-shot-adam" and plan.case == "noisy-301"}
+    assert adam["early stopping"].what["seed"] == adam[""].what["seed"]
+    assert adam[""].epochs == 30000
+    assert len({plan.slug for plan in plans}) == len(plans)
+    for plan in plans:
+        assert sum(runs for _, runs in plan.batches) == plan.what["members"]
+
+
+@pytest.mark.flow
+def test_tables_page_and_records_come_out_and_a_second_run_computes_nothing(tmp_path: Path, prefect: None) -> None:
+    from flows.evaluate import evaluate
+    from flows.pretrain import pretrain
+    from flows.simulate import simulate
+    from tasks.tracking import Tracker
+
+    write_tiny(tmp_path)
+    new_context(tmp_path)
+    simulate("tiny")
+    pretrain("tiny")
+    first = evaluate("tiny")
+    results = tmp_path / "results" / "evaluation"
+    beside = pd.read_csv(results / "beside_paper.csv")
+    assert set(beside["method"]) == {"multi-stage", "few-shot-adam", "few-shot-newton", "classical"}
+    assert {"0-1", "1-2"} == set(beside["minute"])
+    members = pd.read_parquet(results / "ensembles" / "noisy-301-multi-stage" / "members.parquet")
+    assert len(members) == 1 * 2 * 4  # the first minute is the baseline's
+    assert sorted(members["member"].unique()) == [0, 1]
+    three = json.loads(
+        (results / "ensembles" / "noisy-301-classical-three_sensors" / "ensemble.json").read_text(encoding="utf-8")
+    )
+    assert three["channels"] == ["p_im_pa", "p_em_pa", "omega_t_rad_s"]
+    page = (tmp_path / "reports" / "evaluation" / "evaluation.html").read_text(encoding="utf-8")
+    assert "1.0073 ± 0.0046" in page  # the paper's first few-shot cell
+    assert "<img" in page and "Traceback" not in page
+    operators = pd.read_csv(results / "operators.csv")
+    assert (operators["trainings"] == 1).all() and operators["mean"].notna().all()
+    client = Tracker(Workspace(tmp_path)).client
+    runs = client.search_runs([client.get_experiment_by_name("evaluate").experiment_id])
+    names = {run.info.run_name for run in runs}
+    assert {"tables", "classical noisy-301", "few-shot-adam noisy-301 early stopping"} <= names
+
+    context = new_context(tmp_path)
+    assert evaluate("tiny") == first
+    assert not context.timings
+    run_context.use(None)
