@@ -132,8 +132,7 @@ def run_imply(points: Path, engine: Path, out: Path, *, channels: Path | None = 
         source = source.with_columns(**{column: 100.0 - source[column]})
     write_recording(_table_of(source.columns, source.row, implied), out)
     yield f"{out}: {len(implied)} points, {', '.join(c for c in implied if not c.endswith('_std'))}"
-    for note in outside(source, answerer.guess.centre, answerer.guess.spread):
-        yield note
+    yield from outside(source, answerer.guess.centre, answerer.guess.spread)
 
 
 def outside(source: object, centre: np.ndarray, spread: np.ndarray) -> list[str]:

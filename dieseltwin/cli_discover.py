@@ -17,8 +17,8 @@ from typing import Any
 from dieseltwin import __version__
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.channels import SENSORS
-from dieseltwin.cli_petrol import is_petrol_engine, run_discover_petrol
 from dieseltwin.cli_calibrate import run_discover_points
+from dieseltwin.cli_petrol import is_petrol_engine, run_discover_petrol
 from dieseltwin.discovery.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.curves import Discovery
 from dieseltwin.discovery.document import FILE_NAME

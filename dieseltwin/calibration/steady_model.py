@@ -205,7 +205,7 @@ class _Terms:
         return np.exp(self("flap_0") + self("flap_1") * u + self("flap_2") * u * u)
 
     def pressure_after_turbine(self, p_0: Any, W_t: Any, T_es: Any, R_e: Any, points: SteadyPoints) -> Any:
-        """p_es [Pa]: pipe and aftertreatment p = p_amb + k W_t^2 T/700 K, before it a flap p_es^2 - p^2 = W^2 R T/A^2."""
+        """p_es [Pa]: pipes p = p_amb + k W_t^2 T/700 K, before them a flap p_es^2 - p^2 = W_t^2 R_e T/A^2."""
         flow = W_t * W_t * T_es
         p = p_0 + self("k_back_pressure") * flow / T_REFERENCE
         if "exhaust_flap" not in self.active:
