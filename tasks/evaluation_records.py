@@ -17,7 +17,7 @@ NAME = "evaluate"
 NOTE = (
     "The paper's tables. A run is an ensemble of one method on one case (clean-151, clean-301, noisy-301) or a variant;"
     " `rmse_pct/…` is the median RMSE over the minutes that can be known, in per cent of the truth; nested runs are"
-    " members. `tables` holds every table, `…/better_pct` the share of the paper's cells where we are at least as close."
+    " members. `tables` holds every table, `…/better_pct` the share of the paper's cells where we are as close."
 )
 _HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 VIEW = view(

@@ -150,8 +150,8 @@ def beside_paper(table: pd.DataFrame) -> pd.DataFrame:
     theirs = printed.parameter_cells().rename(columns={"mean": "paper_mean", "std": "paper_std", "rmse": "paper_rmse"})
     pairs = [(method, name) for method, names in printed.COUNTERPART.items() for name in names]
     # The paper's minute 0-1 of multi-stage is the hybrid PINN from scratch.
-    first = own[own["method"] == "baseline"].assign(method="multi-stage")
-    own = pd.concat([own[own["method"] != "baseline"], first], ignore_index=True)
+    first = own[(own["method"] == "baseline") & (own["minute"] == printed.MINUTES[0])].assign(method="multi-stage")
+    own = pd.concat([own[own["method"] != "baseline"], first]).drop_duplicates(["method", *CELL], ignore_index=True)
     found = own.merge(pd.DataFrame(pairs, columns=["method", "table"]), on="method").merge(theirs, on=["table", *CELL])
     standard_error = (found["paper_std"] / math.sqrt(printed.RUNS)).replace(0.0, np.nan)
     statistic = (found["paper_mean"] - 1.0) / standard_error
@@ -179,7 +179,9 @@ def scores(beside: pd.DataFrame, ensembles: Sequence[Ensemble], resamplings: int
         for (t0, t1, parameter), part in e.members.groupby(["t0_s", "t1_s", "parameter"]):
             name = "multi-stage" if e.method == "baseline" else e.method
             ratios = part.loc[~part["diverged"], "ratio"].to_numpy(dtype=float)
-            draws[name, e.case, minute_of(t0, t1), parameter] = _resampled_rmse(ratios, resamplings, rng)
+            key = (name, e.case, minute_of(t0, t1), parameter)
+            if e.method != "baseline" or key not in draws:
+                draws[key] = _resampled_rmse(ratios, resamplings, rng)
     rows = []
     for (method, table), whole in beside.groupby(["method", "table"], sort=True):
         for case in ["all", *whole["case"].unique()]:
