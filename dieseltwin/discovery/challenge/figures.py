@@ -83,9 +83,10 @@ def _roc(figure: Any, rows: Sequence[CaseRow]) -> bool:
         axes.step([np.mean(healthy <= p) for p in levels], [np.mean(values <= p) for p in levels], where="post",
                   color=colour, label=f"{label} ({values.size})")  # fmt: skip
     axes.plot([0, 1], [0, 1], color=_GREY, lw=0.6, ls=":")
-    said = [np.mean([row.mismatch for row in rows if not row.truth]),
-            np.mean([row.mismatch for row in rows if row.ratio >= COUNTED_RATIO] or [np.nan])]  # fmt: skip
-    axes.plot(*said, "o", color=_RED, ms=6, label="as reported")
+    at = [np.array([row.mismatch for row in among], dtype=float).mean() for among in (
+        [row for row in rows if not row.truth], [row for row in rows if row.ratio >= COUNTED_RATIO]
+    )]  # fmt: skip
+    axes.plot(*at, "o", color=_RED, ms=6, label="as reported")
     axes.set(xlabel=f"false alarms, share of {healthy.size} healthy [-]", ylabel="detected [-]", xlim=(-0.02, 1.0),
              ylim=(0.0, 1.02))  # fmt: skip
     axes.legend(loc="lower right", frameon=False, fontsize=9)
@@ -144,12 +145,12 @@ def _magnitudes(figure: Any, rows: Sequence[CaseRow]) -> bool:
                     points.append((effect.ratio, sign * one.magnitude / tolerance, std, len(row.truth) > 1))
     if not points:
         return False
-    true, found, std, two = (np.array(column) for column in zip(*points, strict=True))
+    true, found, spread, two = (np.array(column) for column in zip(*points, strict=True))
     axes = figure.add_subplot()
     for among, colour, label in ((~two, _BLUE, "one fault"), (two, _RED, "one of two")):
         if among.any():
-            axes.errorbar(true[among], np.maximum(found[among], 0.05), yerr=1.645 * std[among], fmt="o", ms=3.5, lw=0.7,
-                          color=colour, alpha=0.8, label=f"{label} ({among.sum()})")  # fmt: skip
+            axes.errorbar(true[among], np.maximum(found[among], 0.05), yerr=1.645 * spread[among], fmt="o", ms=3.5,
+                          lw=0.7, color=colour, alpha=0.8, label=f"{label} ({among.sum()})")  # fmt: skip
     ends = np.array([0.9, 11.0])
     axes.plot(ends, ends, color=_GREY, lw=0.8)
     axes.set(xscale="log", yscale="log", xlim=ends, ylim=(0.3, 30.0))

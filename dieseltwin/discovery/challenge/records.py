@@ -222,7 +222,9 @@ def _computed(
             oracle = scoring.fit_oracle(recording, truth, scoring.terms(faults))
             values["nll_oracle"] = float(scoring.held_out_nll(_lasting(oracle), later))
             values["oracle_health"] = {name: float(getattr(oracle, name)) for name in HEALTH}
-            values["oracle_magnitudes"] = {term.effect: float(term.magnitude) for term in oracle.terms}
+            values["oracle_magnitudes"] = {
+                term.effect: float(term.magnitude) for term in oracle.terms if isinstance(term, Term)
+            }
     if scoring.separability is not None and scoring.terms is not None and len(faults) == 1 and catalogued:
         distances = dict(scoring.separability(recording, truth, scoring.terms(faults)[0]))
         distances.pop(faults[0].effect, None)
