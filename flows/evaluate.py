@@ -6,15 +6,15 @@ import sys
 from typing import Any
 
 from prefect import flow
-from prefect.task_runners import ThreadPoolTaskRunner
 
 from tasks import ensembles as steps
 from tasks import evaluate as after
 from tasks import evaluation_records as records
+from tasks.cluster import task_runner
 from tasks.evaluation_plan import Plan, ensembles_of
 from tasks.launch import run_alone
 from tasks.publish import publish, published
-from tasks.run_context import WORKERS, Pending, current, seed_for
+from tasks.run_context import Pending, current, seed_for
 from tasks.settings import about, load_settings
 from tasks.store import RUNTIME, Artifact, content_hash
 
@@ -22,7 +22,7 @@ LABELS = {"clean": 0.0, "noisy": 1.0}
 """Label noise of the operators' trainings, in units of ``noise.label_rel``."""
 
 
-@flow(name="evaluate", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
+@flow(name="evaluate", description=__doc__, task_runner=task_runner())
 def evaluate(profile: str) -> str:
     """Run every ensemble, then tables and page. Returns the hash of ``results/evaluation/``."""
     context = current()

@@ -77,6 +77,7 @@ def quiet_settings(workspace: Workspace) -> dict[str, str]:
         "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
         "MLFLOW_TRACKING_URI": f"sqlite:///{workspace.mlruns / 'mlflow.db'}",
         "DVC_NO_ANALYTICS": "true",
+        "DASK_LOGGING__DISTRIBUTED": "critical",
     }
 
 
