@@ -50,7 +50,7 @@ class Whitening:
         out = values.copy()
         out[..., 1:, :] -= self.previous[1:] * values[..., :-1, :]
         out *= self.scale
-        return out.reshape(*out.shape[:-2], -1)
+        return out.reshape(*out.shape[:-2], out.shape[-2] * out.shape[-1])
 
 
 class Metric:

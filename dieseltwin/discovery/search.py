@@ -60,7 +60,7 @@ class Settings:
     second_gain: float = 32.0
     variant_gain: float = 30.0
     hidden_gain: float = 45.0
-    unnamed_gain: float = 40.0
+    unnamed_gain: float = 30.0
     law_gain: float = 25.0
     equivalent_gain: float = 9.0
     withhold: tuple[str, ...] = ()
@@ -275,6 +275,8 @@ def _try_pairs(found: Search, first: Linearisation) -> None:
     names = [name for name in found.twin.hypotheses if name not in found.settings.withhold]
     lead = first.fit.candidate.names[0]
     wanted = secant_sizes(found.twin, [name for name in names if name != lead])
+    if not wanted:
+        return
     beyond = best_of_each(score(first, wanted, effect_responses(found.twin, first, wanted)))
     by_name = {s.name: s for s in best_of_each(found.scored)}
     pairs: dict[tuple[str, ...], tuple[Scored, Scored]] = {}
