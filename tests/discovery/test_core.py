@@ -118,7 +118,7 @@ def test_chance_gives_its_own_level() -> None:
     exceeded = 0
     draws = 40
     for seed in range(draws):
-        toy = Toy(400, 4, seed=seed).record(gain=1.05, seed=100 + seed)
+        toy = Toy(600, 5, seed=seed).record(gain=1.05, seed=100 + seed)
         null = _at(toy)
         wanted = secant_sizes(toy, list(toy.hypotheses))
         scored = score(null, wanted, effect_responses(toy, null, wanted))
