@@ -17,7 +17,7 @@ TEXT_SUFFIXES = {".py", ".md", ".toml", ".yaml", ".yml", ".cff", ".html", ".lock
 # Assembled, so that this file does not find itself. Unix system folders (/dev, /proc) are not a machine's own.
 _OWN_FOLDERS = "|".join(["work", "root", "home", "Users", "opt", "mnt"])
 MACHINE_PATH = re.compile(rf"(?:file://|(?<![\w.:/]))/(?:{_OWN_FOLDERS})/\w")
-MADE = {"data", "models", "results", "discoveries", "proof", "reports", "mlruns", "dieseltwin.egg-info"}
+MADE = {"data", "models", "results", "discoveries", "proof", "evaluation", "reports", "mlruns", "dieseltwin.egg-info"}
 LOCK_LINE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*==[A-Za-z0-9.]+$")
 CONFLICT = re.compile(r"^(<{7} |>{7} )", flags=re.MULTILINE)
 

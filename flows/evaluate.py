@@ -1,4 +1,4 @@
-"""The paper's tables and figures from ensembles of every method: ``results/evaluation/``, ``reports/evaluation/``."""
+"""The paper's tables and figures from ensembles of every method: ``evaluation/``, ``reports/evaluation/``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LABELS = {"clean": 0.0, "noisy": 1.0}
 
 @flow(name="evaluate", description=__doc__, task_runner=task_runner())
 def evaluate(profile: str) -> str:
-    """Run every ensemble, then tables and page. Returns the hash of ``results/evaluation/``."""
+    """Run every ensemble, then tables and page. Returns the hash of ``evaluation/``."""
     context = current()
     root = context.workspace.root
     settings = load_settings(profile)
@@ -71,7 +71,7 @@ def evaluate(profile: str) -> str:
         **found,
     ).result()
     results = publish(
-        root / "results" / "evaluation",
+        root / "evaluation",
         {"": common.path, **{f"ensembles/{plan.slug}": assembled[plan.slug].result().path for plan in plans}},
     )
     publish(context.workspace.reports / "evaluation", {"": page.path})

@@ -87,7 +87,7 @@ def test_tables_page_and_records_come_out_and_a_second_run_computes_nothing(tmp_
     simulate("tiny")
     pretrain("tiny")
     first = evaluate("tiny")
-    results = tmp_path / "results" / "evaluation"
+    results = tmp_path / "evaluation"
     beside = pd.read_csv(results / "beside_paper.csv")
     assert set(beside["method"]) == {"multi-stage", "few-shot-adam", "few-shot-newton", "classical"}
     assert {"0-1", "1-2"} == set(beside["minute"])
