@@ -16,7 +16,7 @@ from dieseltwin.engine.extended import Extension, extended_frame, simulate_exten
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import settle
-from dieseltwin.engine.terms import Term
+from dieseltwin.engine.terms import LAW_VARIABLES, Term
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import HISTORY_S, Recording
 
@@ -52,7 +52,7 @@ _POINTS: dict[str, _PointFacts] = {
     "eta_vol": _PointFacts("cylinder_flow", ("p_im", "n_e", "Pi_e"), over=("p_im", "n_e")),
     "W_eo": _PointFacts("exhaust_mass_balance", ("p_im", "n_e", "u_delta")),
     "T_e": _PointFacts("cylinder_out_temperature", ("u_delta", "n_e", "Pi_e")),
-    "T_em": _PointFacts("exhaust_temperature", ("T_em", "W_eo", "n_e")),
+    "T_em": _PointFacts("exhaust_temperature", ("T_em", "T_e", "W_eo", "W_f", "n_e")),
     "f_egr": _PointFacts("egr_flow", ("u_egr", "Pi_egr", "t"), over=("u_egr",)),
     "W_t": _PointFacts("turbine_flow", ("p_em", "u_vgt", "omega_t"), over=("u_vgt", "Pi_t")),
     "eta_tm": _PointFacts("turbine_power", ("omega_t", "Pi_t", "u_vgt"), over=("BSR", "omega_t")),
@@ -60,7 +60,7 @@ _POINTS: dict[str, _PointFacts] = {
     "W_c": _PointFacts("compressor_flow", ("Pi_c", "omega_t"), over=("Pi_c", "omega_t")),
     "eta_c": _PointFacts("compressor_power", ("Pi_c", "W_c"), over=("W_c", "Pi_c")),
     "p_bc": _PointFacts("compressor_flow", ("W_c",)),
-    "T_im": _PointFacts("intake_temperature", ("T_c", "W_egr", "egr_share", "T_em")),
+    "T_im": _PointFacts("intake_temperature", ("T_c", "W_egr", "W_c", "egr_share", "T_em")),
     "intake_balance": _PointFacts("intake_mass_balance", ("p_im",), 0.1),
     "exhaust_balance": _PointFacts("exhaust_mass_balance", ("p_em", "T_em"), 0.1),
     "shaft_power": _PointFacts("shaft_power", ("omega_t",), 5e3),
@@ -83,6 +83,11 @@ class EngineTwin:
     Raises:
         InputError: no sensor, or no stretch with the engine running.
     """
+
+    law_kinds = ("power", "ratio", "time", "lag", "dead_time", "play")
+    """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
+
+    law_variables = LAW_VARIABLES
 
     def __init__(
         self,
@@ -270,15 +275,18 @@ class EngineTwin:
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Variables of ports and tolerances along the trajectory of lane 0, name -> (n,) [SI, %, mg/cycle, rpm]."""
-        one = Lanes(
-            lanes.parameters[:1], lanes.local[:1], {k: v[:1] for k, v in lanes.magnitudes.items()}, lanes.schedules,
-            lanes.signals,
-        )  # fmt: skip
-        engine = self.engine_of(one)
-        actuation = self._plain[0]
-        result = self._simulate(one)[1]
-        frame = extended_frame(result.states[0], actuation, engine)  # type: ignore[attr-defined]
-        c = self.engine
+        one = _lane(lanes, 0)
+        return self._variables(self._simulate(one)[1].states[0], one)  # type: ignore[attr-defined]
+
+    def trajectories(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
+        """Readings (B, n, C), and `variables` of every lane, by one simulation."""
+        measured, result = self._simulate(lanes)
+        states = result.states  # type: ignore[attr-defined]
+        return measured, [self._variables(states[b], _lane(lanes, b)) for b in range(lanes.size)]
+
+    def _variables(self, states: Array, one: Lanes) -> dict[str, Array]:
+        actuation, c = self._plain[0], self.engine
+        frame = extended_frame(states, actuation, self.engine_of(one))
         p_im, p_em = frame["p_im_pa"].to_numpy(), frame["p_em_pa"].to_numpy()
         omega, T_em = frame["omega_t_rad_s"].to_numpy(), frame["t_em_k"].to_numpy()
         p_es, p_bc = frame["p_es_pa"].to_numpy(), frame["p_bc_pa"].to_numpy()
@@ -305,6 +313,15 @@ class EngineTwin:
             if magnitude[0] != 0.0:
                 terms.append(Term(effect=name, magnitude=float(np.clip(magnitude[0], *EFFECTS[name].limits))))
         return self.engine.replace(**values, terms=tuple(terms))
+
+
+def _lane(lanes: Lanes, index: int) -> Lanes:
+    some = slice(index, index + 1)
+    return Lanes(
+        lanes.parameters[some], lanes.local[some], {k: v[some] for k, v in lanes.magnitudes.items()}, lanes.schedules,
+        lanes.signals, None if lanes.lane_points is None else lanes.lane_points[some],
+        None if lanes.lane_signals is None else lanes.lane_signals[some],
+    )  # fmt: skip
 
 
 def _known_terms(twin: EngineTwin) -> dict[str, tuple[float, Array | None]]:

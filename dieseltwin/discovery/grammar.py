@@ -223,7 +223,7 @@ class Factor:
             return change if self.references[0] else f"{change}/{x}"
         y = self.variables[1]
         if self.kind == "ratio":
-            return f"({x}/{y}){raised}"
+            return f"({y}/{x})" if s == -1.0 else f"({x}/{y}){raised}"
         if self.kind == "share":
             return f"{x}/({x} + {y})"
         if self.kind == "difference":

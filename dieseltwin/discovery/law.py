@@ -14,20 +14,20 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, bounded, fit_fully, prior_precision
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.grammar import Form, rounded
 from dieseltwin.discovery.law_curve import Curve, binned, law_curve
 from dieseltwin.discovery.law_ranking import Ranked, rank, shortlist
+from dieseltwin.discovery.law_refit import Refit, refit_all_laws, start_of
 from dieseltwin.discovery.law_responses import Linearised, Responses
-from dieseltwin.discovery.law_twin import LawTwin, Placed, without_signal
+from dieseltwin.discovery.law_twin import LawTwin, Placed
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.twin import Array, Lanes, Twin
 from dieseltwin.discovery.worth import Worth, independent
 
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)
-_CHORD_ROUNDS = 8
-_CHORD_DONE = 0.3
 _FINAL_ROUNDS = 8
+_LEADING = 0.5  # of the best score: points whose laws reach it are ranked again with the best law inside
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class Options:
 
     Attributes:
         points: names of the points where a law is looked for; None for all.
+        kinds: kinds of factors (`grammar.Kind`) that a law may have; None for the twin's `law_kinds`, else all.
         refits: laws refitted by simulation after each ranking.
         renewals: linearisations with the best law inside.
         free_shape: estimate the exponent (threshold, time) of the best law too.
@@ -44,6 +45,7 @@ class Options:
     """
 
     points: tuple[str, ...] | None = None
+    kinds: tuple[str, ...] | None = None
     refits: int = 6
     renewals: int = 1
     free_shape: bool = True
@@ -143,19 +145,6 @@ class _WithSignal:
         return joined
 
 
-@dataclass(frozen=True)
-class _Refit:
-    ranked: Ranked
-    twin: LawTwin
-    fit: Fit
-    gain: float
-    worth: float
-
-    @property
-    def score(self) -> float:
-        return self.worth - self.ranked.charge
-
-
 def search(
     twin: Twin,
     at: Linearisation,
@@ -176,18 +165,19 @@ def search(
     responses = Responses(cast(Linearised, at), base_lanes)
     readings = independent(at.residual, twin.starts, len(twin.states)) if options.unknown_misfit else None
     worth = Worth(at.fit.objective, readings)
-    ranked, tried = rank(twin, responses, variables, options.points, readings)
-    refits: list[_Refit] = []
+    ranked, tried = rank(twin, responses, variables, options.points, readings, options.kinds)
+    refits: list[Refit] = []
     here: Linearisation = at
     for renewal in range(options.renewals + 1):
         known = {r.ranked.key for r in refits}
-        for item in shortlist(ranked, options.refits):
-            if item.key not in known:
-                refits.append(_refit(twin, here, worth, item))
+        fresh = [item for item in shortlist(ranked, options.refits) if item.key not in known]
+        refits += refit_all_laws(twin, here, worth, fresh, variables)
         refits.sort(key=lambda r: -r.score)
         if not refits or refits[0].score <= 0.0 or renewal == options.renewals:
             break
-        ranked, here, responses, variables = _renewed(twin, at, refits[0], nuisance_response, options, readings)
+        ranked, here, responses, variables = _renewed(
+            twin, at, refits, nuisance_response, options, readings
+        )
     resolved = bool(refits) and refits[0].score > options.false_law
     if not resolved:
         return Found(None, _loose_curve(twin, responses, ranked, variables, at), tried, _table(twin, refits))
@@ -195,11 +185,11 @@ def search(
     return Found(law, None, tried, _table(twin, refits))
 
 
-def _table(twin: Twin, refits: Sequence[_Refit]) -> tuple[tuple[str, str, float], ...]:
+def _table(twin: Twin, refits: Sequence[Refit]) -> tuple[tuple[str, str, float], ...]:
     return tuple((_text(twin, r), r.ranked.site, r.score) for r in refits)
 
 
-def _text(twin: Twin, refit: _Refit) -> str:
+def _text(twin: Twin, refit: Refit) -> str:
     parts = []
     for law, (coefficient, shape) in zip(refit.twin.laws, refit.twin.values(refit.fit.parameters), strict=True):
         parts.append(law_text(twin, law.form, float(coefficient), None if shape is None else float(shape)))
@@ -217,85 +207,12 @@ def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = N
     return f"{kind} {point.name}: {coefficient:.4g}{spread}{unit} {form.text(shape)}".rstrip()
 
 
-def _start(at: Linearisation, law: LawTwin) -> Fit:
-    extra = np.array([p.value for p in law.parameters[len(law.base.parameters) :]])
-    known = len(law.base.parameters)
-    return Fit(
-        at.fit.candidate, np.concatenate([at.fit.parameters[:known], extra]), at.fit.magnitudes, at.fit.local,
-        np.inf, False,
-    )  # fmt: skip
-
-
-def _refit(twin: Twin, at: Linearisation, worth: Worth, item: Ranked) -> _Refit:
-    """Chord fit of law, parameters and initial states by simulation, with the sensitivities of `at`."""
-    law = LawTwin(twin, item.placed)
-    known, extra = len(twin.parameters), len(law.parameters) - len(twin.parameters)
-    fit = _start(at, law)
-    lanes = fit.lanes()
-    steps = np.array([1e-3 * p.scale for p in law.parameters[known:]])
-    moved = np.repeat(lanes.parameters, 1 + extra, axis=0)
-    moved[np.arange(1, 1 + extra), known + np.arange(extra)] += steps
-    simulated = law.simulate(
-        replace(
-            lanes,
-            parameters=moved,
-            local=np.repeat(lanes.local, 1 + extra, axis=0),
-            magnitudes={k: np.repeat(v, 1 + extra) for k, v in lanes.magnitudes.items()},
-        )
-    )
-    if not np.all(np.isfinite(simulated)):
-        return _Refit(item, law, fit, -np.inf, -np.inf)
-    own = (simulated[1:] - simulated[0]) / steps[:, None, None]
-    columns = np.concatenate([at.jacobian[:known], own])
-    projected = np.concatenate([at.projected[:known], at.metric.project(np.nan_to_num(own))])
-    precision = prior_precision(law, 0)
-    covariance = np.linalg.pinv(projected @ projected.T + np.diag(precision))
-    nominal = np.array([p.value for p in law.parameters])
-
-    def objective(vector: Array, parameters: Array) -> float:
-        return float(vector @ vector + np.sum(precision * (parameters - nominal) ** 2))
-
-    residual = np.nan_to_num(twin.measured - simulated[0])
-    vector = at.metric.project(residual[None])[0]
-    best = replace(fit, objective=objective(vector, fit.parameters))
-    shrink = 1.0
-    for _ in range(_CHORD_ROUNDS):
-        gradient = projected @ vector + precision * (nominal - best.parameters)
-        step = covariance @ gradient
-        if float(gradient @ step) < _CHORD_DONE:
-            break
-        change = shrink * step
-        parameters = best.parameters + change
-        low = np.where(nominal > 0, 0.05 * nominal, -np.inf)
-        parameters = np.maximum(parameters, low)
-        change = parameters - best.parameters
-        rest = residual - np.tensordot(change, columns, 1)
-        if at.nuisance_response is not None:
-            rest = rest - np.tensordot(at.metric.nuisance_estimate(rest), at.nuisance_response, 1)
-        trial = replace(best, parameters=parameters, local=bounded(twin, best.local + at.metric.local_step(rest)))
-        new = np.nan_to_num(twin.measured - law.simulate(trial.lanes())[0], nan=1e6)
-        new_vector = at.metric.project(new[None])[0]
-        value = objective(new_vector, parameters)
-        gain = best.objective - value
-        if np.isfinite(value) and gain > 0:
-            best, residual, vector = replace(trial, objective=value), new, new_vector
-            shrink = min(1.0, 2 * shrink)
-            if gain < _CHORD_DONE:
-                break
-        else:
-            shrink *= 0.35
-            if shrink < 0.03:
-                break
-    gain = worth.objective - best.objective
-    return _Refit(item, law, best, gain, worth(gain))
-
-
 def _renewed(
-    twin: Twin, at: Linearisation, best: _Refit, nuisance_response: Array | None, options: Options,
+    twin: Twin, at: Linearisation, refits: Sequence[Refit], nuisance_response: Array | None, options: Options,
     readings: float | None,
 ) -> tuple[list[Ranked], Linearisation, Responses, dict[str, Array]]:  # fmt: skip
     """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
-    known = len(twin.parameters)
+    known, best = len(twin.parameters), refits[0]
     signals: dict[str, Array] = {}
     for law, signal in zip(best.twin.laws, best.twin.signals(best.fit.lanes()), strict=True):
         signals[law.form.point] = signals.get(law.form.point, 0.0) + signal
@@ -308,14 +225,14 @@ def _renewed(
         index = next(i for i, p in enumerate(twin.points) if p.name == name)
         responses.add_to_residual(responses.signals(index, signal[None])[0])
     variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
-    for name, signal in signals.items():
-        variables = dict(without_signal(variables, next(p for p in twin.points if p.name == name), signal))
-    ranked, _ = rank(twin, responses, variables, options.points, readings)
+    names = (twin.points[r.ranked.index].name for r in refits if r.score > _LEADING * refits[0].score)
+    leading = tuple(dict.fromkeys(names))
+    ranked, _ = rank(twin, responses, variables, leading, readings, options.kinds)
     return ranked, here, responses, variables
 
 
 def _report(
-    twin: Twin, at: Linearisation, refits: list[_Refit], nuisance_response: Array | None, options: Options, worth: Worth
+    twin: Twin, at: Linearisation, refits: list[Refit], nuisance_response: Array | None, options: Options, worth: Worth
 ) -> Law:
     """Full fit of the best law, its intervals, rivals and curve."""
     best = refits[0]
@@ -330,7 +247,7 @@ def _report(
     shape = shape_std = None
     if free:
         loose = LawTwin(twin, [Placed(form, coefficient, free_shape=True)])
-        start = _start(at, loose)
+        start = start_of(at, loose)
         begun = np.concatenate([final[1].fit.parameters, [form.factors[0].shape]])
         start = replace(start, parameters=begun, local=final[1].fit.local)
         freed = fit_fully(cast(Twin, loose), at.whitening, start, nuisance_response, _FINAL_ROUNDS)

@@ -69,7 +69,7 @@ class _Scored:
 
 def rank(
     twin: Twin, responses: Responses, variables: Mapping[str, Array], points: Sequence[str] | None = None,
-    readings: float | None = None,
+    readings: float | None = None, kinds: Sequence[str] | None = None,
 ) -> tuple[list[Ranked], int]:  # fmt: skip
     """Candidate laws of all points, best first, and how many forms were tried.
 
@@ -79,7 +79,10 @@ def rank(
         variables: name -> (n,) along its trajectory, with `time_s`.
         points: names of the points to try; None for all.
         readings: independent ones where the size of the misfit counts as unknown (`worth`), else None.
+        kinds: of factors; None for the twin's `law_kinds`, else all.
     """
+    kinds = kinds or getattr(twin, "law_kinds", None)
+    admitted = getattr(twin, "law_variables", None)
     units = {**getattr(twin, "units", {}), **dict.fromkeys(TIMES, "s")}
     worth = Worth(responses.explained(), readings)
     log_readings = float(np.log(readings or responses.at.whitening.present.sum()))
@@ -91,10 +94,10 @@ def rank(
         known = {
             name: describe(name, np.asarray(variables[name]), unit_of(name, units))
             for name in arguments(point)
-            if name in variables and np.isfinite(variables[name]).any()
+            if name in variables and np.isfinite(variables[name]).any() and (admitted is None or name in admitted)
         }
         found, count = _of_point(
-            twin, index, point, known, responses.point(index), variables, units, worth, log_readings, len(chosen)
+            twin, index, point, known, responses.point(index), variables, units, worth, log_readings, len(chosen), kinds
         )
         tried += count
         out += found
@@ -104,8 +107,9 @@ def rank(
 def _of_point(
     twin: Twin, index: int, point: Point, known: Mapping[str, Variable], response: PointResponse,
     variables: Mapping[str, Array], units: Mapping[str, str], worth: Worth, log_readings: float, points: int,
+    kinds: Sequence[str] | None,
 ) -> tuple[list[Ranked], int]:  # fmt: skip
-    pool = factors(arguments(point), known)
+    pool = [f for f in factors(arguments(point), known) if kinds is None or f.kind in kinds]
     each = 2.0 * np.log(max(len(pool), 2))
     common = log_readings + 2.0 * np.log(points)
     n = len(twin.time_s)
@@ -156,7 +160,8 @@ def _of_point(
         everything += products
         count += len(forms)
     own_unit = unit_of(point.name, units) if point.name in variables else "-"
-    everything += scored([Form(point.name, (f,), 1.0) for f in operators(point.name, own_unit, point.relative)])
+    everything += scored([Form(point.name, (f,), 1.0) for f in operators(point.name, own_unit, point.relative)
+        if kinds is None or f.kind in kinds])
     kept = _distinct(response, sorted(everything, key=lambda s: -s.score)[: 3 * _KEPT])
     ranked = [Ranked(index, point.site, (_placed(s),), s.gain, s.charge, s.worth) for s in kept]
     free = [s for s in kept if s.form.fixed is None]

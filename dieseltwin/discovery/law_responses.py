@@ -19,7 +19,7 @@ from dieseltwin.discovery.metric import Metric, Whitening
 from dieseltwin.discovery.twin import Array, Lanes, Twin
 
 _IMPULSE = 1e-3  # of a point's scale
-_MOST_KNOTS = 64  # of a window; longer windows carry hats of several samples
+_MOST_KNOTS = 32  # of a window; longer windows carry hats of several samples
 _LANES_AT_ONCE = 64
 _LOCAL_PRIOR = 1.0  # of a state's scale, as in the metric
 

@@ -17,8 +17,8 @@ from dieseltwin.discovery.grammar import Form
 from dieseltwin.discovery.twin import Array, Lanes, Parameter, Twin
 
 _SETTLED = 1e-7  # change of a signal relative to its size that counts as settled
-_PICARD_ROUNDS = 12
-_PICARD_BESIDE = 3  # rounds for lanes beside the first: they start where it settled
+_PICARD_ROUNDS = 10
+_LEAST_ROUNDS = 3  # so that lanes that start where another settled part from it
 _LOOSE = 10.0  # prior standard deviation of a coefficient, relative to its first estimate: says nothing
 _SHAPE_STD = 0.5  # of an exponent around its first value; of other shapes relative to their value
 
@@ -66,7 +66,7 @@ class LawTwin:
         self.points, self.hypotheses, self.time_s = base.points, base.hypotheses, base.time_s
         self.starts, self.measured, self.conditions = base.starts, base.measured, base.conditions
         self._instant = hasattr(base, "simulate_with_laws") and not any(law.form.operator for law in self.laws)
-        self._settled: list[Array] | None = None
+        self._settled: Array | None = None
 
     def first_local(self) -> Array:
         """As the base's."""
@@ -94,19 +94,14 @@ class LawTwin:
         """Readings without noise, (B, n, C)."""
         if self._instant:
             return self.base.simulate_with_laws(self._base_lanes(lanes), self._terms(lanes.parameters))  # type: ignore[attr-defined]
-        out = np.empty((lanes.size, *self.measured.shape))
-        for b in range(lanes.size):
-            lane = one_lane(lanes, b)
-            signals, _ = self._settle(lane, _PICARD_ROUNDS if b == 0 else _PICARD_BESIDE, keep=b == 0)
-            out[b] = self.base.simulate(self._with_signals(lane, signals))[0]
-        return out
+        return self._settle(lanes)[0]
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Along the trajectory of lane 0."""
         lane = one_lane(lanes, 0)
         if self._instant:
             return self.base.variables(self._base_lanes(lane), self._terms(lane.parameters))  # type: ignore[call-arg]
-        return self._settle(lane)[1]
+        return self._settle(lane)[1][0]
 
     def _terms(self, parameters: Array) -> Mapping[str, list[Any]]:
         terms: dict[str, list[Any]] = {}
@@ -119,55 +114,78 @@ class LawTwin:
             terms.setdefault(law.form.point, []).append(term)
         return terms
 
-    def _with_signals(self, lane: Lanes, signals: Sequence[Array]) -> Lanes:
-        total = dict(lane.signals)
+    def _settle(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
+        """Readings (B, n, C) and variables of every lane with the laws' signals settled (Picard, all lanes at once).
+
+        Starts where the first lane ended the last time: lanes of one linearisation, and steps of a fit, differ little.
+        """
+        n, base_lanes = len(self.time_s), self._base_lanes(lanes)
+        shape = (len(self.laws), lanes.size, n)
+        signals = np.zeros(shape) if self._settled is None else np.repeat(self._settled[:, None], lanes.size, axis=1)
+        values = self.values(lanes.parameters)
+        for settled_rounds in range(_PICARD_ROUNDS):
+            readings, variables = trajectories(self.base, base_lanes, self._entered(signals))
+            new = np.empty(shape)
+            for k, (law, (c, s)) in enumerate(zip(self.laws, values, strict=True)):
+                for b, own in enumerate(variables):
+                    at = before({**own, "time_s": self.time_s}, law.form.point)
+                    coefficient = c if np.ndim(c) == 0 else c[b]
+                    new[k, b] = np.nan_to_num(coefficient * law.form.value(at, s if s is None else s[b]))
+            change = float(np.max(np.abs(new - signals)) / max(float(np.max(np.abs(new))), 1e-300))
+            signals = new
+            if change < _SETTLED and settled_rounds + 1 >= _LEAST_ROUNDS:
+                break
+        if np.all(np.isfinite(signals[:, 0])):
+            self._settled = signals[:, 0]
+        return readings, variables
+
+    def _entered(self, signals: Array) -> dict[str, Array]:
+        """Point -> total of the laws' signals there, (B, n)."""
+        total: dict[str, Array] = {}
         for law, signal in zip(self.laws, signals, strict=True):
             total[law.form.point] = total.get(law.form.point, 0.0) + signal
-        return replace(self._base_lanes(lane), signals=total)
-
-    def _settle(
-        self, lane: Lanes, rounds: int = _PICARD_ROUNDS, keep: bool = True
-    ) -> tuple[list[Array], dict[str, Array]]:
-        """Signals of the laws along their own trajectory, and the variables there; starts where the last kept ended."""
-        n = len(self.time_s)
-        signals = self._settled or [np.zeros(n) for _ in self.laws]
-        variables: dict[str, Array] = {}
-        for _ in range(rounds):
-            variables = self.base.variables(self._with_signals(lane, signals))
-            variables.setdefault("time_s", self.time_s)
-            new = []
-            for law, signal, (c, s) in zip(self.laws, signals, self.values(lane.parameters[0]), strict=True):
-                at = without_signal(variables, self._points[law.form.point], signal)
-                new.append(np.nan_to_num(c * np.broadcast_to(law.form.value(at, s), (n,))))
-            change = max(
-                float(np.max(np.abs(a - b)) / max(np.max(np.abs(a)), 1e-300)) for a, b in zip(new, signals, strict=True)
-            )
-            signals = new
-            if change < _SETTLED:
-                break
-        if keep and all(np.all(np.isfinite(signal)) for signal in signals):
-            self._settled = signals
-        return signals, variables
+        return total
 
     def signals(self, lanes: Lanes) -> list[Array]:
         """What each law adds at its point along the trajectory of lane 0, (n,) each."""
         variables: Mapping[str, Array] = {**self.variables(lanes), "time_s": self.time_s}
-        if not self._instant:
-            return list(self._settled or [])
+        if not self._instant and self._settled is not None:
+            return list(self._settled)
         out = []
         for law, (c, s) in zip(self.laws, self.values(lanes.parameters[0]), strict=True):
-            name = law.form.point
-            before = {**variables, name: variables[f"{name}:before"]} if f"{name}:before" in variables else variables
-            out.append(np.broadcast_to(c * law.form.value(before, s), self.time_s.shape).copy())
+            at = before(variables, law.form.point)
+            out.append(np.broadcast_to(c * law.form.value(at, s), self.time_s.shape).copy())
         return out
 
 
-def without_signal(variables: Mapping[str, Array], point: Any, signal: Array) -> Mapping[str, Array]:
-    """Variables where the point's own quantity is as the twin computes it before the signal enters."""
-    if point.name not in variables:
-        return variables
-    own = variables[point.name]
-    return {**variables, point.name: own / (1.0 + signal) if point.relative else own - signal}
+def before(variables: Mapping[str, Array], point: str) -> Mapping[str, Array]:
+    """Variables where the point's own quantity is as the twin computes it before a signal enters, if the twin says."""
+    own = variables.get(f"{point}:before")
+    return variables if own is None else {**variables, point: own}
+
+
+def trajectories(twin: Twin, lanes: Lanes, signals: Mapping[str, Array]) -> tuple[Array, list[dict[str, Array]]]:
+    """Readings (B, n, C) and variables of every lane; point -> (B, n) signals on top of the lanes' own.
+
+    Twins may have a method `trajectories(lanes)` that does it for many lanes in one simulation.
+    """
+    if not signals and hasattr(twin, "trajectories"):
+        return twin.trajectories(lanes)  # type: ignore[no-any-return]
+    if len(signals) == 1 and lanes.lane_points is None and hasattr(twin, "trajectories"):
+        (name, signal), = signals.items()
+        index = next(i for i, p in enumerate(twin.points) if p.name == name)
+        entered = replace(lanes, lane_points=np.full(lanes.size, index), lane_signals=np.ascontiguousarray(signal))
+        return twin.trajectories(entered)  # type: ignore[no-any-return]
+    readings, variables = [], []
+    for b in range(lanes.size):
+        lane = one_lane(lanes, b)
+        total = dict(lane.signals)
+        for name, signal in signals.items():
+            total[name] = total.get(name, 0.0) + signal[b]
+        lane = replace(lane, signals=total)
+        readings.append(twin.simulate(lane)[0])
+        variables.append(twin.variables(lane))
+    return np.stack(readings), variables
 
 
 def one_lane(lanes: Lanes, index: int) -> Lanes:
