@@ -6,33 +6,30 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import expit, logsumexp
 
 from dieseltwin import __version__
+from dieseltwin.discovery import findings
 from dieseltwin.discovery.curves import Candidate as CandidateRow
 from dieseltwin.discovery.curves import Curves, Discovery, LawCurve
 from dieseltwin.discovery.document import (
     NONE_OF_THESE,
-    Alternative,
     Discrepancy,
-    FoundEffect,
-    FoundRegion,
     HealthValue,
-    Location,
     Provenance,
     RecordingInfo,
 )
 from dieseltwin.discovery.document import Fit as FitFigures
 from dieseltwin.discovery.effect_curve import effect_curves
 from dieseltwin.discovery.engine_twin import EngineTwin
-from dieseltwin.discovery.fit import Fit, Linearisation, simulate_fits
+from dieseltwin.discovery.findings import finite
+from dieseltwin.discovery.fit import Fit, Linearisation
 from dieseltwin.discovery.held_out import held_out_scores
 from dieseltwin.discovery.law import Law
 from dieseltwin.discovery.law_twin import LawTwin
-from dieseltwin.discovery.reasons import candidate_rows, split_by
+from dieseltwin.discovery.reasons import candidate_rows
 from dieseltwin.discovery.score import minimum_detectable
 from dieseltwin.discovery.search import Search, occam
-from dieseltwin.discovery.twin import Array
+from dieseltwin.discovery.twin import Array, single
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS, LawTerm, Term
 from dieseltwin.recordings import Recording
@@ -40,9 +37,6 @@ from dieseltwin.recordings import Recording
 if TYPE_CHECKING:
     from dieseltwin.discovery.discover import Options
 
-_LEAST_PROBABILITY = 1e-3  # of a site or name that is still worth a line
-_REGION_SHARE = 0.9  # of the positive evidence that a reported region holds along each condition
-_CONDITIONS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 
 
 def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Options) -> Discovery:
@@ -52,7 +46,6 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
     mismatch = found.kind != "healthy"
     after, parameters, covariance = _after(found)
     evidence = _evidence(found, after)
-    effects = _effects(found) if mismatch else ()
     document = Discrepancy(
         schema=1,  # type: ignore[call-arg]  # the alias of schema_version
         recording=RecordingInfo(
@@ -61,11 +54,11 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
         ),
         mismatch=mismatch,
         p_value=_p_value(found),
-        location=_location(found, twin, evidence) if mismatch else None,
-        effects=effects,
+        location=findings.location(found, twin, evidence) if mismatch else None,
+        effects=findings.effects(found) if mismatch else (),
         health={
             p.name: HealthValue(
-                value=float(parameters[j]), std=_finite(covariance[j, j] ** 0.5 if covariance is not None else None),
+                value=float(parameters[j]), std=finite(covariance[j, j] ** 0.5 if covariance is not None else None),
                 before=float(null.fit.parameters[j]),
             )
             for j, p in enumerate(twin.parameters)
@@ -97,10 +90,6 @@ def _options_hash(options: Options) -> str:
     return hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode()).hexdigest()
 
 
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and np.isfinite(value) else None
-
-
 def _finite_only(values: Mapping[str, float]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}
 
@@ -112,9 +101,7 @@ def _after(found: Search) -> tuple[Array, Array, Array | None]:
         twin = LawTwin(found.twin, law.placed)
         P = len(found.twin.parameters)
         values = np.concatenate([law.parameters[:P], [p.value for p in twin.parameters[P:]]])
-        from dieseltwin.discovery.twin import single
-
-        return twin.simulate(single(found.twin, values, law.local))[0], law.parameters[:P], found.null.covariance
+        return twin.simulate(single(values, law.local))[0], law.parameters[:P], found.null.covariance
     at = found.best if found.best is not None and found.kind != "law" else found.null
     return at.simulated, at.fit.parameters, at.covariance
 
@@ -144,146 +131,6 @@ def _p_value(found: Search) -> float:
     return float(np.clip(found.chance.p_value(max(gains, default=0.0)), 0.0, 1.0))
 
 
-def _location(found: Search, twin: EngineTwin, evidence: Array) -> Location:
-    weights = _site_probabilities(found)
-    ranked = sorted(weights.items(), key=lambda item: -item[1])
-    site, probability = ranked[0]
-    variant = found.variant if found.kind == "variant" else None
-    return Location(
-        site=site, probability=float(min(probability, 1.0)),
-        alternatives=tuple(
-            Alternative(site=name, probability=float(value))
-            for name, value in ranked[1:6]
-            if value > _LEAST_PROBABILITY
-        ),
-        regions=_regions(twin, evidence, variant.region if variant else None),
-        onset_s=None if variant is None or variant.onset_s is None else float(
-            twin.recording_time_s[np.searchsorted(twin.time_s, variant.onset_s)] - twin.recording_time_s[0]
-        ),
-    )  # fmt: skip
-
-
-def _site_probabilities(found: Search) -> dict[str, float]:
-    hypotheses = found.twin.hypotheses
-    weights: dict[str, float] = {}
-    if found.kind == "law":
-        if found.law is not None:
-            best = found.law
-            scores = {best.site: 0.0}
-            for rival in best.rivals:
-                scores[rival.site] = max(scores.get(rival.site, -np.inf), -0.5 * abs(rival.behind))
-        else:
-            scores = {}
-            top = found.structure[0].gain
-            for item in found.structure:
-                scores[item.feature.site] = max(scores.get(item.feature.site, -np.inf), 0.5 * (item.gain - top))
-        total = logsumexp(list(scores.values()))
-        return {site: float(np.exp(score - total)) for site, score in scores.items()}
-    for key, probability in found.probabilities.items():
-        site = hypotheses[_strongest(found, key.split(" + "))].site
-        weights[site] = weights.get(site, 0.0) + probability
-    total = sum(weights.values())
-    return {site: value / total for site, value in weights.items()}
-
-
-def _strongest(found: Search, names: list[str]) -> str:
-    """Of several effects the one that stands for the place: the one with more evidence by itself."""
-    if len(names) == 1:
-        return names[0]
-    alone = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
-    return max(names, key=lambda name: alone.get(name, 0.0))
-
-
-def _regions(
-    twin: EngineTwin, evidence: Array, known: Mapping[str, tuple[float, float]] | None
-) -> tuple[FoundRegion, ...]:
-    """The box of conditions that holds most of the evidence."""
-    positive = np.maximum(_smooth(evidence), 0.0)
-    box: dict[str, tuple[float, float]] = {}
-    inside = np.ones(evidence.size, dtype=bool)
-    for name in _CONDITIONS:
-        values = twin.conditions[name]
-        if known and name in known:
-            low, high = known[name]
-        else:
-            order = np.argsort(values)
-            share = np.cumsum(positive[order]) / max(positive.sum(), 1e-300)
-            edge = 0.5 * (1.0 - _REGION_SHARE)
-            low = values[order][min(int(np.searchsorted(share, edge)), values.size - 1)]
-            high = values[order][min(int(np.searchsorted(share, 1.0 - edge)), values.size - 1)]
-        box[name] = (float(low), float(high))
-        inside &= (values >= low) & (values <= high)
-    share = float(positive[inside].sum() / max(positive.sum(), 1e-300))
-    return (FoundRegion(share_of_evidence=float(np.clip(share, 0.0, 1.0)), **box),)
-
-
-def _smooth(values: Array, width: int = 5) -> Array:
-    return np.convolve(values, np.ones(width) / width, mode="same")
-
-
-def _effects(found: Search) -> tuple[FoundEffect, ...]:
-    if found.kind == "law":
-        return (_unnamed(found),)
-    at = found.best
-    if at is None:
-        return ()
-    P = len(found.twin.parameters)
-    entries = []
-    names = at.fit.candidate.names
-    pool = found.equivalent
-    for j, name in enumerate(names):
-        effect = EFFECTS[name]
-        partners = tuple(n for n in names if n != name)
-        equivalents = []
-        for other in pool:
-            rest = [n for n in other if n not in partners]
-            if len(rest) == 1 and rest[0] not in names and rest[0] not in equivalents:
-                equivalents.append(rest[0])
-        probability = sum(
-            value for key, value in found.probabilities.items() if name in key.split(" + ")
-        )
-        entries.append(
-            FoundEffect(
-                name=name, probability=float(min(probability, 1.0)), equivalent_names=tuple(equivalents),
-                law=effect.law, magnitude=float(at.fit.magnitudes[j]),
-                std=_finite(float(at.fit.std[P + j])), unit=effect.unit, valid_for=_valid_for(found),
-                split_by=split_by(found, name, equivalents) if equivalents else None,
-            )
-        )
-    alone = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
-    return tuple(sorted(entries, key=lambda entry: -alone.get(entry.name, 0.0)))
-
-
-def _valid_for(found: Search) -> str:
-    conditions = found.twin.conditions
-    units = {"n_e_rpm": "rpm", "u_delta_mg": "mg/cycle", "u_egr_pct": "%", "u_vgt_pct": "%"}
-    parts = [
-        f"{name.rsplit('_', 1)[0]} {np.min(values):.4g}-{np.max(values):.4g} {units.get(name, '')}".strip()
-        for name, values in conditions.items()
-    ]
-    return ", ".join(parts)
-
-
-def _unnamed(found: Search) -> FoundEffect:
-    catalogue = found.gain(found.singles[0]) if found.singles else 0.0
-    ahead = (found.structure[0].gain if found.structure else 0.0) - catalogue
-    law: str | None = None
-    if found.law is not None:
-        law = found.law.text
-        ahead = max(ahead, found.law.gain - catalogue)
-    elif found.structure and found.structure[0].feature.channel is not None:
-        item = found.structure[0]
-        law = (
-            f"reading (1 + {item.coefficient:.4g})"
-            if item.feature.text == "gain"
-            else f"reading + {item.coefficient:.4g} of its mean"
-        )
-    return FoundEffect(
-        name=NONE_OF_THESE, probability=float(expit(0.5 * ahead)), law=law, magnitude=None, std=None, unit=None,
-        valid_for=_valid_for(found),
-    )
-
-
 def _figures(found: Search, after: Array) -> FitFigures:
     null = found.null
     before_nll, after_nll = held_out_scores(found, after)
@@ -300,7 +147,7 @@ def _figures(found: Search, after: Array) -> FitFigures:
         return {name: float(value) for name, value in zip(found.twin.channels, size, strict=True)}
 
     return FitFigures(
-        held_out_nll_before=_finite(before_nll), held_out_nll_after=_finite(after_nll),
+        held_out_nll_before=finite(before_nll), held_out_nll_after=finite(after_nll),
         chi2_per_sample_before=chi2(null.simulated), chi2_per_sample_after=chi2(after),
         rmse_before=rmse(null.simulated), rmse_after=rmse(after),
     )  # fmt: skip
@@ -331,9 +178,9 @@ def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
         terms.append(
             Term(
                 effect=name, magnitude=float(np.clip(at.fit.magnitudes[j], *EFFECTS[name].limits)),
-                std=_finite(float(at.fit.std[P + j])), onset_s=onset,
+                std=finite(float(at.fit.std[P + j])), onset_s=onset,
                 region=dict(variant.region) if variant is not None and variant.region else None,
-                valid_for=_valid_for(found),
+                valid_for=findings.valid_for(found),
             )
         )
     return tuple(terms)
@@ -412,9 +259,7 @@ def _fit_row(found: Search, fit: Fit) -> dict[str, Any]:
     P = len(found.twin.parameters)
     return {
         "names": list(fit.candidate.names), "magnitudes": [float(m) for m in fit.magnitudes],
-        "std": [_finite(float(s)) for s in fit.std[P:]], "gain": float(found.gain(fit)),
+        "std": [finite(float(s)) for s in fit.std[P:]], "gain": float(found.gain(fit)),
         "log_evidence": float(occam(found, fit)), "converged": bool(fit.converged),
     }  # fmt: skip
 
-
-__all__ = ["assemble", "simulate_fits"]

@@ -1,8 +1,4 @@
-"""Fits of a twin with any set of effects: the health-only fit, its linearisation, and batched refits.
-
-All candidates advance together, one lane each, with the sensitivities of the linearisation (a chord method): a refit
-costs a few simulations, not a few Jacobians. The best are then fitted again with sensitivities of their own.
-"""
+"""Fits of a twin with any set of effects: linearisations and damped Gauss-Newton over parameters and initial states."""
 
 from __future__ import annotations
 
@@ -12,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dieseltwin.discovery.metric import Metric, Whitening
-from dieseltwin.discovery.noise import Noise
 from dieseltwin.discovery.twin import Array, Lanes, Twin, single
 
 _DIFFERENCE = 1e-4  # of a scale, for sensitivities
@@ -21,7 +16,6 @@ _LOCAL_SETTLED = 1e-3  # of a state's scale
 _STEP_LIMIT = 2.0  # parameter scales in one step
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
-_CHORD_ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -61,7 +55,7 @@ class Fit:
         """One lane at the estimate."""
         magnitudes = {name: self.magnitudes[i : i + 1] for i, name in enumerate(self.candidate.names)}
         return single(
-            _NO_TWIN, self.parameters, self.local, magnitudes=magnitudes, schedules=self.candidate.schedules, **more
+            self.parameters, self.local, magnitudes=magnitudes, schedules=self.candidate.schedules, **more
         )
 
     @property
@@ -70,9 +64,6 @@ class Fit:
         if self.covariance is None:
             return np.full(self.parameters.size + self.magnitudes.size, np.nan)
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-
-
-_NO_TWIN: Twin = None  # type: ignore[assignment]  # `single` needs none
 
 
 def _differ(fits: Sequence[Fit]) -> bool:
@@ -90,7 +81,7 @@ def _same(a: Array | None, b: Array | None) -> bool:
     return a is b or (a is not None and b is not None and np.array_equal(a, b))
 
 
-def _lanes_of(fits: Sequence[Fit]) -> Lanes:
+def lanes_of(fits: Sequence[Fit]) -> Lanes:
     names = list(dict.fromkeys(name for fit in fits for name in fit.candidate.names))
     magnitudes = {name: np.zeros(len(fits)) for name in names}
     schedules: dict[str, Array] = {}
@@ -112,7 +103,7 @@ def simulate_fits(twin: Twin, fits: Sequence[Fit]) -> Array:
         for index in remaining:
             if not _differ([fits[i] for i in [*group, index]]):
                 group.append(index)
-        out[group] = twin.simulate(_lanes_of([fits[i] for i in group]))
+        out[group] = twin.simulate(lanes_of([fits[i] for i in group]))
         remaining = [i for i in remaining if i not in group]
     return out
 
@@ -130,7 +121,7 @@ def parameter_lanes(twin: Twin, fit: Fit, local: bool = True) -> tuple[Lanes, Ar
     """The fit, then a lane per parameter, effect of the candidate and (if `local`) state; and the differences."""
     scales = np.array([p.scale for p in twin.parameters])
     P, m, S = len(scales), len(fit.candidate.names), len(twin.states) if local else 0
-    lanes = _repeat(_lanes_of([fit]), 1 + P + m + S)
+    lanes = _repeat(lanes_of([fit]), 1 + P + m + S)
     steps = np.empty(P + m + S)
     for j in range(P):
         steps[j] = _DIFFERENCE * scales[j]
@@ -267,9 +258,8 @@ def fit_fully(
                 twin, here.fit.parameters + change[:P], start.candidate.names, here.fit.magnitudes + change[P:]
             )
             moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
-            trial = replace(
-                here.fit, parameters=parameters, magnitudes=magnitudes, local=bounded(twin, here.fit.local + shrink * here.local_step(moved / shrink))
-            )
+            local = bounded(twin, here.fit.local + shrink * here.local_step(moved / shrink))
+            trial = replace(here.fit, parameters=parameters, magnitudes=magnitudes, local=local)
             there = Linearisation(twin, whitening, trial, frozen, nuisance_response)
             if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
                 break
@@ -303,7 +293,7 @@ def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:
         if not np.any(np.abs(step) > _LOCAL_SETTLED * twin.state_scales):
             break
         trial = replace(fit, local=bounded(twin, fit.local + shrink[:, None] * step))
-        simulated = twin.simulate(_lanes_of([trial]))[0]
+        simulated = twin.simulate(lanes_of([trial]))[0]
         new_residual = np.nan_to_num(twin.measured - simulated)
         new_cost = at.metric.window_costs(new_residual - shift)
         better = new_cost < cost
@@ -321,89 +311,3 @@ def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:
 def _marked(at: Linearisation, converged: bool) -> Linearisation:
     at.fit = replace(at.fit, converged=converged)
     return at
-
-
-def refit_all(
-    base: Linearisation, candidates: Sequence[Candidate], responses: Sequence[Array]
-) -> list[Fit]:
-    """Chord refit of many candidates at once in the metric of `base`.
-
-    Args:
-        base: the linearisation that gives metric and parameter sensitivities.
-        candidates: what to fit; they contain the effects of the base's own candidate or not.
-        responses: responses (m, n, C) of the readings to the candidates' effects [per unit].
-    """
-    twin = base.twin
-    P = len(twin.parameters)
-    count = len(candidates)
-    columns = [np.concatenate([base.jacobian[:P], np.asarray(r)]) for r in responses]
-    projected = [np.concatenate([base.projected[:P], base.metric.project(np.asarray(r))]) for r in responses]
-    precision = [prior_precision(twin, len(c.names)) for c in candidates]
-    covariance = [np.linalg.inv(a @ a.T + np.diag(b)) for a, b in zip(projected, precision, strict=True)]
-    nominal = np.array([p.value for p in twin.parameters])
-
-    best = [
-        Fit(c, base.fit.parameters, base_magnitudes(base, c), base.fit.local, base.fit.objective, False)
-        for c in candidates
-    ]
-    residuals = [np.nan_to_num(base.residual) for _ in range(count)]
-    vectors = [base.projected_residual for _ in range(count)]
-    shrink = np.ones(count)
-    active = list(range(count))
-    for _round in range(_CHORD_ROUNDS):
-        trials, predicted = [], []
-        for k in active:
-            fit = best[k]
-            offset = np.zeros(len(precision[k]))
-            offset[:P] = nominal - fit.parameters
-            gradient = projected[k] @ vectors[k] + precision[k] * offset
-            step = covariance[k] @ gradient
-            predicted.append(float(gradient @ step))
-            start = fit.magnitudes
-            change = shrink[k] * step
-            parameters, magnitudes = within_limits(
-                twin, fit.parameters + change[:P], candidates[k].names, start + change[P:]
-            )
-            moved = np.concatenate([parameters - fit.parameters, magnitudes - start])
-            rest = residuals[k] - np.tensordot(moved / shrink[k], columns[k], 1)
-            if base.nuisance_response is not None:
-                rest = rest - np.tensordot(base.metric.nuisance_estimate(rest), base.nuisance_response, 1)
-            trials.append(
-                replace(
-                    fit, parameters=parameters, magnitudes=magnitudes,
-                    local=bounded(twin, fit.local + shrink[k] * base.metric.local_step(rest)),
-                )  # fmt: skip
-            )
-        simulated = simulate_fits(twin, trials)
-        new = np.nan_to_num(twin.measured[None] - simulated)
-        new_vectors = base.metric.project(new)
-        still = []
-        for i, k in enumerate(active):
-            objective = base.objective(new_vectors[i], trials[i].parameters)
-            gain = best[k].objective - objective
-            if np.isfinite(objective) and gain > 0:
-                best[k] = replace(trials[i], objective=objective, converged=gain < 1.0)
-                residuals[k], vectors[k] = new[i], new_vectors[i]
-                shrink[k] = min(1.0, 2.0 * shrink[k])
-                if gain > 0.2:
-                    still.append(k)
-            else:
-                best[k] = replace(best[k], converged=predicted[i] < 1.0)
-                shrink[k] *= 0.35
-                if predicted[i] > 0.2 and shrink[k] > 0.02:
-                    still.append(k)
-        active = still
-        if not active:
-            break
-    return [replace(fit, covariance=covariance[k]) for k, fit in enumerate(best)]
-
-
-def base_magnitudes(base: Linearisation, candidate: Candidate) -> Array:
-    """Where a candidate's magnitudes start: at the base's where it has the same effect, else at 0."""
-    known = dict(zip(base.fit.candidate.names, base.fit.magnitudes, strict=True))
-    return np.array([known.get(name, 0.0) for name in candidate.names])
-
-
-def noise_floor(noise: Noise) -> Noise:
-    """Noise with every sigma positive."""
-    return Noise(np.where(np.isfinite(noise.sigma) & (noise.sigma > 0), noise.sigma, 1.0), noise.rho)

@@ -10,6 +10,7 @@ constant that all hypotheses share.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -65,12 +66,17 @@ class Metric:
     """
 
     def __init__(
-        self, whitening: Whitening, starts: np.ndarray, local: Array, state_scales: Array, nuisances: Array | None = None
+        self,
+        whitening: Whitening,
+        starts: np.ndarray,
+        local: Array,
+        state_scales: Array,
+        nuisances: Array | None = None,
     ) -> None:
         self.whitening = whitening
         n, channels = whitening.present.shape
         bounds = np.append(starts, n) * channels
-        self._blocks = [slice(int(a), int(b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+        self._blocks = [slice(int(a), int(b)) for a, b in pairwise(bounds)]
         columns = whitening.apply(local).T if local.size else np.zeros((n * channels, 0))
         ridge = np.diag(1.0 / (_LOCAL_PRIOR * np.asarray(state_scales))) if columns.shape[1] else np.zeros((0, 0))
         self._columns = columns

@@ -14,10 +14,11 @@ from scipy.special import logsumexp
 
 from dieseltwin.discovery import law as law_search
 from dieseltwin.discovery.features import Feature, Structure, generic_features, score_features
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, refit_all, settle_local
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, settle_local
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.noise import Noise, estimate_noise
 from dieseltwin.discovery.nuisance import map_nuisances, nuisance_responses, sensor_nuisances
+from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import (
     Chance,
     Scored,

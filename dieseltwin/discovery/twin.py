@@ -156,6 +156,6 @@ class Twin(Protocol):
         ...
 
 
-def single(twin: Twin, parameters: Array, local: Array, **more: Any) -> Lanes:
+def single(parameters: Array, local: Array, **more: Any) -> Lanes:
     """One lane."""
     return Lanes(np.asarray(parameters, dtype=np.float64)[None], np.asarray(local, dtype=np.float64)[None], **more)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from dieseltwin.discovery import search
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, refit_all
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.metric import Metric, Whitening
 from dieseltwin.discovery.noise import Noise, estimate_noise
 from dieseltwin.discovery.nuisance import map_nuisances, nuisance_responses, tolerance_modes
+from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import best_of_each, chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.twin import Twin
 from dieseltwin.discovery.variants import scan
