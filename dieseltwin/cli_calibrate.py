@@ -13,6 +13,8 @@ import typer
 
 from dieseltwin import __version__
 from dieseltwin.atomic import atomic_folder, check_writable, write_json
+from dieseltwin.cli_petrol import BASE as PETROL
+from dieseltwin.cli_petrol import is_petrol_base, run_calibrate_petrol
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters, load_engine
 from dieseltwin.errors import InputError
@@ -27,7 +29,7 @@ def _base(name: str) -> EngineParameters:
         return BASES[name]
     if Path(name).suffix in (".yaml", ".yml"):
         return load_engine(name)
-    raise InputError("--base", repr(name), f"{', '.join(BASES)} or an engine file", "name one of these")
+    raise InputError("--base", repr(name), f"{', '.join((*BASES, PETROL))} or an engine file", "name one of these")
 
 
 def run_calibrate(
@@ -47,6 +49,9 @@ def run_calibrate(
     from dieseltwin.report.calibration import calibration_report
     from dieseltwin.steady_points import read_points
 
+    if is_petrol_base(base):
+        yield from run_calibrate_petrol(points, out, base)
+        return
     if out.suffix not in (".yaml", ".yml"):
         raise InputError("--out", str(out), "a file ending in .yaml", "name an engine file")
     if noise_pct is not None and not 0.0 < noise_pct <= 20.0:

@@ -1,16 +1,17 @@
-"""Calibration on a fault-free recording: maps with covariance, scatter, and the detection threshold by held-out pieces."""
+"""Calibration on a fault-free recording: maps with covariance, scatter, threshold from held-out pieces."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from dieseltwin.errors import InputError
-from dieseltwin.petrol.likelihood import FREEDOM
+from dieseltwin.petrol.likelihood import FREEDOM, normal_equations
 from dieseltwin.petrol.maps import sum_roughness, tensor_roughness
 from dieseltwin.petrol.model import (
     ALPHA_SHIFT,
@@ -52,19 +53,24 @@ class SubmodelFit:
     blocks: int
 
 
-def _spline_map(B: Array, y: Array, scale: Array, tempering: float, prior: Array, knots: tuple[Array, Array]) -> SplineMap:
-    theta = np.zeros(B.shape[1])
+def _spline_map(
+    B: Array, y: Array, scale: Array, tempering: float, prior: Array, knots: tuple[Array, Array]
+) -> SplineMap:
+    B = np.ascontiguousarray(B)
     residual = y - np.median(y[np.isfinite(scale)])
     inverse = 1.0 / scale**2
     for _ in range(REWEIGHTINGS):
         w = (FREEDOM + 1.0) / (FREEDOM + residual**2 * inverse) * inverse / tempering
-        A = prior + B.T @ (B * w[:, None])
-        theta = np.linalg.solve(A, B.T @ (w * y))
+        A, b = normal_equations(B, w, y, prior)
+        theta = np.linalg.solve(A, b)
         residual = y - B @ theta
     factor = np.linalg.cholesky(np.linalg.inv(A))
     rows = tuple(tuple(float(f"{v:.5g}") for v in row[: i + 1]) for i, row in enumerate(factor))
-    return SplineMap(knots_x=tuple(float(f"{k:.6g}") for k in knots[0]), knots_y=tuple(float(f"{k:.6g}") for k in knots[1]),
-                     coefficients=tuple(float(f"{t:.6g}") for t in theta), covariance_factor=rows)
+    return SplineMap(knots_x=_six(knots[0]), knots_y=_six(knots[1]), coefficients=_six(theta), covariance_factor=rows)
+
+
+def _six(values: Array) -> tuple[float, ...]:
+    return tuple(float(f"{v:.6g}") for v in values)
 
 
 def _knots(x: Array, count: int, margin: float) -> Array:
@@ -81,8 +87,10 @@ class _Balance:
 
 
 def _tables(b: Blocks, kept: Bool) -> dict[str, _Balance]:
-    cyl_knots = (_knots(b.omega_e[kept], CYLINDER_KNOTS[0], 0.05), _knots(np.log(b.p_im[kept]), CYLINDER_KNOTS[1], 0.05))
-    th_knots = (_knots(np.log(b.alpha[kept] + ALPHA_SHIFT), THROTTLE_KNOTS[0], 0.02), np.linspace(0.0, 0.69, THROTTLE_KNOTS[1]))
+    speed, pressure = b.omega_e[kept], np.log(b.p_im[kept])
+    cyl_knots = (_knots(speed, CYLINDER_KNOTS[0], 0.05), _knots(pressure, CYLINDER_KNOTS[1], 0.05))
+    opening = np.log(b.alpha[kept] + ALPHA_SHIFT)
+    th_knots = (_knots(opening, THROTTLE_KNOTS[0], 0.02), np.linspace(0.0, 0.69, THROTTLE_KNOTS[1]))
     shell = SplineMap(knots_x=(), knots_y=(), coefficients=(), covariance_factor=())
     cyl = cylinder_basis(b, shell.model_copy(update={"knots_x": tuple(cyl_knots[0]), "knots_y": tuple(cyl_knots[1])}))
     th = throttle_basis(b, shell.model_copy(update={"knots_x": tuple(th_knots[0]), "knots_y": tuple(th_knots[1])}))
@@ -90,7 +98,10 @@ def _tables(b: Blocks, kept: Bool) -> dict[str, _Balance]:
     cyl_prior = tensor_roughness(sizes[0], sizes[1]) / BEND**2 + np.eye(cyl.shape[1]) / REACH**2
     reach = np.concatenate([np.full(sizes[2], 10.0 * REACH), np.full(sizes[3], SUMMAND_REACH)])
     th_prior = sum_roughness(sizes[2], sizes[3]) / BEND**2 + np.diag(1.0 / reach**2)
-    return {"cylinder": _Balance(b.y_cyl, cyl, cyl_prior, cyl_knots), "throttle": _Balance(b.y_th, th, th_prior, th_knots)}
+    return {
+        "cylinder": _Balance(b.y_cyl, cyl, cyl_prior, cyl_knots),
+        "throttle": _Balance(b.y_th, th, th_prior, th_knots),
+    }
 
 
 def _held_out(t: _Balance, scale: Array, kept: Bool, fold: NDArray[np.int64]) -> Array:
@@ -146,7 +157,9 @@ def fit_maps(signals: Signals, base: PetrolParameters, without: tuple[float, flo
             residual = _held_out(table, scale_of(spread, unsteady), kept, fold)
             spread = _spread(residual, unsteady, kept)
         scale = scale_of(spread, unsteady)
-        maps[name] = _spline_map(table.basis[kept], table.y[kept], scale[kept], spread.tempering, table.prior, table.knots)
+        maps[name] = _spline_map(
+            table.basis[kept], table.y[kept], scale[kept], spread.tempering, table.prior, table.knots
+        )
         spreads[name] = spread
         steady = kept & (scale < 1.5 * spread.base)
         fits.append(SubmodelFit(name, _robust_std(residual[steady]), _robust_std(residual[kept]), int(kept.sum())))
@@ -171,9 +184,9 @@ def _robust_std(x: Array) -> float:
 
 def pieces(duration_s: float, piece_s: float = PIECE_S) -> list[tuple[float, float]]:
     """Spans of `piece_s` [s]; a rest shorter than half a piece goes to the last one."""
-    count = max(int(round(duration_s / piece_s)), 1)
+    count = max(round(duration_s / piece_s), 1)
     edges = [k * piece_s for k in range(count)] + [duration_s + 1.0]
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(pairwise(edges))
 
 
 def calibrate(signals: Signals, base: PetrolParameters, sha256: str, tell: Callable[[str], None] = lambda _: None

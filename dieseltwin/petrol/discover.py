@@ -28,7 +28,7 @@ from dieseltwin.discovery.document import (
     RecordingInfo,
 )
 from dieseltwin.petrol.effects import HYPOTHESES, LOG_PRIOR, undo
-from dieseltwin.petrol.likelihood import FREEDOM, BalanceFit
+from dieseltwin.petrol.likelihood import FREEDOM, LEAST_SUPPORT, BalanceFit
 from dieseltwin.petrol.model import BALANCES, Bound, active_rows, bind
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
@@ -44,7 +44,7 @@ LEAST_P_VALUE = 1e-12  # pieces of one recording can't vouch for less
 HELD_OUT = 1.0 / 3.0  # last part of the recording, for the held-out score
 CHANNELS = ("p_ic_pa", "p_im_pa", "w_af_kg_s", "t_ic_k", "alpha_th_pct", "omega_e_rad_s", "p_amb_pa", "t_amb_k")
 SPLIT_BY = {
-    frozenset(("p_ic_gain", "p_ic_offset")): "p_ic at rest is near one value; long boosted driving tells gain from offset",
+    frozenset(("p_ic_gain", "p_ic_offset")): "p_ic is known at rest, near one value; other ambient pressure would tell",
     frozenset(("p_im_gain", "p_im_offset")): "driving over a wide range of p_im tells gain from offset",
     frozenset(("p_im_gain", "volumetric_efficiency_change")): "wide-open throttle: p_im is p_ic there",
     frozenset(("w_af_gain", "intake_leak")): "high load: a leak vanishes as p_im nears p_amb, a gain does not",
@@ -75,6 +75,11 @@ class PetrolDiscovery:
     sentence: str
     runtime_s: float
 
+    @property
+    def threshold(self) -> float:
+        """What twice a gain in log-likelihood has to exceed [-]."""
+        return self.bound.parameters.detection.for_duration(float(self.bound.signals.time_s[-1]))
+
 
 def discover_petrol(recording: PetrolRecording, engine: PetrolParameters, params_sha256: str = "") -> PetrolDiscovery:
     """Judge a recording with a calibrated engine."""
@@ -90,14 +95,15 @@ def discover_petrol(recording: PetrolRecording, engine: PetrolParameters, params
         found = (with_std(bound, best),)
         bound_after = _corrected(bound, best)
         second = _first(search(bound_after, keep=3)[0])
-        unnamed = _same_onset(best, second) and second.gain > UNEXPLAINED * best.gain and significant(second, engine, duration)
-        if not unnamed and significant(second, engine, duration) and second.name != best.name:
+        more = significant(second, engine, duration)
+        unnamed = more and _same_onset(best, second) and second.gain > UNEXPLAINED * best.gain
+        if more and not unnamed and second.name != best.name:
             found = (*found, with_std(bound_after, second))
             bound_after = _corrected(bound_after, second)
     before, after = bound.null(), bound_after.null()
     document = _document(recording, engine, bound, bound_after, candidates, found, unnamed, params_sha256)
     return PetrolDiscovery(document, tuple(candidates), found, before, after, bound, bound_after,
-                           _sentence(document, recording.time0_s), time.perf_counter() - began)
+                           _sentence(document), time.perf_counter() - began)
 
 
 def significant(c: Candidate, engine: PetrolParameters, duration_s: float) -> bool:
@@ -179,8 +185,7 @@ def _effects(candidates: list[Candidate], found: tuple[Candidate, ...], unnamed:
             same = tuple(o.name for o in candidates if o.name != c.name and raw[c.name] - raw[o.name] < EQUIVALENT)
             weights = np.exp(np.array([o.gain for o in candidates]) - max(o.gain for o in candidates))
             probability = float(weights[[o.name for o in candidates].index(c.name)] / weights.sum())
-        split = next((text for pair, text in SPLIT_BY.items() if c.name in pair and pair & set(same) and pair != {c.name}),
-                     None) if same else None
+        split = next((text for pair, text in SPLIT_BY.items() if c.name in pair and pair & set(same)), None)
         std = c.std if np.isfinite(c.std) else None
         result.append(FoundEffect(name=c.name, probability=min(probability, 1.0), equivalent_names=same, law=h.law,
                                   magnitude=c.magnitude, std=std, unit=h.unit, split_by=split))
@@ -206,8 +211,6 @@ def _health(bound: Bound, after: Bound) -> dict[str, HealthValue]:
 
 
 def _used(b: Bound, balance: str) -> NDArray[np.bool_]:
-    from dieseltwin.petrol.likelihood import LEAST_SUPPORT
-
     design = b.rows(b.measured)[balance].design
     return np.asarray(np.abs(design).max(axis=0) > LEAST_SUPPORT)
 
@@ -237,7 +240,8 @@ def _chi2(b: Bound) -> float:
 def _rmse(b: Bound) -> dict[str, float]:
     """Air flow against the cylinders' and the throttle's flow [kg/s]; p_ic against the surroundings at rest [Pa]."""
     null = b.null()
-    values = {"w_af_kg_s": b.measured.W_af * np.expm1(null["cylinder"].residual), "p_ic_pa": b.measured.p_ic * null["boost"].residual}
+    values = {"w_af_kg_s": b.measured.W_af * np.expm1(null["cylinder"].residual),
+              "p_ic_pa": b.measured.p_ic * null["boost"].residual}
     result = {}
     for (channel, error), name in zip(values.items(), ("cylinder", "boost"), strict=True):
         kept = np.isfinite(b.scales[name])
@@ -282,13 +286,16 @@ def minimum_detectable(bound: Bound) -> dict[str, float]:
     return result
 
 
-def _sentence(d: Discrepancy, time0_s: float) -> str:
+IN_THE_SENTENCE = ("p_im_gain", "p_ic_gain", "w_af_gain", "intake_leak")
+
+
+def _sentence(d: Discrepancy) -> str:
     if not d.mismatch or d.location is None:
-        limit = ", ".join(f"{n} {v:.2g} {HYPOTHESES[n].unit}".replace(" -", "") for n, v in d.minimum_detectable.items()
-                          if n in ("p_im_gain", "p_ic_gain", "w_af_gain", "intake_leak"))
-        return f"No mismatch beyond what fault-free recordings show. Begun after a tenth of it, it would have shown: {limit}."
+        shown = {n: v for n, v in d.minimum_detectable.items() if n in IN_THE_SENTENCE}
+        limit = ", ".join(f"{n} {v:.2g} {HYPOTHESES[n].unit}".replace(" -", "") for n, v in shown.items())
+        return f"No mismatch beyond what fault-free driving shows. Visible, if begun after a tenth of it: {limit}."
     e = d.effects[0]
-    since = "from the start" if d.location.onset_s is None else f"since {d.location.onset_s:.0f} s"
+    since = "from its start on" if d.location.onset_s is None else f"since {d.location.onset_s:.0f} s"
     if e.magnitude is None:
         return f"At {d.location.site}, {since}: none of the known effects explains it."
     size = f"{100 * e.magnitude:+.1f} %" if e.unit == "-" else f"{e.magnitude:.3g} {e.unit}"
@@ -299,7 +306,7 @@ def _sentence(d: Discrepancy, time0_s: float) -> str:
 
 def details(found: PetrolDiscovery) -> dict[str, Any]:
     """What is worth keeping besides the document."""
-    return {"sentence": found.sentence, "threshold": found.bound.parameters.detection.threshold,
+    return {"sentence": found.sentence, "threshold": found.threshold,
             "candidates": [{"name": c.name, "site": HYPOTHESES[c.name].site, "score": 2.0 * c.gain,
                             "magnitude": c.magnitude, "unit": HYPOTHESES[c.name].unit, "onset_s": c.onset_s}
                            for c in found.candidates]}

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.petrol.effects import TOUCHES, undo
-from dieseltwin.petrol.likelihood import BalanceFit, fit_balance
+from dieseltwin.petrol.likelihood import BalanceFit, Prior, fit_balance
 from dieseltwin.petrol.maps import sum_basis, tensor_basis
 from dieseltwin.petrol.parameters import PetrolParameters, SplineMap, Spread
 from dieseltwin.petrol.recording import BLOCK_S, LEAST_FLOW, Blocks, Grid, Signals, balances, make_grid
@@ -53,7 +53,7 @@ class Bound:
         signals: measured.
         grid: blocks.
         scales: balance -> (m,) scale; infinite where a block says nothing.
-        priors: balance -> covariance of the nuisances.
+        priors: balance -> prior of the nuisances.
         thetas: balance -> expected coefficients.
     """
 
@@ -62,7 +62,7 @@ class Bound:
     grid: Grid
     measured: Blocks
     scales: Mapping[str, Array]
-    priors: Mapping[str, Array]
+    priors: Mapping[str, Prior]
     thetas: Mapping[str, Array]
     _null: dict[str, BalanceFit] = field(default_factory=dict)
 
@@ -224,7 +224,7 @@ def bind(parameters: PetrolParameters, signals: Signals) -> Bound:
     return Bound(parameters, signals, grid, blocks, scales, priors, thetas)
 
 
-def _nuisances(p: PetrolParameters, anchors: int) -> tuple[dict[str, Array], dict[str, Array]]:
+def _nuisances(p: PetrolParameters, anchors: int) -> tuple[dict[str, Prior], dict[str, Array]]:
     t = p.tolerances
     cylinder, throttle = _map(p.cylinder), _map(p.throttle)
     k_c, k_t, k_x = len(cylinder.coefficients), len(throttle.coefficients), len(throttle.knots_x) + 2
@@ -240,7 +240,8 @@ def _nuisances(p: PetrolParameters, anchors: int) -> tuple[dict[str, Array], dic
     thetas = {"cylinder": np.concatenate([cylinder.coefficients, np.zeros(anchors)]),
               "throttle": np.concatenate([throttle.coefficients, np.zeros(1 + anchors)]),
               "boost": np.zeros(1 + anchors), "cooler": np.zeros(1 + anchors)}
-    return {"cylinder": c, "throttle": th, "boost": boost, "cooler": cooler}, thetas
+    covariances = {"cylinder": c, "throttle": th, "boost": boost, "cooler": cooler}
+    return {name: Prior(covariance) for name, covariance in covariances.items()}, thetas
 
 
 def _stack(first: Array, diagonal: Array) -> Array:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 SCAN_S = 5.0  # between trial onsets of the scan
 LEAST_AFTER_S = 20.0  # an onset leaves at least so much of the recording
 NEAR_S = 12.0  # the exact onset is looked for so far around the scan's
-TRIALS = 14  # evaluations of one refit
+TRIALS = 10  # evaluations of one refit
 CURVATURE_STEP = 0.02  # of the magnitude's tolerance or size, for its standard deviation
 ONSET_COST = 3.0  # log-likelihood that a free onset has to be worth: log of the number of places, about
 
@@ -63,19 +63,26 @@ def scan(bound: Bound, name: str) -> Scan:
     mid = bound.measured.mid_s
     onsets = np.concatenate([[0.0], np.arange(SCAN_S, mid[-1] - LEAST_AFTER_S, SCAN_S)])
     numerator, denominator = np.zeros(len(onsets)), np.zeros(len(onsets))
+    first = np.searchsorted(mid, onsets, side="right")  # first block after each onset
     for balance, direction in signatures.items():
         fit = null[balance]
-        after = (mid[:, None] > onsets[None]) * np.nan_to_num(direction)[:, None]
-        weighted = fit.weight[:, None] * after
-        explained = fit.design.T @ weighted
-        numerator += weighted.T @ fit.residual
-        denominator += np.einsum("ij,ij->j", weighted, after)
+        s = np.nan_to_num(direction)
+        weighted = fit.weight * s
+        explained = _after(fit.design * weighted[:, None], first).T
+        numerator += _after(weighted * fit.residual, first)
+        denominator += _after(weighted * s, first)
         denominator -= np.einsum("ij,ij->j", explained, cho_solve(fit.factor, explained))
     magnitude = numerator / np.maximum(denominator, 1e-300)
     low, high = HYPOTHESES[name].limits
     clipped = np.clip(magnitude, low, high)
     score = 2.0 * clipped * numerator - clipped**2 * denominator
     return Scan(name, onsets, score, clipped)
+
+
+def _after(rows: Array, first: NDArray[np.int64]) -> Array:
+    """Sums of `rows` from each of the rows `first` to the end, (len(first), ...)."""
+    total = np.concatenate([np.zeros((1, *rows.shape[1:])), np.cumsum(rows, axis=0)])
+    return np.asarray(total[-1] - total[first])
 
 
 def information(bound: Bound, name: str, onset_s: float = 0.0) -> float:
