@@ -28,6 +28,7 @@ STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em
 """Measured quantities of a point that the balances join, in the order of every array that holds them."""
 
 EXTRA = ("t_im_k", "t_c_k", "p_es_pa", "p_bc_pa", "torque_nm", "u_flap_pct", "w_f_kg_s")
+LEAST = 1e-6  # kg/s (and any other unit): the flow through a shut valve, so that logarithms exist
 WINDOW_S = 10.0  # a quasi-steady window lasts this long,
 SPEED_RIPPLE = 0.01  # and its speed [-], fuel [-] and positions [%] vary by no more (standard deviation)
 FUEL_RIPPLE = 0.03
@@ -64,8 +65,10 @@ class SteadyPoints:
         return name in self.columns
 
     def states(self) -> np.ndarray:
-        """The measured states, (n, 6) in the order of `STATES`; NaN where not measured."""
-        return np.stack([self.columns.get(name, np.full(self.size, np.nan)) for name in STATES], axis=1)
+        """The measured states, (n, 6) in the order of `STATES`; NaN where not measured, none below `LEAST`."""
+        return np.maximum(
+            np.stack([self.columns.get(name, np.full(self.size, np.nan)) for name in STATES], axis=1), LEAST
+        )
 
     def take(self, chosen: np.ndarray) -> SteadyPoints:
         """The points of a mask or index array."""

@@ -31,14 +31,18 @@ COLUMNS: Mapping[str, str] = {
 
 LOCAL = ("p_es", "p_bc", "T_im", "eta_c")
 # How far the laws may be off at a point (standard deviation, stated belief): share of the rise, and an absolute part.
-P_ES_SHARE, P_ES_PA = 0.10, 400.0
+P_ES_SHARE, P_ES_PA = 0.12, 400.0
 P_BC_SHARE, P_BC_PA = 0.25, 150.0
 T_IM_K = 4.0
 ETA_C_SHARE = 0.03
+POINT_ERROR = 1.5  # a map's error at one point is smooth: readings there tell less than the scatter suggests
+# Heat that the turbine's housing gives the compressed air, h (T_em - T_c): most at little flow (heavy-duty practice)
+SOAK_W_K, SOAK_STD_W_K = 0.8, 0.6
+T_C_STD_K = 1.0  # of the temperature before the compressor, taken as ambient
 SHARE = 0.02  # of a standard deviation, for the slopes in the coefficients
 ITERATIONS = 25
 STEP = 5e-4
-WIDE = 0.25  # prior spread of a state known from the regression on the inputs alone [-]
+GUESS_FACTOR, GUESS_LEAST = 1.5, 0.03  # spread of a state known from the regression on the inputs alone [-]
 LARGEST = 0.15  # of ln x in one iteration
 
 
@@ -116,8 +120,8 @@ class Answerer:
         first = self.guess.states(points)
         centre = np.log(np.where(known, measured, first))
         sigma = np.array([self.noise.get(name, NOISE[name]) for name in STATES])
-        prior = np.where(known, sigma, WIDE)
-        S = np.array([self.discrepancy.get(row, 0.03) for row in model.rows])
+        prior = np.where(known, sigma, np.maximum(GUESS_FACTOR * self.guess.residual, GUESS_LEAST))
+        S = POINT_ERROR * np.array([self.discrepancy.get(row, 0.03) for row in model.rows])
         deviations = self._deviations(model, points, np.exp(centre))
         variance = np.concatenate([prior**2, deviations**2], axis=1)
         y0 = np.concatenate([centre, np.zeros((points.size, len(LOCAL)))], axis=1)
@@ -135,6 +139,10 @@ class Answerer:
             between = np.einsum("pn,pq,qn->n", d_q, self._correlation(), d_q)
             within = np.einsum("ni,nij,nj->n", slopes[name], posterior, slopes[name])
             out[f"{column}_std"] = np.sqrt(between + np.maximum(within, 0.0))
+        x = np.exp(y[:, :6])
+        rise = (x[:, STATES.index("t_em_k")] - out["t_c_k"]) / (x[:, STATES.index("w_c_kg_s")] * model.engine.c_pa)
+        out["t_c_k"] = out["t_c_k"] + SOAK_W_K * rise
+        out["t_c_k_std"] = np.sqrt(out["t_c_k_std"] ** 2 + (SOAK_STD_W_K * rise) ** 2 + T_C_STD_K**2)
         return pd.DataFrame(out)
 
     def _correlation(self) -> Array:

@@ -33,7 +33,7 @@ STATE_STEP = 5e-4  # relative, of central differences in the states
 COEFFICIENT_STEP = 1e-4  # of a prior standard deviation
 STEEPEST = 200.0  # d ln r/d ln x is cut there: a speed line that is flat
 LARGEST_SHIFT = 0.3  # of ln x in one iteration
-ROBUST = 2.0  # whitened residuals beyond this count linearly
+ROBUST = 2.0  # whitened residuals beyond this count ever less
 FLOOR = 0.003  # a submodel is never believed better than this [-]; `floors` of a call can say more
 FIRST_STEPS, MORE_STEPS = 30, 10  # of the inner minimiser
 UNKNOWN = 1.0  # relative prior spread of a state that was not measured
@@ -140,9 +140,11 @@ def estimate(
     P = len(coefficients)
     for iteration in range(iterations):
         linear = _linearised(model, points, x, measured, values, sigma, S, keep)
-        scale = 1.0 / np.sqrt(inflation)
+        plain = _whitened_residual(model, points, x, values, linear, keep)
+        scale = np.sqrt(1.0 / np.sqrt(1.0 + (plain / ROBUST) ** 2) / inflation)  # soft_l1 by reweighting: readings
+        # are robust, beliefs are not (a robust prior would let go of what it is there to hold)
 
-        def whitened(columns: Mapping[str, float | Array], linear: _Linear = linear, scale: float = scale,
+        def whitened(columns: Mapping[str, float | Array], linear: _Linear = linear, scale: Array = scale,
                      x: Array = x) -> Array:
             r = model.relations(points, x, {**values, **columns}).residual
             r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
@@ -163,7 +165,7 @@ def estimate(
 
         z_low, z_high = (low - mean) / std, (high - mean) / std
         z = np.clip((theta - mean) / std, z_low + 1e-9, z_high - 1e-9)
-        solution = least_squares(residuals, z, jacobian, bounds=(z_low, z_high), loss="soft_l1", f_scale=ROBUST,
+        solution = least_squares(residuals, z, jacobian, bounds=(z_low, z_high),
                                  max_nfev=FIRST_STEPS if iteration == 0 else MORE_STEPS, x_scale="jac")
         change = float(np.max(np.abs(solution.x - z))) if P else 0.0
         theta = solution.x * std + mean

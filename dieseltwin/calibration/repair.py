@@ -137,7 +137,7 @@ def repair(calibration: Calibration, *, noise: Mapping[str, float] | None = None
             if c.name in {i.name for i in calibration.coefficients}]
     plain = calibration.model
     inflation = max(calibration.estimate.inflation, 1.0)
-    current = _fitted(plain, points, free, calibration.start, noise)
+    current = _fitted(plain, points, free, calibration.start, noise, iterations=8)
     first = current
     nll_before, trained_before = _held_out(current, points, mask, free, noise)
     nll, trained = nll_before, trained_before
@@ -145,6 +145,8 @@ def repair(calibration: Calibration, *, noise: Mapping[str, float] | None = None
     tried: list[Candidate] = []
     equivalent: dict[str, tuple[str, ...]] = {}
     for attempt in range(1, MOST_TERMS + 1):
+        if attempt > 1:  # the same effort as its rivals get, or they would win by it
+            current = _fitted(current.model, points, _coefficients(free, current.model), current.values, noise)
         left = [t for t in available(points) if t.name not in current.model.active]
         trials: list[tuple[Candidate, _Fitted]] = []
         for term in left:
@@ -204,10 +206,10 @@ def _train(model: SteadyModel, points: SteadyPoints, mask: NDArray[np.bool_], fr
 
 def _fitted(model: SteadyModel, points: SteadyPoints, free: Sequence[Coefficient],
             start: Mapping[str, float],
-            noise: Mapping[str, float] | None) -> _Fitted:  # fmt: skip
+            noise: Mapping[str, float] | None, iterations: int = 3) -> _Fitted:  # fmt: skip
     begin = {**{c.name: c.mean for c in free}, **start}
     rows = _rows(model, free)
-    found = estimate(model, points, free, begin, noise=noise, iterations=3, rows=rows)
+    found = estimate(model, points, free, begin, noise=noise, iterations=iterations, rows=rows)
     values = {**begin, **found.values()}
     total = _log_density(model, points, values, _scales(model, points, values))
     return _Fitted(model, values, found, float(total.sum()), len(free))
