@@ -17,6 +17,7 @@ import typer
 from dieseltwin import __version__
 from dieseltwin.cli_calibrate import calibrate_command, imply_command
 from dieseltwin.cli_challenge import challenge_app
+from dieseltwin.cli_data import data_app
 from dieseltwin.cli_effects import EffectOption, show_effects
 from dieseltwin.errors import DieselTwinError, InputError
 
@@ -36,6 +37,7 @@ params_app = typer.Typer(help="Settings of a run (params.yaml).")
 app.add_typer(engine_app, name="engine")
 app.add_typer(params_app, name="params")
 app.add_typer(challenge_app, name="challenge")
+app.add_typer(data_app, name="data")
 app.command("effects")(show_effects)
 app.command("calibrate")(calibrate_command)
 app.command("imply")(imply_command)
