@@ -46,8 +46,11 @@ class Settings:
         variant_gain: what an onset or a region must add.
         hidden_gain: gain of an onset or a region that raises an alarm by itself.
         unnamed_gain: gain of a term without a name that raises an alarm by itself.
+        unnamed_sensor_gain: the same of a sensor's fault: these are few.
         law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
-        equivalent_gain: names within this gain of the best can't be told apart (DISCOVERY.md).
+        left_gain: gain of a term without a name beyond the chosen explanation, above which that explanation is refused.
+        equivalent_gain: names within this gain of the best can't be told apart: DISCOVERY.md's 9, and what maps that
+            are off by their tolerance add to it.
         withhold: effects that the search must do without.
         seed: of the bootstrap.
     """
@@ -61,9 +64,11 @@ class Settings:
     second_gain: float = 32.0
     variant_gain: float = 30.0
     hidden_gain: float = 45.0
-    unnamed_gain: float = 30.0
-    law_gain: float = 25.0
-    equivalent_gain: float = 9.0
+    unnamed_gain: float = 32.0
+    unnamed_sensor_gain: float = 20.0
+    law_gain: float = 15.0
+    left_gain: float = 60.0
+    equivalent_gain: float = 12.0
     withhold: tuple[str, ...] = ()
     seed: int = 0
 
@@ -84,12 +89,14 @@ class Search:
     scanned: list[Variant] = field(default_factory=list)
     variants: list[tuple[Variant, Fit]] = field(default_factory=list)
     structure: list[Structure] = field(default_factory=list)
+    left: list[Structure] = field(default_factory=list)
     best: Linearisation | None = None
     kind: str = "healthy"
     probabilities: dict[str, float] = field(default_factory=dict)
     equivalent: list[tuple[str, ...]] = field(default_factory=list)
     variant: Variant | None = None
     law: law_search.Law | None = None
+    refused: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
 
     def gain(self, fit: Fit) -> float:
@@ -172,7 +179,7 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.scanned = scan(found.null, found.scored, _VARIANTS)
     hidden = bool(found.scanned) and found.scanned[0].gain > found.settings.hidden_gain
     if not _alarm(found, found.singles[0]) and not hidden:
-        if found.structure and found.structure[0].gain > settings.unnamed_gain:
+        if _unnamed(found):
             _law(found, laws)
         return found
     found.kind = "single"
@@ -199,6 +206,16 @@ def _law(found: Search, wanted: bool) -> None:
         clock = time.perf_counter()
         found.law = law_search.search(found.twin, found.null, found.null.nuisance_response).law
         found.seconds["law"] = time.perf_counter() - clock
+
+
+def _unnamed(found: Search) -> bool:
+    """Whether a term without a name raises an alarm by itself."""
+    if not found.structure:
+        return False
+    item = found.structure[0]
+    settings = found.settings
+    sensor = item.feature.channel is not None
+    return item.gain > (settings.unnamed_sensor_gain if sensor else settings.unnamed_gain)
 
 
 def _alarm(found: Search, fit: Fit) -> bool:
@@ -329,6 +346,10 @@ def _choose(found: Search, first: Linearisation) -> None:
     found.kind, found.variant = kind, variant
     if fit is not None and kind != "single":
         found.best = fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null)
+    if found.best is not None:  # a confident lie is what nearly fits: look at what the explanation leaves
+        found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
+        if found.left and found.left[0].gain > settings.left_gain:
+            found.refused = kind
     _probabilities(found, kind)
 
 
