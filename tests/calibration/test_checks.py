@@ -1,0 +1,82 @@
+"""Bad input gets a clear answer: swapped columns, few points, actuators that never move, which way they open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dieseltwin.calibration import calibrate as module
+from dieseltwin.calibration.calibrate import calibrate, read_geometry
+from dieseltwin.calibration.checks import actuators, check_points, egr_shut
+from dieseltwin.engine import we2011
+from dieseltwin.errors import InputError
+from dieseltwin.steady_points import SteadyPoints
+from tests.calibration.simulated import GEOMETRY, made_points
+
+
+@pytest.fixture(scope="module")
+def few() -> SteadyPoints:
+    """Sixty points."""
+    return made_points(count=60)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "words"),
+    [("p_im_pa", "p_em_pa", "p_im_pa and p_em_pa"), ("w_c_kg_s", "w_egr_kg_s", "w_c_kg_s and w_egr_kg_s"),
+     ("u_egr_pct", "u_vgt_pct", "u_egr_pct and u_vgt_pct")],
+)  # fmt: skip
+def test_swapped_columns_are_refused(few: SteadyPoints, a: str, b: str, words: str) -> None:
+    swapped = few.with_columns(**{a: few[b], b: few[a]})
+    with pytest.raises(InputError, match=words):
+        check_points(swapped, "points.csv")
+
+
+def test_right_columns_pass(few: SteadyPoints) -> None:
+    assert check_points(few, "points.csv").size == few.size
+
+
+def test_twelve_points_are_too_few(few: SteadyPoints) -> None:
+    with pytest.raises(InputError, match="12 usable points; allowed: at least 20"):
+        check_points(few.take(np.arange(12)), "points.csv")
+
+
+def test_directions_are_found(few: SteadyPoints) -> None:
+    egr, vgt = actuators(few)
+    assert (egr.opens, vgt.opens) == (1, 1)
+    egr, vgt = actuators(few.with_columns(u_egr_pct=100.0 - few["u_egr_pct"], u_vgt_pct=100.0 - few["u_vgt_pct"]))
+    assert (egr.opens, vgt.opens) == (-1, -1)
+    assert "closes" in egr.sentence()
+
+
+def test_constant_vgt_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "STARTS", 0)
+    found = calibrate(made_points(count=40, u_vgt_pct=40.0), we2011.PARAMETERS, GEOMETRY)
+    assert any("not identifiable: u_vgt_pct doesn't move" in note for note in found.notes)
+    assert "c_vgt1" not in {c.name for c in found.coefficients}
+    assert found.engine.c_vgt1 == we2011.PARAMETERS.c_vgt1
+
+
+def test_shut_egr_is_stated(monkeypatch: pytest.MonkeyPatch, few: SteadyPoints) -> None:
+    monkeypatch.setattr(module, "STARTS", 0)
+    shut = few.with_columns(w_egr_kg_s=np.zeros(few.size), w_c_kg_s=few["w_c_kg_s"] + few["w_egr_kg_s"],
+                            u_egr_pct=np.zeros(few.size))
+    assert egr_shut(shut)
+    found = calibrate(shut.take(np.arange(40)), we2011.PARAMETERS, GEOMETRY)
+    assert any("EGR valve is shut in every point" in note for note in found.notes)
+    assert not {c.name for c in found.coefficients} & {"A_egrmax", "c_egr1", "c_egr3", "Pi_egropt"}
+
+
+def test_geometry_file(tmp_path: Path) -> None:
+    file = tmp_path / "geometry.yaml"
+    file.write_text("bore_mm: 130\nstroke_mm: 162\nn_cyl: 6\nr_c: 19\n")
+    engine = read_geometry(file, we2011.PARAMETERS)
+    assert engine.V_d == pytest.approx(0.0129015, rel=1e-4)
+    assert engine.r_c == 19.0
+    file.write_text("bore_mm: 130\n")
+    with pytest.raises(InputError, match="bore or stroke alone"):
+        read_geometry(file, we2011.PARAMETERS)
+    file.write_text("bor_mm: 130\n")
+    with pytest.raises(InputError, match="bore_mm"):
+        read_geometry(file, we2011.PARAMETERS)

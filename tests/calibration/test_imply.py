@@ -1,0 +1,84 @@
+"""What nobody measured: the true values lie within the stated deviations; inputs alone settle; files round trip."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.calibration import calibrate as module
+from dieseltwin.calibration import repair as repair_module
+from dieseltwin.calibration.calibrate import calibrate
+from dieseltwin.calibration.coefficients import TERMS
+from dieseltwin.calibration.repair import Repair, repair
+from dieseltwin.calibration.saved import answerer_of, load_answerer, write_repaired
+from dieseltwin.calibration.steady_model import SteadyModel
+from dieseltwin.calibration.verdict import document, sentence
+from dieseltwin.channels import INPUTS
+from dieseltwin.cli_calibrate import run_imply
+from dieseltwin.engine import we2011
+from dieseltwin.errors import InputError
+from dieseltwin.steady_points import STATES, SteadyPoints
+from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
+
+FLAP = {"k_back_pressure": 8e4, "flap_0": -6.3, "flap_1": 2.0, "flap_2": 0.3}
+
+
+@pytest.fixture(scope="module")
+def data() -> SteadyPoints:
+    """An engine whose exhaust is throttled by a flap, 0.5 % noise."""
+    return made_points(count=80, noise=0.005, term_values=FLAP, active=("exhaust_flap",))
+
+
+@pytest.fixture(scope="module")
+def mended(data: SteadyPoints) -> Repair:
+    """What its points call for, among the two terms after the turbine."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "STARTS", 0)
+        patch.setattr(repair_module, "TERMS", {n: TERMS[n] for n in ("back_pressure", "exhaust_flap")})
+        patch.setattr(repair_module, "MOST_TERMS", 1)
+        return repair(calibrate(data, we2011.PARAMETERS, GEOMETRY))
+
+
+def test_the_flap_is_found(mended: Repair) -> None:
+    assert [c.term.name for c in mended.chosen] == ["exhaust_flap"]
+    assert mended.fits_after["turbine_flow"].held_out < 0.5 * mended.fits_before["turbine_flow"].held_out
+    said = document(mended)
+    assert said.mismatch and said.location is not None and said.location.site == "turbine_flow"
+    assert said.effects[0].name == "back_pressure"
+    assert "flap" in sentence(mended)
+
+
+def test_pressure_after_the_turbine_is_implied(mended: Repair, data: SteadyPoints) -> None:
+    implied = answerer_of(mended)(data)
+    truth = SteadyModel(TRUTH, frozenset({"exhaust_flap"})).relations(data, data.states(), FLAP).quantities["p_es"][0]
+    z = (implied["p_es_pa"] - truth) / implied["p_es_pa_std"]
+    assert np.mean(np.abs(z) < 2.0) > 0.85
+    assert np.sqrt(np.mean((implied["p_es_pa"] - truth) ** 2)) < 0.4 * np.std(truth)
+    assert (implied.filter(like="_std") >= 0.0).all().all()
+
+
+def test_files_answer_for_inputs_alone(mended: Repair, data: SteadyPoints, tmp_path: Path) -> None:
+    engine = tmp_path / "repaired.yaml"
+    write_repaired(mended, engine)
+    answerer, turned = load_answerer(engine)
+    assert turned == ()
+    pd.testing.assert_frame_equal(answerer(data), answerer_of(mended)(data), rtol=1e-9)
+    file, out = tmp_path / "inputs.csv", tmp_path / "implied.csv"
+    pd.DataFrame({name: data[name] for name in (*INPUTS, "u_flap_pct")}).to_csv(file, index=False)
+    list(run_imply(file, engine, out))
+    answer = pd.read_csv(out)
+    assert {"p_es_pa", "p_bc_pa", "t_im_k", "t_c_k", "p_es_pa_std", *STATES} <= set(answer.columns)
+    assert np.median(np.abs(np.log(answer["p_im_pa"] / data["p_im_pa"]))) < 0.05
+    pd.DataFrame({name: data[name] for name in INPUTS}).to_csv(file, index=False)
+    with pytest.raises(InputError, match="u_flap_pct"):
+        list(run_imply(file, engine, out))
+
+
+def test_an_engine_without_its_sidecar_is_refused(tmp_path: Path) -> None:
+    engine = tmp_path / "engine.yaml"
+    engine.write_text("r_c: 17\n")
+    with pytest.raises(InputError, match=r"engine\.steady\.json"):
+        load_answerer(engine)

@@ -1,0 +1,82 @@
+"""A simulated engine of another size comes back within its stated intervals; a hidden back-pressure is found."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.calibration.calibrate import Calibration, calibrate, read_geometry
+from dieseltwin.calibration.coefficients import scalar
+from dieseltwin.calibration.likelihood import NOISE
+from dieseltwin.calibration.saved import calibration_sidecar, write_calibration
+from dieseltwin.discovery.steady_twin import SteadyTwin
+from dieseltwin.discovery.twin import Twin, single
+from dieseltwin.engine import we2011
+from dieseltwin.engine.parameters import load_engine
+from dieseltwin.steady_points import read_points
+from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = Path(os.environ.get("DIESELTWIN_DATA", ROOT.parent / "shared" / "data"))
+UW = DATA / "uw_hd_diesel" / "steady_state_points.csv"
+
+
+@pytest.fixture(scope="module")
+def found() -> Calibration:
+    """150 points with 1 % noise of an engine with 10.8 l, other wheels and other maps."""
+    return calibrate(made_points(), we2011.PARAMETERS, GEOMETRY, noise=dict.fromkeys(NOISE, 0.01))
+
+
+def test_coefficients_lie_within_their_intervals(found: Calibration) -> None:
+    z = {c.name: (c.value - scalar(TRUTH, c.name)) / c.std for c in found.coefficients}
+    inside = np.mean([abs(v) < 1.645 for v in z.values()])
+    assert inside >= 0.8, z
+    assert max(abs(v) for v in z.values()) < 4.0, z
+    assert {"c_vol3", "A_egrmax", "K_t", "eta_sc"} <= {c.name for c in found.coefficients if c.verdict == "identified"}
+
+
+def test_efficiencies_alone_are_the_beliefs(found: Calibration) -> None:
+    verdicts = {c.name: c.verdict for c in found.coefficients}
+    assert verdicts["eta_cmax"] != "identified"
+    assert any("product" in note for note in found.notes)
+
+
+def test_held_out_fit_is_noise(found: Calibration) -> None:
+    assert found.fits["cylinder_flow"].held_out < 2.5
+    assert found.fits["turbine_flow"].held_out < 3.0
+    assert found.fits["exhaust_temperature"].held_out < 2.0
+
+
+def test_saved_engine_is_read_back(found: Calibration, tmp_path: Path) -> None:
+    file = tmp_path / "engine.yaml"
+    write_calibration(found, file)
+    assert load_engine(file) == found.engine
+    assert calibration_sidecar(file).is_file()
+
+
+def test_steady_twin_settles_near_the_readings(found: Calibration) -> None:
+    twin = SteadyTwin(found)
+    assert isinstance(twin, Twin)
+    theta = np.array([p.value for p in twin.parameters])
+    simulated = twin.simulate(single(twin, theta, twin.first_local()))
+    error = np.log(simulated[0] / twin.measured)
+    assert np.median(np.abs(error[:, 0])) < 0.02
+    more = twin.simulate(single(twin, theta, twin.first_local(), magnitudes={"back_pressure": np.array([3e5])}))
+    assert np.mean(more[0, :, 1] > simulated[0, :, 1]) > 0.9  # back-pressure raises p_em
+
+
+@pytest.mark.skipif(not UW.is_file(), reason=f"needs {UW.name} of the shared data (DIESELTWIN_DATA)")
+def test_real_engine(tmp_path: Path) -> None:
+    file = tmp_path / "geometry.yaml"
+    file.write_text("bore_mm: 130\nstroke_mm: 162\nn_cyl: 6\nr_c: 19\n")
+    shape = read_geometry(file, we2011.PARAMETERS)
+    real = calibrate(read_points(UW, engine=shape), we2011.PARAMETERS, shape)
+    assert real.fits["cylinder_flow"].held_out < 2.0
+    assert real.fits["exhaust_temperature"].held_out < 3.5
+    assert real.fits["turbine_flow"].held_out > 3.0  # the model lacks what throttles the exhaust
+    assert [a.opens for a in real.actuators] == [1, 1]
+    assert pd.Series(real.tolerances()).between(0.002, 0.4).all()
