@@ -27,7 +27,15 @@ from tasks.workspace import prepare_environment
 _INTERRUPTED = 130
 
 # How long a flow takes where it never ran here [s]: quick profile, two idle cores.
-_EXPECTED_S = {"flow simulate": 50.0, "flow pretrain": 180.0, "flow identify": 200.0, "flow run": 430.0}
+_EXPECTED_S = {
+    "flow simulate": 50.0,
+    "flow pretrain": 180.0,
+    "flow identify": 200.0,
+    "flow run": 430.0,
+    "flow discover": 80.0,
+    "flow prove": 800.0,
+    "flow promote": 40.0,
+}
 _STEP_S = 430.0
 
 # Results of steps that nothing asked for within this time are removed.
