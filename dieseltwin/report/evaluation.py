@@ -60,7 +60,9 @@ def load_ensembles(root: Path) -> list[Ensemble]:
     Errors: InputError where there is none.
     """
     made = []
-    for path in sorted(Path(root).glob("**/ensemble.json")):
+    # not **: it doesn't enter linked folders, and a pipeline links results instead of copying them
+    patterns = ("ensemble.json", "*/ensemble.json", "*/*/ensemble.json")
+    for path in sorted({path for pattern in patterns for path in Path(root).glob(pattern)}):
         about = json.loads(path.read_text(encoding="utf-8"))
         runtime = path.with_name("runtime.json")
         seconds = json.loads(runtime.read_text(encoding="utf-8"))["seconds_per_run"] if runtime.exists() else []

@@ -22,7 +22,7 @@ STAGES = [
     {"until_epoch": 10, "layers": "last", "rate_networks": 1e-3, "rate_unknowns": 1e-3, "rate_weights": 0.0},
 ]
 EVALUATION = {
-    "cases": ["clean-151", "noisy-301"],
+    "cases": ["noisy-301"],
     "members": {"baseline": 2, "multi-stage": 2, "few-shot-adam": 2, "few-shot-newton": 2, "classical": 3},
     "members_per_batch": 1,
     "trainings": 1,
