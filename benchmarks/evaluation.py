@@ -1,0 +1,102 @@
+"""Ensembles against the paper's cells without pretraining: exact formulae, spline bodies, Case-V of `make run`.
+
+    python benchmarks/evaluation.py --methods classical few-shot-newton --members 30
+    python benchmarks/evaluation.py --methods few-shot-adam --members 2 --epochs 6000 --cases noisy-301 --x-r-weight 1e4
+    python benchmarks/evaluation.py --methods classical --channels p_im_pa p_em_pa omega_t_rad_s --cases noisy-301
+
+`python -m flows.evaluate` makes the whole tables, with everything learned; this is the short way to one figure of them.
+Needs data/field/case_v_clean.parquet (`python -m flows.simulate`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from dieseltwin.config import load_params
+from dieseltwin.datasets import laboratory_parameters
+from dieseltwin.engine import HEALTH, MEASURED
+from dieseltwin.identification import PAPER_CHANNELS, NoiseLevels, identify_segments, problems_from_recording
+from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.ensemble import CASES, case_problems, member_table
+from dieseltwin.identification.fewshot_program import AdamSettings
+from dieseltwin.recordings import read_recording
+from dieseltwin.report import evaluation
+
+STATES = ["p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k"]
+
+
+def clean_problems(path: Path, params: Any) -> list[Any]:
+    """The first five minutes of the clean field recording, with truth and true initial states."""
+    parameters = laboratory_parameters(params.engine)
+    frame = pd.read_parquet(path)
+    noise = NoiseLevels.from_signals(frame[list(MEASURED)].to_numpy(), relative=params.noise.channels)
+    truth = {name: float(frame[name].iloc[0]) for name in HEALTH}
+    recording = read_recording(path, engine=parameters)
+    problems = problems_from_recording(recording, parameters, noise=noise, channels=PAPER_CHANNELS, truth=truth)[:5]
+    rows = np.searchsorted(frame["time_s"], [p.t0_s - 1e-6 for p in problems])
+    initial = frame[STATES].to_numpy()[rows]
+    return [replace(p, true_initial=row) for p, row in zip(problems, initial, strict=True)]
+
+
+def main() -> None:
+    """Run the ensembles and print scores, cells and calibration."""
+    torch.set_num_threads(1)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--methods", nargs="+", default=["classical", "few-shot-newton"])
+    parser.add_argument("--cases", nargs="+", default=list(CASES))
+    parser.add_argument("--members", type=int, default=30)
+    parser.add_argument("--channels", nargs="+", default=None, help="sensors; all five without it")
+    parser.add_argument("--epochs", type=int, default=6000, help="of few-shot-adam")
+    parser.add_argument("--x-r-weight", type=float, default=100.0, help="of few-shot-adam; the paper's is 100")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--recording", type=Path, default=Path("data/field/case_v_clean.parquet"))
+    arguments = parser.parse_args()
+
+    params = load_params(None, "paper")
+    clean = clean_problems(arguments.recording, params)
+    truth = dict(clean[0].truth)
+    adam = AdamSettings.from_config(params.identify)
+    adam = replace(
+        adam, epochs=arguments.epochs, weights_until_epoch=arguments.epochs * 2 // 3,
+        scales=replace(adam.scales, x_r_weight=arguments.x_r_weight),
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as temporary:
+        for case in arguments.cases:
+            problems = case_problems(clean, case, arguments.members, arguments.seed, arguments.channels)
+            bounds = [
+                cramer_rao([p], np.array([truth[n] for n in HEALTH]), p.true_initial[:3])[0].relative for p in problems
+            ]
+            for method in arguments.methods:
+                config: Any = adam if method == "few-shot-adam" else params.identify
+                began = time.process_time()
+                found = identify_segments(problems, method, arguments.members, arguments.seed, config=config)
+                cpu = (time.process_time() - began) / (arguments.members * len(problems))
+                print(f"{method}, {case}: {cpu:.3f} CPU s per run", flush=True)
+                folder = Path(temporary) / f"{case}-{method}"
+                folder.mkdir()
+                member_table(found.segments, truth, bounds, arguments.seed).to_parquet(folder / "members.parquet")
+                about = {"method": method, "case": case, "channels": arguments.channels}
+                (folder / "ensemble.json").write_text(json.dumps(about), encoding="utf-8")
+        ensembles = evaluation.load_ensembles(Path(temporary))
+    table = evaluation.cells(ensembles)
+    shown = table.assign(rmse_pct=100.0 * table["rmse"], bound_pct=100.0 * table["bound"])
+    columns = ["method", "case", "minute", "parameter", "mean", "std", "rmse_pct", "bound_pct", "converged", "diverged",
+               "p", "coverage"]  # fmt: skip
+    print(shown[columns].to_string(index=False, float_format=lambda v: f"{v:.4g}"))
+    beside = evaluation.beside_paper(table)
+    print(evaluation.scores(beside, ensembles, 4000).to_string(index=False, float_format=lambda v: f"{v:.3g}"))
+    print(evaluation.calibration(ensembles).to_string(index=False, float_format=lambda v: f"{v:.3g}"))
+
+
+if __name__ == "__main__":
+    main()
