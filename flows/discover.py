@@ -61,4 +61,4 @@ def discover(
 
 
 if __name__ == "__main__":
-    sys.exit(run_alone(discover, options=steps.options))
+    sys.exit(run_alone(discover, options=steps.options, check=steps.check))

@@ -60,6 +60,12 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensors", type=lambda text: text.split(","), help="columns to use, comma-separated")
 
 
+def check(parameters: Mapping[str, Any]) -> None:
+    """Raise ``StepFailed`` (exit status 2) for files that aren't there."""
+    named_recordings(parameters["recordings"])
+    engine_file(parameters["engine"])
+
+
 def named_recordings(paths: Sequence[str]) -> dict[str, Artifact]:
     """Recordings by the stem of their file (numbered where two are alike). Raises ``StepFailed`` (exit status 2)."""
     found: dict[str, Artifact] = {}

@@ -82,10 +82,11 @@ def run_alone(
     arguments: Sequence[str] | None = None,
     *,
     options: Callable[[argparse.ArgumentParser], None] | None = None,
+    check: Callable[[dict[str, Any]], None] | None = None,
 ) -> int:
     """``python -m flows.NAME --profile quick|paper``: one flow as a command. Returns the exit status.
 
-    ``options`` adds what else the flow takes, under the names of its parameters.
+    ``options`` adds what else the flow takes, under the names of its parameters; ``check`` raises where they are wrong.
     """
     parser = argparse.ArgumentParser(description=flow.__doc__)
     parser.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml: quick or paper")
@@ -95,6 +96,8 @@ def run_alone(
     try:  # what the user can mend needs no server, and no traceback of Prefect's
         load_settings(parameters["profile"])
         check_setting()
+        if check is not None:
+            check(parameters)
         _check_place(run_context.current().workspace.root)
     except (run_context.StepFailed, InputError) as error:
         print(f"error: {error}", file=sys.stderr)

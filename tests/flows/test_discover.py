@@ -55,6 +55,18 @@ def test_recordings_are_named_by_their_files(tmp_path: Path) -> None:
     assert steps.engine_file(None) == {}
 
 
+def test_a_missing_file_is_one_line_before_anything_starts(
+    workspace: Callable[[], RunContext], capsys: pytest.CaptureFixture[str]
+) -> None:
+    from flows.discover import discover
+    from tasks.launch import run_alone
+
+    for arguments in (["none.csv"], ["--engine", "none.yaml"]):
+        assert run_alone(discover, arguments, options=steps.options, check=steps.check) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("error: none.") and error.count("\n") == 1
+
+
 @pytest.mark.flow
 def test_the_chains_own_machine_and_a_list_of_recordings(
     prefect: None, workspace: Callable[[], RunContext], tmp_path: Path
