@@ -46,6 +46,7 @@ class _PointFacts:
     ports: tuple[str, ...]
     scale: float = 1.0
     over: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
 
 
 _POINTS: dict[str, _PointFacts] = {
@@ -55,9 +56,9 @@ _POINTS: dict[str, _PointFacts] = {
     "T_em": _PointFacts("exhaust_temperature", ("T_em", "T_e", "W_eo", "W_f", "n_e")),
     "f_egr": _PointFacts("egr_flow", ("u_egr", "Pi_egr", "t"), over=("u_egr",)),
     "W_t": _PointFacts("turbine_flow", ("p_em", "u_vgt", "omega_t"), over=("u_vgt", "Pi_t")),
-    "eta_tm": _PointFacts("turbine_power", ("omega_t", "Pi_t", "u_vgt"), over=("BSR", "omega_t")),
+    "eta_tm": _PointFacts("turbine_power", ("omega_t", "Pi_t", "u_vgt"), over=("omega_t", "Pi_t"), also=("BSR", "omega_t")),
     "p_es": _PointFacts("turbine_flow", ("W_t", "T_em")),
-    "W_c": _PointFacts("compressor_flow", ("Pi_c", "omega_t"), over=("Pi_c", "omega_t")),
+    "W_c": _PointFacts("compressor_flow", ("Pi_c", "omega_t"), over=("Psi_c", "omega_t"), also=("Pi_c", "omega_t")),
     "eta_c": _PointFacts("compressor_power", ("Pi_c", "W_c"), over=("W_c", "Pi_c")),
     "p_bc": _PointFacts("compressor_flow", ("W_c",)),
     "T_im": _PointFacts("intake_temperature", ("T_c", "W_egr", "W_c", "egr_share", "T_em")),
@@ -137,7 +138,7 @@ class EngineTwin:
         self.points = tuple(
             Point(
                 name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"), facts.ports, facts.scale,
-                map_tolerance if facts.over else 0.0, facts.over,
+                map_tolerance if facts.over else 0.0, facts.over, facts.also,
             )
             for name, facts in ((name, _POINTS[name]) for name in POINTS)
         )  # fmt: skip
@@ -276,24 +277,28 @@ class EngineTwin:
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Variables of ports and tolerances along the trajectory of lane 0, name -> (n,) [SI, %, mg/cycle, rpm]."""
         one = _lane(lanes, 0)
-        return self._variables(self._simulate(one)[1].states[0], one)  # type: ignore[attr-defined]
+        return self._variables(self._simulate(one)[1], 0, one)
 
     def trajectories(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
         """Readings (B, n, C), and `variables` of every lane, by one simulation."""
         measured, result = self._simulate(lanes)
-        states = result.states  # type: ignore[attr-defined]
-        return measured, [self._variables(states[b], _lane(lanes, b)) for b in range(lanes.size)]
+        return measured, [self._variables(result, b, _lane(lanes, b)) for b in range(lanes.size)]
 
-    def _variables(self, states: Array, one: Lanes) -> dict[str, Array]:
+    def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
+        """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
         actuation, c = self._plain[0], self.engine
-        frame = extended_frame(states, actuation, self.engine_of(one))
+        frame = extended_frame(result.states[b], actuation, self.engine_of(one))  # type: ignore[attr-defined]
+        signals = _signals_of(one, self.points)
+        if signals:  # the frame knows none: the simulation's own flows and temperature do
+            for name, column in (("w_egr_kg_s", 3), ("t_em_k", 4), ("w_c_kg_s", 5)):
+                frame[name] = result.measured[b, :, column]  # type: ignore[attr-defined]
         p_im, p_em = frame["p_im_pa"].to_numpy(), frame["p_em_pa"].to_numpy()
         omega, T_em = frame["omega_t_rad_s"].to_numpy(), frame["t_em_k"].to_numpy()
         p_es, p_bc = frame["p_es_pa"].to_numpy(), frame["p_bc_pa"].to_numpy()
         W_c, W_egr = frame["w_c_kg_s"].to_numpy(), frame["w_egr_kg_s"].to_numpy()
         Pi_t = np.minimum(p_es / p_em, 0.9999)
         velocity = np.sqrt(2.0 * c.c_pe * T_em * (1.0 - Pi_t ** (1.0 - 1.0 / c.gamma_e)))
-        return {
+        out = {
             "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": self.inputs.n_e_rpm, "u_delta": self.inputs.u_delta_mg,
             "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em,
             "T_im": frame["t_im_k"].to_numpy(), "T_c": frame["t_c_k"].to_numpy(), "T_e": frame["t_e_k"].to_numpy(),
@@ -301,9 +306,20 @@ class EngineTwin:
             "W_ei": frame["w_ei_kg_s"].to_numpy(), "W_eo": frame["w_eo_kg_s"].to_numpy(),
             "W_f": frame["w_f_kg_s"].to_numpy(), "Pi_c": np.maximum(p_im / p_bc, 1.0), "Pi_t": Pi_t,
             "Pi_egr": p_im / p_em, "Pi_e": p_em / p_im, "BSR": c.R_t * omega / velocity,
+            "Psi_c": 2.0 * c.c_pa * c.T_amb * (np.maximum(p_im / p_bc, 1.0) ** (1.0 - 1.0 / c.gamma_a) - 1.0)
+            / (c.R_c * omega) ** 2,
             "egr_share": W_egr / (W_egr + W_c), "t": self.time_s - self.time_s[0],
             "p_amb": np.full(p_im.size, c.p_amb), "T_amb": np.full(p_im.size, c.T_amb),
         }  # fmt: skip
+        for point in self.points:
+            if point.name in signals and point.name in out:
+                own, signal = out[point.name], signals[point.name]
+                if point.name in ("T_em", "W_c"):  # the simulation's, signal included
+                    out[f"{point.name}:before"] = own / (1.0 + signal) if point.relative else own - signal
+                else:
+                    out[f"{point.name}:before"] = own
+                    out[point.name] = own * (1.0 + signal) if point.relative else own + signal
+        return out
 
     def engine_of(self, lanes: Lanes) -> EngineParameters:
         """The engine of lane 0: health parameters and constant effects as terms (schedules aside)."""
@@ -322,6 +338,15 @@ def _lane(lanes: Lanes, index: int) -> Lanes:
         lanes.signals, None if lanes.lane_points is None else lanes.lane_points[some],
         None if lanes.lane_signals is None else lanes.lane_signals[some],
     )  # fmt: skip
+
+
+def _signals_of(one: Lanes, points: Sequence[Point]) -> dict[str, Array]:
+    """Point -> total signal of a single lane."""
+    signals = dict(one.signals)
+    if one.lane_points is not None and one.lane_signals is not None and one.lane_points[0] >= 0:
+        name = points[int(one.lane_points[0])].name
+        signals[name] = signals.get(name, 0.0) + one.lane_signals[0]
+    return {name: signal for name, signal in signals.items() if np.any(signal)}
 
 
 def _known_terms(twin: EngineTwin) -> dict[str, tuple[float, Array | None]]:

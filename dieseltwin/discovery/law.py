@@ -46,7 +46,7 @@ class Options:
 
     points: tuple[str, ...] | None = None
     kinds: tuple[str, ...] | None = None
-    refits: int = 6
+    refits: int = 16
     renewals: int = 1
     free_shape: bool = True
     unknown_misfit: bool = False
@@ -178,11 +178,28 @@ def search(
         ranked, here, responses, variables = _renewed(
             twin, at, refits, nuisance_response, options, readings
         )
+    single = _single_terms(refits, twin)
+    refits += refit_all_laws(twin, here, worth, single, variables)
+    refits.sort(key=lambda r: -r.score)
     resolved = bool(refits) and refits[0].score > options.false_law
     if not resolved:
         return Found(None, _loose_curve(twin, responses, ranked, variables, at), tried, _table(twin, refits))
     law = _report(twin, at, refits, nuisance_response, options, worth)
     return Found(law, None, tried, _table(twin, refits))
+
+
+def _single_terms(refits: Sequence[Refit], twin: Twin, of: int = 3) -> list[Ranked]:
+    """Each term alone of the best sums of two: a second term that a refit shrinks to nothing isn't worth its charge."""
+    known = {r.ranked.key for r in refits}
+    out: dict[object, Ranked] = {}
+    for refit in [r for r in refits if len(r.ranked.placed) > 1 and r.score > 0.0][:of]:
+        charge = 0.5 * (refit.ranked.charge + 2.0 * np.log(2.0))
+        for law, (coefficient, _) in zip(refit.twin.laws, refit.twin.values(refit.fit.parameters), strict=True):
+            placed = replace(law, coefficient=float(coefficient))
+            item = replace(refit.ranked, placed=(placed,), charge=charge)
+            if item.key not in known:
+                out.setdefault(item.key, item)
+    return list(out.values())
 
 
 def _table(twin: Twin, refits: Sequence[Refit]) -> tuple[tuple[str, str, float], ...]:

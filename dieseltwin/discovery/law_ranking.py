@@ -237,16 +237,20 @@ def _pairs(
     return sorted(out.values(), key=lambda item: -item.score)[:_OF_PAIRS]
 
 
-def shortlist(ranked: Sequence[Ranked], count: int, of_one_point: int = 3) -> list[Ranked]:
-    """The best few, not all of one point, so that the non-linear refit can correct the linear choice of the site."""
-    out: list[Ranked] = []
-    used: dict[int, int] = {}
-    for item in ranked:
-        if item.score > 0.0 and used.get(item.index, 0) < of_one_point:
-            out.append(item)
-            used[item.index] = used.get(item.index, 0) + 1
+def shortlist(ranked: Sequence[Ranked], count: int, of_one_point: int = 4) -> list[Ranked]:
+    """The best few: first the best of each point, as a refit may choose another site, then the best of all."""
+    fair = [item for item in ranked if item.score > 0.0]
+    first: dict[int, Ranked] = {}
+    for item in fair:
+        first.setdefault(item.index, item)
+    out = list(first.values())[: count // 2]
+    used = {item.index: 1 for item in out}
+    for item in fair:
         if len(out) == count:
             break
+        if item not in out and used.get(item.index, 0) < of_one_point:
+            out.append(item)
+            used[item.index] = used.get(item.index, 0) + 1
     return out
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.discovery.fit import Fit, Linearisation, bounded, prior_precision
+from dieseltwin.discovery.fit import Fit, Linearisation, bounded, prior_precision, within_limits
 from dieseltwin.discovery.law_ranking import Ranked
 from dieseltwin.discovery.law_twin import LawTwin, Placed, before, trajectories
 from dieseltwin.discovery.nuisance import signal_responses
@@ -243,11 +243,12 @@ def _advance(twin: Twin, at: Linearisation, base: Lanes, active: Sequence[_Lane]
             lane.shrink *= _SLOWED
             lane.active = lane.shrink > 0.03
         if lane.vector is None or lane.residual is None:
-            lane.trial = (0.5 * (lane.trial[0] + at_null(lane, at, known)), lane.local)
+            lane.trial = (0.5 * (lane.trial[0] + _null(lane, at, known)), lane.local)
             continue
         step, predicted = lane.slopes.step(lane.vector, lane.values)
         lane.active = lane.active and predicted > _DONE
         values = lane.values + lane.shrink * step
+        values[:known] = within_limits(twin, values[:known], (), np.zeros(0))[0]
         for j, placed in enumerate(lane.item.placed):
             if placed.form.fixed is not None:
                 values[known + j] = max(values[known + j], 0.1 * lane.values[known + j])
@@ -255,7 +256,7 @@ def _advance(twin: Twin, at: Linearisation, base: Lanes, active: Sequence[_Lane]
         lane.trial = (values, local)
 
 
-def at_null(lane: _Lane, at: Linearisation, known: int) -> Array:
+def _null(lane: _Lane, at: Linearisation, known: int) -> Array:
     """The null fit's parameters and no law: where a candidate that can't be simulated shrinks to."""
     return np.append(at.fit.parameters[:known], np.zeros(len(lane.values) - known))
 
