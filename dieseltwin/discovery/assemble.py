@@ -163,8 +163,7 @@ def _held_rows(found: Search) -> Array:
 
 def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
     if found.kind == "law":
-        term = _law_term(found.law, twin) if found.law is not None else None
-        return () if term is None else (term,)
+        return () if found.law is None else _law_terms(found.law, twin)
     at = found.best
     if at is None:
         return ()
@@ -186,27 +185,31 @@ def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
     return tuple(terms)
 
 
-def _law_term(law: Law, twin: EngineTwin) -> LawTerm | None:
-    """The law as a term of the engine file, where its form is a product of powers of known variables."""
-    if law.form.fixed is not None or any(f.kind not in ("power", "time", "ratio") for f in law.form.factors):
-        return None
-    factors: list[tuple[str, float, float]] = []
-    for k, factor in enumerate(law.form.factors):
-        shape = law.shape if k == 0 and law.shape is not None else factor.shape
-        if factor.kind == "time":
-            factors.append(("t", float(factor.references[0]), 1.0))
-        elif factor.kind == "power":
-            factors.append((factor.variables[0], float(factor.references[0]), float(shape)))
-        else:
-            factors += [(factor.variables[0], 1.0, float(shape)), (factor.variables[1], 1.0, -float(shape))]
-    point = next(p for p in twin.points if p.name == law.point)
-    try:
-        return LawTerm(
-            point=law.point, coefficient=law.coefficient, unit=point.unit, factors=tuple(factors), text=law.text,
-            std=law.std,
-        )  # fmt: skip
-    except ValueError:
-        return None
+def _law_terms(law: Law, twin: EngineTwin) -> tuple[LawTerm, ...]:
+    """The law's terms for the engine file; none where a term is no product of powers of known variables."""
+    terms = []
+    for k, placed in enumerate(law.placed):
+        if placed.form.fixed is not None or any(f.kind not in ("power", "time", "ratio") for f in placed.form.factors):
+            return ()
+        factors: list[tuple[str, float, float]] = []
+        for factor in placed.form.factors:
+            if factor.kind == "time":
+                factors.append(("t", float(factor.references[0]), 1.0))
+            elif factor.kind == "power":
+                factors.append((factor.variables[0], float(factor.references[0]), float(factor.shape)))
+            else:
+                shape = float(factor.shape)
+                factors += [(factor.variables[0], 1.0, shape), (factor.variables[1], 1.0, -shape)]
+        point = next(p for p in twin.points if p.name == placed.form.point)
+        try:
+            term = LawTerm(
+                point=point.name, coefficient=placed.coefficient, unit=point.unit, factors=tuple(factors),
+                text=law.text, std=law.std if k == 0 else None,
+            )  # fmt: skip
+        except ValueError:
+            return ()
+        terms.append(term)
+    return tuple(terms)
 
 
 def _engine(twin: EngineTwin, parameters: Array, terms: tuple[Any, ...]) -> EngineParameters:
