@@ -41,7 +41,8 @@ def implied_frame(
         engine: repaired, with its terms.
         stds: health parameter -> standard deviation [its unit]; the terms carry their own.
         sensors: columns that were used.
-        local: (W, 1) turbo speeds at the windows' starts; None takes them from smoothed readings.
+        starts, local: (W,) windows' first rows and (W, 3) states p_im, p_em [Pa], omega_t [rad/s] there, both or none;
+            None takes windows of equal length and smoothed readings.
 
     Returns:
         Columns of `extended_frame`, `time_s` on the recording's clock; `<column>_std` behind those that have one.
@@ -51,9 +52,7 @@ def implied_frame(
     if starts is None or local is None:
         starts, local = twin.starts, twin.initial(twin.first_local())
     actuation = actuate(twin.inputs, engine, twin.step_s)
-    observed = simulate_terms(
-        actuation, parameter_batch(engine), local[None], restarts=starts, sensors=False
-    )
+    observed = simulate_terms(actuation, parameter_batch(engine), local[None], restarts=starts, sensors=False)
     states = observed.states[0]
     frame = extended_frame(states, actuation, engine)
     variance = pd.DataFrame(0.0, index=frame.index, columns=frame.columns)

@@ -101,7 +101,7 @@ _REGION_RANGES: Mapping[str, tuple[str, str, float]] = {
     "u_egr_pct": ("u_egr", "%", 100.0),
     "u_vgt_pct": ("u_vgt", "%", 80.0),
 }
-_NARROW = 0.5
+_NARROW = 0.35
 _SHARE = 0.5  # of the evidence from which a region is worth a word
 _LEAST_SHIFT = 0.01  # relative shift of a health parameter that is worth a word
 _LIKELY = 0.1  # probability from which another site is worth a word
