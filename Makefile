@@ -34,7 +34,7 @@ help:  ## this list
 	@echo "make run    the whole chain: data, pretraining, identification, report (PROFILE=quick or paper)"
 	@echo "make repro  the same through DVC: checks every file against dvc.lock"
 	@echo "make discover  what physics the twin left out (RECORDINGS='a.csv b.parquet'; none: a concealed machine)"
-	@echo "make proof  the concealed benchmark: 24 machines, at most 15 minutes (PROFILE=paper: 300, hours)"
+	@echo "make proof  the concealed benchmark: 40 machines, at most 15 minutes (PROFILE=paper: 300)"
 	@echo "make promote  put newly trained networks into MLflow's registry, in use unless they are worse"
 	@echo "make test   all tests"
 	@echo "make check  style, types, import directions, hygiene"

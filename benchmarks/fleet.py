@@ -24,7 +24,7 @@ class Costs:
 
     Attributes:
         classical_s: CPU seconds of one start on one minute of driving; newton_s: the same, few-shot-newton.
-        discovery_s: CPU seconds for 10 minutes of driving; discovery_mib: resident memory of that process.
+        discovery_s: CPU seconds for 10 minutes of driving, without the report; discovery_mib: its resident memory.
         identification_mib: resident memory while identifying.
         start_s: CPU seconds until a step's process computes (imports, compiled kernels from the cache).
         step_s: CPU seconds of Prefect and this project's cache for one step, server included.
@@ -35,10 +35,10 @@ class Costs:
 
     classical_s: float = 0.065
     newton_s: float = 0.16
-    discovery_s: float = 13.0
-    discovery_mib: float = 400.0
+    discovery_s: float = 8.5
+    discovery_mib: float = 440.0
     identification_mib: float = 400.0
-    start_s: float = 1.5
+    start_s: float = 2.2
     step_s: float = 0.35
     record_s: float = 0.032
     minute_bytes: tuple[float, float, float] = (68_800.0, 30_600.0, 8_200.0)
@@ -133,7 +133,7 @@ def main() -> int:
     parser.add_argument("--measure", action="store_true", help="measure identification and process start first")
     parser.add_argument("--engines", type=int, default=100_000)
     parser.add_argument("--busy", type=float, default=0.6, help="share of the day that cores compute")
-    parser.add_argument("--batch", type=int, default=100, help="engines a step")
+    parser.add_argument("--batch", type=int, default=1, help="engines a step; the flows have one")
     chosen = parser.parse_args()
     costs = measured(MEASURED) if chosen.measure else MEASURED
     tables = [arithmetic(plan, costs, chosen.engines, busy=chosen.busy, batch=chosen.batch) for plan in PLANS]
