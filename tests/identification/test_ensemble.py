@@ -1,0 +1,104 @@
+"""Ensembles: cases, batches that equal the whole, what is kept of every member, early stopping, x_r held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dieseltwin.engine import HEALTH, Inputs, we2011
+from dieseltwin.errors import InputError
+from dieseltwin.identification import SegmentProblem
+from dieseltwin.identification.ensemble import (
+    CASES,
+    case_problems,
+    diverged,
+    load_estimates,
+    member_table,
+    merged,
+    save_estimates,
+    without_diverged,
+)
+from dieseltwin.identification.fewshot_adam import estimate
+from dieseltwin.identification.fewshot_program import AdamSettings
+
+Make = Callable[..., SegmentProblem]
+Drive = Callable[..., Inputs]
+SHORT = AdamSettings(epochs=30, weights_until_epoch=20)
+
+
+@pytest.fixture(scope="module")
+def clean(simulated: Make, drive: Drive) -> list[SegmentProblem]:
+    """Two segments of twenty seconds, clean."""
+    return [simulated(drive(first, 101), we2011.FIELD, noise_seed=None) for first in (300, 600)]
+
+
+def test_cases_are_the_papers(clean: list[SegmentProblem]) -> None:
+    half, whole, noisy = (case_problems(clean, case, 3, 7) for case in CASES)
+    assert half[0].observed[:, :5].sum() == 5 * 51 and half[0].observed[1].sum() == 0
+    np.testing.assert_array_equal(whole[0].measured, clean[0].measured)
+    assert whole[0].noise_draws is None and noisy[0].noise_draws is not None
+    assert noisy[0].noise_draws.shape == (3, 101, 6)
+    # a member's draw doesn't depend on how many there are
+    np.testing.assert_array_equal(case_problems(clean, "noisy-301", 5, 7)[1].noise_draws[:3], noisy[1].noise_draws)
+    few = case_problems(clean, "noisy-301", 2, 7, ["p_im_pa", "p_em_pa", "omega_t_rad_s"])[0]
+    assert np.isnan(few.measured[:, 3:]).all() and np.isfinite(few.measured[:, :3]).all()
+    with pytest.raises(InputError, match="case"):
+        case_problems(clean, "clean-77", 1, 0)
+    with pytest.raises(InputError, match="channels"):
+        case_problems(clean, "clean-301", 1, 0, ["p_imm"])
+
+
+def test_batches_give_what_the_whole_gives(clean: list[SegmentProblem], tmp_path: Path) -> None:
+    noisy = case_problems(clean, "noisy-301", 3, 7)
+    whole = estimate(noisy, 3, 11, config=SHORT)
+    parts = []
+    for first, runs in ((0, 2), (2, 1)):
+        made = estimate(noisy, runs, 11, config=SHORT, first_run=first)
+        save_estimates(tmp_path / f"{first}.npz", made)
+        parts.append(load_estimates(tmp_path / f"{first}.npz", [e.seconds_per_run for e in made]))
+    together = [merged(of_segment) for of_segment in zip(*parts, strict=True)]
+    for ours, one in zip(together, whole, strict=True):
+        np.testing.assert_allclose(ours.parameters, one.parameters, rtol=1e-4)
+        assert ours.curves["loss"].shape == one.curves["loss"].shape
+        assert ours.method == one.method and ours.t0_s == one.t0_s
+    again = tmp_path / "again.npz"
+    save_estimates(again, [replace(e, seconds_per_run=99.0) for e in parts[0]])
+    assert again.read_bytes() == (tmp_path / "0.npz").read_bytes()  # run times are no part of a result
+
+
+def test_diverged_members_are_kept_in_the_table_and_left_out_of_the_bands(clean: list[SegmentProblem]) -> None:
+    made = estimate(case_problems(clean[:1], "clean-301", 3, 7), 3, 1, config=SHORT)[0]
+    truth = we2011.FIELD.health()
+    values = made.parameters.copy()
+    values[1] = np.nan
+    values[2, 0] *= 100.0
+    broken = replace(made, parameters=values)
+    assert diverged(values, truth).tolist() == [False, True, True]
+    names = dict(zip(HEALTH, truth.tolist(), strict=True))
+    table = member_table([broken], names, [np.full(4, 0.01)], 5)
+    assert len(table) == 3 * 4 and table["diverged"].sum() == 8 and (table["seed"] == 5).all()
+    kept = without_diverged(broken, truth)
+    assert kept is not None and kept.runs == 1 and kept.curves["loss"].shape[1] == 1
+    assert without_diverged(replace(made, parameters=np.full_like(values, np.nan)), truth) is None
+
+
+def test_early_stopping_takes_the_epoch_that_predicts_unseen_readings_best(clean: list[SegmentProblem]) -> None:
+    noisy = case_problems(clean[:1], "noisy-301", 2, 7)
+    made = estimate(noisy, 2, 3, config=replace(SHORT, held_out_share=0.2))[0]
+    misfit = made.curves["held_out_misfit"]
+    assert misfit.shape == made.curves["loss"].shape and (misfit > 0.0).all()
+    for run, best in enumerate(np.argmin(misfit, axis=0)):
+        for i, name in enumerate(HEALTH):
+            assert made.parameters[run, i] == made.curves[name][best, run]
+
+
+def test_the_weight_of_x_r_changes_only_its_own_term(clean: list[SegmentProblem]) -> None:
+    problems = case_problems(clean[:1], "clean-301", 1, 7)
+    printed = estimate(problems, 1, 3, config=SHORT)[0]
+    held = estimate(problems, 1, 3, config=replace(SHORT, scales=replace(SHORT.scales, x_r_weight=1e4)))[0]
+    assert held.curves["loss"][0] > printed.curves["loss"][0]  # the same start, a dearer residual
+    np.testing.assert_array_equal(held.curves["A_egrmax"][0], printed.curves["A_egrmax"][0])
