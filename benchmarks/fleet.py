@@ -36,7 +36,7 @@ class Costs:
     classical_s: float = 0.065
     newton_s: float = 0.16
     discovery_s: float = 8.5
-    discovery_mib: float = 440.0
+    discovery_mib: float = 500.0
     identification_mib: float = 400.0
     start_s: float = 2.2
     step_s: float = 0.35
