@@ -18,6 +18,11 @@ def _plain_yaml(values: dict[str, Any]) -> Iterator[str]:
     yield from text.rstrip("\n").split("\n")
 
 
+def _flow_yaml(value: Any) -> str:
+    """A list or mapping on one line."""
+    return yaml.safe_dump(value, sort_keys=False, allow_unicode=True, default_flow_style=True, width=WIDTH).strip()
+
+
 def engine_lines(engine: Path | None) -> Iterator[str]:
     """The parameters of an engine file (the published set without one) as YAML, the units as comments."""
     from dieseltwin.engine import EngineParameters, load_engine, we2011
@@ -25,7 +30,11 @@ def engine_lines(engine: Path | None) -> Iterator[str]:
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
     for name, value in parameters.model_dump(mode="json").items():
         description = EngineParameters.model_fields[name].description or ""
-        line = "".join(_plain_yaml({name: value})).strip("{}")  # a scalar alone comes in braces
+        if name == "terms":
+            value = [{key: v for key, v in term.items() if v is not None} for term in value]
+            line = f"terms: {_flow_yaml(value)}"
+        else:
+            line = "".join(_plain_yaml({name: value})).strip("{}")  # a scalar alone comes in braces
         yield f"{line}  # {description}" if description else line
 
 

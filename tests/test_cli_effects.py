@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from dieseltwin.cli import main
+from dieseltwin.engine import load_engine
 from dieseltwin.engine.effects import EFFECTS
 
 COLUMNS = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s"]
@@ -69,3 +70,14 @@ def test_an_effect_given_twice_is_refused(inputs: Path, tmp_path: Path, capfd: p
     arguments = ["--effect", "boost_leak=1e-5", "--effect", "boost_leak=2e-5"]
     assert main(["simulate", str(inputs), "--out", str(tmp_path / "out.csv"), *arguments]) == 2
     assert "one" in capfd.readouterr().err
+
+
+def test_engine_show_prints_terms_that_a_file_takes(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    law = {"point": "W_t", "coefficient": 0.02, "unit": "-", "factors": [["p_em", 2e5, 1.0]], "text": "a: b, # [c]"}
+    terms = [{"effect": "boost_leak", "magnitude": 3e-5, "region": {"n_e_rpm": [900.0, 1500.0]}}, law]
+    first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    first.write_text(yaml.safe_dump({"terms": terms}))
+    assert main(["engine", "show", "--engine", str(first)]) == 0
+    second.write_text(capfd.readouterr().out)
+    assert load_engine(second) == load_engine(first)
+    assert len(load_engine(second).terms) == 2

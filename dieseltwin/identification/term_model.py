@@ -124,8 +124,12 @@ class TermModel:
 
     def settle(self, states: Sequence[Any], inputs: Sequence[Any], x_r: Tensor, T_1: Tensor, c: Constants) -> Any:
         """Two sweeps of the cylinder's fixed point: quantities whose `x_r_next`, `T_1_next` are the better guess."""
-        first = self.quantities(*states, x_r, T_1, *inputs, c)
-        return self.quantities(*states, first.x_r_next, first.T_1_next, *inputs, c)
+        p_im, p_em, omega_t = states
+        n_e, u_delta, u_egr, u_vgt = inputs
+        for _ in range(2):
+            q = self.quantities(p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, c)
+            x_r, T_1 = q.x_r_next, q.T_1_next
+        return q
 
 
 IMPLICIT = {"inlet_pressure": "inlet_defect", "outlet_pressure": "outlet_defect"}
