@@ -28,6 +28,7 @@ FOLDER = "baselines"
 BASELINES = ("health only", "Kalman", "neural")
 BAND_CASES, BAND_SEED = 24, 240_711  # healthy machines that the bands are drawn from; no benchmark uses this seed
 BAND_FILE = "bands.json"
+_LEAST_BAND = 1e-9
 
 
 def run_baselines(
@@ -87,7 +88,7 @@ def one_recording(frame: pd.DataFrame, laboratory: Mapping[str, Any]) -> dict[st
     filtered = kalman.filter_biases(bound, fit.health)
     statistics |= {f"bias {name}": value for name, value in kalman.statistics(bound, filtered).items()}
     after_filter = time.perf_counter()
-    net = neural.train(bound, filtered)
+    net = neural.train(bound, fit, filtered)
     first = round(neural.TRAIN_SHARE * bound.time_s.size)
     statistics["net gain"] = neural.gain_per_sample(bound, fit, net, first)
     after_net = time.perf_counter()
@@ -108,7 +109,8 @@ def baseline_rows(folder: Path, rows: Sequence[CaseRow]) -> dict[str, list[CaseR
         if not path.is_file():
             continue
         result = json.loads(path.read_text())
-        over = {name: value / bands[name] for name, value in result["statistics"].items()}
+        # a band is never below 0, which is what a perfect twin reaches on average
+        over = {name: value / max(bands[name], _LEAST_BAND) for name, value in result["statistics"].items()}
         seconds = result["seconds"]
         silent = replace(
             row, said=(), site=None, sites=(), law_error=None, p_value=None, problem=None,
