@@ -24,6 +24,8 @@ from dieseltwin.engine import (
     simulate_states,
     we2011,
 )
+from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS
+from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.simulate import thread_count
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
@@ -69,6 +71,19 @@ def main() -> None:
         median = float(np.median(seconds))
         ratio = 60.0 * lanes / median
         print(f"{lanes:3d} lanes, {threads} thread(s): {median * 1e3:8.2f} ms, {ratio:10,.0f} x real time")
+
+    batch = parameter_batch(we2011.FIELD, size=8)
+    for label, name in (("explicit laws", "boost_leak"), ("implicit laws", "back_pressure")):
+        magnitudes = np.zeros((len(STATE_EFFECTS), 8))
+        magnitudes[STATE_EFFECTS.index(name)] = EFFECTS[name].tolerance
+        simulate_extended(actuation, batch, Extension(magnitudes), initial, threads=1)
+        seconds = []
+        for _ in range(arguments.repeats):
+            begin = time.thread_time()
+            simulate_extended(actuation, batch, Extension(magnitudes), initial, threads=1)
+            seconds.append(time.thread_time() - begin)
+        ratio = 60.0 * 8 / float(np.median(seconds))
+        print(f"  8 lanes with effects, {label}: {ratio:10,.0f} x real time")
 
 
 if __name__ == "__main__":
