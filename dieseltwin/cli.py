@@ -15,10 +15,10 @@ from typing import Annotated
 import typer
 
 from dieseltwin import __version__
-from dieseltwin.cli_calibrate import calibrate_command, imply_command
 from dieseltwin.cli_challenge import challenge_app
 from dieseltwin.cli_data import data_app
 from dieseltwin.cli_effects import EffectOption, show_effects
+from dieseltwin.cli_points import calibrate_command, imply_command
 from dieseltwin.errors import DieselTwinError, InputError
 
 # typer carries its own copy of click and exports few of its exceptions; these are the bases of one it does export

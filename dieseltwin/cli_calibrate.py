@@ -1,15 +1,13 @@
-"""`dieseltwin calibrate`, `dieseltwin imply`, and `dieseltwin discover` on settled points."""
+"""What `dieseltwin calibrate`, `dieseltwin imply`, and `dieseltwin discover` on settled points do."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import pandas as pd
-import typer
 
 from dieseltwin import __version__
 from dieseltwin.atomic import atomic_folder, check_writable, write_json
@@ -154,37 +152,3 @@ def outside(source: object, centre: np.ndarray, spread: np.ndarray) -> list[str]
 def _table_of(columns: object, row: np.ndarray, implied: pd.DataFrame) -> pd.DataFrame:
     frame = pd.DataFrame({"row": row, **dict(columns)})  # type: ignore[call-overload]
     return pd.concat([frame.drop(columns=[c for c in implied if c in frame]), implied], axis=1)
-
-
-Points = Annotated[Path, typer.Argument(metavar="POINTS", help="CSV or Parquet: steady points, or a recording.")]
-Channels = Annotated[Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign columns.")]
-
-
-def calibrate_command(
-    points: Points,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Engine file to write (.yaml).")],
-    base: Annotated[str, typer.Option("--base", metavar="NAME", help="we2011 or an engine file.")] = "we2011",
-    geometry: Annotated[
-        Path | None,
-        typer.Option("--geometry", metavar="FILE", help="YAML: bore_mm, stroke_mm or displacement_l, n_cyl, r_c, ..."),
-    ] = None,
-    channels: Channels = None,
-    noise: Annotated[
-        float | None, typer.Option("--noise", metavar="PCT", help="Standard deviation of every sensor [%].")
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the held-out third.")] = 0,
-) -> None:
-    """Calibrate another engine of the same kind from steady points."""
-    for line in run_calibrate(points, out, base=base, geometry=geometry, channels=channels, noise_pct=noise, seed=seed):
-        typer.echo(line)
-
-
-def imply_command(
-    points: Points,
-    engine: Annotated[Path, typer.Option("--engine", metavar="FILE", help="repaired.yaml of `discover POINTS`.")],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help=".csv or .parquet to write.")],
-    channels: Channels = None,
-) -> None:
-    """Say, for each point, every quantity that nobody measured, with its standard deviation."""
-    for line in run_imply(points, engine, out, channels=channels):
-        typer.echo(line)
