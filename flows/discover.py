@@ -51,7 +51,7 @@ def discover(
         for name, recording in inputs.items()
     }
     found, refused = steps.gathered(pending)
-    if not recordings:
+    if found and not recordings:
         publish(context.workspace.root / "discoveries", steps.files_to_publish(found, inputs))
     for name, artifact in found.items():
         publish(context.workspace.reports / "discover" / name, steps.files_to_show(artifact))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -69,7 +70,7 @@ def test_a_missing_file_is_one_line_before_anything_starts(
 
 @pytest.mark.flow
 def test_the_chains_own_machine_and_a_list_of_recordings(
-    prefect: None, workspace: Callable[[], RunContext], tmp_path: Path
+    prefect: None, workspace: Callable[[], RunContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from flows.discover import discover
     from tasks.tracking import Tracker
@@ -105,6 +106,14 @@ def test_the_chains_own_machine_and_a_list_of_recordings(
     assert metrics["p_value"] == document["p_value"] and metrics["mismatch"] == float(document["mismatch"])
     assert metrics["eta_sc_before"] == document["health"]["eta_sc"]["before"]
     assert "detectable/boost_leak" in metrics and runs["mine"].params["effects"]
+
+    # The tool breaks down: the reason is what is said, and what was published stays.
+    shutil.rmtree(tmp_path / ".cache" / "discover")
+    monkeypatch.setenv("FAKE_DISCOVERY_FAILS", "1")
+    workspace()
+    with pytest.raises(StepFailed, match="no convergence"):
+        discover("tiny")
+    assert content_hash(tmp_path / "discoveries") == before
 
 
 def test_the_concealed_machine_has_a_fault_worth_finding(workspace: Callable[[], RunContext]) -> None:
