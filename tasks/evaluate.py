@@ -62,7 +62,7 @@ def ensemble(
     member_table(estimates, truth, bounds, what["seed"]).to_parquet(out / "members.parquet", index=False)
     about = {"method": method, "variant": variant, "epochs": epochs, **what}
     write_json(out / "ensemble.json", {key: value for key, value in about.items() if value is not None})
-    usable = [without_diverged(estimate, true) for estimate in estimates]
+    usable = [without_diverged(estimate, true, bound) for estimate, bound in zip(estimates, bounds, strict=True)]
     known = [i for i, estimate in enumerate(usable) if estimate is not None]
     found = Identification(
         method, tuple(usable[i] for i in known), tuple(problems[i] for i in known), what["seed"], seconds,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.engine import HEALTH, MEASURED
 from dieseltwin.errors import InputError
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 
@@ -44,7 +45,8 @@ CASES: Mapping[str, Case] = {
 }
 """The paper's cases, in its order."""
 FAR_OFF = 10.0
-"""A parameter beyond this many times its true value, or below its inverse, counts as diverged."""
+"""An identifiable parameter beyond this many times its true value, or below its inverse, counts as diverged; one that
+the minute says nothing about may be anywhere."""
 
 
 def case_problems(
@@ -162,16 +164,26 @@ def merged(parts: Sequence[SegmentEstimate]) -> SegmentEstimate:
     )
 
 
-def diverged(parameters: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(R,) members without a usable value: not finite, or beyond `FAR_OFF` times the truth or its inverse."""
+def diverged(
+    parameters: NDArray[np.float64], truth: NDArray[np.float64], bound: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """(R,) members without a usable value: not finite, or one that can be known is far off (`FAR_OFF`).
+
+    Args:
+        parameters: (R, 4) estimates [SI]; truth: (4,) [SI].
+        bound: (4,) relative Cramér-Rao bound at the truth [-].
+    """
+    known = bound <= IDENTIFIABLE_BELOW
     with np.errstate(invalid="ignore", divide="ignore"):
-        size = np.abs(np.log(parameters / truth))
+        size = np.abs(np.log(parameters[:, known] / truth[known]))
     return ~np.isfinite(parameters).all(axis=1) | ~(size <= np.log(FAR_OFF)).all(axis=1)
 
 
-def without_diverged(estimate: SegmentEstimate, truth: NDArray[np.float64]) -> SegmentEstimate | None:
+def without_diverged(
+    estimate: SegmentEstimate, truth: NDArray[np.float64], bound: NDArray[np.float64]
+) -> SegmentEstimate | None:
     """The estimate of the members that have a value, for bands and pooled values; None where no member has."""
-    keep = ~diverged(estimate.parameters, truth)
+    keep = ~diverged(estimate.parameters, truth, bound)
     if not keep.any():
         return None
     if keep.all():
@@ -183,7 +195,7 @@ def without_diverged(estimate: SegmentEstimate, truth: NDArray[np.float64]) -> S
     }
     samples, states = estimate.parameter_samples, estimate.state_samples
     if samples is not None and states is not None:
-        whole = ~diverged(samples, truth) & np.isfinite(states).all(axis=(1, 2))
+        whole = ~diverged(samples, truth, bound) & np.isfinite(states).all(axis=(1, 2))
         samples, states = (samples[whole], states[whole]) if whole.any() else (None, None)
     return replace(
         estimate,
@@ -218,7 +230,7 @@ def member_table(
     true = np.array([truth[name] for name in HEALTH])
     rows = []
     for number, (estimate, bound) in enumerate(zip(estimates, bounds, strict=True)):
-        off = diverged(estimate.parameters, true)
+        off = diverged(estimate.parameters, true, bound)
         chi2 = estimate.chi2_per_sample
         for member in range(estimate.runs):
             for i, name in enumerate(HEALTH):

@@ -170,7 +170,7 @@ def scores(beside: pd.DataFrame, ensembles: Sequence[Ensemble], resamplings: int
     an interval of its own, and a cell is "worse beyond its interval" where the whole of that lies above 1.
 
     Returns:
-        One row for each method, table and case ("all" for the three together): cells, better (share), ratio (geometric
+        One row for each method, table and case ("all" for them together): cells, better (share), ratio (geometric
         mean), low, high (95 %), worse_beyond (count), diverged (members), unscored (cells).
     """
     rng = np.random.default_rng(seed)
@@ -186,7 +186,8 @@ def scores(beside: pd.DataFrame, ensembles: Sequence[Ensemble], resamplings: int
                 draws[key] = _resampled_rmse(ratios, resamplings, rng)
     rows = []
     for (method, table), whole in beside.groupby(["method", "table"], sort=True):
-        for case in ["all", *whole["case"].unique()]:
+        cases = list(whole["case"].unique())
+        for case in ["all", *(cases if len(cases) > 1 else [])]:
             part = whole if case == "all" else whole[whole["case"] == case]
             scored = part[part["bound_class"] == "scored"]
             if scored.empty:

@@ -36,11 +36,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the page."""
+    """A table of the page; the first `words` columns hold words, the others numbers. Texts are HTML."""
 
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[Cell]]
+    words: int = 1
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def _pm(mean: float, std: float, digits: int = 4) -> str:
 
 
 def _p(value: float) -> str:
-    return "p –" if not math.isfinite(value) else ("p < 0.001" if value < 1e-3 else f"p = {value:.2g}")
+    return "p –" if not math.isfinite(value) else ("p &lt; 0.001" if value < 1e-3 else f"p = {value:.2g}")
 
 
 def _percent(value: float, digits: int = 1) -> str:
@@ -155,7 +156,7 @@ def _scores(table: pd.DataFrame) -> Table:
          Cell(f"{r.low:.3g} – {r.high:.3g}"), Cell(str(r.worse_beyond)), Cell(str(r.diverged)), Cell(str(r.unscored))]
         for r in table.itertuples()
     ]  # fmt: skip
-    return Table("", heads, rows)
+    return Table("", heads, rows, 3)
 
 
 def _beside(part: pd.DataFrame, case: Any) -> Table:
@@ -177,7 +178,7 @@ def _beside(part: pd.DataFrame, case: Any) -> Table:
                 else:
                     row.append(Cell(text, "better" if r["better"] else "worse"))
             rows.append(row)
-    return Table(CASES[str(case)].words, ["minute", "", *_symbols()], rows)
+    return Table(CASES[str(case)].words, ["minute", "", *_symbols()], rows, 2)
 
 
 def _times(table: pd.DataFrame) -> Table:
@@ -187,7 +188,7 @@ def _times(table: pd.DataFrame) -> Table:
          Cell(_whole(r.paper_epochs)), Cell(_pm(r.paper, r.paper_std, 1))]
         for r in table.fillna(math.nan).itertuples()
     ]  # fmt: skip
-    return Table("", heads, rows)
+    return Table("", heads, rows, 3)
 
 
 def _whole(value: Any) -> str:
@@ -198,34 +199,40 @@ def _learned(tables: Mapping[str, pd.DataFrame]) -> list[Table]:
     made = []
     if tables["operators"]["trainings"].sum():
         rows = [
-            [Cell(r.output), Cell(f"{r.labels} labels"), Cell(r.recording), Cell(str(r.trainings)),
-             Cell(_pm(r.mean, r.std, 3)), Cell(_pm(r.paper, r.paper_std, 2))]
+            [Cell(quantities.html_symbol(r.output)), Cell(f"{r.labels} labels"), Cell(r.recording),
+             Cell(str(r.trainings)), Cell(_pm(r.mean, r.std, 3)), Cell(_pm(r.paper, r.paper_std, 2))]
             for r in tables["operators"].itertuples()
         ]  # fmt: skip
         heads = ["operator's output", "", "recording", "trainings", "ours", "paper"]
-        made.append(Table("Actuator operators (DeepONets)", heads, rows))
+        made.append(Table("Actuator operators (DeepONets)", heads, rows, 3))
     if tables["bodies"]["trainings"].sum():
         rows = [
-            [Cell(r.output), Cell(str(r.trainings)), Cell(_pm(r.mean, r.std, 3)), Cell(_pm(r.paper, r.paper_std, 3))]
+            [Cell(quantities.html_symbol(r.output)), Cell(str(r.trainings)), Cell(_pm(r.mean, r.std, 3)),
+             Cell(_pm(r.paper, r.paper_std, 3))]
             for r in tables["bodies"].itertuples()
-        ]
+        ]  # fmt: skip
         made.append(Table("Multi-head bodies, training", ["output", "trainings", "ours", "paper"], rows))
     if len(tables["maps"]):
         wide = tables["maps"].pivot(index="map", columns="kind", values="test_pct")
-        rows = [[Cell(str(name)), *(Cell(f"{value:.3g}") for value in row)] for name, row in wide.T.items()]
-        made.append(Table("Empirical maps on Case-V", ["map", *wide.columns], rows))
+        rows = [
+            [Cell(quantities.html_symbol(str(name))), *(Cell(f"{value:.3g}") for value in row)]
+            for name, row in wide.T.items()
+        ]
+        kinds = [{"paper": "as printed", "improved": "improved"}.get(str(kind), str(kind)) for kind in wide.columns]
+        made.append(Table("Empirical maps on Case-V", ["map", *kinds], rows))
     return made
 
 
 def _calibration(table: pd.DataFrame) -> Table:
     heads = ["method", "variant", "parameter", "stated by", "members", "coverage of 90 %", "mean z", "std of z"]
     rows = [
-        [Cell(_label(r.method)), Cell(str(r.variant) if isinstance(r.variant, str) else ""), Cell(r.parameter),
+        [Cell(_label(r.method)), Cell(str(r.variant) if isinstance(r.variant, str) else ""),
+         Cell(quantities.html_symbol(r.parameter)),
          Cell(r.stated_by), Cell(str(r.members)), Cell(_percent(r.coverage, 0)), Cell(f"{r.z_mean:.2f}"),
          Cell(f"{r.z_std:.2f}")]
         for r in table.itertuples()
     ]  # fmt: skip
-    return Table("", heads, rows)
+    return Table("", heads, rows, 4)
 
 
 def _identifiability(table: pd.DataFrame) -> list[Table]:
@@ -255,21 +262,16 @@ def _variants(table: pd.DataFrame) -> list[Table]:
         rows.append([Cell(_label(str(method))), Cell(variant or "as in the tables above"), *cells])
     if len(rows) < 2:
         return []
-    return [Table("Median over the identifiable minutes", ["method", "changed", *_symbols()], rows)]
+    return [Table("Median over the identifiable minutes", ["method", "changed", *_symbols()], rows, 2)]
 
 
-def headline(scores: pd.DataFrame) -> str:
-    """The result in one or two sentences."""
-    whole = scores[scores["case"] == "all"]
-    if whole.empty:
-        return "No ensemble has a counterpart in the paper's tables."
-    parts = [
+def headline(scores: pd.DataFrame) -> list[str]:
+    """The result in words, one line for each method and table."""
+    return [
         f"{_label(r.method)}: RMSE at most the paper's in {_percent(r.better, 0)} of {r.cells} cells of "
-        f"{_WORDS[r.table]}, "
-        f"{r.ratio:.2g} times the paper's on average ({r.low:.2g} – {r.high:.2g})"
-        for r in whole.itertuples()
-    ]
-    return "; ".join(parts) + "."
+        f"{_WORDS[r.table]}, {r.ratio:.2g} times the paper's on average ({r.low:.2g} – {r.high:.2g})."
+        for r in scores[scores["case"] == "all"].itertuples()
+    ] or ["No ensemble has a counterpart in the paper's tables."]
 
 
 def _render(found: Sequence[Section], tables: Mapping[str, pd.DataFrame], about: Mapping[str, Any], dpi: int) -> str:

@@ -77,13 +77,16 @@ def test_diverged_members_are_kept_in_the_table_and_left_out_of_the_bands(clean:
     values[1] = np.nan
     values[2, 0] *= 100.0
     broken = replace(made, parameters=values)
-    assert diverged(values, truth).tolist() == [False, True, True]
+    bound = np.full(4, 0.01)
+    assert diverged(values, truth, bound).tolist() == [False, True, True]
+    hidden = np.array([np.inf, 0.01, 0.01, 0.01])  # nobody can know A_egrmax there
+    assert diverged(values, truth, hidden).tolist() == [False, True, False]
     names = dict(zip(HEALTH, truth.tolist(), strict=True))
-    table = member_table([broken], names, [np.full(4, 0.01)], 5)
+    table = member_table([broken], names, [bound], 5)
     assert len(table) == 3 * 4 and table["diverged"].sum() == 8 and (table["seed"] == 5).all()
-    kept = without_diverged(broken, truth)
+    kept = without_diverged(broken, truth, bound)
     assert kept is not None and kept.runs == 1 and kept.curves["loss"].shape[1] == 1
-    assert without_diverged(replace(made, parameters=np.full_like(values, np.nan)), truth) is None
+    assert without_diverged(replace(made, parameters=np.full_like(values, np.nan)), truth, bound) is None
 
 
 def test_early_stopping_takes_the_epoch_that_predicts_unseen_readings_best(clean: list[SegmentProblem]) -> None:
