@@ -1,4 +1,4 @@
-"""Five worked cases of discovery: two leaks of physics, friction, an effect that no catalogue holds, a healthy engine.
+"""Worked cases of discovery: a leak, back-pressure, friction, two effects the catalogue doesn't hold, a healthy engine.
 
     python examples/discovery_cases.py --out DIR [--cases boost_leak,healthy] [--figures docs/figures]
 
@@ -47,6 +47,7 @@ CASES = (
     Worked("bearing_friction", Fault("bearing_friction", 7e-6)),
     Worked("withheld_boost_leak", Fault("boost_leak", 3e-5), ("boost_leak",)),
     Worked("healthy", None),
+    Worked("afterburning", Fault("afterburning", 0.05)),  # no catalogue holds it
 )
 
 

@@ -22,7 +22,7 @@ from dieseltwin.engine.simulate import numpy_model
 BINS = 7
 _DIFFERENCE = 0.02  # of the magnitude, for the response to a bin
 _WEAK_STD = 3.0  # relative to the magnitude: bins that the recording says nothing about stay near the law
-_GRID = 60
+_GRID = 20
 _BAND = 1.645  # standard deviations: 90 %
 _QUANTILES = (0.02, 0.98)  # of the argument over which bins lie
 

@@ -12,11 +12,14 @@ import numpy as np
 
 from dieseltwin.discovery.curves import Discovery
 from dieseltwin.discovery.document import NONE_OF_THESE, load_discrepancy
+from dieseltwin.discovery.search import Settings
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.strict import unknown_name
 
 DETAILS = "details.json"
+EQUIVALENT = 0.5 * Settings().equivalent_gain
+"""Log-likelihood within which names can't be told apart [-]."""
 
 
 def plain(value: Any) -> Any:
@@ -129,9 +132,10 @@ def explain(name: str, folder: str | Path) -> list[str]:
     gain = entry["log_likelihood_gain"]
     if gain is not None:
         behind = max(gains) - gain
+        best = _best(details["candidates"])
         lines.append(
             f"log-likelihood gained over the health parameters alone: {gain:.1f}"
-            + (f", {behind:.1f} behind the best ({_best(details['candidates'])}); below 4.5 can't be told apart"
+            + (f", {behind:.1f} behind the best ({best}); below {EQUIVALENT:g} can't be told apart"
                if behind > 0 else ", the best of all")
         )  # fmt: skip
     if entry["magnitude"] is not None:

@@ -64,5 +64,5 @@ ORACLE = "; the oracle knows the effect and fits its size alone"
 CANDIDATES = _line("""
     Log-likelihood that each effect gains over the health parameters alone, everything refitted (logarithmic). Blue: in
     the document; light blue: cannot be told from it; grey: weighed and dropped. Beside the bars: the gain, how far
-    behind the best one it is (less than 4.5 can't be told apart), and the fitted size. The table says why.
+    behind the best one it is (less than {apart} can't be told apart), and the fitted size. The table says why.
 """)

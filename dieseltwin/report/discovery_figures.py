@@ -12,10 +12,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from dieseltwin.discovery.curves import Candidate, Curves, Discovery
+from dieseltwin.discovery.explain import EQUIVALENT
 from dieseltwin.discovery.twin import Array
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
-from dieseltwin.report.discovery_words import clock, magnitude_words, unit_of
+from dieseltwin.report.discovery_words import clock, display_unit, magnitude_words, unit_of
 from dieseltwin.report.segment_axis import WIDTH_IN
 
 BEFORE = "#D55E00"
@@ -186,14 +187,17 @@ def law_curves(found: Discovery) -> style.ReportFigure | None:
     figure = Figure(figsize=(WIDTH_IN if len(laws) > 1 else 0.72 * WIDTH_IN, 4.2))
     panels = np.atleast_1d(figure.subplots(1, len(laws)))
     for axes, law in zip(panels, laws, strict=True):
-        axes.fill_between(law["x"], law["low"], law["high"], color=AFTER, alpha=0.22, linewidth=0, label="90 % band")
-        axes.plot(law["x"], law["curve"], color=AFTER, linewidth=2.0, label="law")
+        unit, scale = display_unit(law["name"], law["unit"])
+        low, high = scale * np.asarray(law["low"]), scale * np.asarray(law["high"])
+        axes.fill_between(law["x"], low, high, color=AFTER, alpha=0.22, linewidth=0, label="90 % band")
+        axes.plot(law["x"], scale * np.asarray(law["curve"]), color=AFTER, linewidth=2.0, label="law")
         bars = law.get("points_std")
-        axes.errorbar(law["points_x"], law["points_y"], yerr=bars, fmt="o", color="#444444", markersize=4.5,
-                      linewidth=1.0, label="freed in bins")
+        axes.errorbar(law["points_x"], scale * np.asarray(law["points_y"]),
+                      yerr=None if bars is None else scale * np.asarray(bars), fmt="o", color="#444444",
+                      markersize=4.5, linewidth=1.0, label="freed in bins")  # fmt: skip
         axes.axhline(0.0, color="#777777", linewidth=0.8)
         axes.set_xlabel(_axis(law["x_name"]))
-        axes.set_ylabel(f"{law['name']} [{'–' if law['unit'] == '-' else law['unit']}]")
+        axes.set_ylabel(f"{law['name']} [{unit or '–'}]")
         axes.legend(loc="best")
     return style.ReportFigure("law", "The found law", captions.LAW, figure)
 
@@ -314,4 +318,5 @@ def candidates(found: Discovery) -> style.ReportFigure | None:
     handles = [Patch(color=AFTER, label="reported"), Patch(color=LIGHT, label="cannot be told apart"),
                Patch(color=DROPPED, label="dropped")]
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
-    return style.ReportFigure("candidates", "What was weighed", captions.CANDIDATES, figure)
+    words = captions.CANDIDATES.format(apart=f"{EQUIVALENT:g}")
+    return style.ReportFigure("candidates", "What was weighed", words, figure)

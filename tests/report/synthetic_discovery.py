@@ -47,7 +47,7 @@ LOCATION = {
     "alternatives": [{"site": "compressor_power", "probability": 0.03}],
     "regions": [], "onset_s": None,
 }  # fmt: skip
-REGION = {"n_e_rpm": [1200, 1500], "u_delta_mg": [100, 200], "u_egr_pct": [0, 100], "u_vgt_pct": [20, 100],
+REGION = {"n_e_rpm": [1200, 1500], "u_delta_mg": [120, 200], "u_egr_pct": [0, 100], "u_vgt_pct": [20, 100],
           "share_of_evidence": 0.8}  # fmt: skip
 
 

@@ -54,7 +54,7 @@ def test_onset_region_and_other_places() -> None:
     location = {**synthetic.LOCATION, "onset_s": 312.4, "regions": [synthetic.REGION], "probability": 0.7,
                 "alternatives": [{"site": "turbine_flow", "probability": 0.25}]}  # fmt: skip
     text = sentence(synthetic.document(location=location))
-    assert ", since 312 s, with 80 % of the evidence at n_e 1200 to 1500 rpm, u_delta 100 to 200 mg/cycle;" in text
+    assert ", since 312 s, with 80 % of the evidence at n_e 1200 to 1500 rpm, u_delta 120 to 200 mg/cycle;" in text
     assert "(70 % sure)" in text and "it could also sit in the turbine flow (25 %)" in text
     text = sentence(synthetic.document(location={**location, "onset_s": 1234.0}))
     assert "since 1234 s (20.6 min)" in text
