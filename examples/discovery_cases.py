@@ -1,10 +1,10 @@
 """Worked cases of discovery: a leak, back-pressure, friction, two effects the catalogue doesn't hold, a healthy engine.
 
-    python examples/discovery_cases.py --out DIR [--cases boost_leak,healthy] [--figures docs/figures]
+    python examples/discovery_cases.py --out DIR [--cases boost_leak,healthy]
 
-Each case is a machine of the concealed benchmark's plant (its own equations, maps off by 0.3 %, sensor tolerances, noise
-of the paper, 12 bits), driven for ten minutes; `dieseltwin discover` gets the recording alone. The machine's truth is
-printed beside what was found, and written nowhere.
+Each case is a machine of the concealed benchmark's plant (its own equations, maps off by 0.3 %, sensor tolerances,
+noise of the paper, 12 bits), driven for ten minutes; `dieseltwin discover` gets the recording alone. The machine's
+truth is printed beside what was found, and written nowhere.
 """
 
 from __future__ import annotations
@@ -28,8 +28,6 @@ from dieseltwin.recordings import write_recording
 SEED = 20261121
 DURATION_S = 600.0
 SENSORS = 6  # the paper's five and w_c
-FIGURES = ("health", "evidence_time", "evidence_map", "residual_map", "law", "candidates", "minimum_detectable", "score")
-DPI = 70
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--cases", default=",".join(case.name for case in CASES))
-    parser.add_argument("--figures", type=Path, help="where to save small PNGs of the figures too")
     options = parser.parse_args(arguments)
     for case in (case for case in CASES if case.name in options.cases.split(",")):
         folder = options.out / case.name

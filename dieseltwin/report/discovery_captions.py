@@ -17,11 +17,7 @@ MINIMUM = _line("""
 EVIDENCE_TIME = _line("""
     Log-likelihood that the found term gains in each stretch of time; bars below zero are chance. The line is the sum so
     far: a straight climb means that the effect is always there, a kink that it begins, a stair that it shows in some
-    driving only. Grey: the held-out part, which no fit has seen.
-""")
-EVIDENCE_TIME_HEALTHY = _line("""
-    Log-likelihood that the best candidate would gain in each stretch of time. For a healthy recording the bars scatter
-    around zero and their sum leads nowhere.
+    driving only. Grey: the part that the held-out score is taken on.
 """)
 EVIDENCE_MAP = _line("""
     The same evidence over the operating map, mean per sample in each cell: engine speed and load, the two actuators.
@@ -33,6 +29,16 @@ RESIDUAL_TIME = _line("""
     difference shows nothing: an effect that ruins the health parameters moves it by a fraction of the noise. Grey band:
     where 95 % of the averages lie if only noise is left. Structure before (orange) that is gone after (blue) is
     what the repair explains; blue that leaves the band again and again is what still isn't explained.
+""")
+RESIDUAL_TIME_HEALTHY = _line("""
+    Measured minus predicted in standard deviations of the noise, averaged over stretches of {width} s. Grey band: where
+    95 % of the averages lie if only noise is left. What the tolerances of maps and sensors allow is believed, not
+    subtracted, so a small steady offset may stay.
+""")
+RESIDUAL_MAP_HEALTHY = _line("""
+    The same residuals averaged over cells of the operating map and divided by what noise alone leaves of the average:
+    chance gives about ±2, the tolerances of maps and sensors somewhat more. The number over each panel is the mean
+    square of its cells; noise alone gives 1.
 """)
 RESIDUAL_MAP = _line("""
     The same residuals averaged over cells of the operating map and divided by what noise alone leaves of the average:

@@ -92,9 +92,11 @@ def _held_out_spans(curves: Curves) -> list[tuple[float, float]]:
 
 
 @style.styled
-def evidence_time(found: Discovery) -> style.ReportFigure:
-    """Evidence of each window and its sum, over time."""
+def evidence_time(found: Discovery) -> style.ReportFigure | None:
+    """Evidence of each window and its sum, over time; none where nothing was found."""
     curves, location = found.curves, found.document.location
+    if not found.document.mismatch:
+        return None
     middle, gain = curves.evidence_over_time
     figure = Figure(figsize=(WIDTH_IN, 3.9))
     axes = figure.subplots()
@@ -122,8 +124,7 @@ def evidence_time(found: Discovery) -> style.ReportFigure:
         axes.axvline(location.onset_s, color=BEFORE, linestyle="--")
         handles.append(Line2D([], [], color=BEFORE, linestyle="--", label=f"onset, {clock(location.onset_s)}"))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
-    words = captions.EVIDENCE_TIME if found.document.mismatch else captions.EVIDENCE_TIME_HEALTHY
-    return style.ReportFigure("evidence_time", "Evidence over time", words, figure)
+    return style.ReportFigure("evidence_time", "Evidence over time", captions.EVIDENCE_TIME, figure)
 
 
 def _same_zero(left: Axes, right: Axes) -> None:
@@ -145,7 +146,7 @@ def evidence_maps(found: Discovery) -> style.ReportFigure | None:
     """Mean evidence per sample over speed and load, and over the two actuators."""
     curves, location = found.curves, found.document.location
     pairs = [pair for pair in MAPS if all(name in curves.evidence_map for name in pair)]
-    if not pairs:
+    if not pairs or not found.document.mismatch:
         return None
     figure = Figure(figsize=(WIDTH_IN, 4.0))
     panels = np.atleast_1d(figure.subplots(1, len(pairs)))
@@ -228,14 +229,15 @@ def health(found: Discovery) -> style.ReportFigure | None:
             axes.plot([0], [before], "o", markerfacecolor="white", color=BEFORE, markersize=8, markeredgewidth=1.8)
             axes.annotate("", (0.9, value), (0.1, before), arrowprops={"arrowstyle": "->", "color": "#777777"})
             title += f", before {quantities.percent(before / value - 1.0, signed=True)}" if value else ""
-        axes.set_title(title, fontweight="normal")
+        axes.set_title(title, fontweight="normal", fontsize=10.5)
         axes.set_xticks([0, 1] if mismatch else [1], ["before", "after"] if mismatch else ["fit"])
         axes.set_xlim(-0.5, 1.5)
         span = max(abs(value - before) if mismatch else 0.0, half, 1e-3 * abs(value), 1e-12)
         axes.set_ylim(min(value, before) - 1.2 * span, max(value, before) + 1.2 * span)
         axes.set_ylabel(f"[{quantities.unit(name) or '–'}]")
     words = captions.HEALTH if mismatch else captions.HEALTH_HEALTHY
-    return style.ReportFigure("health", "Health parameters before and after", words, figure)
+    title = "Health parameters before and after" if mismatch else "Health parameters"
+    return style.ReportFigure("health", title, words, figure)
 
 
 @style.styled

@@ -52,6 +52,7 @@ def residual_time(found: Discovery) -> style.ReportFigure:
     edges = curves.time_s[0] + np.arange(0.0, duration + width, width)
     edges[-1] = max(edges[-1], curves.time_s[-1])
     middle = 0.5 * (edges[:-1] + edges[1:])
+    mismatch = found.document.mismatch
     before, after = _standardised(curves)
     widening = noise_of_means(curves)
     figure = Figure(figsize=(WIDTH_IN, 1.35 * len(curves.channels) + 0.9))
@@ -61,7 +62,8 @@ def residual_time(found: Discovery) -> style.ReportFigure:
         mean_after, _ = _binned(curves.time_s, after[:, j], edges)
         band = Z_95 * widening[j] / np.sqrt(np.maximum(count, 1))
         axes.fill_between(middle, -band, band, step="mid", color="#e2e2e2", linewidth=0)
-        axes.plot(middle, mean_before, color=BEFORE, linewidth=1.3, marker="o", markersize=3)
+        if mismatch:
+            axes.plot(middle, mean_before, color=BEFORE, linewidth=1.3, marker="o", markersize=3)
         axes.plot(middle, mean_after, color=AFTER, linewidth=1.5, marker="s", markersize=2.6)
         axes.set_ylabel(f"{quantities.symbol(name)} [σ]")
         limit = 1.15 * max(np.nanmax(np.abs(mean_before)), np.nanmax(np.abs(mean_after)), 2.0 * float(np.median(band)))
@@ -70,13 +72,14 @@ def residual_time(found: Discovery) -> style.ReportFigure:
         for axes in panels:
             axes.axvline(found.document.location.onset_s, color="#333333", linestyle="--", linewidth=1.0)
     panels[-1].set_xlabel("time [s]")
+    earlier = Line2D([], [], color=BEFORE, marker="o", markersize=4, label="before (health parameters alone)")
     handles = [
-        Line2D([], [], color=BEFORE, marker="o", markersize=4, label="before (health parameters alone)"),
-        Line2D([], [], color=AFTER, marker="s", markersize=4, label="after (repaired)"),
+        *([earlier] if mismatch else []),
+        Line2D([], [], color=AFTER, marker="s", markersize=4, label="after (repaired)" if mismatch else "fit"),
         Patch(color="#e2e2e2", label="95 % of pure noise"),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
-    words = captions.RESIDUAL_TIME.format(width=f"{width:.3g}")
+    words = (captions.RESIDUAL_TIME if mismatch else captions.RESIDUAL_TIME_HEALTHY).format(width=f"{width:.3g}")
     return style.ReportFigure("residual_time", "Residual structure over time", words, figure)
 
 
@@ -95,16 +98,17 @@ def residual_map(found: Discovery, pair: tuple[str, str] = MAPS[0]) -> style.Rep
     edges = (edges_of(x, CELLS), edges_of(y, CELLS))
     widening = noise_of_means(curves)
     number = len(curves.channels)
-    figure = Figure(figsize=(WIDTH_IN, 4.6))
-    panels = figure.subplots(2, number, sharex=True, sharey=True, squeeze=False)
+    mismatch = found.document.mismatch
+    figure = Figure(figsize=(WIDTH_IN, 4.6 if mismatch else 2.7))
+    panels = figure.subplots(1 + mismatch, number, sharex=True, sharey=True, squeeze=False)
     tables = [
         [over_noise(*cell_means(x, y, values[:, j], edges, LEAST_ROWS), float(widening[j])) for j in range(number)]
-        for values in _standardised(curves)
+        for values in _standardised(curves)[0 if mismatch else 1 :]
     ]
     filled = np.concatenate([grid[np.isfinite(grid)] for row in tables for grid in row])
     largest = max(SMALLEST_SCALE, float(np.quantile(np.abs(filled), 0.98))) if filled.size else SMALLEST_SCALE
     image = None
-    for row, label in enumerate(("before", "after")):
+    for row, label in enumerate(("before", "after") if mismatch else ("fit",)):
         for j, name in enumerate(curves.channels):
             axes = panels[row, j]
             grid = tables[row][j]
@@ -119,4 +123,5 @@ def residual_map(found: Discovery, pair: tuple[str, str] = MAPS[0]) -> style.Rep
     figure.colorbar(image, ax=panels.ravel().tolist(), label="mean residual over its noise [–]")
     name = "residual_map" if pair == MAPS[0] else "residual_map_actuators"
     title = "Residual structure over " + ("speed and load" if pair == MAPS[0] else "the actuators")
-    return style.ReportFigure(name, title, captions.RESIDUAL_MAP, figure)
+    words = captions.RESIDUAL_MAP if mismatch else captions.RESIDUAL_MAP_HEALTHY
+    return style.ReportFigure(name, title, words, figure)

@@ -96,7 +96,8 @@ def test_healthy_page_has_no_law_no_candidates_and_no_alarm(healthy: Discovery, 
     page = build_discovery_report(healthy, tmp_path / "report.html")
     text = page.read_text(encoding="utf-8")
     assert "Nothing left out that could be seen" in text and 'class="headline"' in text
-    assert 'id="law"' not in text and 'id="candidates"' not in text
+    for name in ("law", "candidates", "evidence_time", "evidence_map"):
+        assert f'id="{name}"' not in text
     assert 'id="minimum_detectable"' in text
 
 
