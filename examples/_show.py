@@ -54,6 +54,10 @@ def show(make, relative, published, window_s, held_window_s, floor, unit, fitted
     how = "free run" if held_window_s is None else f"runs of {held_window_s:g} s"
     print(f"Later half, {how}: rms error " + ", ".join(f"{k} {v:.4g} {unit}" for k, v in errors.items()))
     print(published)
+    options = {"withhold": tuple(held.hypotheses)}
+    blind, _, _, blind_errors = evaluate(make, path, window_s, held_window_s, floor, fitted_rows, **options)
+    print("The same without any catalogue: " + "; ".join(blind.sentences()))
+    print("  rms error " + ", ".join(f"{k} {v:.4g} {unit}" for k, v in blind_errors.items() if k != "names"))
     draw(Path(relative).parent.name, story, held, runs, errors, unit)
 
 

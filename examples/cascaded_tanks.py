@@ -83,7 +83,7 @@ MODEL = Model(
         effect("level_offset", "sensor:level", "reading + b", "V", 0.05, (-1, 1), kind="sensor"),
     ),
     units={"h_upper": "V", "h_lower": "V", "pump": "V", "q_upper": "V/s"},
-    sub_steps=3,
+    sub_steps=2,
     nearest={"level": "h_lower"},
     first={"h_upper": 5.0},
 )  # fmt: skip

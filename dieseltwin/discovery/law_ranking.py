@@ -244,6 +244,7 @@ def shortlist(ranked: Sequence[Ranked], count: int, of_one_point: int = 4) -> li
     for item in fair:
         first.setdefault(item.index, item)
     out = list(first.values())[: count // 2]
+    of_one_point = max(of_one_point, count // max(len(first), 1))
     used = {item.index: 1 for item in out}
     for item in fair:
         if len(out) == count:

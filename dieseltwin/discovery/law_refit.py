@@ -19,6 +19,7 @@ _ROUNDS = 8
 _DONE = 0.3  # predicted decrease of the objective that counts as none
 _SLOWED = 0.35  # step after a failed one
 _STEP = 0.005  # of a point's scale, for responses to signals
+_LARGEST = 1e30  # of a slope
 _SHAPE_STEP = 0.02  # relative, for slopes of times and widths
 
 
@@ -77,6 +78,7 @@ class _Slopes:
 
     def __init__(self, at: Linearisation, own: Array, parameters: int, precision: Array, nominal: Array) -> None:
         self.at, self.precision, self.nominal = at, precision, nominal
+        own = np.clip(own, -_LARGEST, _LARGEST)  # a candidate that diverges takes no step
         self.columns = np.concatenate([at.jacobian[:parameters], own])
         self.projected = np.concatenate([at.projected[:parameters], at.metric.project(np.nan_to_num(own))])
         self.covariance = np.linalg.pinv(self.projected @ self.projected.T + np.diag(precision))

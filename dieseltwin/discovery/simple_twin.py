@@ -173,7 +173,8 @@ class SimpleTwin:
     def simulate_with_laws(self, lanes: Lanes, laws: Mapping[str, list[LawTerm]]) -> Array:
         """As `simulate`, with laws evaluated inside the simulation. Readings (B, n, C)."""
         trajectory = self._trajectory(lanes, laws)  # (L, S, B, W)
-        values, _ = self._read(lanes, laws, trajectory)
+        with np.errstate(over="ignore", invalid="ignore"):  # a wrong law may diverge; its fit is refused
+            values, _ = self._read(lanes, laws, trajectory)
         out = np.empty((lanes.size, len(self.time_s), len(self.channels)))
         rows = self._rows.T[self._inside]
         for j, value in enumerate(values):

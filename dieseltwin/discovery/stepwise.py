@@ -100,7 +100,8 @@ def discover_stepwise(
         twin: bound to the part of a recording that may be fitted.
         most: number of effects at most.
         withhold: names that must not be used.
-        law: search a law in what is left (only if fewer than `most` effects were named).
+        law: search a law in what is left (only if fewer than `most` effects were named). It is kept only where the
+            recording tells its site, and where it lowers the error on windows that it wasn't fitted to.
         floor: smallest noise of a reading.
         options: of the law search; by default everywhere but at sensors, where any misfit can be explained.
     """
@@ -133,6 +134,8 @@ def discover_stepwise(
         inside = tuple(p.name for p in twin.points if not p.site.startswith("sensor:"))
         chosen = options or law_search.Options(points=inside, unknown_misfit=True)
         found = law_search.search(twin, here, None, chosen).law
+        if found is not None and any(rival.site != found.site for rival in found.rivals):
+            found = None  # where it belongs isn't resolved: such laws have no meaning beyond what they were fitted to
         if found is not None:
             extended = cast(Twin, LawTwin(twin, found.placed))
             extra = [p.value for p in extended.parameters[len(twin.parameters) :]]
@@ -146,6 +149,11 @@ def discover_stepwise(
         for name, value, std in zip(here.fit.candidate.names, here.fit.magnitudes, stds, strict=True)
     }
     return Story(before, here.fit, tuple(steps), found, magnitudes)
+
+
+def metric_like(whitening: Whitening, from_row: int) -> Whitening:
+    """The whitening of the later rows."""
+    return Whitening(whitening.present[from_row:], whitening.previous[from_row:], whitening.scale[from_row:])
 
 
 def _with(twin: Twin, whitening: Whitening, here: Linearisation, name: str) -> Linearisation | None:
@@ -180,14 +188,22 @@ def _holds(
     weights = np.asarray(whitening.scale).copy()
     weights[from_row:] = 0.0
     early = replace(whitening, scale=weights)
+    later, rest = twin, whitening
+    if allowed < 1.0 and hasattr(twin, "windowed"):  # one run over all of it: many short ones forgive too much
+        later = twin.windowed(None, slice(from_row, None))
+        rest = metric_like(whitening, from_row)
+        from_row = 0
     errors = []
     for which, start in ((plain, without), (extended, fit)):
         try:
             fitted = fit_fully(which, early, start, rounds=_ROUNDS).fit
         except np.linalg.LinAlgError:
             return False
-        residual = (twin.measured - free_run(which, fitted, whitening))[from_row:]
-        errors.append(float(np.sqrt(np.nanmean((residual * whitening.scale[from_row:]) ** 2))))
+        if later is not twin:
+            which = LawTwin(later, which.laws) if isinstance(which, LawTwin) else later
+            fitted = replace(fitted, local=later.first_local())
+        residual = (later.measured - free_run(cast(Twin, which), fitted, rest))[from_row:]
+        errors.append(float(np.sqrt(np.nanmean((residual * rest.scale[from_row:]) ** 2))))
     return bool(errors[1] <= allowed * errors[0])
 
 
