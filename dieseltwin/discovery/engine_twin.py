@@ -56,7 +56,9 @@ _POINTS: dict[str, _PointFacts] = {
     "T_em": _PointFacts("exhaust_temperature", ("T_em", "T_e", "W_eo", "W_f", "n_e")),
     "f_egr": _PointFacts("egr_flow", ("u_egr", "Pi_egr", "t"), over=("u_egr",)),
     "W_t": _PointFacts("turbine_flow", ("p_em", "u_vgt", "omega_t"), over=("u_vgt", "Pi_t")),
-    "eta_tm": _PointFacts("turbine_power", ("omega_t", "Pi_t", "u_vgt"), over=("omega_t", "Pi_t"), also=("BSR", "omega_t")),
+    "eta_tm": _PointFacts(
+        "turbine_power", ("omega_t", "Pi_t", "u_vgt"), over=("omega_t", "Pi_t"), also=("BSR", "omega_t")
+    ),
     "p_es": _PointFacts("turbine_flow", ("W_t", "T_em")),
     "W_c": _PointFacts("compressor_flow", ("Pi_c", "omega_t"), over=("Psi_c", "omega_t"), also=("Pi_c", "omega_t")),
     "eta_c": _PointFacts("compressor_power", ("Pi_c", "W_c"), over=("W_c", "Pi_c")),

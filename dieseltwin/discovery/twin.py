@@ -49,6 +49,7 @@ class Point:
         scale: typical size of an added signal [unit]; 1 for a relative one.
         tolerance: smooth relative error that is believed of the quantity's map (0 for balances) [-].
         tolerance_over: the map's own arguments, names of variables; a tolerance is a smooth function of them.
+        tolerance_also: other arguments over which the map may be thought of; the two then share the tolerance.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Point:
     scale: float = 1.0
     tolerance: float = 0.0
     tolerance_over: tuple[str, ...] = ()
+    tolerance_also: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
