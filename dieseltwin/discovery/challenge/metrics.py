@@ -127,9 +127,15 @@ def false_none(rows: Sequence[CaseRow]) -> Share:
     return Share(sum("none_of_these" in row.named for row in cases), len(cases))
 
 
-def laws(rows: Sequence[CaseRow]) -> Share:
-    """Withheld cases answered by `none_of_these` whose law is within 10 % on unseen driving (no law: not)."""
+def laws(rows: Sequence[CaseRow], right_hand_side: bool = False) -> Share:
+    """Counted withheld cases answered by `none_of_these` whose law is within 10 % on unseen driving (no law: not).
+
+    `right_hand_side`: those only whose fault is a flow, power or temperature, not a sensor or an actuator.
+    """
     cases = [row for row in counted(rows) if row.withheld and row.said_none]
+    if right_hand_side:
+        cases = [row for row in cases if not row.truth[0].site.startswith("sensor:")]
+        cases = [row for row in cases if not row.truth[0].site.endswith("_actuator")]
     return Share(sum(row.law_error is not None and row.law_error <= LAW_WITHIN for row in cases), len(cases))
 
 

@@ -137,6 +137,7 @@ def extra(rows: Sequence[CaseRow]) -> dict[str, Share]:
     found["first name right, separable, at any magnitude"] = metrics.top_names(rows, any_size=True)
     found["first name right, separable or not"] = metrics.top_names_unconditioned(rows)
     found["withheld -> none, where no other name imitates it (D >= 9)"] = metrics.withheld_none(rows, True)
+    found["law within 10 %, faults of flows, powers and temperatures"] = metrics.laws(rows, right_hand_side=True)
     found["false alarms, unstable region"] = metrics.false_alarms([r for r in rows if r.route == "unstable"])
     found["no result"] = Share(sum(row.problem is not None for row in rows), len(rows))
     return found
