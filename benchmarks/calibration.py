@@ -26,6 +26,7 @@ from dieseltwin.steady_points import STATES, SteadyPoints, points
 
 HOLD_S = 40.0
 SETTLED = 0.001  # relative change of the turbo speed over the last tenth of the hold
+LARGEST_SPEED = 15_000.0  # rad/s; the simulator stops at 20,944
 INTERVAL_90 = 1.645
 MOVE = 0.4  # of a prior standard deviation, by which the drawn engine's coefficients differ
 
@@ -63,6 +64,7 @@ def settled_points(engine: EngineParameters, count: int, noise: float, generator
     late, last = table.iloc[1::3].reset_index(drop=True), table.iloc[2::3].reset_index(drop=True)
     still = np.abs(late["omega_t_rad_s"] / last["omega_t_rad_s"] - 1.0) < SETTLED
     good = still & (last["lambda"] > 1.15) & (last["p_im_pa"] > 1.03 * engine.p_amb) & (last["t_em_k"] < 1200.0)
+    good &= last["omega_t_rad_s"] < LARGEST_SPEED  # at its limiter the simulator's turbo is not in balance
     chosen = last[good].iloc[:count]
     columns = {name: chosen[name].to_numpy() for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", *STATES)}
     for name in STATES:

@@ -260,7 +260,7 @@ def _fit(
             if best is not None:
                 values.update(best.values())
                 discrepancy[row] = float(best.discrepancy[model.rows.index(row)])
-    joint = estimate(model, points, free, values, rows=used, noise=noise, discrepancy=discrepancy, iterations=7,
+    joint = estimate(model, points, free, values, rows=used, noise=noise, discrepancy=discrepancy, iterations=20,
                      inflate=True)
     values.update(joint.values())
     return joint, values

@@ -32,10 +32,12 @@ NOISE: Mapping[str, float] = {
 STATE_STEP = 5e-4  # relative, of central differences in the states
 COEFFICIENT_STEP = 1e-4  # of a prior standard deviation
 STEEPEST = 200.0  # d ln r/d ln x is cut there: a speed line that is flat
+SETTLED = 0.03  # prior standard deviations: an iteration that changes less is the last one
+CURVATURE = 1.0  # second-order error of a relation over the square of the noise that it carries [-]
 LARGEST_SHIFT = 0.3  # of ln x in one iteration
 ROBUST = 2.0  # whitened residuals beyond this count ever less
 FLOOR = 0.003  # a submodel is never believed better than this [-]; `floors` of a call can say more
-FIRST_STEPS, MORE_STEPS = 30, 10  # of the inner minimiser
+FIRST_STEPS, MORE_STEPS = 14, 8  # of the inner minimiser
 UNKNOWN = 1.0  # relative prior spread of a state that was not measured
 
 
@@ -166,13 +168,15 @@ def estimate(
         z_low, z_high = (low - mean) / std, (high - mean) / std
         z = np.clip((theta - mean) / std, z_low + 1e-9, z_high - 1e-9)
         solution = least_squares(residuals, z, jacobian, bounds=(z_low, z_high),
-                                 max_nfev=FIRST_STEPS if iteration == 0 else MORE_STEPS, x_scale="jac")
+                                 max_nfev=FIRST_STEPS if iteration == 0 else MORE_STEPS, x_scale=1.0)
         change = float(np.max(np.abs(solution.x - z))) if P else 0.0
         theta = solution.x * std + mean
         values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
         cost = float(solution.cost)
         x = _reconciled(model, points, x, measured, values, linear, sigma, keep)
         S = np.maximum(_discrepancy(model, points, x, values, S, keep, linear), least)
+        if change < SETTLED and iteration >= 3:
+            break
         if inflate and iteration >= 2:
             inflation = correlation_inflation(points, _whitened_residual(model, points, x, values, linear, keep))
     linear = _linearised(model, points, x, measured, values, sigma, S, keep)
@@ -189,7 +193,9 @@ def _linearised(model: SteadyModel, points: SteadyPoints, x: Array, measured: Ar
     known = np.isfinite(measured)
     variance = np.where(known, sigma**2, UNKNOWN**2)
     dx = np.where(known, np.log(np.where(known, measured, 1.0) / np.where(known, x, 1.0)), 0.0)
-    C = np.einsum("nij,nj,nkj->nik", J, variance, J) + np.diag(S**2)
+    C = np.einsum("nij,nj,nkj->nik", J, variance, J)
+    bent = np.einsum("nii->ni", C)  # what the straight line leaves out grows with the square of the noise carried
+    C = C + np.eye(C.shape[1]) * (CURVATURE * bent)[:, None, :] ** 2 + np.diag(S**2)
     extra = np.array([name in ("T_im", "T_c", "p_es", "p_bc") for name in model.rows])
     C = C + np.diag(np.where(extra, 0.01**2, 0.0))
     whiten = np.linalg.inv(np.linalg.cholesky(C))

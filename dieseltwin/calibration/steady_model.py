@@ -32,6 +32,7 @@ T_REFERENCE = 700.0  # K, of the back-pressure law (DISCOVERY.md)
 T_CHARGE = 310.0  # K, temperature at which eta_vol's map is meant
 FLAP_REFERENCE = 50.0  # %
 SMALL_FLOW = 0.05  # of the median flow: relative residuals are damped below
+ELLIPSE_MIN = 1e-4  # limiter of the implicit compressor map: keeps the logarithm of trial states finite
 T_ES_MIN = 200.0  # K, limiter: keeps trial states physical
 SWEEPS = 4  # of the cylinder's fixed point
 KNEE_WIDTH = 60.0  # rad/s over which the speed sensor's fault sets in
@@ -149,6 +150,13 @@ class SteadyModel:
         measured = {k: np.broadcast_to(v[0], shape) for k, v in pairs.items()}
         predicted = {k: np.broadcast_to(v[1], shape) for k, v in pairs.items()}
         residual = np.stack([_log_ratio(measured[k], predicted[k]) for k in self.rows], axis=-1)
+        # The compressor's map is judged in its implicit form (A.46): solved for the flow, a flat speed line would
+        # turn 1 % of pressure into 30 % of flow.
+        psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c) - c.c_psi2
+        flow = W_c * c.R_a * T_0 / (p_bc * c.wheel_volume * omega * (1.0 + self.signals.get("W_c", 0.0))) - c.c_phi2
+        ellipse = (_eq.ellipse_coefficient_psi(omega, c) * psi * psi
+                   + _eq.ellipse_coefficient_phi(omega, c) * flow * flow)  # fmt: skip
+        residual[..., ROWS.index("compressor_flow")] = 0.5 * np.log(np.maximum(ellipse, ELLIPSE_MIN))
         quantities = {
             **implied, "eta_c": eta_c, "eta_tm": eta_tm, "eta_vol": eta_vol, "Pi_c": Pi_c, "Pi_t": Pi_t, "P_c": P_c,
             "T_es": T_es, "W_f": W_f, "W_t": W_t, "Phi_c": phi, "omega_t": omega, "f_egr": f_egr, "W_ei": W_ei_model,
