@@ -144,7 +144,8 @@ class Scoring:
         from dieseltwin.discovery import scoring
         from dieseltwin.discovery.challenge.laws import law_error
 
-        return cls(scoring.held_out_nll, scoring.fit_oracle, scoring.separability, law_error, engine_terms)
+        asked = (getattr(scoring, name, None) for name in ("held_out_nll", "fit_oracle", "separability"))
+        return cls(*asked, law_error, engine_terms)
 
 
 def engine_terms(faults: Sequence[Fault]) -> tuple[Any, ...]:
