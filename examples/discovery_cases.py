@@ -1,6 +1,6 @@
 """Worked cases of discovery: a leak, back-pressure, friction, two effects the catalogue doesn't hold, a healthy engine.
 
-    python examples/discovery_cases.py --out DIR [--cases boost_leak,healthy]
+    python examples/discovery_cases.py --out DIR [--cases boost_leak,healthy] [--figures docs/figures]
 
 Each case is a machine of the concealed benchmark's plant (its own equations, maps off by 0.3 %, sensor tolerances,
 noise of the paper, 12 bits), driven for ten minutes; `dieseltwin discover` gets the recording alone. The machine's
@@ -10,6 +10,7 @@ truth is printed beside what was found, and written nowhere.
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,11 @@ from dieseltwin.recordings import write_recording
 SEED = 20261121
 DURATION_S = 600.0
 SENSORS = 6  # the paper's five and w_c
+SHOWN = {
+    "boost_leak": ("minimum_detectable", "health", "law", "evidence_time", "residual_map", "candidates", "score"),
+    "back_pressure": ("law", "evidence_map"),
+    "healthy": ("residual_map",),
+}
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,7 @@ CASES = (
     Worked("withheld_boost_leak", Fault("boost_leak", 3e-5), ("boost_leak",)),
     Worked("healthy", None),
     Worked("afterburning", Fault("afterburning", 0.05)),  # no catalogue holds it
+    Worked("withheld_back_pressure", Fault("back_pressure", 9e4), ("back_pressure",)),
 )
 
 
@@ -68,6 +75,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--cases", default=",".join(case.name for case in CASES))
+    parser.add_argument("--figures", type=Path, help="where to copy the figures that docs/discovery.md shows")
     options = parser.parse_args(arguments)
     for case in (case for case in CASES if case.name in options.cases.split(",")):
         folder = options.out / case.name
@@ -80,6 +88,10 @@ def main(arguments: list[str] | None = None) -> int:
         code = command_line(["discover", *asked])
         if code:
             return code
+        if options.figures is not None:
+            options.figures.mkdir(parents=True, exist_ok=True)
+            for name in SHOWN.get(case.name, ()):
+                shutil.copyfile(folder / "figures" / f"{name}.svg", options.figures / f"{case.name}_{name}.svg")
         document = load_discrepancy(folder)
         truth = "none" if case.fault is None else f"{case.fault.effect} {case.fault.magnitude:g}"
         print(f"truth: {truth}")

@@ -44,7 +44,7 @@ def parity(relations: Relations, mask: np.ndarray, name: str, words: str) -> Rep
         measured, predicted = relations.measured[row][0] * scale, relations.predicted[row][0] * scale
         _cross(axes, measured, predicted, mask)
         held = relations.residual[0, mask, ROWS.index(row)]
-        axes.set_title(f"{title}: {100 * np.sqrt(np.nanmean(held**2)):.1f} % held out")
+        axes.set_title(f"{title}\n{100 * np.sqrt(np.nanmean(held**2)):.1f} % held out")
         axes.set_xlabel(f"{quantity}, measured [{unit}]" if len(quantity) < 32 else f"P_c from readings [{unit}]")
         axes.set_ylabel(f"predicted [{unit}]")
     panels.flat[0].legend(loc="upper left")

@@ -17,6 +17,7 @@ from dieseltwin.report.discovery_words import magnitude_words, sentence, site_wo
 from dieseltwin.report.style import ReportFigure
 
 _EMPTY = "–"
+LOUD = 1.3  # rms residual over noise; right names leave 1.0 to 1.1 where maps and sensors keep to their tolerances
 
 
 @dataclass(frozen=True)
@@ -166,6 +167,19 @@ def _fit(found: Discovery) -> list[dict[str, str]]:
     return rows
 
 
+def left_over(found: Discovery) -> str:
+    """A warning about channels in which the repaired fit leaves clearly more than noise; empty where there are none."""
+    rmse = found.document.fit.rmse_after
+    sigma = dict(zip(found.curves.channels, found.curves.sigma, strict=True))
+    loud = {name: rmse[name] / sigma[name] for name in rmse if sigma.get(name) and rmse[name] > LOUD * sigma[name]}
+    if not loud:
+        return ""
+    parts = ", ".join(f"{name} {ratio:.1f} times its noise" for name, ratio in loud.items())
+    after = "the repair" if found.document.mismatch else "the fit"
+    return (f"After {after} more than noise is left: {parts}. Maps or sensors use their tolerances to the full there, "
+            "or what is named imitates something else. Look at the residual maps before you believe it.")  # fmt: skip
+
+
 def _provenance(found: Discovery) -> list[tuple[str, str]]:
     document = found.document
     rows = [
@@ -205,6 +219,7 @@ def _page(found: Discovery, sections: Sequence[Section], encoded: Mapping[str, b
         about=f"Recording: {name} · {recording.duration_s:.0f} s · {len(recording.channels)} sensors",
         mismatch=found.document.mismatch,
         headline=quantities.with_symbols(sentence(found.document)),
+        caution=quantities.with_symbols(left_over(found)),
         effects=_effects(found),
         sites=_sites(found),
         health=_health(found),

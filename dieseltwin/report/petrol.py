@@ -28,7 +28,7 @@ SMOOTH_BLOCKS = 15  # running median: structure, not tip-ins
 
 def _running_median(x: np.ndarray, width: int) -> np.ndarray:
     half = width // 2
-    padded = np.pad(x, half, mode="edge")
+    padded = np.pad(x, half, mode="reflect")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1))
 
 
@@ -66,7 +66,7 @@ def residuals_over_time(found: PetrolDiscovery) -> ReportFigure:
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     axes[-1].set_xlabel("time since the recording's start [s]")
     caption = ("Misfit of the balances against the maps calibrated on fault-free driving, nothing fitted to this "
-               "recording: seconds as points, running median over 15 s as lines. Dashed: the onset that was found.")
+               "recording: seconds as points (cut at 25 %), running median over 15 s as lines. Dashed: the onset found.")
     return ReportFigure("residuals_over_time", "The balances over time", caption, figure, "png")
 
 

@@ -13,7 +13,7 @@ import synthetic_discovery as synthetic
 from dieseltwin.discovery.curves import Discovery
 from dieseltwin.discovery.document import Discrepancy
 from dieseltwin.report import discovery_figures, discovery_residuals
-from dieseltwin.report.discovery_page import build_discovery_report, discovery_sections
+from dieseltwin.report.discovery_page import build_discovery_report, discovery_sections, left_over
 from dieseltwin.report.discovery_words import sentence
 from dieseltwin.report.style import ReportFigure
 
@@ -99,6 +99,13 @@ def test_healthy_page_has_no_law_no_candidates_and_no_alarm(healthy: Discovery, 
     for name in ("law", "candidates", "evidence_time", "evidence_map"):
         assert f'id="{name}"' not in text
     assert 'id="minimum_detectable"' in text
+
+
+def test_channels_that_stay_loud_are_named(leak: Discovery) -> None:
+    assert left_over(leak) == ""
+    rmse = {**leak.document.fit.rmse_after, "omega_t_rad_s": 2.0 * synthetic.SIGMA[2]}
+    document = synthetic.document(fit={**synthetic.content()["fit"], "rmse_after": rmse})
+    assert "omega_t_rad_s 2.0 times its noise" in left_over(replace(leak, document=document))
 
 
 def test_little_is_enough(leak: Discovery) -> None:

@@ -80,6 +80,13 @@ def test_small_shifts_and_no_gain_are_said() -> None:
     assert "no gain on unseen driving is claimed" in sentence(synthetic.document(fit=fit))
 
 
+def test_what_is_left_after_the_repair_is_a_warning() -> None:
+    fit = {**synthetic.content()["fit"], "chi2_per_sample_after": 1.33}
+    text = sentence(synthetic.document(fit=fit))
+    assert text.endswith("but 1.33 of chi-square per sample is left where noise leaves 1, so what is named may imitate "
+                         "something that is not in the catalogue.")  # fmt: skip
+
+
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_every_effect_has_words_and_a_size_with_a_unit(name: str) -> None:
     effect = EFFECTS[name]
