@@ -20,6 +20,7 @@ from dieseltwin.channels import INPUTS
 from dieseltwin.cli_calibrate import run_imply
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
+from dieseltwin.report.calibration import calibration_report, repair_report
 from dieseltwin.steady_points import STATES, SteadyPoints
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
@@ -75,6 +76,13 @@ def test_files_answer_for_inputs_alone(mended: Repair, data: SteadyPoints, tmp_p
     pd.DataFrame({name: data[name] for name in INPUTS}).to_csv(file, index=False)
     with pytest.raises(InputError, match="u_flap_pct"):
         list(run_imply(file, engine, out))
+
+
+def test_reports_are_written(mended: Repair, data: SteadyPoints, tmp_path: Path) -> None:
+    pages = calibration_report(mended.calibration, tmp_path / "engine.html")
+    pages += repair_report(mended, answerer_of(mended)(data), sentence(mended), tmp_path / "report.html")
+    assert all(page.stat().st_size > 5000 for page in pages)
+    assert "exhaust_flap" in (tmp_path / "report.html").read_text()
 
 
 def test_an_engine_without_its_sidecar_is_refused(tmp_path: Path) -> None:
