@@ -62,6 +62,7 @@ def case(
         "withhold": withhold,
     }
     recording = recording.resolve()
+    _one_thread()
     with _temporary() as folder:
         _copied(recording, folder / str(entry["recording"]))
         # Relative, because the document names the recording's path.
@@ -83,6 +84,7 @@ def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str
     from dieseltwin.discovery.challenge.run import RESULTS, read_manifest
     from dieseltwin.discovery.challenge.score import verified_answers
 
+    _one_thread()
     with _laid_out(benchmark, {f"{RESULTS}/{kind}": [result]}) as folder:
         manifest = read_manifest(folder)
         only = manifest | {"cases": [entry for entry in manifest["cases"] if entry["case"] == kind]}
@@ -112,6 +114,7 @@ def baseline(out: Path, progress: Any, *, benchmark: Path, bands: Path, kind: st
 
     from dieseltwin.discovery.challenge.baselines import run_baselines
 
+    _one_thread()
     with _laid_out(benchmark, {BASELINES_FOLDER: [bands / BASELINES_FOLDER]}) as folder:
         run_baselines(folder, only=(kind,), limit=1, jobs=1)
         shutil.copytree(folder / BASELINES_FOLDER, out / BASELINES_FOLDER)
@@ -209,6 +212,13 @@ def flat_numbers(key: str, value: Any) -> Iterator[tuple[str, float]]:
             yield from flat_numbers(f"{key.removesuffix('_interval')}_{name}", inner)
     elif isinstance(value, int | float) and not isinstance(value, bool):
         yield key, float(value)
+
+
+def _one_thread() -> None:
+    """The simulator takes all cores for a batch; here two machines run beside each other."""
+    import os
+
+    os.environ.setdefault("DIESELTWIN_THREADS", "1")
 
 
 @contextmanager

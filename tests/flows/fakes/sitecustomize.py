@@ -71,6 +71,14 @@ def _held_out_nll(engine: Any, recording: Any, noise: Any = None) -> float:
     return 2.0
 
 
+def _fit_oracle(recording: Any, engine: Any, terms: Any) -> Any:
+    return engine.model_copy(update={"terms": tuple(terms)})
+
+
+def _separability(recording: Any, engine: Any, term: Any) -> dict[str, float]:
+    return {"blow_by": 12.0}
+
+
 def _module(name: str, **content: Any) -> None:
     module = types.ModuleType(name)
     for key, value in content.items():
@@ -94,7 +102,12 @@ class Options:
 def install() -> None:
     """Replace the two modules."""
     _module("dieseltwin.discovery.discover", discover=_discover, prepare=_prepare, Options=Options)
-    _module("dieseltwin.discovery.scoring", held_out_nll=_held_out_nll)
+    _module(
+        "dieseltwin.discovery.scoring",
+        held_out_nll=_held_out_nll,
+        fit_oracle=_fit_oracle,
+        separability=_separability,
+    )
 
 
 install()
