@@ -310,7 +310,7 @@ class EngineTwin:
             "Pi_egr": p_im / p_em, "Pi_e": p_em / p_im, "BSR": c.R_t * omega / velocity,
             "Psi_c": 2.0 * c.c_pa * c.T_amb * (np.maximum(p_im / p_bc, 1.0) ** (1.0 - 1.0 / c.gamma_a) - 1.0)
             / (c.R_c * omega) ** 2,
-            "egr_share": W_egr / (W_egr + W_c), "t": self.time_s - self.time_s[0],
+            "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6), "t": self.time_s - self.time_s[0],
             "p_amb": np.full(p_im.size, c.p_amb), "T_amb": np.full(p_im.size, c.T_amb),
         }  # fmt: skip
         for point in self.points:

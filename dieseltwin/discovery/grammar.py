@@ -336,7 +336,8 @@ def _of_pair(a: Variable, b: Variable, known: Sequence[Variable]) -> Iterator[Fa
     reference = rounded(0.5 * abs(a.reference - b.reference) or 0.3 * a.reference)
     for s in (0.5, 1.0, 2.0):
         yield Factor("difference", both, (reference, reference), s, units)
-    for s in (1.0, -1.0):
+    both_move = bool(a.thresholds and b.thresholds)
+    for s in (1.0, -1.0) if both_move or a.unit == "Pa" else ():  # over a constant a ratio is a power of the other
         yield Factor("ratio", both, (1.0, 1.0), s, units)
     for pair in (both, both[::-1]):
         yield Factor("head", pair, (1.0, 1.0), 1.0, units)

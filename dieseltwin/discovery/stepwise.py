@@ -107,7 +107,8 @@ def discover_stepwise(
     """
     whitening = metric_of(twin, floor)
     here = law_search.null_fit(twin, whitening)
-    before, steps = here.fit, []
+    before = here.fit
+    steps: list[Step] = []
     names = [name for name in twin.hypotheses if name not in withhold]
     while len(steps) < most:
         readings = independent(here.residual, twin.starts, len(twin.states))
@@ -202,7 +203,7 @@ def _holds(
         if later is not twin:
             which = LawTwin(later, which.laws) if isinstance(which, LawTwin) else later
             fitted = replace(fitted, local=later.first_local())
-        residual = (later.measured - free_run(cast(Twin, which), fitted, rest))[from_row:]
+        residual = np.subtract(later.measured, free_run(which, fitted, rest))[from_row:]
         errors.append(float(np.sqrt(np.nanmean((residual * rest.scale[from_row:]) ** 2))))
     return bool(errors[1] <= allowed * errors[0])
 
