@@ -51,7 +51,7 @@ class Prior:
         key = used.tobytes()
         if key not in self._known:
             part = self.covariance[np.ix_(used, used)]
-            self._known[key] = np.linalg.inv(part), float(np.linalg.slogdet(part)[1])
+            self._known[key] = np.asarray(np.linalg.inv(part), dtype=np.float64), float(np.linalg.slogdet(part)[1])
         return self._known[key]
 
 

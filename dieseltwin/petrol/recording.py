@@ -176,7 +176,8 @@ def make_grid(time_s: Array) -> Grid:
     usual = float(np.median(count[count > 0]))
     edges = np.searchsorted(time_s, np.arange(size + 1) * BLOCK_S).clip(0, len(time_s) - 1)
     kept = count >= FULLEST_HOLE * usual
-    return Grid(index, np.maximum(count, 1.0), kept, edges, (np.arange(size) + 0.5) * BLOCK_S)
+    middle = (np.arange(size, dtype=np.float64) + 0.5) * BLOCK_S
+    return Grid(index, np.maximum(count, 1.0), kept, edges, middle)
 
 
 @dataclass(frozen=True)

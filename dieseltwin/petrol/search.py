@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 SCAN_S = 5.0  # between trial onsets of the scan
 LEAST_AFTER_S = 20.0  # an onset leaves at least so much of the recording
 NEAR_S = 12.0  # the exact onset is looked for so far around the scan's
+WIDENINGS, AT_EDGE = 5, 0.1  # of the search for a magnitude; an end within a tenth of the span is an end
 TRIALS = 10  # evaluations of one refit
 CURVATURE_STEP = 0.02  # of the magnitude's tolerance or size, for its standard deviation
 ONSET_COST = 3.0  # log-likelihood that a free onset has to be worth: log of the number of places, about
@@ -98,11 +99,18 @@ def information(bound: Bound, name: str, onset_s: float = 0.0) -> float:
 def refit(bound: Bound, name: str, start: float, onset_s: float | None) -> tuple[float, float]:
     """Most probable magnitude and its log-likelihood for a given onset."""
     h = HYPOTHESES[name]
-    reach = max(3.0 * h.tolerance, 0.6 * abs(start))
-    low, high = max(h.limits[0], start - reach), min(h.limits[1], start + reach)
-    found = minimize_scalar(lambda m: -bound.effect(name, m, onset_s)[0], bounds=(low, high), method="bounded",
-                            options={"maxiter": TRIALS, "xatol": 0.01 * h.tolerance})
-    return float(found.x), -float(found.fun)
+    centre = start
+    for _ in range(WIDENINGS):
+        reach = max(3.0 * h.tolerance, 0.6 * abs(centre))
+        low, high = max(h.limits[0], centre - reach), min(h.limits[1], centre + reach)
+        found = minimize_scalar(lambda m: -bound.effect(name, m, onset_s)[0], bounds=(low, high), method="bounded",
+                                options={"maxiter": TRIALS, "xatol": 0.01 * h.tolerance})
+        centre = float(found.x)
+        edge = AT_EDGE * (high - low)
+        # a first-order guess is far too small for a large leak: go on from the end that was reached
+        if not (low > h.limits[0] and centre < low + edge) and not (high < h.limits[1] and centre > high - edge):
+            break
+    return centre, -float(found.fun)
 
 
 def sharpen_onset(bound: Bound, name: str, magnitude: float, onset_s: float) -> float:

@@ -27,6 +27,7 @@ CASES = [
     ({"W_af_kg_s": 0.10}, "w_af_gain", 0.10),
     ({"W_af_kg_s": -0.08}, "w_af_gain", -0.08),
     ({"leak_m2": 1.5e-6}, "intake_leak", 1.5e-6),
+    ({"leak_m2": 1.5e-5}, "intake_leak", 1.5e-5),
 ]
 
 
