@@ -144,8 +144,10 @@ class Scoring:
         from dieseltwin.discovery import scoring
         from dieseltwin.discovery.challenge.laws import law_error
 
-        asked = (getattr(scoring, name, None) for name in ("held_out_nll", "fit_oracle", "separability"))
-        return cls(*asked, law_error, engine_terms)
+        nll, oracle, distance = (
+            getattr(scoring, name, None) for name in ("held_out_nll", "fit_oracle", "separability")
+        )
+        return cls(nll, oracle, distance, law_error, engine_terms)
 
 
 def engine_terms(faults: Sequence[Fault]) -> tuple[Any, ...]:
