@@ -1,0 +1,150 @@
+"""Explanations of a mismatch beyond one constant effect, and the choice among all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dieseltwin.discovery.features import generic_features, score_features
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.refit import refit_all
+from dieseltwin.discovery.score import Scored, best_of_each, effect_responses, score, secant_sizes
+from dieseltwin.discovery.search_state import Search, set_probabilities
+from dieseltwin.discovery.variants import Variant, onset_candidates
+
+_PAIRS = 10
+VARIANTS = 6  # are refitted
+_POLISHED = 4  # of the best fits get sensitivities of their own
+_LEADING = 60.0  # gain within which a fit counts as leading
+
+
+def try_variants(found: Search) -> None:
+    """Effects that begin in the middle or act in a part of the operating range only."""
+    top = found.gain(found.singles[0]) if found.singles else 0.0
+    variants = [v for v in found.scanned[:VARIANTS] if v.gain > 0.5 * top]
+    if variants:
+        _refit_variants(found, variants)
+        best = found.variants[0][0]
+        if best.onset_s is not None:
+            for reach, count in ((8.0, 5), (2.0, 5)):
+                best, _ = found.variants[0]
+                _refit_variants(found, [
+                    replace(best, onset_s=t, schedule=(found.twin.time_s >= t).astype(float))
+                    for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
+                ])  # fmt: skip
+
+
+def _refit_variants(found: Search, variants: Sequence[Variant]) -> None:
+    """Refits of variants, added to those that are known."""
+    candidates = [Candidate((v.name,), {v.name: v.schedule}) for v in variants]
+    fits = refit_all(found.null, candidates, [v.response[None] for v in variants])
+    pairs = [*found.variants, *zip(variants, fits, strict=True)]
+    found.variants = sorted(pairs, key=lambda pair: pair[1].objective)
+
+
+def _pair_gains(found: Search) -> list[tuple[float, Scored, Scored]]:
+    """Linear gain of every pair of hypotheses at the health-only fit, strongest first."""
+    items = best_of_each(found.scored)
+    vectors = np.stack([s.projected for s in items])
+    gram = vectors @ vectors.T
+    push = vectors @ found.null.projected_residual
+    sided = [found.twin.hypotheses[s.name].limits[0] >= 0.0 for s in items]
+    out = []
+    for i in range(len(items)):
+        for j in range(i + 1, len(items)):
+            a, b, c = gram[i, i], gram[j, j], gram[i, j]
+            determinant = a * b - c * c
+            if determinant < 1e-6 * a * b or a == 0.0 or b == 0.0:
+                continue
+            x = (b * push[i] - c * push[j]) / determinant
+            y = (a * push[j] - c * push[i]) / determinant
+            if (sided[i] and x < 0) or (sided[j] and y < 0):
+                continue
+            out.append((float(x * push[i] + y * push[j]), items[i], items[j]))
+    return sorted(out, key=lambda item: -item[0])
+
+
+def try_pairs(found: Search, first: Linearisation) -> None:
+    """Two effects: the best pairs of the linear table, and what the residual of the best single asks for."""
+    names = [name for name in found.twin.hypotheses if name not in found.settings.withhold]
+    lead = first.fit.candidate.names[0]
+    wanted = secant_sizes(found.twin, [name for name in names if name != lead])
+    if not wanted:
+        return
+    beyond = best_of_each(score(first, wanted, effect_responses(found.twin, first, wanted)))
+    found.beyond = beyond[0].gain if beyond else 0.0
+    by_name = {s.name: s for s in best_of_each(found.scored)}
+    pairs: dict[tuple[str, ...], tuple[Scored, Scored]] = {}
+    if beyond and beyond[0].gain < 0.5 * found.settings.second_gain and found.gain(found.singles[0]) > 0:
+        # nothing left to explain at the best single fit
+        enough = _pair_gains(found)[:1]
+        if not enough or enough[0][0] < found.gain(found.singles[0]) + 0.5 * found.settings.second_gain:
+            return
+    for item in beyond[: _PAIRS // 2]:
+        if item.gain > 0.4 * found.settings.second_gain:
+            key = tuple(sorted((lead, item.name)))
+            pairs[key] = (by_name[key[0]], by_name[key[1]])
+    for gain, a, b in _pair_gains(found)[:_PAIRS]:
+        if gain > found.gain(found.singles[0]) - _LEADING:
+            key = tuple(sorted((a.name, b.name)))
+            pairs[key] = (by_name[key[0]], by_name[key[1]])
+    if not pairs:
+        return
+    candidates = [Candidate(key) for key in pairs]
+    responses = [np.stack([a.response, b.response]) for a, b in pairs.values()]
+    fits = sorted(refit_all(found.null, candidates, responses), key=lambda fit: fit.objective)
+    found.pairs = polish(found, fits, 3)
+
+
+def choose(found: Search, first: Linearisation) -> None:
+    """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs."""
+    settings = found.settings
+    single = found.gain(found.singles[0])
+    options: list[tuple[float, str, Fit | None, Variant | None]] = [(single, "single", first.fit, None)]
+    if found.variants:
+        variant, fit = found.variants[0]
+        options.append((found.gain(fit) - settings.variant_gain, "variant", fit, variant))
+    pair = next(
+        (
+            fit
+            for fit in found.pairs
+            if all(
+                abs(m) >= settings.alarm_size * found.twin.hypotheses[name].tolerance
+                for name, m in zip(fit.candidate.names, fit.magnitudes, strict=True)
+            )
+        ),
+        None,
+    )
+    if pair is not None:
+        options.append((found.gain(pair) - settings.second_gain, "pair", pair, None))
+    best, kind, fit, variant = max(options, key=lambda option: option[0])
+    if found.structure and found.structure[0].gain > best + settings.law_gain:
+        found.kind = "law"
+        return
+    found.kind, found.variant = kind, variant
+    if fit is not None and kind != "single":
+        found.best = fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null)
+    if found.best is not None:  # a confident lie is what nearly fits: look at what the explanation leaves
+        found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
+        left = found.left[0].gain if found.left else 0.0
+        limit = settings.left_gain[{"single": 0, "pair": 1}.get(kind, 2)]
+        ahead = left - found.beyond if kind == "single" else np.inf
+        if left > limit and ahead > settings.left_ahead:
+            found.refused, found.kind = kind, "law"
+            return
+    set_probabilities(found, kind)
+
+
+def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:
+    """Full refits of the leading fits; the rest as they are."""
+    best = fits[0].objective
+    out = []
+    for k, fit in enumerate(fits):
+        if k < count and fit.objective < best + _LEADING and found.gain(fit) > 4.0:
+            polished = fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit
+            out.append(polished)
+        else:
+            out.append(fit)
+    return sorted(out, key=lambda fit: fit.objective)

@@ -1,0 +1,142 @@
+"""Before a name is thought of: noise, health-only fit, tolerances, scores of all hypotheses."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, settle_local, simulate_fits
+from dieseltwin.discovery.metric import Metric, Whitening
+from dieseltwin.discovery.noise import estimate_noise
+from dieseltwin.discovery.nuisance import Nuisance, Rebased, map_nuisances, nuisance_responses, sensor_nuisances
+from dieseltwin.discovery.score import chance, effect_responses, score, secant_sizes
+from dieseltwin.discovery.search_state import Search, Settings
+from dieseltwin.discovery.twin import Array, Twin
+
+_VERIFIED = 3  # of the leading fits
+_VERIFIED_FROM = 0.7  # of the gain of an alarm
+_TOLERANCE_DRAWS = 2
+_CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of the tolerances
+GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
+PARTS = 4
+
+
+def prepare(twin: Twin, settings: Settings) -> Search:
+    """Noise, health-only fit, tolerances, scores of all hypotheses: everything before a name is thought of."""
+    clock = time.perf_counter()
+    pieces = np.array([], dtype=int)
+    noise = estimate_noise(twin.measured, pieces)
+    start = Fit(
+        Candidate(), np.array([p.value for p in twin.parameters]), np.zeros(0), twin.first_local(), np.inf, False
+    )
+    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    rough = fit_fully(twin, whitening, start, rounds=5)
+    if hasattr(twin, "split"):
+        growing = rough.metric.growing(GROWTH)
+        if growing.any():
+            start = replace(rough.fit, local=twin.split(growing, PARTS, rough.fit.local))
+            whitening = Whitening.of(twin.measured, noise, twin.starts)
+            rough = fit_fully(twin, whitening, start, rounds=5)
+    # correlation can only be told once the signal is explained; only the fast part of the misfit is used
+    noise = estimate_noise(twin.measured, pieces, explained=rough.simulated)
+    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    nuisances = tolerances(twin, rough, settings)
+    nuisance = nuisance_responses(twin, rough.fit.lanes(), rough.simulated, nuisances)
+    crooked = crooked_windows(rough, whitening, nuisances, nuisance, settings.seed)
+    if crooked.any():
+        twin.measured[np.repeat(crooked, np.diff(np.append(twin.starts, twin.time_s.size)))] = np.nan
+        whitening = Whitening.of(twin.measured, noise, twin.starts)
+    null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance))
+    names = [name for name in twin.hypotheses if name not in settings.withhold]
+    wanted = secant_sizes(twin, names)
+    scored = score(null, wanted, effect_responses(twin, null, wanted))
+    found = Search(twin, settings, noise, whitening, null, scored, chance(null, scored, settings.seed))
+    found.left_out, found.nuisances = crooked, nuisances
+    found.seconds["prepare"] = time.perf_counter() - clock
+    return found
+
+
+def tolerances(twin: Twin, at: Linearisation, settings: Settings) -> list[Nuisance]:
+    """Directions in which maps and sensors may be off, one standard deviation each."""
+    channels = len(twin.channels)
+    return [
+        *map_nuisances(twin, twin.variables(at.fit.lanes()), settings.tolerance_factor),
+        *sensor_nuisances(
+            twin, at.simulated, [settings.sensor_gain] * channels, [settings.sensor_offset] * channels
+        ),
+    ]
+
+
+def tolerance_responses(twin: Twin, at: Linearisation, settings: Settings) -> Array:
+    """Responses (K, n, C) to the tolerances of maps and sensors, per standard deviation."""
+    return nuisance_responses(twin, at.fit.lanes(), at.simulated, tolerances(twin, at, settings))
+
+
+def crooked_windows(
+    at: Linearisation, whitening: Whitening, nuisances: Sequence[Nuisance], responses: Array, seed: int
+) -> np.ndarray:
+    """(W,) windows in which errors of maps within their tolerance don't act linearly, at most a third of all.
+
+    Next to an instability a map error of a few tenths of a percent sends the turbo elsewhere. No linear tolerance
+    covers that, and any effect that bends the trajectory the right way would be taken for the cause.
+    """
+    twin = at.twin
+    rng = np.random.default_rng(seed)
+    worst = np.zeros(twin.starts.size)
+    for _ in range(_TOLERANCE_DRAWS):
+        signals: dict[str, Array] = {}
+        linear = np.zeros_like(at.simulated)
+        for nuisance, response in zip(nuisances, responses, strict=True):
+            if nuisance.point is not None and nuisance.signal is not None:
+                size = rng.standard_normal()
+                name = twin.points[nuisance.point].name
+                signals[name] = signals.get(name, np.zeros(twin.time_s.size)) + size * nuisance.signal
+                linear += size * response
+        if not signals:
+            break
+        simulated = twin.simulate(at.fit.lanes(signals=signals))[0]
+        bend = Metric(whitening, twin.starts, at.local_response, twin.state_scales).without_local(
+            (simulated - at.simulated - linear)[None]
+        )[0]
+        squared = bend[: at.residual.size].reshape(at.residual.shape) ** 2
+        worst = np.maximum(worst, np.add.reduceat(squared.sum(axis=1), twin.starts))
+    limit = max(_CROOKED, float(np.quantile(worst, 2.0 / 3.0)))
+    return worst > limit
+
+
+def verify(found: Search) -> Linearisation:
+    """Objectives of the health-only fit and of the leading singles with the estimated errors of the maps simulated.
+
+    Returns the health-only linearisation about those errors.
+    """
+    null = found.null
+    base = rebased(found, null.fit)
+    if found.gain(found.singles[0]) < _VERIFIED_FROM * found.settings.alarm_gain:
+        return base
+    changed = {fit.candidate.names: rebased(found, fit).fit for fit in found.singles[:_VERIFIED]}
+    null.fit = replace(null.fit, objective=min(base.fit.objective, null.fit.objective))
+    singles = [
+        replace(fit, objective=changed[fit.candidate.names].objective) if fit.candidate.names in changed else fit
+        for fit in found.singles
+    ]
+    found.singles = sorted(singles, key=lambda fit: fit.objective)
+    return base
+
+
+def rebased(found: Search, fit: Fit, rounds: int = 2) -> Linearisation:
+    """A fit about its own estimate of the maps' errors (`nuisance.Rebased`), in the metric of the health-only fit."""
+    null = found.null
+    at = null
+    if null.nuisance_response is None:
+        return at
+    residual = np.nan_to_num(found.twin.measured - simulate_fits(found.twin, [fit])[0])
+    for _ in range(rounds):
+        estimate = null.metric.nuisance_estimate(residual)
+        twin = Rebased(found.twin, found.nuisances, null.nuisance_response, estimate)
+        at = fit_fully(cast(Twin, twin), found.whitening, fit, rounds=3, frozen=null)
+        fit, residual = at.fit, np.nan_to_num(at.residual)
+    return at
