@@ -9,7 +9,7 @@ from dieseltwin.identification.unknowns import START_SIGMA
 
 PATIENT_STAGES = (100.0, 30.0, 10.0, 3.0, 1.0)
 """Stages of the second attempt, from the laboratory values themselves."""
-PATIENT_ITERATIONS, PATIENT_RENEWALS = 30, 6
+PATIENT_ITERATIONS, PATIENT_RENEWALS = 30, 10
 """At least that many steps and renewals in the second attempt: idle leaves a long curved valley of eta_sc and h_tot."""
 PATIENT_NOTICED_SHARE = 0.3
 """Of the second attempt: softer equations make the valley wider, at 1-5 % of the standard deviation (measured)."""
@@ -44,7 +44,7 @@ class NewtonSettings:
     defect_share: float = 0.3
     floor_share: float = 0.3
     noticed_share: float = 0.1
-    renewals_max: int = 3
+    renewals_max: int = 6
     samples: int = 24
 
     @classmethod
