@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
+from dieseltwin.discovery.engine_points import POINT_FACTS
 from dieseltwin.discovery.twin import Array, Hypothesis, Lanes, Parameter, Point
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.actuator_effects import actuate_lanes
@@ -16,7 +17,7 @@ from dieseltwin.engine.extended import Extension, extended_frame, simulate_exten
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import settle
-from dieseltwin.engine.terms import LAW_VARIABLES, Term
+from dieseltwin.engine.terms import LAW_VARIABLES, Term, effect_terms, law_terms
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import HISTORY_S, Recording
 
@@ -37,40 +38,9 @@ _SPEED_SPAN = 0.03  # of the smoothed reading; its noise is 0.5 %, its sensor's 
 _UNSEEN_SPEED_SPAN = 0.4
 _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
 _SMOOTHED = 7  # samples about a window's start for the first guess of its states
+_LAW_ROUNDS = 6
+_LAW_SETTLED = 1e-5  # change of a law's signal relative to its size
 _ACTUATORS_REST_S = 1.5  # after a gap, until dead time and lags have forgotten what is not known
-
-
-@dataclass(frozen=True)
-class _PointFacts:
-    site: str
-    ports: tuple[str, ...]
-    scale: float = 1.0
-    over: tuple[str, ...] = ()
-    also: tuple[str, ...] = ()
-
-
-_POINTS: dict[str, _PointFacts] = {
-    "eta_vol": _PointFacts("cylinder_flow", ("p_im", "n_e", "Pi_e"), over=("p_im", "n_e")),
-    "W_eo": _PointFacts("exhaust_mass_balance", ("p_im", "n_e", "u_delta")),
-    "T_e": _PointFacts("cylinder_out_temperature", ("u_delta", "n_e", "Pi_e")),
-    "T_em": _PointFacts("exhaust_temperature", ("T_em", "T_e", "W_eo", "W_f", "n_e")),
-    "f_egr": _PointFacts("egr_flow", ("u_egr", "Pi_egr", "t"), over=("u_egr",)),
-    "W_t": _PointFacts("turbine_flow", ("p_em", "u_vgt", "omega_t"), over=("u_vgt", "Pi_t")),
-    "eta_tm": _PointFacts(
-        "turbine_power", ("omega_t", "Pi_t", "u_vgt"), over=("omega_t", "Pi_t"), also=("BSR", "omega_t")
-    ),
-    "p_es": _PointFacts("turbine_flow", ("W_t", "T_em")),
-    "W_c": _PointFacts("compressor_flow", ("Pi_c", "omega_t"), over=("Psi_c", "omega_t"), also=("Pi_c", "omega_t")),
-    "eta_c": _PointFacts("compressor_power", ("Pi_c", "W_c"), over=("W_c", "Pi_c")),
-    "p_bc": _PointFacts("compressor_flow", ("W_c",)),
-    "T_im": _PointFacts("intake_temperature", ("T_c", "W_egr", "W_c", "egr_share", "T_em")),
-    "intake_balance": _PointFacts("intake_mass_balance", ("p_im",), 0.1),
-    "exhaust_balance": _PointFacts("exhaust_mass_balance", ("p_em", "T_em"), 0.1),
-    "shaft_power": _PointFacts("shaft_power", ("omega_t",), 5e3),
-    "u_delta": _PointFacts("fuel_injection", ("u_delta", "n_e")),
-    "u_egr": _PointFacts("egr_actuator", ("u_egr",), 20.0),
-    "u_vgt": _PointFacts("vgt_actuator", ("u_vgt",), 20.0),
-}
 
 
 class EngineTwin:
@@ -142,7 +112,7 @@ class EngineTwin:
                 name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"), facts.ports, facts.scale,
                 map_tolerance if facts.over else 0.0, facts.over, facts.also,
             )
-            for name, facts in ((name, _POINTS[name]) for name in POINTS)
+            for name, facts in ((name, POINT_FACTS[name]) for name in POINTS)
         )  # fmt: skip
         self.hypotheses: Mapping[str, Hypothesis] = {
             e.name: Hypothesis(
@@ -152,6 +122,8 @@ class EngineTwin:
             if e.kind != "sensor" or e.site.removeprefix("sensor:") in self.channels
         }
         self._known = _known_terms(self)
+        self._laws = law_terms(self.engine.terms)
+        self._law_signals: dict[str, Array] = {}
         self._begin()
 
     @cached_property
@@ -237,6 +209,29 @@ class EngineTwin:
         return self._simulate(lanes)[1].measured  # type: ignore[attr-defined]
 
     def _simulate(self, lanes: Lanes) -> tuple[Array, object]:
+        return self._simulate_signals(self._with_own_laws(lanes) if self._laws else lanes)
+
+    def _with_own_laws(self, lanes: Lanes) -> Lanes:
+        """The engine's own laws as signals, settled along lane 0 (Picard) and shared by all lanes."""
+        one, signals = _lane(lanes, 0), self._law_signals
+        start_s, conditions = float(self.recording_time_s[0]), dict(self.conditions)
+        for _ in range(_LAW_ROUNDS):
+            entered = replace(one, signals=_joined(one.signals, signals))
+            variables = self._variables(self._simulate_signals(entered)[1], 0, entered)
+            new: dict[str, Array] = {}
+            for law in self._laws:
+                own = variables.get(f"{law.point}:before")
+                at = variables if own is None else {**variables, law.point: own}
+                signal = np.nan_to_num(law.signal(at) * law.factor(self.recording_time_s, start_s, conditions))
+                new[law.point] = new.get(law.point, 0.0) + np.broadcast_to(signal, self.time_s.shape)
+            change = max(float(np.max(np.abs(new[k] - signals.get(k, 0.0)))) / _size(new[k]) for k in new)
+            signals = new
+            if change < _LAW_SETTLED:
+                break
+        self._law_signals = signals
+        return replace(lanes, signals=_joined(lanes.signals, signals))
+
+    def _simulate_signals(self, lanes: Lanes) -> tuple[Array, object]:
         size = lanes.size
         n = self.time_s.size
         batch = parameter_batch(self.engine, **{p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)})
@@ -279,17 +274,23 @@ class EngineTwin:
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Variables of ports and tolerances along the trajectory of lane 0, name -> (n,) [SI, %, mg/cycle, rpm]."""
         one = _lane(lanes, 0)
-        return self._variables(self._simulate(one)[1], 0, one)
+        if self._laws:
+            one = self._with_own_laws(one)
+        return self._variables(self._simulate_signals(one)[1], 0, one)
 
     def trajectories(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
         """Readings (B, n, C), and `variables` of every lane, by one simulation."""
-        measured, result = self._simulate(lanes)
+        if self._laws:
+            lanes = self._with_own_laws(lanes)
+        measured, result = self._simulate_signals(lanes)
         return measured, [self._variables(result, b, _lane(lanes, b)) for b in range(lanes.size)]
 
     def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
         """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
         actuation, c = self._plain[0], self.engine
-        frame = extended_frame(result.states[b], actuation, self.engine_of(one))  # type: ignore[attr-defined]
+        engine = self.engine_of(one)
+        engine = engine.replace(terms=effect_terms(engine.terms))  # laws are among the signals
+        frame = extended_frame(result.states[b], actuation, engine)  # type: ignore[attr-defined]
         signals = _signals_of(one, self.points)
         if signals:  # the frame knows none: the simulation's own flows and temperature do
             for name, column in (("w_egr_kg_s", 3), ("t_em_k", 4), ("w_c_kg_s", 5)):
@@ -340,6 +341,17 @@ def _lane(lanes: Lanes, index: int) -> Lanes:
         lanes.signals, None if lanes.lane_points is None else lanes.lane_points[some],
         None if lanes.lane_signals is None else lanes.lane_signals[some],
     )  # fmt: skip
+
+
+def _joined(a: Mapping[str, Array], b: Mapping[str, Array]) -> dict[str, Array]:
+    out = dict(a)
+    for name, signal in b.items():
+        out[name] = out.get(name, 0.0) + signal
+    return out
+
+
+def _size(values: Array) -> float:
+    return max(float(np.max(np.abs(values))), 1e-300)
 
 
 def _signals_of(one: Lanes, points: Sequence[Point]) -> dict[str, Array]:
