@@ -64,8 +64,9 @@ def ensemble(
     write_json(out / "ensemble.json", {key: value for key, value in about.items() if value is not None})
     usable = [without_diverged(estimate, true, bound) for estimate, bound in zip(estimates, bounds, strict=True)]
     known = [i for i, estimate in enumerate(usable) if estimate is not None]
+    kept = tuple(estimate for estimate in usable if estimate is not None)
     found = Identification(
-        method, tuple(usable[i] for i in known), tuple(problems[i] for i in known), what["seed"], seconds,
+        method, kept, tuple(problems[i] for i in known), what["seed"], seconds,
         float(settings["identify"]["identifiable_bound_rel"]),
     )  # fmt: skip
     runtime = {"seconds": seconds, "seconds_per_run": [estimate.seconds_per_run for estimate in estimates]}

@@ -221,8 +221,9 @@ def make_program(
     c = _shared_constants(lanes, dtype)
     readings = torch.tensor(np.stack([lane.readings for lane in lanes]))
     present, held_out = torch.isfinite(readings).to(dtype), None
-    if lanes[0].held_out is not None:
-        held_out = present * torch.tensor(np.stack([lane.held_out for lane in lanes]), dtype=dtype)  # type: ignore[arg-type]
+    unseen = [lane.held_out for lane in lanes if lane.held_out is not None]
+    if unseen:
+        held_out = present * torch.tensor(np.stack(unseen), dtype=dtype)
         present = present - held_out
     begin = torch.tensor(np.stack([initial[lane.index] for lane in lanes]), dtype=dtype)
     observed = Observed(torch.nan_to_num(readings).to(dtype), present, begin, settings.scales)
