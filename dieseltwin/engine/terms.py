@@ -51,7 +51,7 @@ class _Limited(BaseModel):
         return region
 
     def factor(self, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
-        """1 where the term acts, else 0, shape (n,).
+        """1 where the term acts, else 0, shape (n,); 0.5 over an interval in which a condition leaves its region.
 
         Args:
             time_s: sample times [s], (n,); start_s: the recording's start, from which `onset_s` counts.
@@ -62,7 +62,10 @@ class _Limited(BaseModel):
             acts &= time_s - start_s >= self.onset_s
         for column, (low, high) in (self.region or {}).items():
             acts &= (conditions[column] >= low) & (conditions[column] <= high)
-        return acts.astype(np.float64)
+        factor = acts.astype(np.float64)
+        if self.region:  # factors are held over the interval behind their sample; the edge lies somewhere inside
+            factor[:-1] = 0.5 * (factor[:-1] + factor[1:])
+        return factor
 
 
 class Term(_Limited):
