@@ -55,8 +55,9 @@ def simulate_table(
     actuation = actuate(inputs, parameters, step_s)
     if initial is None:
         row = inputs.n_history
-        at_rest = (getattr(inputs, name)[row] for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"))
-        initial = settle(*at_rest, parameters)
+        initial = settle(
+            inputs.n_e_rpm[row], inputs.u_delta_mg[row], inputs.u_egr_pct[row], inputs.u_vgt_pct[row], parameters
+        )
     initial = np.asarray(initial, dtype=np.float64)
     batch = parameter_batch(parameters)
     observed = simulate_terms(actuation, batch, initial)

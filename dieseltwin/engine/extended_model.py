@@ -187,7 +187,7 @@ def inlet_defect(
 
 
 def secant(x_0: Array, e_0: Array, x_1: Array, e_1: Array, low: Array, high: Array) -> Array:
-    """Next iterate of the secant method, limited; where the errors e no longer differ, the plain correction."""
+    """Next iterate [Pa] of the secant method, limited; where the errors e [Pa] no longer differ, x_1 + e_1."""
     difference = e_0 - e_1
     usable = difference * difference > SECANT_LEAST
     step = where(usable, (x_1 - x_0) / where(usable, difference, 1.0), 1.0)
@@ -249,7 +249,7 @@ def intake_side(
     p_im: Array, p_em: Array, omega_t: Array, T_gas: Array,
     n_e: Array, u_delta: Array, u_egr: Array, u_vgt: Array, m: Magnitudes, s: Signals, c: Constants,
 ) -> IntakeSide:  # fmt: skip
-    """Everything before the cylinder; arguments as in `quantities_extended`, T_gas: `Gas.T`."""
+    """Everything before the cylinder; arguments as in `quantities_extended`, T_gas: `Gas.T` [K]."""
     fuel = u_delta * (1.0 + s.u_delta) * (1.0 + m.injector_drift)
     egr_position = u_egr + s.u_egr
     vgt_position = u_vgt + s.u_vgt + m.vgt_offset
@@ -287,7 +287,7 @@ def intake_side(
 
 
 def charge_constants(i: IntakeSide, s: Signals, c: Constants) -> Constants:
-    """The constants as the cylinder sees them: T_im, and eta_sc with the signal on T_e."""
+    """The constants as the cylinder sees them: T_im [K], and eta_sc [-] with the signal on T_e."""
     return with_charge(c, i.T_im, c.eta_sc * (1.0 + s.T_e))
 
 
@@ -295,7 +295,7 @@ def exhaust_side(
     i: IntakeSide, p_im: Array, p_em: Array, omega_t: Array, x_r: Array, T_1: Array, gas: Gas,
     m: Magnitudes, s: Signals, c: Constants,
 ) -> ExtendedQuantities:  # fmt: skip
-    """Cylinder, exhaust manifold, turbine and balances behind `intake_side`."""
+    """Cylinder, exhaust manifold, turbine and balances behind `intake_side`; x_r [-], T_1 [K]."""
     charge = charge_constants(i, s, c)
     sweep = cylinder_sweep(exhaust_to_intake_ratio(p_em, p_im), i.W_ei, i.W_f, x_r, T_1, charge)
     static = exhaust_manifold_temperature(sweep.T_e, i.W_eo, c) * (1.0 + s.T_em)
@@ -330,7 +330,7 @@ def quantities_extended(
     """All algebraic quantities of the extended model at given states and inputs.
 
     Args:
-        p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt: as in `model.quantities`.
+        p_im, p_em [Pa], omega_t [rad/s], x_r, T_1, n_e, u_delta, u_egr, u_vgt: as in `model.quantities`.
         gas: gas in the exhaust manifold.
         m: magnitudes of the effects; s: signals at the insertion points.
         c: constants.

@@ -10,7 +10,7 @@ import numpy as np
 from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.effect_catalogue import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
-from dieseltwin.engine.terms import amounts
+from dieseltwin.engine.terms import amounts, effect_terms
 
 SENSORS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s")
 """Columns that sensors can see (`simulate.MEASURED`)."""
@@ -70,9 +70,11 @@ def undo_sensor_terms(
         parameters: with terms; a `thermocouple_lag` can't be undone and stays.
     """
     def undone(term: Any) -> bool:
-        return getattr(term, "effect", "").endswith(("_offset", "_gain")) and EFFECTS[term.effect].kind == "sensor"
+        name = getattr(term, "effect", "")
+        return name in SENSOR_EFFECTS and name.endswith(("_offset", "_gain"))
 
-    names = sorted({term.effect for term in parameters.terms if undone(term)}, key=lambda n: n.endswith("_gain"))
+    effects = {term.effect for term in effect_terms(parameters.terms) if undone(term)}
+    names = sorted(effects, key=lambda name: (name.endswith("_gain"), name))  # offsets came last, so they go first
     out = np.array(measured, dtype=np.float64)
     for name, amount in zip(names, amounts(parameters.terms, names, time_s, start_s, conditions), strict=True):
         at = SENSORS.index(EFFECTS[name].site.removeprefix("sensor:"))
