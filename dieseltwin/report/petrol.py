@@ -134,13 +134,12 @@ def build_petrol_report(found: PetrolDiscovery, path: Path, figures_dir: Path) -
         "name": e.name, "law": e.law or "–", "probability": f"{100 * e.probability:.1f} %",
         "size": "–" if e.magnitude is None else f"{e.magnitude:.4g} ± {e.std or 0.0:.1g} {e.unit}",
         "equivalent": "; ".join(x for x in (", ".join(e.equivalent_names), e.split_by) if x) or "–",
-        "valid_for": e.valid_for or "–",
     } for e in d.effects]
     sites = [] if d.location is None else [
         (s, f"{100 * p:.1f} %") for s, p in
         [(d.location.site, d.location.probability), *((a.site, a.probability) for a in d.location.alternatives)]]
-    health = [{"symbol": n, "unit": "", "value": f"{v.value:.4f}" + ("" if v.std is None else f" ± {v.std:.4f}"),
-               "before": f"{v.before:.4f}", "shift": f"{v.before - v.value:+.4f}"} for n, v in d.health.items()]
+    health = [{"symbol": n, "value": f"{v.value:.4f}" + ("" if v.std is None else f" ± {v.std:.4f}"),
+               "before": f"{v.before:.4f}"} for n, v in d.health.items()]
     fit = [{"name": n, "before": _text(b), "after": _text(a)} for n, b, a in (
         ("held-out negative log-likelihood per sample [–]", d.fit.held_out_nll_before, d.fit.held_out_nll_after),
         ("chi-square per sample [–]", d.fit.chi2_per_sample_before, d.fit.chi2_per_sample_after))]
@@ -152,10 +151,10 @@ def build_petrol_report(found: PetrolDiscovery, path: Path, figures_dir: Path) -
     ]
     environment = Environment(loader=PackageLoader("dieseltwin.report"), autoescape=True, undefined=StrictUndefined,
                               trim_blocks=True)
-    page = environment.get_template("discovery.html.j2").render(
+    page = environment.get_template("petrol.html.j2").render(
         title="Discovery on a petrol engine", about=f"{Path(d.recording.path).name}, {d.recording.duration_s:.0f} s",
         headline=found.sentence, mismatch=d.mismatch, effects=effects, sites=sites, health=health, fit=fit,
-        sections=sections, machine=[],
+        sections=sections, source=found.bound.parameters.source,
         provenance=[("recording", d.recording.path), ("SHA-256 of the recording", d.recording.sha256),
                     ("code version", d.provenance.code_version),
                     ("SHA-256 of the parameters", d.provenance.params_sha256)])
