@@ -33,6 +33,8 @@ SHOWN = {
     "boost_leak": ("minimum_detectable", "health", "law", "evidence_time", "residual_map", "candidates", "score"),
     "back_pressure": ("law", "evidence_map"),
     "healthy": ("residual_map",),
+    "withheld_boost_leak": ("law",),
+    "withheld_back_pressure": ("law",),
 }
 
 

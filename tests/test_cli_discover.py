@@ -20,8 +20,8 @@ from dieseltwin.cli import main
 from dieseltwin.discovery import checks
 from dieseltwin.discovery.curves import Discovery
 from dieseltwin.discovery.document import Discrepancy, load_discrepancy
-from dieseltwin.engine import Inputs, load_engine, simulate, we2011
-from dieseltwin.engine.effects import EFFECTS, Term
+from dieseltwin.engine import EngineParameters, Inputs, load_engine, simulate, we2011
+from dieseltwin.engine.effects import EFFECTS, SITES, Term
 from dieseltwin.recordings import Recording, recording
 from dieseltwin.report import discovery_page
 
@@ -33,8 +33,10 @@ SENSORS = list(NOISE)
 Run = Callable[..., tuple[int, list[str], str]]
 
 
-def drive(seconds: float = 90.0, *, still: bool = False, seed: int = 5) -> pd.DataFrame:
-    """A noisy recording of the published engine at 5 Hz over slow random driving, or over none."""
+def drive(
+    seconds: float = 90.0, *, still: bool = False, seed: int = 5, engine: EngineParameters = we2011.PARAMETERS
+) -> pd.DataFrame:
+    """A noisy recording of an engine at 5 Hz over slow random driving, or over none."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, seconds + 0.1, 0.2)
 
@@ -45,7 +47,7 @@ def drive(seconds: float = 90.0, *, still: bool = False, seed: int = 5) -> pd.Da
     inputs = [walk(900, 1800, 9.0), walk(60, 200, 6.0), walk(0, 60, 8.0), walk(30, 80, 7.0)]
     if still:
         inputs = [np.full(time_s.size, value) for value in (1300.0, 110.0, 20.0, 50.0)]
-    table = simulate(Inputs(time_s, *inputs), we2011.PARAMETERS, oxygen=False)
+    table = simulate(Inputs(time_s, *inputs), engine, oxygen=False)
     for name, sigma in NOISE.items():
         table[name] += sigma * rng.standard_normal(time_s.size)
     return table[["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", *SENSORS]]
@@ -178,6 +180,25 @@ def test_healthy_and_five_sensors(run: Run, fake: FakeCore, csv: Path, tmp_path:
     assert any("no mismatch beyond noise" in line for line in lines)
     lines = run("--out", tmp_path / "o", "--explain", "w_c_gain")[1]
     assert any("sensor w_c_kg_s was not used" in line for line in lines)
+
+
+@pytest.mark.usefixtures("no_page")
+def test_the_real_thing_on_a_leak(run: Run, tmp_path: Path) -> None:
+    """One run of the real core: a large leak in an exact engine is named, sized and repaired."""
+    leaking = we2011.PARAMETERS.replace(terms=(Term(effect="boost_leak", magnitude=6e-5),))
+    drive(150.0, engine=leaking).to_csv(tmp_path / "drive.csv", index=False)
+    out = tmp_path / "found"
+    code, lines, error = run(tmp_path / "drive.csv", "--out", out)
+    assert code == 0 and error == ""
+    document = load_discrepancy(out)
+    assert document.mismatch and document.location is not None and document.location.site in SITES
+    assert "boost_leak" in document.effects[0].names
+    repaired = load_engine(out / "engine.yaml")
+    assert repaired.terms[0].effect == document.effects[0].name
+    if document.effects[0].name == "boost_leak":
+        assert repaired.terms[0].magnitude == pytest.approx(6e-5, rel=0.2)
+    assert any("boost leak" in line for line in lines)
+    assert len(pd.read_parquet(out / "implied.parquet")) == 751
 
 
 REFUSED: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {

@@ -324,8 +324,11 @@ def _curve(
     """The law over its argument beside what the recording says bin by bin, free of it."""
     name = law.laws[0].form.point
     index = next(i for i, p in enumerate(twin.points) if p.name == name)
-    signal = law.signals(lin.fit.lanes())[0]
-    fixed = cast(Twin, _WithSignal(twin, {name: signal}))
+    signals: dict[str, Array] = {}
+    for placed, value in zip(law.laws, law.signals(lin.fit.lanes()), strict=True):  # terms of a sum share a point
+        signals[placed.form.point] = signals.get(placed.form.point, 0.0) + value
+    signal = signals[name]
+    fixed = cast(Twin, _WithSignal(twin, signals))
     start = replace(lin.fit, parameters=lin.fit.parameters[: len(twin.parameters)])
     here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
     responses = Responses(cast(Linearised, here), start.lanes())

@@ -190,10 +190,11 @@ def law_curves(found: Discovery) -> style.ReportFigure | None:
     for axes, law in zip(panels, laws, strict=True):
         unit, scale = display_unit(law["name"], law["unit"])
         low, high = scale * np.asarray(law["low"]), scale * np.asarray(law["high"])
-        axes.fill_between(law["x"], low, high, color=AFTER, alpha=0.22, linewidth=0, label="90 % band")
-        axes.plot(law["x"], scale * np.asarray(law["curve"]), color=AFTER, linewidth=2.0, label="law")
+        x, points_x = quantities.shown(law["x_name"], law["x"]), quantities.shown(law["x_name"], law["points_x"])
+        axes.fill_between(x, low, high, color=AFTER, alpha=0.22, linewidth=0, label="90 % band")
+        axes.plot(x, scale * np.asarray(law["curve"]), color=AFTER, linewidth=2.0, label="law")
         bars = law.get("points_std")
-        axes.errorbar(law["points_x"], scale * np.asarray(law["points_y"]),
+        axes.errorbar(points_x, scale * np.asarray(law["points_y"]),
                       yerr=None if bars is None else scale * np.asarray(bars), fmt="o", color="#444444",
                       markersize=4.5, linewidth=1.0, label="freed in bins")  # fmt: skip
         axes.axhline(0.0, color="#777777", linewidth=0.8)

@@ -60,13 +60,14 @@ def residual_time(found: Discovery) -> style.ReportFigure:
     for j, (axes, name) in enumerate(zip(panels, curves.channels, strict=True)):
         mean_before, count = _binned(curves.time_s, before[:, j], edges)
         mean_after, _ = _binned(curves.time_s, after[:, j], edges)
-        band = Z_95 * widening[j] / np.sqrt(np.maximum(count, 1))
+        band = np.where(count > 0, Z_95 * widening[j] / np.sqrt(np.maximum(count, 1)), np.nan)
         axes.fill_between(middle, -band, band, step="mid", color="#e2e2e2", linewidth=0)
         if mismatch:
             axes.plot(middle, mean_before, color=BEFORE, linewidth=1.3, marker="o", markersize=3)
         axes.plot(middle, mean_after, color=AFTER, linewidth=1.5, marker="s", markersize=2.6)
         axes.set_ylabel(f"{quantities.symbol(name)} [σ]")
-        limit = 1.15 * max(np.nanmax(np.abs(mean_before)), np.nanmax(np.abs(mean_after)), 2.0 * float(np.median(band)))
+        largest = [np.nanmax(np.abs(mean_before)), np.nanmax(np.abs(mean_after)), 2.0 * np.nanmedian(band)]
+        limit = 1.15 * float(max(largest))
         axes.set_ylim(-limit, limit)
     if found.document.location is not None and found.document.location.onset_s is not None:
         for axes in panels:
