@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 EQUIVALENT = 4.5  # log-likelihood: 2 delta log-likelihood below 9 can't be told apart
 UNEXPLAINED = 0.25  # a second effect at the same onset with so much of the first one's gain: none of these
 SAME_ONSET_S = 30.0
+TOLD_LEVEL = 0.01  # shift of a level that the sentence tells [-]
 ONSET_SHARE = 0.1  # of the recording, before an effect that `minimum_detectable` speaks of
 LEAST_P_VALUE = 1e-12  # pieces of one recording can't vouch for less
 HELD_OUT = 1.0 / 3.0  # last part of the recording, for the held-out score
@@ -144,7 +145,7 @@ def _document(
         effects=_effects(candidates, found, unnamed),
         health=_health(bound, after),
         fit=_fit(bound, after, found),
-        minimum_detectable=minimum_detectable(bound),
+        minimum_detectable=minimum_detectable(after),
         provenance=Provenance(code_version=__version__, params_sha256=params_sha256 or engine.calibrated_on),
     )
 
@@ -301,7 +302,21 @@ def _sentence(d: Discrepancy) -> str:
     size = f"{100 * e.magnitude:+.1f} %" if e.unit == "-" else f"{e.magnitude:.3g} {e.unit}"
     spread = "" if e.std is None else (f" ± {100 * e.std:.1f} %" if e.unit == "-" else f" ± {e.std:.1g} {e.unit}")
     same = f"; not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
-    return f"At {d.location.site}: {e.name} {size}{spread}, {since}{same}."
+    return f"At {d.location.site}: {e.name} {size}{spread}, {since}{same}.{_consequence(d)}"
+
+
+def _consequence(d: Discrepancy) -> str:
+    """What the effect did to the levels, if it moved one, and to the held-out score."""
+    text = ""
+    names = ("eta_vol_level", "throttle_area_level")
+    worst = max(names, key=lambda name: abs(d.health[name].before - d.health[name].value))
+    level = d.health[worst]
+    if abs(level.before - level.value) > TOLD_LEVEL:
+        text = f" Unrepaired, {worst} would read {100 * level.before:+.1f} % instead of {100 * level.value:+.1f} %."
+    before, after = d.fit.held_out_nll_before, d.fit.held_out_nll_after
+    if before is not None and after is not None:
+        text += f" Held-out negative log-likelihood {before:.2f} before, {after:.2f} after."
+    return text
 
 
 def details(found: PetrolDiscovery) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def residuals_over_time(found: PetrolDiscovery) -> ReportFigure:
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     axes[-1].set_xlabel("time since the recording's start [s]")
     caption = ("Misfit of the balances against the maps calibrated on fault-free driving, nothing fitted to this "
-               "recording: seconds as points (cut at 25 %), running median over 15 s as lines. Dashed: the onset found.")
+               "recording: seconds as points (cut at 25 %), running median over 15 s as lines. Dashed: the onset.")
     return ReportFigure("residuals_over_time", "The balances over time", caption, figure, "png")
 
 
