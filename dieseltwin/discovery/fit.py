@@ -217,11 +217,12 @@ def prior_misfit(twin: Twin, parameters: Array) -> float:
 
 
 def within_limits(twin: Twin, parameters: Array, names: Sequence[str], magnitudes: Array) -> tuple[Array, Array]:
-    """Parameters kept positive and within reason, magnitudes inside their limits."""
+    """Parameters kept within reason (positive ones positive), magnitudes inside their limits."""
     values = np.array([p.value for p in twin.parameters])
     spans = np.array([p.prior_std for p in twin.parameters])
     limits = np.array([twin.hypotheses[name].limits for name in names]).reshape(-1, 2)
-    parameters = np.clip(parameters, np.maximum(values - 4 * spans, 0.2 * values), values + 4 * spans)
+    lowest = np.where(values > 0.0, np.maximum(values - 4 * spans, 0.2 * values), values - 4 * spans)
+    parameters = np.clip(parameters, lowest, values + 4 * spans)
     return parameters, np.clip(magnitudes, limits[:, 0], limits[:, 1])
 
 

@@ -118,6 +118,8 @@ def scan(at: Linearisation, scored: Sequence[Scored], count: int) -> list[Varian
 
 def _variant(sums: _Sums, h: int, onset: float | None, region: Region | None, acts: Array, gain: float) -> Variant:
     schedule = acts.astype(np.float64)
+    if region is not None:  # conditions cross an edge between two samples
+        schedule[:-1] = 0.5 * (schedule[:-1] + schedule[1:])
     item = sums.items[h]
     return Variant(item.name, onset, region, schedule, schedule[:, None] * item.response, float(gain))
 
