@@ -77,6 +77,7 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
         sensitivity=document.minimum_detectable,
         tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
+        allowed_before=_allowed(found, null.simulated), allowed_after=_allowed(found, after),
     )  # fmt: skip
     details = _details(found, rows, best)
     return Discovery(document, _engine(twin, parameters, terms), before_engine, curves, {}, details)
@@ -151,6 +152,15 @@ def _figures(found: Search, after: Array) -> FitFigures:
         chi2_per_sample_before=chi2(null.simulated), chi2_per_sample_after=chi2(after),
         rmse_before=rmse(null.simulated), rmse_after=rmse(after),
     )  # fmt: skip
+
+
+def _allowed(found: Search, simulated: Array) -> Array | None:
+    """What the tolerances of maps and sensors most likely take of a residual, (n, C)."""
+    null = found.null
+    if null.nuisance_response is None:
+        return None
+    share = null.metric.nuisance_estimate(np.nan_to_num(found.twin.measured - simulated))
+    return np.tensordot(share, null.nuisance_response, 1)
 
 
 def _held_rows(found: Search) -> Array:

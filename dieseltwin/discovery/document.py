@@ -158,7 +158,7 @@ class Provenance(_Part):
 class Discrepancy(_Part):
     """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first."""
 
-    schema_version: Literal[1] = Field(SCHEMA, alias="schema")
+    schema_version: Literal[1] = Field(1, alias="schema")
     recording: RecordingInfo
     mismatch: bool
     p_value: Probability

@@ -145,7 +145,8 @@ def _averaged(
 ) -> tuple[Array, Array]:
     """The law averaged over narrow bins of its argument, (g,) and (g,): it may depend on more than one variable."""
     if shown.y is None:
-        grid = np.linspace(*np.quantile(x[acts], _QUANTILES), 2)
+        low, high = np.quantile(x[acts], _QUANTILES)
+        grid = np.linspace(low, high, 2)
         return grid, np.full(2, magnitude)
     y = np.broadcast_to(shown.y(magnitude, variables, engine), x.shape)
     edges = np.unique(np.quantile(x[acts], np.linspace(0.0, 1.0, _GRID + 1)))

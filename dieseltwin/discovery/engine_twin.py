@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from dieseltwin.discovery.engine_points import POINT_FACTS
+from dieseltwin.discovery.recording_windows import piece_start, windows_of, without_gaps
 from dieseltwin.discovery.twin import Array, Hypothesis, Lanes, Parameter, Point
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.actuator_effects import actuate_lanes
 from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, extended_frame, simulate_extended
+from dieseltwin.engine.inputs import INPUT_COLUMNS
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import settle
 from dieseltwin.engine.terms import LAW_VARIABLES, Term, effect_terms, law_terms
 from dieseltwin.errors import InputError
-from dieseltwin.recordings import HISTORY_S, Recording
+from dieseltwin.recordings import Recording
 
 WINDOW_S = 10.0
 """Length of a window [s]: some time constants of the turbocharger, and short against the growth of an instability."""
@@ -82,11 +85,11 @@ class EngineTwin:
             )  # fmt: skip
         self.engine = engine.replace(p_amb=recording.p_amb_pa, T_amb=recording.t_amb_k)
         self.step_s = step_s
-        rows, self.starts, self.pieces = _windows(recording, window_s)
+        rows, self.starts, self.pieces = windows_of(recording, window_s)
         self.rows = rows
         time = recording.time_s[rows]
         self.recording_time_s = time
-        self.time_s = _without_gaps(time, self.pieces)
+        self.time_s = without_gaps(time, self.pieces)
         self._at = [MEASURED.index(c) for c in self.channels]
         columns = recording.columns
         measured = np.stack([columns[c][rows] for c in self.channels], axis=1).astype(np.float64)
@@ -96,8 +99,9 @@ class EngineTwin:
         self.all_readings = np.stack(
             [columns[c][rows] if c in present else np.full(rows.size, np.nan) for c in MEASURED], axis=1
         )
-        self.conditions = {c: columns[c][rows] for c in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")}
-        self.inputs = Inputs(self.time_s, *self.conditions.values()).clipped(self.engine)
+        self.conditions: Mapping[str, Array] = {c: columns[c][rows] for c in INPUT_COLUMNS}
+        inputs: dict[str, Any] = dict(self.conditions)
+        self.inputs = Inputs(self.time_s, **inputs).clipped(self.engine)
         self.parameters = tuple(
             Parameter(name, value, HEALTH_PRIOR * value, HEALTH_UNITS[name], 0.1 * value)
             for name, value in zip(HEALTH, self.engine.health(), strict=True)
@@ -105,7 +109,7 @@ class EngineTwin:
         # Of the states only the turbo speed remembers more than a few samples. The pressures start from smoothed
         # readings, and the readings of the first moments are left out: at p_em = p_im the slope of the EGR flow has no
         # limit, so that a free pressure there makes a fit stall.
-        self.states = ("omega_t",)
+        self.states: tuple[str, ...] = ("omega_t",)
         self.state_scales = np.array([_SPEED_SCALE])
         self.points = tuple(
             Point(
@@ -181,7 +185,7 @@ class EngineTwin:
             if np.isfinite(values).mean() < 0.5:
                 values = self._nominal_states[:, j]
             for w, start in enumerate(self.starts):
-                first = max(start - half, _piece_start(self.pieces, start))
+                first = max(start - half, piece_start(self.pieces, start))
                 near = values[first : start + half + 1]
                 t = self.time_s[first : start + half + 1] - self.time_s[start]
                 good = np.isfinite(near)
@@ -194,7 +198,8 @@ class EngineTwin:
     @cached_property
     def _nominal_states(self) -> Array:
         """States of the nominal engine over the whole recording, started at rest, (n, 3)."""
-        first = settle(*(float(values[0]) for values in self.conditions.values()), self.engine)
+        n_e, u_delta, u_egr, u_vgt = (float(values[0]) for values in self.conditions.values())
+        first = settle(n_e, u_delta, u_egr, u_vgt, self.engine)
         result = simulate_extended(
             self._plain[0], parameter_batch(self.engine), Extension(), np.asarray(first)[None, None, :]
         )
@@ -234,7 +239,8 @@ class EngineTwin:
     def _simulate_signals(self, lanes: Lanes) -> tuple[Array, object]:
         size = lanes.size
         n = self.time_s.size
-        batch = parameter_batch(self.engine, **{p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)})
+        columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
+        batch = parameter_batch(self.engine, **columns)
         magnitudes = np.zeros((len(STATE_EFFECTS), size))
         schedule = np.ones((len(STATE_EFFECTS), n))
         combined, schedules = self._combined(lanes)
@@ -376,37 +382,3 @@ def _known_terms(twin: EngineTwin) -> dict[str, tuple[float, Array | None]]:
             before = known.get(term.effect, (0.0, None))[0]
             known[term.effect] = (before + term.magnitude, schedule)
     return known
-
-
-def _windows(recording: Recording, window_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of all pieces one after another, first sample of every window, first sample of every piece."""
-    rows, starts, pieces, at = [], [], [], 0
-    for piece in recording.pieces():
-        time = recording.time_s[piece]
-        if time[-1] - time[0] < max(HISTORY_S, 0.5 * window_s):
-            continue
-        count = max(1, round((time[-1] - time[0]) / window_s))
-        edges = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[:-1])
-        pieces.append(at)
-        starts.extend(int(at + e) for e in edges)
-        rows.append(np.arange(piece.start, piece.stop))
-        at += piece.stop - piece.start
-    if not rows:
-        raise InputError(
-            f"{recording.path or 'recording'}", "no stretch with the engine running", f"{window_s:g} s in one piece",
-            "record longer",
-        )  # fmt: skip
-    return np.concatenate(rows), np.array(starts, dtype=np.int64), np.array(pieces, dtype=np.int64)
-
-
-def _without_gaps(time: Array, pieces: np.ndarray) -> Array:
-    """Time stamps with the holes between pieces closed to one sample; the states start anew there anyway."""
-    out = time - time[0]
-    step = float(np.median(np.diff(time)))
-    for start in pieces[1:]:
-        out[start:] -= out[start] - out[start - 1] - step
-    return out
-
-
-def _piece_start(pieces: np.ndarray, row: int) -> int:
-    return int(pieces[np.searchsorted(pieces, row, side="right") - 1])

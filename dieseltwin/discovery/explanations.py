@@ -104,8 +104,8 @@ def choose(found: Search, first: Linearisation) -> None:
     single = found.gain(found.singles[0])
     options: list[tuple[float, str, Fit | None, Variant | None]] = [(single, "single", first.fit, None)]
     if found.variants:
-        variant, fit = found.variants[0]
-        options.append((found.gain(fit) - settings.variant_gain, "variant", fit, variant))
+        timed, timed_fit = found.variants[0]
+        options.append((found.gain(timed_fit) - settings.variant_gain, "variant", timed_fit, timed))
     pair = next(
         (
             fit

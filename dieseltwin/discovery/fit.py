@@ -181,7 +181,7 @@ class Linearisation:
         self.projected_residual = self.metric.project(np.nan_to_num(self.residual)[None])[0]
         self.precision = prior_precision(twin, len(fit.candidate.names))
         information = self.projected @ self.projected.T + np.diag(self.precision)
-        self.covariance = np.linalg.inv(information)
+        self.covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         objective = self.objective(self.projected_residual, fit.parameters)
         self.fit = replace(fit, objective=objective, covariance=self.covariance)
 

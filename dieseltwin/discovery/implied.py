@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dieseltwin.discovery.engine_twin import EngineTwin
 from dieseltwin.discovery.twin import Array
 from dieseltwin.engine import EngineParameters, actuate
-from dieseltwin.engine.effects import EFFECTS, Term
+from dieseltwin.engine.effects import EFFECTS, LawTerm, Term
 from dieseltwin.engine.extended import extended_frame
 from dieseltwin.engine.extended_terms import simulate_terms
 from dieseltwin.engine.parameters import parameter_batch
@@ -82,7 +82,7 @@ def _one_std_away(engine: EngineParameters, stds: Mapping[str, float]) -> Iterat
             moved = moved if moved <= effect.limits[1] else term.magnitude - term.std
             if not effect.limits[0] <= moved <= effect.limits[1]:
                 continue
-            changed = term.model_copy(update={"magnitude": moved})
+            changed: Term | LawTerm = term.model_copy(update={"magnitude": moved})
         else:
             changed = term.model_copy(update={"coefficient": term.coefficient + term.std})
         yield engine.replace(terms=(*engine.terms[:k], changed, *engine.terms[k + 1 :]))

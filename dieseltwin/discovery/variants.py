@@ -116,7 +116,7 @@ def scan(at: Linearisation, scored: Sequence[Scored], count: int) -> list[Varian
     return kept[:count]
 
 
-def _variant(sums: _Sums, h: int, onset: float | None, region: Region | None, acts: Array, gain: float) -> Variant:
+def _variant(sums: _Sums, h: int, onset: float | None, region: Region | None, acts: np.ndarray, gain: float) -> Variant:
     schedule = acts.astype(np.float64)
     if region is not None:  # conditions cross an edge between two samples
         schedule[:-1] = 0.5 * (schedule[:-1] + schedule[1:])
@@ -144,7 +144,7 @@ def _bins(values: Array) -> tuple[np.ndarray, Array]:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2), edges
 
 
-def _intervals(sums: _Sums, values: Array, inside: Array) -> list[tuple[float, int, float, float]]:
+def _intervals(sums: _Sums, values: Array, inside: np.ndarray) -> list[tuple[float, int, float, float]]:
     """(gain, hypothesis, low, high) of each hypothesis' best range of one condition within what is inside."""
     of_sample, edges = _bins(values)
     count = len(edges) - 1
@@ -174,7 +174,7 @@ def _regions(sums: _Sums) -> list[Variant]:
     """Best region of each hypothesis over one condition, or over two where the second adds enough."""
     conditions: Mapping[str, Array] = sums.at.twin.conditions
     everywhere = np.ones(sums.at.twin.time_s.size, dtype=bool)
-    best: dict[int, tuple[float, Region, Array]] = {}
+    best: dict[int, tuple[float, Region, np.ndarray]] = {}
     for name, values in conditions.items():
         for gain, h, low, high in _intervals(sums, values, everywhere):
             if h not in best or gain > best[h][0]:
