@@ -32,6 +32,7 @@ T_REFERENCE = 700.0  # K, of the back-pressure law (DISCOVERY.md)
 T_CHARGE = 310.0  # K, temperature at which eta_vol's map is meant
 FLAP_REFERENCE = 50.0  # %
 SMALL_FLOW = 0.05  # of the median flow: relative residuals are damped below
+SHARE_OF_HEAD = 0.25  # where the flow has no part in the ellipse, an error of the head counts as four of the flow
 ELLIPSE_MIN = 1e-4  # limiter of the implicit compressor map: keeps the logarithm of trial states finite
 T_ES_MIN = 200.0  # K, limiter: keeps trial states physical
 SWEEPS = 4  # of the cylinder's fixed point
@@ -154,9 +155,10 @@ class SteadyModel:
         # turn 1 % of pressure into 30 % of flow.
         psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c) - c.c_psi2
         flow = W_c * c.R_a * T_0 / (p_bc * c.wheel_volume * omega * (1.0 + self.signals.get("W_c", 0.0))) - c.c_phi2
-        ellipse = (_eq.ellipse_coefficient_psi(omega, c) * psi * psi
-                   + _eq.ellipse_coefficient_phi(omega, c) * flow * flow)  # fmt: skip
-        residual[..., ROWS.index("compressor_flow")] = 0.5 * np.log(np.maximum(ellipse, ELLIPSE_MIN))
+        of_flow = _eq.ellipse_coefficient_phi(omega, c) * flow * flow
+        ellipse = np.maximum(_eq.ellipse_coefficient_psi(omega, c) * psi * psi + of_flow, ELLIPSE_MIN)
+        share = of_flow / ellipse + SHARE_OF_HEAD  # else a map of the head alone, blind to the flow, would fit best
+        residual[..., ROWS.index("compressor_flow")] = 0.5 * np.log(ellipse) / share
         quantities = {
             **implied, "eta_c": eta_c, "eta_tm": eta_tm, "eta_vol": eta_vol, "Pi_c": Pi_c, "Pi_t": Pi_t, "P_c": P_c,
             "T_es": T_es, "W_f": W_f, "W_t": W_t, "Phi_c": phi, "omega_t": omega, "f_egr": f_egr, "W_ei": W_ei_model,
