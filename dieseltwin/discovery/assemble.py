@@ -77,7 +77,7 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
         sensitivity=document.minimum_detectable,
         tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
-        allowed_before=_allowed(found, null.simulated), allowed_after=_allowed(found, after),
+        allowed=_allowed(found, after),
     )  # fmt: skip
     details = _details(found, rows, best)
     return Discovery(document, _engine(twin, parameters, terms), before_engine, curves, {}, details)

@@ -32,20 +32,20 @@ RESIDUAL_TIME = _line("""
 """)
 RESIDUAL_TIME_HEALTHY = _line("""
     Measured minus predicted in standard deviations of the noise, averaged over stretches of {width} s. Grey band: where
-    95 % of the averages lie if only noise is left. What the tolerances of maps and sensors allow is believed, not
-    subtracted, so a small steady offset may stay.
+    95 % of the averages lie if only noise is left. What the tolerances of maps and sensors may explain is
+    taken out.
 """)
 RESIDUAL_MAP_HEALTHY = _line("""
     The same residuals averaged over cells of the operating map and divided by what noise alone leaves of the average:
-    chance gives about ±2, the tolerances of maps and sensors somewhat more. The number over each panel is the mean
-    square of its cells; noise alone gives 1.
+    chance gives about ±2. What the tolerances of maps and sensors may explain is taken out. The number over each panel
+    is the mean square of its cells; noise alone gives 1.
 """)
 RESIDUAL_MAP = _line("""
     The same residuals averaged over cells of the operating map and divided by what noise alone leaves of the average:
     chance gives about ±2. One column a channel. A pattern in the upper row that fades in the lower one is missing
-    physics that the repair accounts for; a strong one that stays says that the law, or its place, is not right yet. A
-    faint one may stay: what the tolerances of maps and sensors allow is believed, not subtracted. The number over each
-    panel is the mean square of its cells; noise alone gives 1.
+    physics that the repair accounts for; one that stays says that the law, or its place, is not right yet. What the
+    tolerances of maps and sensors explain beside the repair is taken out of both rows. The number over each panel is
+    the mean square of its cells; noise alone gives 1.
 """)
 
 LAW = _line("""

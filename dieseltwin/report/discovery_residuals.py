@@ -24,8 +24,10 @@ SMALLEST_SCALE = 4.0  # of the maps' colours: less would paint chance in strong 
 
 
 def _standardised(curves: Curves) -> tuple[Array, Array]:
-    """(n, C) residuals before and after over the noise."""
-    return (curves.measured - curves.before) / curves.sigma, (curves.measured - curves.after) / curves.sigma
+    """(n, C) residuals before and after over the noise, less what the tolerances explain beside the repaired fit."""
+    allowed = 0.0 if curves.allowed is None else curves.allowed
+    before, after = curves.measured - curves.before - allowed, curves.measured - curves.after - allowed
+    return before / curves.sigma, after / curves.sigma
 
 
 def noise_of_means(curves: Curves) -> Array:
