@@ -77,8 +77,8 @@ class Curves:
         tolerance: name -> smallest magnitude of interest [unit of the effect].
         units: name -> unit of the two.
         held_out: (n,) True where a row was not used for the fit; None where nothing was held out.
-        allowed: (n, C) what the tolerances of maps and sensors explain beside the repaired fit [SI]; None where it isn't
-            known.
+        allowed: (n, C) what the tolerances of maps and sensors explain beside the repaired fit [SI]; None where that
+            isn't known.
         oracle_nll: held-out score of a fit that knows the effect, where that is known [-].
     """
 
