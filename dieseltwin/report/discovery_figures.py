@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -156,7 +157,7 @@ def evidence_maps(found: Discovery) -> style.ReportFigure | None:
         edges = (edges_of(x), edges_of(y))
         grids.append((edges, cell_means(x, y, curves.evidence, edges)[0]))
     largest = _symmetric([grid for _, grid in grids])
-    image = None
+    image: Any = None
     for axes, (x_name, y_name), (edges, grid) in zip(panels, pairs, grids, strict=True):
         image = axes.pcolormesh(*edges, grid, cmap="RdBu_r", vmin=-largest, vmax=largest)
         axes.grid(False)

@@ -64,7 +64,7 @@ def discovery_sections(found: Discovery) -> list[Section]:
 
 def candidate_rows(found: Discovery) -> list[tuple[str, ...]]:
     """Every effect that was weighed as text: name, place, gain, size, probability, why."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for entry in found.curves.candidates:
         name, size, gain = entry["name"], entry["magnitude"], entry["log_likelihood_gain"]
         unit = found.curves.units.get(name) or unit_of(name)

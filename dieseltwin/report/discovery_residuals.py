@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -42,7 +44,7 @@ def _binned(time_s: Array, values: Array, edges: Array) -> tuple[Array, Array]:
     count = np.bincount(place, minlength=edges.size - 1)
     total = np.bincount(place, weights=values[kept], minlength=edges.size - 1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(count > 0, total / count, np.nan), count
+        return np.where(count > 0, total / count, np.nan), count.astype(np.float64)
 
 
 @style.styled
@@ -110,7 +112,7 @@ def residual_map(found: Discovery, pair: tuple[str, str] = MAPS[0]) -> style.Rep
     ]
     filled = np.concatenate([grid[np.isfinite(grid)] for row in tables for grid in row])
     largest = max(SMALLEST_SCALE, float(np.quantile(np.abs(filled), 0.98))) if filled.size else SMALLEST_SCALE
-    image = None
+    image: Any = None
     for row, label in enumerate(("before", "after") if mismatch else ("fit",)):
         for j, name in enumerate(curves.channels):
             axes = panels[row, j]
