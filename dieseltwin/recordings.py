@@ -160,9 +160,7 @@ class Recording:
         return Segment(
             t0_s=float(time[start]),
             t1_s=float(time[stop - 1]),
-            inputs=Inputs(
-                time[rows].copy(), n_e, u_delta, u_egr, u_vgt, n_history=start - before, start_s=float(time[0])
-            ),
+            inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, start - before, float(time[0])),
             measured=np.where(np.isfinite(measured), measured, np.nan),
             columns=MappingProxyType(columns),
             p_amb_pa=_median_or(columns.get("p_amb_pa"), self.p_amb_pa),

@@ -66,7 +66,7 @@ def identify(profile: str) -> str:
     ).result()
     parts = {name: artifact.path for name, artifact in found.items()}
     results = publish(root / "results", {"": common.path, **parts})
-    publish(context.workspace.reports, {"": page.path})
+    publish(context.workspace.reports, {"": page.path, **context.workspace.other_reports()})
     records.identified(found, common, page, {"field recordings": field, "models": models}, settings)
     steps.show(page, context.workspace.reports)
     return results.sha256
