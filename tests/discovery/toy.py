@@ -70,7 +70,7 @@ class Toy:
         return {"x": self.simulate(lanes)[0, :, 0], "u": self.u}
 
     def record(self, gain: float = 1.1, noise: float = 0.02, seed: int = 1, **effects: object) -> Toy:
-        """Fill in readings: one long run from rest with AR(1) noise; an effect is a magnitude or (magnitude, factor)."""
+        """Fill in readings: one long run from rest, AR(1) noise; an effect is a magnitude or (magnitude, factor)."""
         rng = np.random.default_rng(seed)
         magnitudes = {k: np.array([v[0] if isinstance(v, tuple) else v], dtype=float) for k, v in effects.items()}
         schedules = {k: v[1] for k, v in effects.items() if isinstance(v, tuple)}
