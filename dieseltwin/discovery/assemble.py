@@ -80,7 +80,18 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
         allowed=_allowed(found, after),
     )  # fmt: skip
     details = _details(found, rows, best)
-    return Discovery(document, _engine(twin, parameters, terms), before_engine, curves, {}, details)
+    return Discovery(
+        document, _engine(twin, parameters, terms), before_engine, curves, {}, details, twin.starts,
+        twin.initial(_local(found)),
+    )  # fmt: skip
+
+
+def _local(found: Search) -> Array:
+    """Initial states (W, 1) of the chosen explanation."""
+    if found.kind == "law" and found.law is not None:
+        return found.law.local
+    at = found.best if found.best is not None and found.kind != "law" else found.null
+    return at.fit.local
 
 
 def _options_hash(options: Options) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,8 +98,3 @@ def discover(recording: Recording, engine: EngineParameters, options: Options | 
 
 
 __all__ = ["Options", "Prepared", "discover", "prepare", "visible_sizes"]
-
-
-def names_of(sequence: Sequence[str]) -> str:
-    """Names for people."""
-    return ", ".join(sequence)
