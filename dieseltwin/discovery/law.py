@@ -262,8 +262,9 @@ def _report(
     placed = [replace(law, coefficient=float(c)) for law, (c, _) in zip(best.twin.laws, estimates, strict=True)]
     final = _final(twin, at, placed, best.fit, nuisance_response)
     shape = shape_std = None
-    if free:
-        loose = LawTwin(twin, [Placed(form, coefficient, free_shape=True)])
+    loose = LawTwin(twin, [Placed(form, coefficient, free_shape=True)]) if free else None
+    # an operator's only number is its time or width: it is free already, and there is nothing more to loosen
+    if loose is not None and len(loose.parameters) == final[1].fit.parameters.size + 1:
         start = start_of(at, loose)
         begun = np.concatenate([final[1].fit.parameters, [form.factors[0].shape]])
         start = replace(start, parameters=begun, local=final[1].fit.local)
