@@ -129,7 +129,8 @@ def choose(found: Search, first: Linearisation) -> None:
     if found.best is not None:  # a confident lie is what nearly fits: look at what the explanation leaves
         found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
         left = found.left[0].gain if found.left else 0.0
-        limit = settings.left_gain[{"single": 0, "pair": 1}.get(kind, 2)]
+        place = {"single": 0, "pair": 1}.get(kind, 2)
+        limit = max(settings.left_gain[place], settings.left_share[place] * found.gain(found.best.fit))
         ahead = left - found.beyond if kind == "single" else np.inf
         if left > limit and ahead > settings.left_ahead:
             found.refused, found.kind = kind, "law"

@@ -38,6 +38,8 @@ class Settings:
         law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
         left_gain: gain of a term without a name beyond the chosen explanation, above which that explanation is refused:
             of one effect; of two; of an onset or region, which are never met exactly.
+        left_share: the same as a share of the explanation's own gain: edges of regions are never met exactly, and a
+            large effect leaves more.
         left_ahead: what it must be ahead of the best second effect.
         equivalent_gain: names within this gain of the best can't be told apart: DISCOVERY.md's 9, and what maps that
             are off by their tolerance add to it.
@@ -58,6 +60,7 @@ class Settings:
     unnamed_sensor_gain: float = 20.0
     law_gain: float = 15.0
     left_gain: tuple[float, float, float] = (28.0, 45.0, 60.0)
+    left_share: tuple[float, float, float] = (0.0, 0.06, 0.15)
     left_ahead: float = 15.0
     equivalent_gain: float = 12.0
     withhold: tuple[str, ...] = ()
