@@ -38,8 +38,7 @@ class Settings:
         law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
         left_gain: gain of a term without a name beyond the chosen explanation, above which that explanation is refused:
             of one effect; of two; of an onset or region, which are never met exactly.
-        left_share: the same as a share of the explanation's own gain: edges of regions are never met exactly, and a
-            large effect leaves more.
+        left_share: the same as a share of the explanation's own gain: edges of regions are never met exactly.
         left_ahead: what it must be ahead of the best second effect.
         equivalent_gain: names within this gain of the best can't be told apart: DISCOVERY.md's 9, and what maps that
             are off by their tolerance add to it.
@@ -60,7 +59,7 @@ class Settings:
     unnamed_sensor_gain: float = 20.0
     law_gain: float = 15.0
     left_gain: tuple[float, float, float] = (28.0, 45.0, 60.0)
-    left_share: tuple[float, float, float] = (0.0, 0.06, 0.15)
+    left_share: tuple[float, float, float] = (0.0, 0.0, 0.15)
     left_ahead: float = 15.0
     equivalent_gain: float = 12.0
     withhold: tuple[str, ...] = ()
@@ -126,8 +125,10 @@ def set_probabilities(found: Search, kind: str) -> None:
     for key, weight in zip(keys, weights, strict=True):
         found.probabilities[key] = found.probabilities.get(key, 0.0) + float(weight)
     best = min(fit.objective for fit in pool)
+    # what an explanation leaves is the size of what the twin can't describe: closer names can't be told apart
+    reach = max(found.settings.equivalent_gain, found.left[0].gain if found.left else 0.0)
     seen: list[tuple[str, ...]] = []
     for fit in pool:
-        if fit.objective - best < found.settings.equivalent_gain and fit.candidate.names not in seen:
+        if fit.objective - best < reach and fit.candidate.names not in seen:
             seen.append(fit.candidate.names)
     found.equivalent = seen
