@@ -23,13 +23,13 @@ from dieseltwin.discovery.effect_curve import effect_curves
 from dieseltwin.discovery.engine_twin import EngineTwin
 from dieseltwin.discovery.findings import finite
 from dieseltwin.discovery.fit import Fit, Linearisation
-from dieseltwin.discovery.held_out import held_out_scores
+from dieseltwin.discovery.held_out import held_out_scores, held_windows
 from dieseltwin.discovery.law import Law
 from dieseltwin.discovery.law_twin import LawTwin
 from dieseltwin.discovery.reasons import candidate_rows
 from dieseltwin.discovery.score import minimum_detectable
 from dieseltwin.discovery.search import Search, occam
-from dieseltwin.discovery.twin import Array, single
+from dieseltwin.discovery.twin import Array, rows_of, single
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS, LawTerm, Term
 from dieseltwin.recordings import Recording
@@ -174,12 +174,8 @@ def _allowed(found: Search, simulated: Array) -> Array | None:
     return np.tensordot(share, null.nuisance_response, 1)
 
 
-def _held_rows(found: Search) -> Array:
-    from dieseltwin.discovery.held_out import held_windows
-
-    held = held_windows(found.twin)
-    ends = np.append(found.twin.starts[1:], found.twin.time_s.size)
-    return np.repeat(held, ends - found.twin.starts)
+def _held_rows(found: Search) -> np.ndarray:
+    return rows_of(found.twin, held_windows(found.twin))
 
 
 def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:

@@ -6,13 +6,11 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from dieseltwin.discovery import search
 from dieseltwin.discovery.assemble import assemble
 from dieseltwin.discovery.curves import Discovery
 from dieseltwin.discovery.engine_twin import MAP_TOLERANCE, EngineTwin
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation
+from dieseltwin.discovery.fit import Linearisation, first_fit
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.noise import estimate_noise
 from dieseltwin.discovery.score import effect_responses, minimum_detectable, score, secant_sizes
@@ -67,9 +65,7 @@ def prepare(recording: Recording, engine: EngineParameters, options: Options | N
 
 def visible_sizes(twin: EngineTwin, settings: search.Settings) -> dict[str, float]:
     """`Prepared.minimum_detectable` of a twin."""
-    start = Fit(
-        Candidate(), np.array([p.value for p in twin.parameters]), np.zeros(0), twin.first_local(), np.inf, False
-    )
+    start = first_fit(twin)
     whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
     bare = Linearisation(twin, whitening, start)
     at = Linearisation(twin, whitening, start, None, search.tolerance_responses(twin, bare, settings))

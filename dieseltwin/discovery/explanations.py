@@ -44,9 +44,8 @@ def _refit_variants(found: Search, variants: Sequence[Variant]) -> None:
     found.variants = sorted(pairs, key=lambda pair: pair[1].objective)
 
 
-def _pair_gains(found: Search) -> list[tuple[float, Scored, Scored]]:
+def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Scored, Scored]]:
     """Linear gain of every pair of hypotheses at the health-only fit, strongest first."""
-    items = best_of_each(found.scored)
     vectors = np.stack([s.projected for s in items])
     gram = vectors @ vectors.T
     push = vectors @ found.null.projected_residual
@@ -75,19 +74,21 @@ def try_pairs(found: Search, first: Linearisation) -> None:
         return
     beyond = best_of_each(score(first, wanted, effect_responses(found.twin, first, wanted)))
     found.beyond = beyond[0].gain if beyond else 0.0
-    by_name = {s.name: s for s in best_of_each(found.scored)}
+    items = best_of_each(found.scored)
+    by_name = {s.name: s for s in items}
+    ranked = _pair_gains(found, items)
     pairs: dict[tuple[str, ...], tuple[Scored, Scored]] = {}
-    if beyond and beyond[0].gain < 0.5 * found.settings.second_gain and found.gain(found.singles[0]) > 0:
-        # nothing left to explain at the best single fit
-        enough = _pair_gains(found)[:1]
-        if not enough or enough[0][0] < found.gain(found.singles[0]) + 0.5 * found.settings.second_gain:
-            return
+    worth_it = 0.5 * found.settings.second_gain
+    single = found.gain(found.singles[0])
+    nothing_left = bool(beyond) and beyond[0].gain < worth_it and single > 0
+    if nothing_left and (not ranked or ranked[0][0] < single + worth_it):
+        return
     for item in beyond[: _PAIRS // 2]:
         if item.gain > 0.4 * found.settings.second_gain:
             key = tuple(sorted((lead, item.name)))
             pairs[key] = (by_name[key[0]], by_name[key[1]])
-    for gain, a, b in _pair_gains(found)[:_PAIRS]:
-        if gain > found.gain(found.singles[0]) - _LEADING:
+    for gain, a, b in ranked[:_PAIRS]:
+        if gain > single - _LEADING:
             key = tuple(sorted((a.name, b.name)))
             pairs[key] = (by_name[key[0]], by_name[key[1]])
     if not pairs:
@@ -106,17 +107,7 @@ def choose(found: Search, first: Linearisation) -> None:
     if found.variants:
         timed, timed_fit = found.variants[0]
         options.append((found.gain(timed_fit) - settings.variant_gain, "variant", timed_fit, timed))
-    pair = next(
-        (
-            fit
-            for fit in found.pairs
-            if all(
-                abs(m) >= settings.alarm_size * found.twin.hypotheses[name].tolerance
-                for name, m in zip(fit.candidate.names, fit.magnitudes, strict=True)
-            )
-        ),
-        None,
-    )
+    pair = next((fit for fit in found.pairs if found.of_interest(fit)), None)
     if pair is not None:
         options.append((found.gain(pair) - settings.second_gain, "pair", pair, None))
     best, kind, fit, variant = max(options, key=lambda option: option[0])

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dieseltwin.discovery.metric import Metric, Whitening
-from dieseltwin.discovery.twin import Array, Lanes, Twin, single
+from dieseltwin.discovery.twin import Array, Lanes, Twin, rows_of, single
 
 _DIFFERENCE = 1e-4  # of a scale, for sensitivities
 _TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what matters, large against rounding
@@ -64,6 +64,14 @@ class Fit:
         if self.covariance is None:
             return np.full(self.parameters.size + self.magnitudes.size, np.nan)
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+def first_fit(twin: Twin, candidate: Candidate | None = None, magnitudes: Sequence[float] = ()) -> Fit:
+    """Where every fit starts: nominal parameters, initial states from the readings, given magnitudes."""
+    return Fit(
+        candidate or Candidate(), np.array([p.value for p in twin.parameters]),
+        np.asarray(magnitudes, dtype=np.float64), twin.first_local(), np.inf, False,
+    )  # fmt: skip
 
 
 def _differ(fits: Sequence[Fit]) -> bool:
@@ -299,7 +307,7 @@ def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:
         new_cost = at.metric.window_costs(new_residual - shift)
         better = new_cost < cost
         fit = replace(fit, local=np.where(better[:, None], trial.local, fit.local))
-        rows = np.repeat(better, np.diff(np.append(twin.starts, len(residual))))
+        rows = rows_of(twin, better)
         residual = np.where(rows[:, None], new_residual, residual)
         cost = np.where(better, new_cost, cost)
         shrink = np.where(better, np.minimum(1.0, 2.0 * shrink), 0.3 * shrink)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from dieseltwin.discovery.fit import Linearisation
 from dieseltwin.discovery.search import Search
-from dieseltwin.discovery.twin import Array, Twin
+from dieseltwin.discovery.twin import Array, Twin, rows_of
 
 HELD_SHARE = 0.3
 """Of the windows, the last ones."""
@@ -38,22 +36,15 @@ def _score(found: Search, at: Linearisation, residual: Array) -> float:
     held = held_windows(twin)
     if not held.any() or held.all():
         return float("nan")
-    ends = np.append(twin.starts[1:], twin.time_s.size)
-    rows = np.repeat(held, ends - twin.starts)
+    rows = rows_of(twin, held)
     residual = np.nan_to_num(residual)
     nuisances = at.nuisance_response if at.nuisance_response is not None else np.zeros((0, *residual.shape))
     columns = np.concatenate([at.jacobian, nuisances])
     precision = np.concatenate([np.maximum(at.precision, 1e-30), np.ones(len(nuisances))])
-    training = _without_local(at, np.where(rows[:, None], 0.0, columns), ~held)
-    target = _without_local(at, np.where(rows[:, None], 0.0, residual)[None], ~held)[0]
+    training = at.metric.without_local(np.where(rows[:, None], 0.0, columns))
+    target = at.metric.without_local(np.where(rows[:, None], 0.0, residual)[None])[0]
     change = np.linalg.solve(training @ training.T + np.diag(precision), training @ target)
     rest = residual - np.tensordot(change, columns, 1)
-    later = _without_local(at, np.where(rows[:, None], rest, 0.0)[None], held)[0]
-    present = at.whitening.present & rows[:, None]
-    logs = -np.log(np.where(present, at.whitening.scale, 1.0)).sum() + 0.5 * np.log(2 * np.pi) * present.sum()
+    later = at.metric.without_local(np.where(rows[:, None], rest, 0.0)[None])[0]
+    logs = at.whitening.log_normaliser(at.whitening.present & rows[:, None])
     return float((0.5 * later @ later + logs) / max(rows.sum(), 1))
-
-
-def _without_local(at: Linearisation, values: Array, windows: Sequence[bool] | np.ndarray) -> Array:
-    del windows  # rows outside are zero already, and windows don't share initial states
-    return at.metric.without_local(values)

@@ -53,6 +53,10 @@ class Whitening:
         out *= self.scale
         return out.reshape(*out.shape[:-2], out.shape[-2] * out.shape[-1])
 
+    def log_normaliser(self, present: np.ndarray) -> float:
+        """Log of what normalises the Gaussian density of some readings, (n, C) True."""
+        return float(-np.log(self.scale[present]).sum() + 0.5 * np.log(2 * np.pi) * present.sum())
+
 
 class Metric:
     """Projection of readings onto what neither local states nor tolerances explain.

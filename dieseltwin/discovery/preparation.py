@@ -9,20 +9,20 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, settle_local, simulate_fits
+from dieseltwin.discovery.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
 from dieseltwin.discovery.metric import Metric, Whitening
 from dieseltwin.discovery.noise import estimate_noise
 from dieseltwin.discovery.nuisance import Nuisance, Rebased, map_nuisances, nuisance_responses, sensor_nuisances
 from dieseltwin.discovery.score import chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search_state import Search, Settings
-from dieseltwin.discovery.twin import Array, Twin
+from dieseltwin.discovery.twin import Array, Twin, rows_of
 
 _VERIFIED = 3  # of the leading fits
 _VERIFIED_FROM = 0.7  # of the gain of an alarm
 _TOLERANCE_DRAWS = 2
 _CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of the tolerances
-GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
-PARTS = 4
+_GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
+_PARTS = 4
 
 
 def prepare(twin: Twin, settings: Settings) -> Search:
@@ -30,17 +30,12 @@ def prepare(twin: Twin, settings: Settings) -> Search:
     clock = time.perf_counter()
     pieces = np.array([], dtype=int)
     noise = estimate_noise(twin.measured, pieces)
-    start = Fit(
-        Candidate(), np.array([p.value for p in twin.parameters]), np.zeros(0), twin.first_local(), np.inf, False
-    )
     whitening = Whitening.of(twin.measured, noise, twin.starts)
-    rough = fit_fully(twin, whitening, start, rounds=5)
-    if hasattr(twin, "split"):
-        growing = rough.metric.growing(GROWTH)
-        if growing.any():
-            start = replace(rough.fit, local=twin.split(growing, PARTS, rough.fit.local))
-            whitening = Whitening.of(twin.measured, noise, twin.starts)
-            rough = fit_fully(twin, whitening, start, rounds=5)
+    rough = fit_fully(twin, whitening, first_fit(twin), rounds=5)
+    start = split_growing(rough)
+    if start is not None:
+        whitening = Whitening.of(twin.measured, noise, twin.starts)
+        rough = fit_fully(twin, whitening, start, rounds=5)
     # correlation can only be told once the signal is explained; only the fast part of the misfit is used
     noise = estimate_noise(twin.measured, pieces, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
@@ -48,7 +43,7 @@ def prepare(twin: Twin, settings: Settings) -> Search:
     nuisance = nuisance_responses(twin, rough.fit.lanes(), rough.simulated, nuisances)
     crooked = crooked_windows(rough, whitening, nuisances, nuisance, settings.seed)
     if crooked.any():
-        twin.measured[np.repeat(crooked, np.diff(np.append(twin.starts, twin.time_s.size)))] = np.nan
+        twin.measured[rows_of(twin, crooked)] = np.nan
         whitening = Whitening.of(twin.measured, noise, twin.starts)
     null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance))
     names = [name for name in twin.hypotheses if name not in settings.withhold]
@@ -58,6 +53,15 @@ def prepare(twin: Twin, settings: Settings) -> Search:
     found.left_out, found.nuisances = crooked, nuisances
     found.seconds["prepare"] = time.perf_counter() - clock
     return found
+
+
+def split_growing(at: Linearisation) -> Fit | None:
+    """Cut the windows in which initial states grow, where the twin can: the fit on the new windows, None if none do."""
+    split = getattr(at.twin, "split", None)
+    growing = at.metric.growing(_GROWTH)
+    if split is None or not growing.any():
+        return None
+    return replace(at.fit, local=split(growing, _PARTS, at.fit.local))
 
 
 def tolerances(twin: Twin, at: Linearisation, settings: Settings) -> list[Nuisance]:
@@ -86,6 +90,7 @@ def crooked_windows(
     """
     twin = at.twin
     rng = np.random.default_rng(seed)
+    metric = Metric(whitening, twin.starts, at.local_response, twin.state_scales)
     worst = np.zeros(twin.starts.size)
     for _ in range(_TOLERANCE_DRAWS):
         signals: dict[str, Array] = {}
@@ -99,9 +104,7 @@ def crooked_windows(
         if not signals:
             break
         simulated = twin.simulate(at.fit.lanes(signals=signals))[0]
-        bend = Metric(whitening, twin.starts, at.local_response, twin.state_scales).without_local(
-            (simulated - at.simulated - linear)[None]
-        )[0]
+        bend = metric.without_local((simulated - at.simulated - linear)[None])[0]
         squared = bend[: at.residual.size].reshape(at.residual.shape) ** 2
         worst = np.maximum(worst, np.add.reduceat(squared.sum(axis=1), twin.starts))
     limit = max(_CROOKED, float(np.quantile(worst, 2.0 / 3.0)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from dieseltwin.discovery.fit import Linearisation, effect_step
+from dieseltwin.discovery.fit import Linearisation
 from dieseltwin.discovery.twin import Array, Lanes, Twin
 
 _DRAWS = 4000  # of the parametric bootstrap; beyond their reach the tail of chi-square is taken
@@ -149,9 +149,3 @@ def minimum_detectable(scored: Sequence[Scored], gain: float) -> dict[str, float
         value = item.std * float(np.sqrt(gain))
         smallest[item.name] = min(value, smallest.get(item.name, np.inf))
     return smallest
-
-
-__all__ = [
-    "Chance", "Scored", "best_of_each", "chance", "effect_responses", "effect_step", "minimum_detectable", "score",
-    "secant_sizes", "without_parameters",
-]  # fmt: skip

@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from dieseltwin.discovery import search
 from dieseltwin.discovery.engine_twin import EngineTwin
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully, settle_local
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, first_fit, fit_fully, settle_local
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.noise import Noise, estimate_noise
-from dieseltwin.discovery.score import best_of_each, effect_responses, score, secant_sizes
-from dieseltwin.discovery.twin import Array
+from dieseltwin.discovery.score import effect_responses, score, secant_sizes
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.effects import Term
 from dieseltwin.recordings import Recording
 
 
-def _fit_at(twin: EngineTwin, candidate: Candidate, magnitudes: Sequence[float]) -> Fit:
-    return Fit(
-        candidate, np.array([p.value for p in twin.parameters]), np.asarray(magnitudes, dtype=np.float64),
-        twin.first_local(), np.inf, False,
-    )  # fmt: skip
-
-
 def _settled(twin: EngineTwin, noise: Noise, fit: Fit) -> Linearisation:
     """Initial states fitted at fixed parameters."""
     at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), fit)
-    growing = at.metric.growing(search.GROWTH)
-    if growing.any():
-        fit = Fit(
-            fit.candidate, fit.parameters, fit.magnitudes, twin.split(growing, search.PARTS, fit.local), np.inf, False
-        )
-        at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), fit)
+    cut = search.split_growing(at)
+    if cut is not None:
+        at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), cut)
     return settle_local(at, rounds=4)
 
 
@@ -48,11 +35,10 @@ def held_out_nll(engine: EngineParameters, recording: Recording, noise: Noise | 
     """
     twin = EngineTwin(recording, engine)
     noise = noise or estimate_noise(twin.measured)
-    at = _settled(twin, noise, _fit_at(twin, Candidate(), ()))
+    at = _settled(twin, noise, first_fit(twin))
     residual = np.nan_to_num(at.residual)
     whitened = at.metric.without_local(residual[None])[0]
-    present = at.whitening.present
-    logs = -np.log(at.whitening.scale[present]).sum() + 0.5 * np.log(2 * np.pi) * present.sum()
+    logs = at.whitening.log_normaliser(at.whitening.present)
     return float((0.5 * whitened @ whitened + logs) / twin.time_s.size)
 
 
@@ -76,7 +62,7 @@ def fit_oracle(recording: Recording, engine: EngineParameters, terms: tuple[Term
     }
     candidate = Candidate(tuple(t.effect for t in terms), schedules)
     noise = estimate_noise(twin.measured)
-    rough = _settled(twin, noise, _fit_at(twin, candidate, [t.magnitude for t in terms]))
+    rough = _settled(twin, noise, first_fit(twin, candidate, [t.magnitude for t in terms]))
     noise = estimate_noise(twin.measured, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
     nuisance = search.tolerance_responses(twin, rough, search.Settings())
@@ -96,10 +82,10 @@ def separability(recording: Recording, engine: EngineParameters, term: Term) -> 
     """
     twin = EngineTwin(recording, engine)
     noise = estimate_noise(twin.measured)
-    rough = _settled(twin, noise, _fit_at(twin, Candidate((term.effect,)), [term.magnitude]))
+    rough = _settled(twin, noise, first_fit(twin, Candidate((term.effect,)), [term.magnitude]))
     noise = estimate_noise(twin.measured, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
-    bare = Linearisation(twin, whitening, _fit_at(twin, Candidate(), ()))
+    bare = Linearisation(twin, whitening, first_fit(twin))
     at = Linearisation(twin, whitening, bare.fit, None, search.tolerance_responses(twin, bare, search.Settings()))
     wanted = secant_sizes(twin, [name for name in twin.hypotheses if name != term.effect])
     own = [(term.effect, term.magnitude)]
@@ -115,5 +101,3 @@ def separability(recording: Recording, engine: EngineParameters, term: Term) -> 
         distances[item.name] = min(distances.get(item.name, np.inf), strength * (1.0 - cosine2))
     return distances
 
-
-__all__ = ["Array", "best_of_each", "fit_oracle", "held_out_nll", "separability"]

@@ -11,7 +11,7 @@ from dieseltwin.discovery import law as law_search
 from dieseltwin.discovery.explanations import VARIANTS, choose, polish, try_pairs, try_variants
 from dieseltwin.discovery.features import generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit, fit_fully
-from dieseltwin.discovery.preparation import GROWTH, PARTS, prepare, rebased, tolerance_responses, verify
+from dieseltwin.discovery.preparation import prepare, rebased, split_growing, tolerance_responses, verify
 from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import best_of_each
 from dieseltwin.discovery.search_state import Search, Settings, occam
@@ -90,13 +90,9 @@ def _unnamed(found: Search) -> bool:
 def _alarm(found: Search, fit: Fit) -> bool:
     gain = found.gain(fit)
     threshold = max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
-    tolerances = [found.twin.hypotheses[name].tolerance for name in fit.candidate.names]
-    large = all(
-        abs(m) >= found.settings.alarm_size * t for m, t in zip(fit.magnitudes, tolerances, strict=True)
-    )
-    return bool(gain >= threshold and large)
+    return bool(gain >= threshold and found.of_interest(fit))
 
 
 __all__ = [
-    "GROWTH", "PARTS", "Search", "Settings", "occam", "prepare", "rebased", "run", "tolerance_responses",
+    "Search", "Settings", "occam", "prepare", "rebased", "run", "split_growing", "tolerance_responses",
 ]  # fmt: skip

@@ -99,6 +99,13 @@ class Search:
         """Gain of a fit over the health-only fit."""
         return self.null.fit.objective - fit.objective
 
+    def of_interest(self, fit: Fit) -> bool:
+        """Whether every magnitude is near its tolerance of interest or above."""
+        return all(
+            abs(m) >= self.settings.alarm_size * self.twin.hypotheses[name].tolerance
+            for name, m in zip(fit.candidate.names, fit.magnitudes, strict=True)
+        )
+
 
 def occam(found: Search, fit: Fit) -> float:
     """Log evidence of a fit up to a constant: half its gain less what the precision of its magnitudes costs.

@@ -158,6 +158,11 @@ class Twin(Protocol):
         ...
 
 
+def rows_of(twin: Twin, windows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(W,) windows -> (n,) samples that lie in them."""
+    return np.repeat(windows, np.diff(np.append(twin.starts, twin.time_s.size)))
+
+
 def single(parameters: Array, local: Array, **more: Any) -> Lanes:
     """One lane."""
     return Lanes(np.asarray(parameters, dtype=np.float64)[None], np.asarray(local, dtype=np.float64)[None], **more)
