@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from typing import Any
 
@@ -23,8 +24,11 @@ LABELS = {"clean": 0.0, "noisy": 1.0}
 
 
 @flow(name="evaluate", description=__doc__, task_runner=task_runner())
-def evaluate(profile: str) -> str:
-    """Run every ensemble, then tables and page. Returns the hash of ``evaluation/``."""
+def evaluate(profile: str, only: list[str] | None = None) -> str:
+    """Run every ensemble, or those named by ``only``, then tables and page. Returns the hash of ``evaluation/``.
+
+    With ``only`` nothing is trained anew and the results go to ``evaluation-part/``, beside those of the whole.
+    """
     context = current()
     root = context.workspace.root
     settings = load_settings(profile)
@@ -32,10 +36,10 @@ def evaluate(profile: str) -> str:
     lab = published(root / "data" / "lab", "simulate")
     models = published(root / "models", "pretrain")
 
-    plans = ensembles_of(settings)
+    name = "evaluation-part" if only else "evaluation"
+    plans = ensembles_of(settings, only or ())
     pending = _submit_ensembles(plans, settings, field, models)
-    trainings = _submit_trainings(settings, lab, field)
-    found: dict[str, Artifact] = {}
+    trainings = {} if only else _submit_trainings(settings, lab, field)
     assembled = {}
     for plan in plans:
         parts = {f"part_{first:04d}": waiting.result() for first, waiting in pending[plan.slug].items()}
@@ -71,13 +75,13 @@ def evaluate(profile: str) -> str:
         **found,
     ).result()
     results = publish(
-        root / "evaluation",
+        root / name,
         {"": common.path, **{f"ensembles/{plan.slug}": assembled[plan.slug].result().path for plan in plans}},
     )
-    publish(context.workspace.reports / "evaluation", {"": page.path})
+    publish(context.workspace.reports / name, {"": page.path})
     records.evaluated(plans, found, common, page, {"field recordings": field, "models": models}, settings)
-    context.display.say(f"tables: {context.workspace.relative(root / 'results' / 'evaluation')}")
-    context.display.say(f"page: {context.workspace.relative(context.workspace.reports / 'evaluation' / after.PAGE)}")
+    context.display.say(f"tables: {context.workspace.relative(root / name)}")
+    context.display.say(f"page: {context.workspace.relative(context.workspace.reports / name / after.PAGE)}")
     return results.sha256
 
 
@@ -153,5 +157,15 @@ def _submit_trainings(settings: dict[str, Any], lab: Artifact, field: Artifact) 
     return pending
 
 
+def _options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--only", nargs="+", metavar="CASE-METHOD", help="these ensembles alone, e.g. noisy-301-few-shot-adam"
+    )
+
+
+def _check(parameters: dict[str, Any]) -> None:
+    ensembles_of(load_settings(parameters["profile"]), parameters["only"] or ())
+
+
 if __name__ == "__main__":
-    sys.exit(run_alone(evaluate))
+    sys.exit(run_alone(evaluate, options=_options, check=_check))

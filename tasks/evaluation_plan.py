@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from dieseltwin.errors import InputError
 from tasks.run_context import seed_for
 
 _BATCHED = ("baseline", "multi-stage", "few-shot-adam")
@@ -33,8 +34,12 @@ class Plan:
         return "-".join(part.replace(" ", "_") for part in parts if part)
 
 
-def ensembles_of(settings: Mapping[str, Any]) -> list[Plan]:
-    """Every ensemble of the evaluation, the paper's own first, the longest methods first."""
+def ensembles_of(settings: Mapping[str, Any], only: Sequence[str] = ()) -> list[Plan]:
+    """Every ensemble of the evaluation, the paper's own first, the longest methods first.
+
+    ``only``: names of ensembles (`Plan.slug`); none means all. multi-stage brings the baseline of its case with it,
+    whose networks it starts from. Raises ``InputError`` for an unknown name.
+    """
     evaluation = settings["evaluation"]
     found = [
         _plan(settings, method, case, "", {"members": evaluation["members"][method]})
@@ -44,7 +49,12 @@ def ensembles_of(settings: Mapping[str, Any]) -> list[Plan]:
     ]
     for variant in evaluation["variants"]:
         found.append(_plan(settings, variant["method"], "noisy-301", variant["name"], variant))
-    return found
+    known = {plan.slug for plan in found}
+    for name in only:
+        if name not in known:
+            raise InputError("--only", name, ", ".join(sorted(known)), "name an ensemble of this profile")
+    wanted = {*only, *(name.replace("multi-stage", "baseline") for name in only)}
+    return [plan for plan in found if plan.slug in wanted] if only else found
 
 
 def _plan(settings: Mapping[str, Any], method: str, case: str, variant: str, changed: Mapping[str, Any]) -> Plan:

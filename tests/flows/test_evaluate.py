@@ -75,6 +75,18 @@ def test_the_plan_gives_every_method_the_same_noise_and_variants_the_seed_of_the
         assert sum(runs for _, runs in plan.batches) == plan.what["members"]
 
 
+def test_one_ensemble_can_be_run_alone_and_multi_stage_brings_what_it_starts_from() -> None:
+    from dieseltwin.config import load_params
+    from dieseltwin.errors import InputError
+    from tasks.evaluation_plan import ensembles_of
+
+    settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")
+    named = ["noisy-301-few-shot-adam", "clean-151-multi-stage"]
+    assert {plan.slug for plan in ensembles_of(settings, named)} == {*named, "clean-151-baseline"}
+    with pytest.raises(InputError, match="noisy-301-classical"):
+        ensembles_of(settings, ["classical"])
+
+
 @pytest.mark.flow
 def test_tables_page_and_records_come_out_and_a_second_run_computes_nothing(tmp_path: Path, prefect: None) -> None:
     from flows.evaluate import evaluate
@@ -111,4 +123,8 @@ def test_tables_page_and_records_come_out_and_a_second_run_computes_nothing(tmp_
     context = new_context(tmp_path)
     assert evaluate("tiny") == first
     assert not context.timings
+
+    evaluate("tiny", ["noisy-301-classical"])
+    assert pd.read_csv(tmp_path / "evaluation-part" / "cells.csv")["method"].unique().tolist() == ["classical"]
+    assert {path.name for path in (results / "ensembles").iterdir()} > {"noisy-301-classical"}
     run_context.use(None)
