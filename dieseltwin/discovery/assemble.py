@@ -24,14 +24,13 @@ from dieseltwin.discovery.engine_twin import EngineTwin
 from dieseltwin.discovery.findings import finite
 from dieseltwin.discovery.fit import Fit, Linearisation
 from dieseltwin.discovery.held_out import held_out_scores, held_windows
-from dieseltwin.discovery.law import Law
-from dieseltwin.discovery.law_twin import LawTwin
+from dieseltwin.discovery.law_terms import law_terms_of
 from dieseltwin.discovery.reasons import candidate_rows
 from dieseltwin.discovery.score import minimum_detectable
 from dieseltwin.discovery.search import Search, occam
 from dieseltwin.discovery.twin import Array, rows_of, single
 from dieseltwin.engine import EngineParameters
-from dieseltwin.engine.effects import EFFECTS, LawTerm, Term
+from dieseltwin.engine.effects import EFFECTS, Term
 from dieseltwin.recordings import Recording
 
 if TYPE_CHECKING:
@@ -109,11 +108,9 @@ def _finite_only(values: Mapping[str, float]) -> dict[str, float]:
 def _after(found: Search) -> tuple[Array, Array, Array | None]:
     """Readings, free parameters and covariance of the chosen explanation."""
     if found.kind == "law" and found.law is not None:
-        law = found.law
-        twin = LawTwin(found.twin, law.placed)
-        P = len(found.twin.parameters)
-        values = np.concatenate([law.parameters[:P], [p.value for p in twin.parameters[P:]]])
-        return twin.simulate(single(values, law.local))[0], law.parameters[:P], found.null.covariance
+        twin, values = found.law.on(found.twin)
+        simulated = twin.simulate(single(values, found.law.local))[0]
+        return simulated, found.law.parameters, found.null.covariance
     at = found.best if found.best is not None and found.kind != "law" else found.null
     return at.simulated, at.fit.parameters, at.covariance
 
@@ -180,7 +177,7 @@ def _held_rows(found: Search) -> np.ndarray:
 
 def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
     if found.kind == "law":
-        return () if found.law is None else _law_terms(found.law, twin)
+        return () if found.law is None else law_terms_of(found.law, twin)
     at = found.best
     if at is None:
         return ()
@@ -199,33 +196,6 @@ def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
                 valid_for=findings.valid_for(found),
             )
         )
-    return tuple(terms)
-
-
-def _law_terms(law: Law, twin: EngineTwin) -> tuple[LawTerm, ...]:
-    """The law's terms for the engine file; none where a term is no product of powers of known variables."""
-    terms = []
-    for k, placed in enumerate(law.placed):
-        if placed.form.fixed is not None or any(f.kind not in ("power", "time", "ratio") for f in placed.form.factors):
-            return ()
-        factors: list[tuple[str, float, float]] = []
-        for factor in placed.form.factors:
-            if factor.kind == "time":
-                factors.append(("t", float(factor.references[0]), 1.0))
-            elif factor.kind == "power":
-                factors.append((factor.variables[0], float(factor.references[0]), float(factor.shape)))
-            else:
-                shape = float(factor.shape)
-                factors += [(factor.variables[0], 1.0, shape), (factor.variables[1], 1.0, -shape)]
-        point = next(p for p in twin.points if p.name == placed.form.point)
-        try:
-            term = LawTerm(
-                point=point.name, coefficient=placed.coefficient, unit=point.unit, factors=tuple(factors),
-                text=law.text, std=law.std if k == 0 else None,
-            )  # fmt: skip
-        except ValueError:
-            return ()
-        terms.append(term)
     return tuple(terms)
 
 

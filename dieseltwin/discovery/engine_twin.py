@@ -20,7 +20,7 @@ from dieseltwin.engine.inputs import INPUT_COLUMNS
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import settle
-from dieseltwin.engine.terms import LAW_VARIABLES, Term, effect_terms, law_terms
+from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, LawTerm, Term, effect_terms, law_terms
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import Recording
 
@@ -64,6 +64,8 @@ class EngineTwin:
     """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
 
     law_variables = LAW_VARIABLES
+    lagging_sensors = (LAGGING_SENSOR,)
+    channel_units = SENSOR_UNITS
 
     def __init__(
         self,
@@ -372,13 +374,13 @@ def _signals_of(one: Lanes, points: Sequence[Point]) -> dict[str, Array]:
 def _known_terms(twin: EngineTwin) -> dict[str, tuple[float, Array | None]]:
     known: dict[str, tuple[float, Array | None]] = {}
     for term in twin.engine.terms:
-        if isinstance(term, Term):
+        if not isinstance(term, LawTerm):
             limited = term.onset_s is not None or term.region is not None
             schedule = (
                 term.factor(twin.recording_time_s, float(twin.recording_time_s[0]), dict(twin.conditions))
                 if limited
                 else None
             )
-            before = known.get(term.effect, (0.0, None))[0]
-            known[term.effect] = (before + term.magnitude, schedule)
+            before = known.get(term.slot, (0.0, None))[0]
+            known[term.slot] = (before + term.magnitude, schedule)
     return known

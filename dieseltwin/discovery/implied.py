@@ -15,6 +15,7 @@ from dieseltwin.engine.effects import EFFECTS, LawTerm, Term
 from dieseltwin.engine.extended import extended_frame
 from dieseltwin.engine.extended_terms import simulate_terms
 from dieseltwin.engine.parameters import parameter_batch
+from dieseltwin.engine.terms import OneTerm
 from dieseltwin.recordings import Recording
 
 _GIVEN = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
@@ -82,7 +83,9 @@ def _one_std_away(engine: EngineParameters, stds: Mapping[str, float]) -> Iterat
             moved = moved if moved <= effect.limits[1] else term.magnitude - term.std
             if not effect.limits[0] <= moved <= effect.limits[1]:
                 continue
-            changed: Term | LawTerm = term.model_copy(update={"magnitude": moved})
+            changed: OneTerm = term.model_copy(update={"magnitude": moved})
+        elif not isinstance(term, LawTerm):
+            changed = term.model_copy(update={"magnitude": term.magnitude + term.std})
         else:
             changed = term.model_copy(update={"coefficient": term.coefficient + term.std})
         yield engine.replace(terms=(*engine.terms[:k], changed, *engine.terms[k + 1 :]))

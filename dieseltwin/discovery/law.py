@@ -22,6 +22,7 @@ from dieseltwin.discovery.law_refit import Refit, refit_all_laws, start_of
 from dieseltwin.discovery.law_responses import Linearised, Responses
 from dieseltwin.discovery.law_twin import LawTwin, Placed
 from dieseltwin.discovery.metric import Whitening
+from dieseltwin.discovery.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.twin import Array, Lanes, Twin
 from dieseltwin.discovery.worth import Worth, independent
 
@@ -82,6 +83,7 @@ class Law:
         parameters: (P,) of the twin, refitted with the law.
         local: (W, S) initial states.
         placed: all its terms (one or two) with their estimates, for `LawTwin`; `form` is the first one's.
+        faults: of sensors, where the law is one of a reading; `placed` is empty then.
     """
 
     point: str
@@ -104,6 +106,15 @@ class Law:
     parameters: Array
     local: Array
     placed: tuple[Placed, ...]
+    faults: tuple[ReadingFault, ...] = ()
+
+    def on(self, twin: Twin) -> tuple[Twin, Array]:
+        """The twin with the law inside, and its parameters with the law's."""
+        if self.faults:
+            return cast(Twin, ReadingTwin(twin, self.faults)), np.append(self.parameters, [f.size for f in self.faults])
+        law = LawTwin(twin, self.placed)
+        extra = [p.value for p in law.parameters[len(twin.parameters) :]]
+        return cast(Twin, law), np.append(self.parameters, extra)
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import time
 
-from dieseltwin.discovery import law as law_search
 from dieseltwin.discovery.explanations import VARIANTS, choose, polish, try_pairs, try_variants
 from dieseltwin.discovery.features import generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit, fit_fully
+from dieseltwin.discovery.law_sensor import best_law
 from dieseltwin.discovery.preparation import prepare, rebased, split_growing, tolerance_responses, verify
 from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import best_of_each
@@ -71,9 +71,9 @@ def _law(found: Search, wanted: bool) -> None:
     """No name fits: a law from the grammar, where one is resolved and asked for."""
     found.kind = "law"
     found.best = None
-    if wanted and found.structure[0].feature.channel is None:
+    if wanted:
         clock = time.perf_counter()
-        found.law = law_search.search(found.twin, found.null, found.null.nuisance_response).law
+        found.law = best_law(found.twin, found.null, found.structure)
         found.seconds["law"] = time.perf_counter() - clock
 
 

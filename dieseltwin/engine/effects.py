@@ -13,9 +13,9 @@ from dieseltwin.engine.effect_catalogue import (
     STATE_EFFECTS,
     Effect,
 )
-from dieseltwin.engine.terms import LawTerm, Region, Term
+from dieseltwin.engine.terms import ActuatorTerm, LawTerm, Region, SensorTerm, Term
 
 __all__ = [
     "ACTUATOR_EFFECTS", "ADDED_AT", "EFFECTS", "POINTS", "SITES", "STATE_EFFECTS",
-    "Effect", "LawTerm", "Region", "Term",
+    "ActuatorTerm", "Effect", "LawTerm", "Region", "SensorTerm", "Term",
 ]  # fmt: skip

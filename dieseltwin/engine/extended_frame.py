@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.engine._compiled import follow_oxygen
-from dieseltwin.engine.effect_catalogue import EFFECTS
 from dieseltwin.engine.extended_terms import along, conditions_of, simulate_terms
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate
 from dieseltwin.engine.parameters import EngineParameters, constants, parameter_batch
+from dieseltwin.engine.sensor_effects import slot_parts
 from dieseltwin.engine.simulate import MEASURED, actuate_like, numpy_model, settle
-from dieseltwin.engine.terms import amounts, effect_terms
+from dieseltwin.engine.terms import SENSOR_SLOTS, amounts, effect_terms
 
 
 def extended_frame(states: np.ndarray, actuation: Actuation, parameters: EngineParameters) -> pd.DataFrame:
@@ -73,7 +73,7 @@ def simulate_table(
         frame.insert(frame.columns.get_loc("lambda"), "x_oim", intake[at])
         frame.insert(frame.columns.get_loc("lambda"), "x_oem", exhaust[at])
     for term in effect_terms(parameters.terms):
-        column = EFFECTS[term.effect].site.removeprefix("sensor:")
-        if column in MEASURED:
+        if term.slot in SENSOR_SLOTS:
+            column = slot_parts(term.slot)[0]
             frame[column] = observed.measured[0, :, MEASURED.index(column)]
     return frame

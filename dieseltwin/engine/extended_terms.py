@@ -15,9 +15,9 @@ from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.extended_model import ExtendedQuantities, Gas, Magnitudes, Signals
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.parameters import Constants, ParameterBatch
-from dieseltwin.engine.sensor_effects import SENSOR_EFFECTS, apply_sensor_effects
+from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import MEASURED, Observations, numpy_model
-from dieseltwin.engine.terms import REGION_COLUMNS, LawTerm, Term, amounts, effect_terms, law_terms
+from dieseltwin.engine.terms import REGION_COLUMNS, SENSOR_SLOTS, LawTerm, OneTerm, amounts, effect_terms, law_terms
 from dieseltwin.errors import InputError
 
 LAW_SWEEPS = 4
@@ -26,7 +26,7 @@ LAW_SWEEPS = 4
 GAS_SWEEPS = 4
 """Rounds of the fixed point between the gas temperature and the EGR that it heats, from a cold start."""
 
-Terms = Sequence[Term | LawTerm]
+Terms = Sequence[OneTerm]
 Power = Callable[[Any, Any], Any]
 
 
@@ -111,8 +111,8 @@ def simulate_lanes(
     return Observations(states, measured)
 
 
-def _is_constant(term: Term) -> bool:
-    return term.onset_s is None and not term.region and term.effect != "egr_clogging"
+def _is_constant(term: Any) -> bool:
+    return term.onset_s is None and not term.region and term.slot != "egr_clogging"
 
 
 def _one_by_one(batch: ParameterBatch) -> Iterator[ParameterBatch]:
@@ -122,11 +122,11 @@ def _one_by_one(batch: ParameterBatch) -> Iterator[ParameterBatch]:
 
 def _sensed(observed: Observations, actuation: Actuation, batch: ParameterBatch) -> Observations:
     rows = amounts(
-        batch.terms, SENSOR_EFFECTS, actuation.time_s, actuation.inputs.recording_start_s,
+        batch.terms, SENSOR_SLOTS, actuation.time_s, actuation.inputs.recording_start_s,
         conditions_of(actuation),
     )  # fmt: skip
-    ones = {name: np.ones(batch.size) for name, row in zip(SENSOR_EFFECTS, rows, strict=True) if row.any()}
-    schedules = dict(zip(SENSOR_EFFECTS, rows, strict=True))
+    ones = {name: np.ones(batch.size) for name, row in zip(SENSOR_SLOTS, rows, strict=True) if row.any()}
+    schedules = dict(zip(SENSOR_SLOTS, rows, strict=True))
     return replace(
         observed, measured=apply_sensor_effects(observed.measured, actuation.time_s, ones, schedules, MEASURED)
     )

@@ -163,7 +163,7 @@ def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.nda
         parameters: gives dead times, lags and K_egr (A.16-A.18, A.25), and terms on the actuators.
         step_s: largest integration step [s], one for all or one per sample interval, (n - 1,).
     """
-    if any(getattr(term, "effect", None) in ACTUATOR_EFFECTS for term in parameters.terms):
+    if any(getattr(term, "slot", None) in ACTUATOR_EFFECTS for term in parameters.terms):
         from dieseltwin.engine.actuator_effects import actuate_terms
 
         return actuate_terms(inputs, parameters, step_s)

@@ -10,12 +10,20 @@ import numpy as np
 from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.effect_catalogue import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
-from dieseltwin.engine.terms import amounts, effect_terms
+from dieseltwin.engine.terms import SENSOR_SLOTS, amounts, effect_terms
 
 SENSORS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s")
 """Columns that sensors can see (`simulate.MEASURED`)."""
 
 SENSOR_EFFECTS = tuple(name for name, effect in EFFECTS.items() if effect.kind == "sensor")
+
+
+def slot_parts(slot: str) -> tuple[str, str]:
+    """Column and fault ("lag", "gain" or "offset") of one of `SENSOR_SLOTS`."""
+    if ":" in slot:
+        column, _, fault = slot.partition(":")
+        return column, fault
+    return EFFECTS[slot].site.removeprefix("sensor:"), slot.rsplit("_", 1)[1]
 
 
 def apply_sensor_effects(
@@ -31,30 +39,29 @@ def apply_sensor_effects(
         measured: true values (B, n, C) in the order of `columns`.
         time_s: sample times [s], (n,); the lag is exact for values that run linearly between samples, and starts at
             rest.
-        magnitudes: effect name -> (B,) or one magnitude; names that are no sensor effects, and sensors that aren't
-            in `columns`, are not looked at.
-        schedules: effect name -> (n,) factor of its magnitude.
+        magnitudes: slot (`SENSOR_SLOTS`) -> (B,) or one magnitude; other names, and sensors that aren't in
+            `columns`, are not looked at.
+        schedules: slot -> (n,) factor of its magnitude.
     """
     schedules = schedules or {}
-    named = [name for name in SENSOR_EFFECTS if name in magnitudes and np.any(magnitudes[name])]
+    named = [name for name in SENSOR_SLOTS if name in magnitudes and np.any(magnitudes[name])]
     if not named:
         return measured
     out = np.array(measured, dtype=np.float64)
-    for ending in ("_lag", "_gain", "_offset"):
-        for name in named:
-            column = EFFECTS[name].site.removeprefix("sensor:")
-            if not name.endswith(ending) or column not in columns:
-                continue
-            at = columns.index(column)
-            size = np.broadcast_to(np.asarray(magnitudes[name], dtype=np.float64), (out.shape[0],))[:, None]
-            amount = size * schedules.get(name, np.ones(time_s.size))[None, :]
-            if ending == "_lag":
-                time = np.ascontiguousarray(time_s, dtype=np.float64)
-                out[..., at] = follow_lanes(time, np.ascontiguousarray(out[..., at]), amount)
-            elif ending == "_gain":
-                out[..., at] *= 1.0 + amount
-            else:
-                out[..., at] += amount
+    for name in named:
+        column, fault = slot_parts(name)
+        if column not in columns:
+            continue
+        at = columns.index(column)
+        size = np.broadcast_to(np.asarray(magnitudes[name], dtype=np.float64), (out.shape[0],))[:, None]
+        amount = size * schedules.get(name, np.ones(time_s.size))[None, :]
+        if fault == "lag":
+            time = np.ascontiguousarray(time_s, dtype=np.float64)
+            out[..., at] = follow_lanes(time, np.ascontiguousarray(out[..., at]), amount)
+        elif fault == "gain":
+            out[..., at] *= 1.0 + amount
+        else:
+            out[..., at] += amount
     return out
 
 
@@ -70,15 +77,16 @@ def undo_sensor_terms(
         parameters: with terms; a `thermocouple_lag` can't be undone and stays.
     """
     def undone(term: Any) -> bool:
-        name = getattr(term, "effect", "")
-        return name in SENSOR_EFFECTS and name.endswith(("_offset", "_gain"))
+        slot = getattr(term, "slot", "")
+        return slot in SENSOR_SLOTS and slot_parts(slot)[1] != "lag"
 
-    effects = {term.effect for term in effect_terms(parameters.terms) if undone(term)}
-    names = sorted(effects, key=lambda name: (name.endswith("_gain"), name))  # offsets came last, so they go first
+    slots = {term.slot for term in effect_terms(parameters.terms) if undone(term)}
+    names = sorted(slots, key=lambda slot: (slot_parts(slot)[1] == "gain", slot))  # offsets came last: they go first
     out = np.array(measured, dtype=np.float64)
     for name, amount in zip(names, amounts(parameters.terms, names, time_s, start_s, conditions), strict=True):
-        at = SENSORS.index(EFFECTS[name].site.removeprefix("sensor:"))
-        out[..., at] = out[..., at] - amount if name.endswith("_offset") else out[..., at] / (1.0 + amount)
+        column, fault = slot_parts(name)
+        at = SENSORS.index(column)
+        out[..., at] = out[..., at] - amount if fault == "offset" else out[..., at] / (1.0 + amount)
     if not names:
         return out, parameters
     return out, parameters.replace(terms=[term for term in parameters.terms if not undone(term)])

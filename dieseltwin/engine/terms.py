@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
@@ -90,6 +90,11 @@ class Term(_Limited):
         return self
 
     @property
+    def slot(self) -> str:
+        """Where it acts: its own name."""
+        return self.effect
+
+    @property
     def law(self) -> str:
         """The law in symbols."""
         return EFFECTS[self.effect].law
@@ -98,6 +103,97 @@ class Term(_Limited):
     def unit(self) -> str:
         """Unit of the magnitude."""
         return EFFECTS[self.effect].unit
+
+
+SENSOR_UNITS = {
+    "p_im_pa": "Pa", "p_em_pa": "Pa", "omega_t_rad_s": "rad/s", "w_egr_kg_s": "kg/s", "t_em_k": "K", "w_c_kg_s": "kg/s",
+}  # fmt: skip
+"""Columns that a fault of a sensor can change, with their units."""
+
+LAGGING_SENSOR = "t_em_k"
+"""The one whose reading may lag (a sheathed thermocouple)."""
+
+_SLOTS = {
+    (effect.site, name.rsplit("_", 1)[1]): name for name, effect in EFFECTS.items() if effect.site.startswith("sensor:")
+}
+
+
+def sensor_slot(sensor: str, fault: str) -> str:
+    """Where a fault of a sensor acts: the catalogue's effect that does the same, else `<column>:<fault>`."""
+    return _SLOTS.get((f"sensor:{sensor}", fault), f"{sensor}:{fault}")
+
+
+SENSOR_SLOTS = tuple(
+    dict.fromkeys(
+        sensor_slot(sensor, fault)
+        for fault in ("lag", "gain", "offset")
+        for sensor in SENSOR_UNITS
+        if fault != "lag" or sensor == LAGGING_SENSOR
+    )
+)
+"""All slots of faults of sensors, in the order in which they act."""
+
+
+class SensorTerm(_Limited):
+    """A found fault of a sensor, whether or not the catalogue has a name for it.
+
+    reading (1 + magnitude) for a gain, reading + magnitude for an offset, a first-order lag of the reading of the
+    exhaust temperature; the lag acts first, then gains, then offsets.
+    """
+
+    sensor: str = Field(description="column of the reading")
+    fault: Literal["gain", "offset", "lag"] = Field(description="what is wrong with it")
+    magnitude: float = Field(description="gain [-], offset [unit of the column], lag [s]")
+
+    @model_validator(mode="after")
+    def _possible(self) -> SensorTerm:
+        if self.sensor not in SENSOR_UNITS:
+            raise ValueError(f"unknown sensor {self.sensor!r}; {_close(self.sensor, SENSOR_UNITS)}")
+        if not math.isfinite(self.magnitude):
+            raise ValueError("magnitude is not finite")
+        if self.fault == "gain" and self.magnitude <= -1.0:
+            raise ValueError(f"gain {self.magnitude:g} leaves no reading; allowed: above -1")
+        if self.fault == "lag" and (self.sensor != LAGGING_SENSOR or self.magnitude < 0.0):
+            raise ValueError(f"a lag of {self.sensor} of {self.magnitude:g} s; allowed: of {LAGGING_SENSOR}, 0 or more")
+        return self
+
+    @property
+    def slot(self) -> str:
+        """Where it acts."""
+        return sensor_slot(self.sensor, self.fault)
+
+    @property
+    def law(self) -> str:
+        """The law in symbols."""
+        return {"gain": "reading (1 + g)", "offset": "reading + b", "lag": "tau dT/dt = T_em - T"}[self.fault]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the magnitude."""
+        return {"gain": "-", "offset": SENSOR_UNITS[self.sensor], "lag": "s"}[self.fault]
+
+
+class ActuatorTerm(_Limited):
+    """A found fault with a memory between command and actuator; offsets and gains are laws at `u_egr`, `u_vgt`."""
+
+    actuator: Literal["egr", "vgt"] = Field(description="which")
+    fault: Literal["dead_time", "backlash"] = Field(description="further dead time, or play")
+    magnitude: float = Field(ge=0, allow_inf_nan=False, description="dead time [s], full width of the play [%]")
+
+    @property
+    def slot(self) -> str:
+        """Where it acts."""
+        return f"{self.actuator}_{self.fault}"
+
+    @property
+    def law(self) -> str:
+        """The law in symbols."""
+        return EFFECTS[self.slot].law
+
+    @property
+    def unit(self) -> str:
+        """Unit of the magnitude."""
+        return EFFECTS[self.slot].unit
 
 
 class LawTerm(_Limited):
@@ -141,41 +237,50 @@ class LawTerm(_Limited):
         return value
 
 
+_MARKS = {"point": "law", "sensor": "sensor", "actuator": "actuator"}
+
+
 def _kind_of_term(value: Any) -> str:
-    has_point = "point" in value if isinstance(value, dict) else hasattr(value, "point")
-    return "law" if has_point else "effect"
+    for mark, kind in _MARKS.items():
+        if mark in value if isinstance(value, dict) else hasattr(value, mark):
+            return kind
+    return "effect"
 
 
 AnyTerm = Annotated[
-    Annotated[Term, Tag("effect")] | Annotated[LawTerm, Tag("law")], Discriminator(_kind_of_term)
-]
-"""A term of either kind; in a file a law is what has a `point`."""
+    Annotated[Term, Tag("effect")] | Annotated[LawTerm, Tag("law")] | Annotated[SensorTerm, Tag("sensor")]
+    | Annotated[ActuatorTerm, Tag("actuator")],
+    Discriminator(_kind_of_term),
+]  # fmt: skip
+"""A term of any kind; in a file a law is what has a `point`, a fault of a sensor or actuator what has such a field."""
+
+OneTerm = Term | LawTerm | SensorTerm | ActuatorTerm
 
 
-def effect_terms(terms: Sequence[Term | LawTerm]) -> tuple[Term, ...]:
-    """Those that are effects of the catalogue."""
-    return tuple(term for term in terms if isinstance(term, Term))
+def effect_terms(terms: Sequence[OneTerm]) -> tuple[Term | SensorTerm | ActuatorTerm, ...]:
+    """Those with a magnitude: effects of the catalogue, and faults of sensors and actuators that act like them."""
+    return tuple(term for term in terms if not isinstance(term, LawTerm))
 
 
-def law_terms(terms: Sequence[Term | LawTerm]) -> tuple[LawTerm, ...]:
+def law_terms(terms: Sequence[OneTerm]) -> tuple[LawTerm, ...]:
     """Those that are found laws."""
     return tuple(term for term in terms if isinstance(term, LawTerm))
 
 
 def amounts(
-    terms: Sequence[Term | LawTerm], names: Sequence[str], time_s: np.ndarray, start_s: float,
+    terms: Sequence[OneTerm], names: Sequence[str], time_s: np.ndarray, start_s: float,
     conditions: Mapping[str, np.ndarray],
 ) -> np.ndarray:  # fmt: skip
-    """Magnitude of each named effect at the samples, onset and region applied, (len(names), n) [its unit].
+    """Magnitude in each slot at the samples, onset and region applied, (len(names), n) [its unit].
 
     Args:
-        terms: of an engine; laws and effects that aren't named are not looked at.
-        names: of effects.
+        terms: of an engine; laws and terms in other slots are not looked at.
+        names: of slots: effects of the catalogue, or `SENSOR_SLOTS`.
         time_s: sample times [s], (n,); start_s: the recording's start.
         conditions: the input columns of `REGION_COLUMNS`, (n,) each.
     """
     out = np.zeros((len(names), time_s.size))
     for term in effect_terms(terms):
-        if term.effect in names:
-            out[list(names).index(term.effect)] += term.magnitude * term.factor(time_s, start_s, conditions)
+        if term.slot in names:
+            out[list(names).index(term.slot)] += term.magnitude * term.factor(time_s, start_s, conditions)
     return out

@@ -6,7 +6,7 @@ readings: 1 with no law at all, 0 with the truth.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from dieseltwin.discovery.challenge.plant_effects import Fault
 from dieseltwin.discovery.challenge.sensors import NOISE_REL, SENSORS, SensorSet, shown
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.parameters import load_engine
+from dieseltwin.engine.terms import OneTerm, Term
 
 SETTLED_ROWS = 25  # of the start, left out
 
@@ -35,11 +36,14 @@ def law_error(result: Path, clean: pd.DataFrame, fault: Fault, health: Mapping[s
     Returns:
         None where no law was found.
     """
-    from dieseltwin.engine.terms import LawTerm
-
     terms = load_engine(result / "engine.yaml").terms
-    if not any(isinstance(term, LawTerm) for term in terms):
+    if all(isinstance(term, Term) for term in terms):
         return None
+    return error_of(terms, clean, fault, health)
+
+
+def error_of(terms: Sequence[OneTerm], clean: pd.DataFrame, fault: Fault, health: Mapping[str, float]) -> float:
+    """`law_error` of given terms; arguments as there."""
     lasting = tuple(term.model_copy(update={"onset_s": None}) for term in terms)
     driving = Driving(*(clean[name].to_numpy(dtype=float) for name in ("time_s", *INPUTS)))
     parameters: dict[str, Any] = {**we2011.PARAMETERS.model_dump(), **health}

@@ -1,0 +1,73 @@
+"""A found law as terms of the engine file, which simulate, identify and discover honour."""
+
+from __future__ import annotations
+
+from dieseltwin.discovery.engine_twin import EngineTwin
+from dieseltwin.discovery.grammar import Form
+from dieseltwin.discovery.law import Law
+from dieseltwin.engine.effects import ActuatorTerm, LawTerm, SensorTerm, Term
+from dieseltwin.engine.terms import OneTerm
+
+_OPERATORS = {("dead_time", "u_egr"): "egr", ("dead_time", "u_vgt"): "vgt", ("play", "u_egr"): "egr",
+              ("play", "u_vgt"): "vgt"}  # fmt: skip
+
+
+def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
+    """The law's terms for the engine file; none where the file has no words for one of them.
+
+    It has for products of powers of known variables, for gain, offset and lag of a sensor, for dead time and play of an
+    actuator, and for the lag of the exhaust gas.
+    """
+    if law.faults:
+        return tuple(
+            SensorTerm(sensor=fault.channel, fault=fault.kind, magnitude=fault.size, std=fault.std)
+            for fault in law.faults
+        )
+    terms: list[OneTerm] = []
+    for k, placed in enumerate(law.placed):
+        if placed.form.fixed is not None:
+            operated = _operator_term(placed.form)
+            if operated is None:
+                return ()
+            terms.append(operated)
+            continue
+        if any(f.kind not in ("power", "time", "ratio") for f in placed.form.factors):
+            return ()
+        factors: list[tuple[str, float, float]] = []
+        for factor in placed.form.factors:
+            if factor.kind == "time":
+                factors.append(("t", float(factor.references[0]), 1.0))
+            elif factor.kind == "power":
+                factors.append((factor.variables[0], float(factor.references[0]), float(factor.shape)))
+            else:
+                shape = float(factor.shape)
+                factors += [(factor.variables[0], 1.0, shape), (factor.variables[1], 1.0, -shape)]
+        point = next(p for p in twin.points if p.name == placed.form.point)
+        try:
+            term = LawTerm(
+                point=point.name, coefficient=placed.coefficient, unit=point.unit, factors=tuple(factors),
+                text=law.text, std=law.std if k == 0 else None,
+            )  # fmt: skip
+        except ValueError:
+            return ()
+        terms.append(term)
+    return tuple(terms)
+
+
+def _operator_term(form: Form) -> Term | ActuatorTerm | None:
+    """Dead time or play of an actuator, lag of the exhaust gas; None for what the file has no words for."""
+    kind, size = form.factors[0].kind, float(form.factors[0].shape)
+    if len(form.factors) > 1:
+        return None
+    if (kind, form.point) in _OPERATORS:
+        actuator = _OPERATORS[(kind, form.point)]
+        return ActuatorTerm(
+            actuator=actuator,  # type: ignore[arg-type]
+            fault="dead_time" if kind == "dead_time" else "backlash", magnitude=size,
+        )  # fmt: skip
+    if (kind, form.point) == ("lag", "T_em"):
+        return Term(effect="exhaust_thermal_inertia", magnitude=size)
+    return None
+
+
+__all__ = ["law_terms_of"]
