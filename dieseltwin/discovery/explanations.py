@@ -12,36 +12,83 @@ from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import Scored, best_of_each, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search_state import Search, set_probabilities
-from dieseltwin.discovery.variants import Variant, onset_candidates
+from dieseltwin.discovery.variants import Variant, edge_cost, onset_candidates, rescan, same_region
 
 _PAIRS = 10
 VARIANTS = 6  # are refitted
+_RIVALS = 4  # other effects that act in the best region
+_RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
 _POLISHED = 4  # of the best fits get sensitivities of their own
 _LEADING = 60.0  # gain within which a fit counts as leading
+_LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
 
 
 def try_variants(found: Search) -> None:
     """Effects that begin in the middle or act in a part of the operating range only."""
     top = found.gain(found.singles[0]) if found.singles else 0.0
     variants = [v for v in found.scanned[:VARIANTS] if v.gain > 0.5 * top]
-    if variants:
-        _refit_variants(found, variants)
-        best = found.variants[0][0]
-        if best.onset_s is not None:
-            for reach, count in ((8.0, 5), (2.0, 5)):
-                best, _ = found.variants[0]
-                _refit_variants(found, [
-                    replace(best, onset_s=t, schedule=(found.twin.time_s >= t).astype(float))
-                    for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
-                ])  # fmt: skip
+    if not variants:
+        return
+    _refit_variants(found, variants)
+    best, fit = found.variants[0]
+    if found.gain(fit) < top + 0.5 * found.settings.variant_gain:
+        return
+    if best.onset_s is not None:
+        for reach, count in ((8.0, 5), (2.0, 5)):
+            best, _ = found.variants[0]
+            _refit_variants(found, [
+                replace(best, onset_s=t, schedule=(found.twin.time_s >= t).astype(float))
+                for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
+            ])  # fmt: skip
+        return
+    known = {v.name for v, _ in found.variants}
+    rivals = same_region(found.null, found.scored, best)
+    _refit_variants(found, [v for v in rivals if v.name not in known and v.gain > 0.5 * best.gain][:_RIVALS])
+    _polish_variants(found)
+    for count, fine in _RESCANS:
+        for variant, fit in _leaders(found)[:count]:
+            moved = rescan(found.null, found.whitening, variant, fit, fine)
+            if moved.region != variant.region:
+                _refit_variants(found, [moved], fit)
+        _polish_variants(found)
 
 
-def _refit_variants(found: Search, variants: Sequence[Variant]) -> None:
-    """Refits of variants, added to those that are known."""
+def _with_edges(pair: tuple[Variant, Fit]) -> float:
+    return pair[1].objective + edge_cost(pair[0])
+
+
+def _leaders(found: Search) -> list[tuple[Variant, Fit]]:
+    """The best variant of each of the leading effects."""
+    best: dict[str, tuple[Variant, Fit]] = {}
+    for variant, fit in found.variants:
+        best.setdefault(variant.name, (variant, fit))
+    limit = _LEADING_SHARE * found.gain(found.variants[0][1])
+    return [pair for pair in best.values() if found.gain(pair[1]) > limit][:_POLISHED]
+
+
+def _polish_variants(found: Search) -> None:
+    leaders = _leaders(found)
+    rest = [pair for pair in found.variants if all(pair[1] is not fit for _, fit in leaders)]
+    fits = [
+        fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit for _, fit in leaders
+    ]
+    polished = [(variant, fit) for (variant, _), fit in zip(leaders, fits, strict=True)]
+    found.variants = sorted([*rest, *polished], key=_with_edges)
+
+
+def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None = None) -> None:
+    """Refits of variants, added to those that are known; `near`: the fit of a variant that is nearly the same."""
+    if not variants:
+        return
     candidates = [Candidate((v.name,), {v.name: v.schedule}) for v in variants]
-    fits = refit_all(found.null, candidates, [v.response[None] for v in variants])
+    if near is None:
+        fits = refit_all(found.null, candidates, [v.response[None] for v in variants])
+    else:
+        base = Linearisation(found.twin, found.whitening, near, found.null)
+        response = base.jacobian[-1:]
+        fits = refit_all(base, candidates, [response for _ in variants])
     pairs = [*found.variants, *zip(variants, fits, strict=True)]
-    found.variants = sorted(pairs, key=lambda pair: pair[1].objective)
+    found.variants = sorted(pairs, key=_with_edges)
 
 
 def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Scored, Scored]]:
@@ -106,7 +153,7 @@ def choose(found: Search, first: Linearisation) -> None:
     options: list[tuple[float, str, Fit | None, Variant | None]] = [(single, "single", first.fit, None)]
     if found.variants:
         timed, timed_fit = found.variants[0]
-        options.append((found.gain(timed_fit) - settings.variant_gain, "variant", timed_fit, timed))
+        options.append((found.gain(timed_fit) - settings.variant_gain - edge_cost(timed), "variant", timed_fit, timed))
     pair = next((fit for fit in found.pairs if found.of_interest(fit)), None)
     if pair is not None:
         options.append((found.gain(pair) - settings.second_gain, "pair", pair, None))

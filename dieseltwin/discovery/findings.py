@@ -85,7 +85,7 @@ def _regions(
     for name in _CONDITIONS:
         values = twin.conditions[name]
         if known and name in known:
-            low, high = known[name]
+            low, high = np.clip(known[name], values.min(), values.max())
         else:
             order = np.argsort(values)
             share = np.cumsum(positive[order]) / max(positive.sum(), 1e-300)

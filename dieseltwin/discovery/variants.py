@@ -7,18 +7,24 @@ condition: masked responses needn't be projected one by one.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from dieseltwin.discovery.fit import Linearisation
-from dieseltwin.discovery.score import Scored, best_of_each
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, simulate_fits
+from dieseltwin.discovery.metric import Whitening
+from dieseltwin.discovery.score import Scored, best_of_each, without_parameters
 from dieseltwin.discovery.twin import Array, Twin
 
-_BINS = 10  # of a condition, with equal numbers of samples
+_BINS = 20  # of a condition, with equal numbers of samples
 _LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
+_SECOND_EDGE = 8.0  # gain that a second edge along one condition must add
 _SECOND_CONDITION = 12.0  # gain that a second condition of a region must add
+_REFINED = 6  # of the leading effects have their regions' edges found in turn, until none moves
+_TURNS = 3
+_COARSE = (0.0, 0.04, 0.12, 0.3, 0.5, 0.7, 0.88, 0.96, 1.0)  # shares of the samples between slabs that are simulated
 
 Region = dict[str, tuple[float, float]]
 
@@ -34,6 +40,7 @@ class Variant:
         schedule: (n,) 1 where it acts, else 0.
         response: (n, C) linear response per unit of magnitude.
         gain: linear gain.
+        edges: of the region, inside the range driven.
     """
 
     name: str
@@ -42,6 +49,7 @@ class Variant:
     schedule: Array
     response: Array
     gain: float
+    edges: int = 0
 
 
 class _Sums:
@@ -62,6 +70,13 @@ class _Sums:
         self.known = self.basis @ self.residual
         limits = np.array([at.twin.hypotheses[item.name].limits for item in items])
         self.low, self.high = limits[:, 0], limits[:, 1]
+
+    def only(self, h: int) -> _Sums:
+        """The same for one hypothesis."""
+        part = copy(self)
+        part.items, part.vectors = [self.items[h]], self.vectors[h : h + 1]
+        part.low, part.high = self.low[h : h + 1], self.high[h : h + 1]
+        return part
 
     def of(self, group: np.ndarray, count: int) -> tuple[Array, Array, Array]:
         """Squares (G, H), pushes (G, H) and inner products with the basis (G, K, H) of each group of rows.
@@ -116,12 +131,22 @@ def scan(at: Linearisation, scored: Sequence[Scored], count: int) -> list[Varian
     return kept[:count]
 
 
-def _variant(sums: _Sums, h: int, onset: float | None, region: Region | None, acts: np.ndarray, gain: float) -> Variant:
+def _variant(
+    twin: Twin, item: Scored, onset: float | None, region: Region | None, acts: np.ndarray, gain: float
+) -> Variant:
+    schedule = acts.astype(np.float64) if region is None else _schedule(acts)
+    edges = 0
+    for name, (low, high) in (region or {}).items():
+        values = twin.conditions[name]
+        edges += int(low > values.min()) + int(high < values.max())
+    return Variant(item.name, onset, region, schedule, schedule[:, None] * item.response, float(gain), edges)
+
+
+def _schedule(acts: np.ndarray) -> Array:
+    """Factor over the interval behind each sample: half where conditions cross an edge between two samples."""
     schedule = acts.astype(np.float64)
-    if region is not None:  # conditions cross an edge between two samples
-        schedule[:-1] = 0.5 * (schedule[:-1] + schedule[1:])
-    item = sums.items[h]
-    return Variant(item.name, onset, region, schedule, schedule[:, None] * item.response, float(gain))
+    schedule[:-1] = 0.5 * (schedule[:-1] + schedule[1:])
+    return schedule
 
 
 def _onsets(sums: _Sums) -> list[Variant]:
@@ -133,10 +158,11 @@ def _onsets(sums: _Sums) -> list[Variant]:
     allowed = (twin.starts > _LEAST_SHARE * n) & (twin.starts < (1.0 - _LEAST_SHARE) * n)
     gains[~allowed] = 0.0
     best = gains.argmax(axis=0)
-    return [
-        _variant(sums, h, float(twin.time_s[twin.starts[w]]), None, np.arange(n) >= twin.starts[w], gains[w, h])
-        for h, w in enumerate(best)
-    ]
+    found = []
+    for h, w in enumerate(best):
+        since = float(twin.time_s[twin.starts[w]])
+        found.append(_variant(twin, sums.items[h], since, None, np.arange(n) >= twin.starts[w], gains[w, h]))
+    return found
 
 
 def _bins(values: Array) -> tuple[np.ndarray, Array]:
@@ -144,8 +170,11 @@ def _bins(values: Array) -> tuple[np.ndarray, Array]:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2), edges
 
 
-def _intervals(sums: _Sums, values: Array, inside: np.ndarray) -> list[tuple[float, int, float, float]]:
-    """(gain, hypothesis, low, high) of each hypothesis' best range of one condition within what is inside."""
+def _intervals(sums: _Sums, values: Array, inside: np.ndarray) -> list[tuple[float, float, float]]:
+    """(gain, low, high) of each hypothesis' best range of one condition within what is inside.
+
+    A range with two edges pays for the second.
+    """
     of_sample, edges = _bins(values)
     count = len(edges) - 1
     if count < 2:
@@ -158,37 +187,63 @@ def _intervals(sums: _Sums, values: Array, inside: np.ndarray) -> list[tuple[flo
         (a, b)
         for a in range(count)
         for b in range(a + 1, count + 1)
-        if (a == 0 or b == count) and least < sizes[b] - sizes[a] < values.size - least
+        if b - a < count and least < sizes[b] - sizes[a] < values.size - least
     ]
     if not pairs:
         return []
     low, high = (np.array(side) for side in zip(*pairs, strict=True))
     gains = sums.gains(*(total[high] - total[low] for total in totals))
+    gains -= _SECOND_EDGE * ((low > 0) & (high < count))[:, None]
     best = gains.argmax(axis=0)
-    return [
-        (float(gains[p, h]), h, float(edges[pairs[p][0]]), float(edges[pairs[p][1]])) for h, p in enumerate(best)
-    ]
+    return [(float(gains[p, h]), *_open_ended(edges, low[p], high[p])) for h, p in enumerate(best)]
+
+
+def inside_region(conditions: Mapping[str, Array], region: Region) -> np.ndarray:
+    """(n,) whether each sample lies in a region."""
+    acts = np.ones(len(next(iter(conditions.values()))), dtype=bool)
+    for name, (low, high) in region.items():
+        acts &= (conditions[name] >= low) & (conditions[name] <= high)
+    return acts
 
 
 def _regions(sums: _Sums) -> list[Variant]:
     """Best region of each hypothesis over one condition, or over two where the second adds enough."""
     conditions: Mapping[str, Array] = sums.at.twin.conditions
     everywhere = np.ones(sums.at.twin.time_s.size, dtype=bool)
-    best: dict[int, tuple[float, Region, np.ndarray]] = {}
+    best: dict[int, tuple[float, Region]] = {}
     for name, values in conditions.items():
-        for gain, h, low, high in _intervals(sums, values, everywhere):
+        for h, (gain, low, high) in enumerate(_intervals(sums, values, everywhere)):
             if h not in best or gain > best[h][0]:
-                best[h] = (gain, {name: (low, high)}, (values >= low) & (values <= high))
-    leading = sorted(best, key=lambda h: -best[h][0])[:4]
-    for h in leading:
-        first_gain, region, acts = best[h]
-        for name, values in conditions.items():
-            if name in region:
-                continue
-            for gain, other, low, high in _intervals(sums, values, acts):
-                if other == h and gain > best[h][0] and gain > first_gain + _SECOND_CONDITION:
-                    best[h] = (gain, {**region, name: (low, high)}, acts & (values >= low) & (values <= high))
-    return [_variant(sums, h, None, region, acts, gain) for h, (gain, region, acts) in best.items()]
+                best[h] = (gain, {name: (low, high)})
+    for h in sorted(best, key=lambda h: -best[h][0])[:_REFINED]:
+        best[h] = _refined(sums, h, *best[h])
+    return [
+        _variant(sums.at.twin, sums.items[h], None, region, inside_region(conditions, region), gain)
+        for h, (gain, region) in best.items()
+    ]
+
+
+def _refined(sums: _Sums, h: int, gain: float, region: Region) -> tuple[float, Region]:
+    """Every condition's range anew given the other's, and a second condition where it adds enough."""
+    conditions = sums.at.twin.conditions
+    alone = sums.only(h)
+    for _ in range(_TURNS):
+        before = gain
+        for name in region if len(region) > 1 or not np.isfinite(gain) else ():
+            rest = {other: box for other, box in region.items() if other != name}
+            for found, low, high in _intervals(alone, conditions[name], inside_region(conditions, rest)):
+                if found > gain:
+                    gain, region = found, {**region, name: (low, high)}
+        if len(region) == 1:
+            first, acts = region, inside_region(conditions, region)
+            needed = gain + _SECOND_CONDITION
+            for name, values in conditions.items():
+                for found, low, high in _intervals(alone, values, acts) if name not in first else ():
+                    if found > max(needed, gain):
+                        gain, region = found, {**first, name: (low, high)}
+        if gain < before + 1.0:
+            break
+    return gain, region
 
 
 def onset_candidates(twin: Twin, around_s: float, reach_s: float, count: int) -> list[float]:
@@ -196,3 +251,80 @@ def onset_candidates(twin: Twin, around_s: float, reach_s: float, count: int) ->
     times = np.linspace(around_s - reach_s, around_s + reach_s, count)
     inner = times[(times > twin.time_s[2]) & (times < twin.time_s[-3])]
     return sorted({float(twin.time_s[np.searchsorted(twin.time_s, t)]) for t in inner})
+
+
+def same_region(at: Linearisation, scored: Sequence[Scored], like: Variant) -> list[Variant]:
+    """All hypotheses in the region of one variant, strongest first."""
+    if like.region is None:
+        return []
+    sums = _Sums(at, best_of_each(scored))
+    acts = inside_region(at.twin.conditions, like.region)
+    gains = sums.gains(*(part[0] for part in sums.of(sums.per_row(np.where(acts, 0, -1)), 1)))
+    found = [_variant(at.twin, sums.items[h], None, like.region, acts, gain) for h, gain in enumerate(gains)]
+    return sorted(found, key=lambda v: -v.gain)
+
+
+def rescan(null: Linearisation, whitening: Whitening, variant: Variant, fit: Fit, fine: float) -> Variant:
+    """The best ranges of a variant's region about its own refit, each condition given the other.
+
+    What acts on the turbo's speed acts for seconds, so its response to a region isn't that part of its response to
+    everywhere, and `scan` blurs the edges. Here every slab of a condition is simulated by itself. `fine`: share of the
+    samples to either side of an edge that is known already.
+    """
+    twin = null.twin
+    magnitude = float(fit.magnitudes[0])
+    if variant.region is None or magnitude == 0.0:
+        return variant
+    region, gain = dict(variant.region), variant.gain
+    at = Linearisation(twin, whitening, replace(fit, candidate=Candidate(), magnitudes=np.zeros(0)), null)
+    for name in variant.region:
+        rest = inside_region(twin.conditions, {other: box for other, box in region.items() if other != name})
+        values = twin.conditions[name]
+        edges = _slab_edges(values, region[name], fine)
+        of_sample = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+        slabs = [(of_sample == g) & rest for g in range(len(edges) - 1)]
+        trials = [replace(fit, candidate=Candidate((variant.name,), {variant.name: _schedule(acts)})) for acts in slabs]
+        responses = (simulate_fits(twin, trials) - at.simulated) / magnitude
+        vectors = without_parameters(at, at.metric.project(responses))
+        gram, push = vectors @ vectors.T, vectors @ at.projected_residual
+        low, high = twin.hypotheses[variant.name].limits
+        best = -np.inf
+        for a in range(len(slabs)):
+            for b in range(a + 1, len(slabs) + 1):
+                information = float(gram[a:b, a:b].sum())
+                if information <= 0.0:
+                    continue
+                pushed = float(push[a:b].sum())
+                size = float(np.clip(pushed / information, low, high))
+                value = size * (2.0 * pushed - size * information) - _SECOND_EDGE * ((a > 0) + (b < len(slabs)))
+                if value > best:
+                    best, region[name] = value, _open_ended(edges, a, b)
+        gain = best
+    acts = inside_region(twin.conditions, region)
+    item = Scored(variant.name, magnitude, at.jacobian[:0].sum(axis=0), np.zeros(0), magnitude, np.inf, gain)
+    return _variant(twin, item, None, region, acts, gain)
+
+
+def _slab_edges(values: Array, box: tuple[float, float], fine: float) -> Array:
+    """Edges of slabs of a condition: coarse ones, and fine ones about the range known so far."""
+    ordered = np.sort(values)
+    shares = [*_COARSE]
+    for edge in box:
+        place = float(np.searchsorted(ordered, edge)) / values.size
+        if 0.0 < place < 1.0:
+            shares = [s for s in shares if abs(s - place) > 1.5 * fine or s in (0.0, 1.0)]
+            shares += [place - fine, place, place + fine]
+    return np.unique(np.quantile(values, np.clip(np.sort(shares), 0.0, 1.0)))
+
+
+def _open_ended(edges: Array, a: int, b: int) -> tuple[float, float]:
+    """A range from edge `a` to edge `b`. An end of the range driven is no edge: such a range goes on far beyond."""
+    span = edges[-1] - edges[0]
+    low = edges[0] - span if a == 0 else edges[a]
+    high = edges[-1] + span if b == len(edges) - 1 else edges[b]
+    return float(low), float(high)
+
+
+def edge_cost(variant: Variant) -> float:
+    """What the edges of a region cost, beyond the first [units of gain]."""
+    return _SECOND_EDGE * max(variant.edges - 1, 0)
