@@ -60,7 +60,9 @@ class EngineTwin:
         InputError: no sensor, or no stretch with the engine running.
     """
 
-    law_kinds = ("power", "ratio", "time", "lag", "dead_time", "play")
+    law_kinds = (
+        "power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "lag", "dead_time", "play",
+    )  # fmt: skip
     """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
 
     law_variables = LAW_VARIABLES

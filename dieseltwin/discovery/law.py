@@ -195,7 +195,7 @@ def search(
     resolved = bool(refits) and refits[0].score > options.false_law
     if not resolved:
         return Found(None, _loose_curve(twin, responses, ranked, variables, at), tried, _table(twin, refits))
-    law = _report(twin, at, refits, nuisance_response, options, worth)
+    law = _report(twin, at, _simplest_first(refits), nuisance_response, options, worth)
     return Found(law, None, tried, _table(twin, refits))
 
 
@@ -211,6 +211,20 @@ def _single_terms(refits: Sequence[Refit], twin: Twin, of: int = 3) -> list[Rank
             if item.key not in known:
                 out.setdefault(item.key, item)
     return list(out.values())
+
+
+def _simplest_first(refits: list[Refit]) -> list[Refit]:
+    """Of the laws that the recording can't tell from the best one, the simplest goes first, wherever it sits.
+
+    A form that follows this recording's chance is no better here and worse on other driving.
+    """
+    alike = [r for r in refits if refits[0].score - r.score < _RIVALS]
+    simplest = min(alike, key=lambda r: (_complexity(r), -r.score))
+    return [simplest, *(r for r in refits if r is not simplest)]
+
+
+def _complexity(refit: Refit) -> int:
+    return sum(1 + law.form.complexity for law in refit.twin.laws)
 
 
 def _table(twin: Twin, refits: Sequence[Refit]) -> tuple[tuple[str, str, float], ...]:
@@ -295,7 +309,7 @@ def _report(
     variables = {**law.variables(lanes), "time_s": twin.time_s}
     point = next(p for p in twin.points if p.name == form.point)
     rivals = tuple(
-        Rival(_text(twin, r), r.ranked.site, best.score - r.score)
+        Rival(_text(twin, r), r.ranked.site, abs(best.score - r.score))
         for r in refits[1:]
         if best.score - r.score < _RIVALS
     )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dieseltwin.discovery.engine_twin import EngineTwin
-from dieseltwin.discovery.grammar import Form
+from dieseltwin.discovery.grammar import Factor, Form
 from dieseltwin.discovery.law import Law
-from dieseltwin.engine.effects import ActuatorTerm, LawTerm, SensorTerm, Term
+from dieseltwin.engine.effects import ActuatorTerm, LawGroup, LawTerm, SensorTerm, Term
 from dieseltwin.engine.terms import OneTerm
 
+_WRITTEN = ("power", "time", "ratio", "orifice", "difference", "head", "above_one", "share")
 _OPERATORS = {("dead_time", "u_egr"): "egr", ("dead_time", "u_vgt"): "vgt", ("play", "u_egr"): "egr",
               ("play", "u_vgt"): "vgt"}  # fmt: skip
 
@@ -15,8 +16,8 @@ _OPERATORS = {("dead_time", "u_egr"): "egr", ("dead_time", "u_vgt"): "vgt", ("pl
 def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
     """The law's terms for the engine file; none where the file has no words for one of them.
 
-    It has for products of powers of known variables, for gain, offset and lag of a sensor, for dead time and play of an
-    actuator, and for the lag of the exhaust gas.
+    It has for products of powers, differences, shares and nozzles of known variables, for gain, offset and lag of a
+    sensor, for dead time and play of an actuator, and for the lag of the exhaust gas.
     """
     if law.faults:
         return tuple(
@@ -31,27 +32,42 @@ def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
                 return ()
             terms.append(operated)
             continue
-        if any(f.kind not in ("power", "time", "ratio") for f in placed.form.factors):
-            return ()
         factors: list[tuple[str, float, float]] = []
+        groups: list[LawGroup] = []
         for factor in placed.form.factors:
-            if factor.kind == "time":
-                factors.append(("t", float(factor.references[0]), 1.0))
-            elif factor.kind == "power":
-                factors.append((factor.variables[0], float(factor.references[0]), float(factor.shape)))
-            else:
-                shape = float(factor.shape)
-                factors += [(factor.variables[0], 1.0, shape), (factor.variables[1], 1.0, -shape)]
+            if factor.kind not in _WRITTEN:
+                return ()
+            powers, own = _written(factor)
+            factors += powers
+            groups += own
         point = next(p for p in twin.points if p.name == placed.form.point)
         try:
             term = LawTerm(
                 point=point.name, coefficient=placed.coefficient, unit=point.unit, factors=tuple(factors),
-                text=law.text, std=law.std if k == 0 else None,
+                groups=tuple(groups), text=law.text, std=law.std if k == 0 else None,
             )  # fmt: skip
         except ValueError:
             return ()
         terms.append(term)
     return tuple(terms)
+
+
+def _written(factor: Factor) -> tuple[list[tuple[str, float, float]], list[LawGroup]]:
+    """A factor as powers and groups."""
+    kind, shape, names = factor.kind, float(factor.shape), factor.variables
+    reference = float(factor.references[0])
+    if kind == "time":
+        return [("t", reference, 1.0)], []
+    if kind == "power":
+        return [(names[0], reference, shape)], []
+    if kind == "ratio":
+        return [(names[0], 1.0, shape), (names[1], 1.0, -shape)], []
+    if kind == "orifice":
+        heat = [(names[2], float(factor.references[2]), -0.5)] if len(names) == 3 else []
+        return [(names[0], reference, 1.0), *heat], [LawGroup(kind="orifice", variables=names[:2])]
+    if kind == "difference":
+        return [], [LawGroup(kind="difference", variables=names, reference=reference, exponent=shape)]
+    return [], [LawGroup(kind=kind, variables=names, exponent=shape)]  # type: ignore[arg-type]
 
 
 def _operator_term(form: Form) -> Term | ActuatorTerm | None:

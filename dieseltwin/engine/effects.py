@@ -13,9 +13,9 @@ from dieseltwin.engine.effect_catalogue import (
     STATE_EFFECTS,
     Effect,
 )
-from dieseltwin.engine.terms import ActuatorTerm, LawTerm, Region, SensorTerm, Term
+from dieseltwin.engine.terms import ActuatorTerm, LawGroup, LawTerm, Region, SensorTerm, Term
 
 __all__ = [
     "ACTUATOR_EFFECTS", "ADDED_AT", "EFFECTS", "POINTS", "SITES", "STATE_EFFECTS",
-    "ActuatorTerm", "Effect", "LawTerm", "Region", "SensorTerm", "Term",
+    "ActuatorTerm", "Effect", "LawGroup", "LawTerm", "Region", "SensorTerm", "Term",
 ]  # fmt: skip

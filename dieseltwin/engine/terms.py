@@ -196,16 +196,72 @@ class ActuatorTerm(_Limited):
         return EFFECTS[self.slot].unit
 
 
-class LawTerm(_Limited):
-    """A found law that isn't in the catalogue: coefficient times powers of variables, at one insertion point.
+class LawGroup(BaseModel):
+    """A dimensionless group of a law that is no power: a difference, a share, or the shape of a nozzle's flow.
 
-    Its signal is coefficient * prod((variable/reference)**exponent); relative or added as the point is (`ADDED_AT`).
+    `signed(z)` is sign(z) |z|**exponent. With x, y the variables: "difference" signed((x - y)/reference), "head"
+    signed(x/y - 1), "above_one" signed(x - 1), "share" x/(x + y), "orifice" the flow from x to y over its choked value
+    at the same upstream state, negative the other way.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["difference", "head", "above_one", "share", "orifice"]
+    variables: tuple[str, ...] = Field(description="x, or x and y")
+    reference: float = Field(1.0, gt=0, allow_inf_nan=False, description="of a difference [its unit]")
+    exponent: float = Field(1.0, gt=0, allow_inf_nan=False, description="of signed powers")
+
+    @model_validator(mode="after")
+    def _possible(self) -> LawGroup:
+        if len(self.variables) != (1 if self.kind == "above_one" else 2):
+            raise ValueError(f"{self.kind} of {len(self.variables)} variables")
+        for variable in self.variables:
+            if variable not in LAW_VARIABLES:
+                raise ValueError(f"unknown variable {variable!r}; {_close(variable, LAW_VARIABLES)}")
+        return self
+
+    def value(self, variables: Any, power: Any = np.power) -> Any:
+        """At arrays or tensors by name."""
+        x = variables[self.variables[0]]
+        if self.kind == "above_one":
+            return self._signed(x - 1.0, power)
+        y = variables[self.variables[1]]
+        if self.kind == "difference":
+            return self._signed((x - y) / self.reference, power)
+        if self.kind == "head":
+            return self._signed(x / y - 1.0, power)
+        if self.kind == "share":
+            return x / (x + y)
+        return _nozzle(y / x, power) - _nozzle(x / y, power)
+
+    def _signed(self, z: Any, power: Any) -> Any:
+        return z if self.exponent == 1.0 else z * power(abs(z) + 1e-12, self.exponent - 1.0)
+
+
+_NOZZLE_GAMMA = 1.4  # its value moves the shape by less than 2 % (air, exhaust gas)
+_CRITICAL = (2.0 / (_NOZZLE_GAMMA + 1.0)) ** (_NOZZLE_GAMMA / (_NOZZLE_GAMMA - 1.0))
+
+
+def _nozzle(ratio: Any, power: Any) -> Any:
+    """Isentropic flow over its choked value at a pressure quotient downstream/upstream, 0 from 1 on."""
+    g = _NOZZLE_GAMMA
+    r = ratio.clip(_CRITICAL, 1.0)
+    choked = _CRITICAL ** (2.0 / g) - _CRITICAL ** ((g + 1.0) / g)
+    return power((power(r, 2.0 / g) - power(r, (g + 1.0) / g)).clip(0.0, 1.0) / choked + 1e-18, 0.5)
+
+
+class LawTerm(_Limited):
+    """A found law that isn't in the catalogue: coefficient times powers and groups of variables, at one point.
+
+    Its signal is coefficient * prod((variable/reference)**exponent) * prod(groups); relative or added as the point is
+    (`ADDED_AT`).
     """
 
     point: str = Field(description="insertion point")
     coefficient: float = Field(description="signal where every variable is at its reference")
     unit: str = Field(description="of the coefficient: '-' at a relative point, else the point's unit")
     factors: tuple[tuple[str, float, float], ...] = Field((), description="(variable, reference, exponent)")
+    groups: tuple[LawGroup, ...] = Field((), description="differences, shares, nozzles")
     text: str = Field("", description="the law for people")
 
     @field_validator("point")
@@ -234,6 +290,8 @@ class LawTerm(_Limited):
         value: Any = self.coefficient
         for variable, reference, exponent in self.factors:
             value = value * power(variables[variable] / reference, exponent)
+        for group in self.groups:
+            value = value * group.value(variables, power)
         return value
 
 
