@@ -211,12 +211,17 @@ def scores(beside: pd.DataFrame, ensembles: Sequence[Ensemble], resamplings: int
 
 
 def _resampled_rmse(ratios: NDArray[np.float64], resamplings: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """(resamplings,) RMSE of members drawn with replacement."""
+    """(resamplings,) RMSE of members drawn with replacement; widened by n / (n - 1), or few members look too sure."""
     if not len(ratios):
         return np.full(resamplings, np.nan)
-    again = ratios[rng.integers(0, len(ratios), (resamplings, len(ratios)))]
-    spread = again.std(axis=1, ddof=1) if len(ratios) > 1 else np.zeros(resamplings)
-    return np.hypot(again.mean(axis=1) - 1.0, spread)
+    count = len(ratios)
+    again = ratios[rng.integers(0, count, (resamplings, count))]
+    if count == 1:
+        return np.abs(again[:, 0] - 1.0)
+    wider = math.sqrt(count / (count - 1))
+    middle = float(ratios.mean())
+    mean = middle + wider * (again.mean(axis=1) - middle)
+    return np.hypot(mean - 1.0, wider * again.std(axis=1, ddof=1))
 
 
 def run_times(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
@@ -281,9 +286,10 @@ def _spread(values: Sequence[float], paper: printed.Cell) -> dict[str, float]:
 def calibration(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Whether stated uncertainty is what it says, on noisy data: per method, variant and parameter.
 
-    Columns: members (with a stated deviation and identifiable), coverage (share of 90 % intervals that hold the truth),
-    z_std (standard deviation of error over stated deviation, 1 if honest), z_mean (bias in stated deviations). For
-    methods that state none (Adam), the spread of the members takes its place: `z_mean` is then bias over spread.
+    Columns: stated_by, intervals (how many, identifiable cells only), coverage (share of 90 % intervals that hold the
+    truth), z_std (standard deviation of error over stated deviation, 1 if honest), z_mean (bias in stated deviations).
+    Methods that state none (Adam) have one interval a minute, from the spread of the members: `z_mean` is then bias
+    over spread, and `z_std`, which would be 1 by construction, NaN.
     """
     rows = []
     for e in ensembles:
@@ -302,22 +308,22 @@ def calibration(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
                 z = ((usable["ratio"] - 1.0) / spread).dropna()
                 ends = groups.quantile([0.05, 0.95]).unstack()
                 inside = float(((ends[0.05] <= 1.0) & (ends[0.95] >= 1.0)).mean()) if len(ends) else math.nan
+                z = z.groupby(usable["segment"]).mean()
             rows.append(
                 {
                     "variant": e.variant, "method": e.method, "parameter": parameter,
-                    "stated_by": "method" if own else "spread of members", "members": len(z), "coverage": inside,
+                    "stated_by": "method" if own else "spread of members", "intervals": len(z), "coverage": inside,
                     "z_mean": float(z.mean()) if len(z) else math.nan,
-                    "z_std": float(z.std()) if len(z) > 1 else math.nan,
+                    "z_std": float(z.std()) if own and len(z) > 1 else math.nan,
                 }
             )  # fmt: skip
     return pd.DataFrame(rows)
 
 
 def over_epochs(ensembles: Sequence[Ensemble], truth: Mapping[str, float], points: int = 12) -> pd.DataFrame:
-    """RMSE of each parameter along the training on noisy data, over identifiable segments and members.
+    """RMSE of each parameter along the training on noisy data, over members and the minutes that are scored.
 
-    Columns: variant, method, epoch, parameter, rmse (over the truth), held_out (misfit of readings that no loss saw,
-    where there are some).
+    Columns: variant, method, epoch, parameter, rmse (over the truth).
     """
     rows = []
     for e in ensembles:
@@ -327,7 +333,7 @@ def over_epochs(ensembles: Sequence[Ensemble], truth: Mapping[str, float], point
         last = int(e.curves["epoch"].max())
         for parameter in printed.PARAMETERS:
             curve = e.curves[e.curves["quantity"] == parameter]
-            known = [s for s in curve["segment"].unique() if bounds.get((s, parameter), math.inf) <= IDENTIFIABLE]
+            known = [s for s in curve["segment"].unique() if bounds.get((s, parameter), math.inf) < BOUND_SCORED]
             error = curve[curve["segment"].isin(known)].assign(
                 square=lambda frame, p=parameter: (frame["value"] / truth[p] - 1.0) ** 2
             )
@@ -367,7 +373,8 @@ def metrics(score: pd.DataFrame, calibrated: pd.DataFrame, table: pd.DataFrame) 
         own = found.setdefault(row.method, {})
         own[f"{short[row.table]}/better_pct"] = _number(100.0 * row.better)
         own[f"{short[row.table]}/rmse_ratio"] = _number(row.ratio)
-    for row in calibrated[calibrated["variant"] == ""].itertuples():
+    stated = (calibrated["variant"] == "") & (calibrated["stated_by"] == "method")
+    for row in calibrated[stated].itertuples():
         found.setdefault(row.method, {})[f"coverage/{row.parameter}"] = _number(row.coverage)
     for (method, case), part in table[table["variant"] == ""].groupby(["method", "case"]):
         own = found.setdefault(method, {})

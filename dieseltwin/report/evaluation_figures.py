@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from dieseltwin.report import evaluation_words as words
 from dieseltwin.report import quantities, style
@@ -56,8 +56,9 @@ def over_epochs_figure(table: pd.DataFrame) -> style.ReportFigure:
             label = look.label + (f", {variant}" if variant else "")
             axes.plot(part["epoch"], 100.0 * part["rmse"], color=look.colour, linestyle=line, label=label)
         axes.set_yscale("log")
-        for formatted in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
-            formatted(FuncFormatter(lambda value, _: f"{value:.3g}"))
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
         axes.set_ylabel(f"RMSE of {quantities.symbol(parameter)} [%]")
         axes.set_xlabel("epoch")
     handles, labels = panels[0].get_legend_handles_labels()

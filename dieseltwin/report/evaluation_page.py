@@ -23,6 +23,13 @@ from dieseltwin.report.style import ReportFigure
 SIZE_LIMIT_BYTES = 12 * 1024 * 1024
 _SMALLER_DPI = (100, 75, 55)
 TITLE = "The paper's tables and figures, and ours beside them"
+_ORDER = ("baseline", "multi-stage", "few-shot-adam", "few-shot-newton", "classical")
+_LEARNED = {
+    "multi-stage": "maps and operators learned",
+    "few-shot-adam": "maps, operators and bodies learned",
+    "few-shot-newton": "bodies learned, exact formulae",
+    "classical": "exact formulae",
+}
 _WORDS = {printed.MULTI_STAGE: "the paper's multi-stage table", printed.FEW_SHOT: "the paper's few-shot table"}
 
 
@@ -42,6 +49,7 @@ class Table:
     heads: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     words: int = 1
+    dense: bool = False
 
 
 @dataclass(frozen=True)
@@ -132,7 +140,8 @@ def _pm(mean: float, std: float, digits: int = 4) -> str:
 
 
 def _p(value: float) -> str:
-    return "p –" if not math.isfinite(value) else ("p &lt; 0.001" if value < 1e-3 else f"p = {value:.2g}")
+    text = "p –" if not math.isfinite(value) else ("p &lt; 0.001" if value < 1e-3 else f"p = {value:.2g}")
+    return f"<small>{text}</small>"
 
 
 def _percent(value: float, digits: int = 1) -> str:
@@ -154,9 +163,9 @@ def _scores(table: pd.DataFrame) -> Table:
         [Cell(_label(r.method)), Cell(_WORDS[r.table]), Cell(r.case), Cell(str(r.cells)),
          Cell(_percent(r.better, 0), "better" if r.better >= 0.8 else "worse"), Cell(f"{r.ratio:.3g}"),
          Cell(f"{r.low:.3g} – {r.high:.3g}"), Cell(str(r.worse_beyond)), Cell(str(r.diverged)), Cell(str(r.unscored))]
-        for r in table.itertuples()
+        for r in table.sort_values("method", key=lambda names: names.map(_ORDER.index), kind="stable").itertuples()
     ]  # fmt: skip
-    return Table("", heads, rows, 3)
+    return Table("", heads, rows, 3, dense=True)
 
 
 def _beside(part: pd.DataFrame, case: Any) -> Table:
@@ -171,24 +180,37 @@ def _beside(part: pd.DataFrame, case: Any) -> Table:
             row = [Cell(""), Cell(_label(str(method)))]
             for p in PARAMETERS:
                 r = of.loc[p]
-                text = f"{_pm(r['mean'], r['std'])}, {_p(r['p'])}"
+                text = f"{_pm(r['mean'], r['std'])} {_p(r['p'])}"
                 text += f", {int(r['diverged'])} diverged" if r["diverged"] else ""
                 if r["bound_class"] == "not identifiable":
                     row.append(Cell(f"({text})", "none"))
                 else:
                     row.append(Cell(text, "better" if r["better"] else "worse"))
             rows.append(row)
-    return Table(CASES[str(case)].words, ["minute", "", *_symbols()], rows, 2)
+    return Table(CASES[str(case)].words, ["minute", "", *_symbols()], rows, 2, dense=True)
 
 
 def _times(table: pd.DataFrame) -> Table:
-    heads = ["method", "case", "minute", "epochs", "s per run", "paper's epochs", "paper, s"]
-    rows = [
-        [Cell(_label(r.method)), Cell(r.case), Cell(r.minute), Cell(_whole(r.epochs)), Cell(f"{r.seconds:.3g}"),
-         Cell(_whole(r.paper_epochs)), Cell(_pm(r.paper, r.paper_std, 1))]
-        for r in table.fillna(math.nan).itertuples()
-    ]  # fmt: skip
-    return Table("", heads, rows, 3)
+    heads = ["method", "case", "minutes", "epochs", "s per run", "ms an epoch", "paper's epochs", "paper, s per run",
+             "paper, ms an epoch"]  # fmt: skip
+    rows = []
+    for _, part in table.groupby(["method", "case", "seconds"], sort=False, dropna=False):
+        first, last = part.iloc[0], part.iloc[-1]
+        minutes = str(first["minute"]).split("-")[0] + "-" + str(last["minute"]).split("-")[1]
+        theirs = part["paper"].dropna()
+        low, high = (theirs.min(), theirs.max()) if len(theirs) else (math.nan, math.nan)
+        paper = "–" if not len(theirs) else (f"{low:.0f}" if low == high else f"{low:.0f} – {high:.0f}")
+        rows.append(
+            [Cell(_label(str(first["method"]))), Cell(str(first["case"])), Cell(minutes), Cell(_whole(first["epochs"])),
+             Cell(f"{first['seconds']:.3g}"), Cell(_per_epoch(first["seconds"], first["epochs"])),
+             Cell(_whole(first["paper_epochs"])), Cell(paper), Cell(_per_epoch(theirs.mean(), first["paper_epochs"]))]
+        )  # fmt: skip
+    return Table("", heads, rows, 3, dense=True)
+
+
+def _per_epoch(seconds: Any, epochs: Any) -> str:
+    known = epochs is not None and math.isfinite(float(epochs)) and math.isfinite(float(seconds))
+    return f"{1e3 * seconds / epochs:.2g}" if known else "–"
 
 
 def _whole(value: Any) -> str:
@@ -214,8 +236,9 @@ def _learned(tables: Mapping[str, pd.DataFrame]) -> list[Table]:
         made.append(Table("Multi-head bodies, training", ["output", "trainings", "ours", "paper"], rows))
     if len(tables["maps"]):
         wide = tables["maps"].pivot(index="map", columns="kind", values="test_pct")
+        wide = wide[sorted(wide.columns, key=lambda kind: kind != "paper")]
         rows = [
-            [Cell(quantities.html_symbol(str(name))), *(Cell(f"{value:.3g}") for value in row)]
+            [Cell(quantities.html_symbol(str(name))), *(Cell(f"{value:.3f}") for value in row)]
             for name, row in wide.T.items()
         ]
         kinds = [{"paper": "as printed", "improved": "improved"}.get(str(kind), str(kind)) for kind in wide.columns]
@@ -224,15 +247,19 @@ def _learned(tables: Mapping[str, pd.DataFrame]) -> list[Table]:
 
 
 def _calibration(table: pd.DataFrame) -> Table:
-    heads = ["method", "variant", "parameter", "stated by", "members", "coverage of 90 %", "mean z", "std of z"]
+    heads = ["method", "variant", "parameter", "stated by", "intervals", "coverage of 90 %", "mean z", "std of z"]
     rows = [
         [Cell(_label(r.method)), Cell(str(r.variant) if isinstance(r.variant, str) else ""),
          Cell(quantities.html_symbol(r.parameter)),
-         Cell(r.stated_by), Cell(str(r.members)), Cell(_percent(r.coverage, 0)), Cell(f"{r.z_mean:.2f}"),
-         Cell(f"{r.z_std:.2f}")]
+         Cell(r.stated_by), Cell(str(r.intervals)), Cell(_percent(r.coverage, 0)), Cell(_two(r.z_mean)),
+         Cell(_two(r.z_std))]
         for r in table.itertuples()
     ]  # fmt: skip
     return Table("", heads, rows, 4)
+
+
+def _two(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "–"
 
 
 def _identifiability(table: pd.DataFrame) -> list[Table]:
@@ -247,7 +274,9 @@ def _identifiability(table: pd.DataFrame) -> list[Table]:
                 text = f"{100 * bound:.3g} %" if math.isfinite(bound) else "no information"
                 row.append(Cell(text, "none" if of.loc[p, "bound_class"] == "not identifiable" else ""))
             rows.append(row)
-        made.append(Table(f"{CASES[str(case)].words}; sensors: {sensors}", ["minute", *_symbols()], rows))
+        names = str(sensors).split(", ")
+        read = ", ".join(quantities.html_symbol(name) if "_" in name else name for name in names)
+        made.append(Table(f"{CASES[str(case)].words}; sensors: {read}", ["minute", *_symbols()], rows))
     return made
 
 
@@ -266,12 +295,22 @@ def _variants(table: pd.DataFrame) -> list[Table]:
 
 
 def headline(scores: pd.DataFrame) -> list[str]:
-    """The result in words, one line for each method and table."""
-    return [
-        f"{_label(r.method)}: RMSE at most the paper's in {_percent(r.better, 0)} of {r.cells} cells of "
-        f"{_WORDS[r.table]}, {r.ratio:.2g} times the paper's on average ({r.low:.2g} – {r.high:.2g})."
-        for r in scores[scores["case"] == "all"].itertuples()
-    ] or ["No ensemble has a counterpart in the paper's tables."]
+    """The result in words, one line for each method and table, the paper's methods first; noisy data on their own."""
+    lines = []
+    for method in _ORDER:
+        for table, part in scores[scores["method"] == method].groupby("table", sort=False):
+            whole = part[part["case"] == "all"].iloc[0]
+            noisy = part[part["case"] == "noisy-301"]
+            line = (
+                f"{_label(method)} ({_LEARNED[method]}): RMSE at most the paper's in {_percent(whole['better'], 0)} of"
+                f" {int(whole['cells'])} cells of {_WORDS[str(table)]}"
+            )
+            if len(noisy):
+                line += f"; on noisy data in {_percent(noisy.iloc[0]['better'], 0)} of {int(noisy.iloc[0]['cells'])}"
+            r = noisy.iloc[0] if len(noisy) else whole
+            line += f", {r['ratio']:.2g} times the paper's in the geometric mean ({r['low']:.2g} – {r['high']:.2g})"
+            lines.append(f"{line}.")
+    return lines or ["No ensemble has a counterpart in the paper's tables."]
 
 
 def _render(found: Sequence[Section], tables: Mapping[str, pd.DataFrame], about: Mapping[str, Any], dpi: int) -> str:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -154,3 +155,13 @@ def data_uri(content: bytes, kind: str) -> str:
     """Return ``content`` of an SVG or PNG file as a data URI, so that the page loads nothing."""
     media = "image/svg+xml" if kind == "svg" else "image/png"
     return f"data:{media};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def legend_columns(labels: Sequence[str], width_in: float) -> int:
+    """Columns of a figure's legend above its panels: one row where it fits into the width [in], else as few as do."""
+    wide = [0.5 + 0.083 * len(label) for label in labels]  # handle and gaps, then a letter at the house's size
+    for rows in range(1, len(wide) + 1):
+        columns = math.ceil(len(wide) / rows)
+        if sum(max(wide[i * rows : (i + 1) * rows], default=0.0) for i in range(columns)) <= width_in:
+            return columns
+    return 1

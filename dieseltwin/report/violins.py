@@ -221,7 +221,8 @@ def violins(results: Results, *, close: bool = False) -> style.ReportFigure:
                 label="not identifiable here",
             )
         )
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    columns = style.legend_columns([str(handle.get_label()) for handle in handles], WIDTH_IN)
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns)
     dots = sum(len(method.runs) for method in results.methods) // len(PARAMETERS)
     kind = "svg" if dots <= SVG_MAX_DOTS else "png"
     title = "Health parameters per segment"

@@ -109,9 +109,32 @@ def test_calibration_of_honest_deviations(tmp_path: Path) -> None:
     write_ensemble(tmp_path, "few-shot-newton", "noisy-301", bias=0.0, spread=0.02)
     table = evaluation.calibration(evaluation.load_ensembles(tmp_path))
     row = table[table["parameter"] == "h_tot"].iloc[0]
-    assert row["stated_by"] == "method" and row["members"] == 150
+    assert row["stated_by"] == "method" and row["intervals"] == 150
     assert row["coverage"] == pytest.approx(0.9, abs=0.06)
     assert row["z_std"] == pytest.approx(1.0, abs=0.02) and row["z_mean"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_a_stated_deviation_each_minute_has_one_interval_from_the_spread(tmp_path: Path) -> None:
+    write_ensemble(tmp_path, "few-shot-adam", "noisy-301", bias=0.1, spread=0.02)
+    path = next(tmp_path.glob("*/members.parquet"))
+    pd.read_parquet(path).assign(std=np.nan, low=np.nan, high=np.nan).to_parquet(path)
+    table = evaluation.calibration(evaluation.load_ensembles(tmp_path)).set_index("parameter")
+    row = table.loc["h_tot"]
+    assert row["stated_by"] == "spread of members" and row["intervals"] == 5 and row["coverage"] == 0.0
+    assert row["z_mean"] == pytest.approx(5.0) and np.isnan(row["z_std"])
+    assert table.loc["A_egrmax", "intervals"] == 4  # nobody can know it in the third minute
+
+
+def test_the_interval_of_few_members_lies_around_their_rmse() -> None:
+    rng = np.random.default_rng(2)
+    truth = np.hypot(0.01, 0.02)
+    lows, highs = [], []
+    for _ in range(300):
+        again = evaluation._resampled_rmse(1.01 + 0.02 * rng.standard_normal(6), 400, rng)
+        low, high = np.quantile(again, [0.025, 0.975])
+        lows.append(low <= truth)
+        highs.append(truth <= high)
+    assert np.mean(lows) > 0.93 and np.mean(highs) > 0.8  # a spread of six is often too small
 
 
 def test_training_errors_stand_beside_the_printed_ones() -> None:
