@@ -80,6 +80,7 @@ def case(
 @step("opened", "seal opened, oracle", expected_s=30.0, many=True)
 def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str) -> None:
     """``scored.json`` of one case: held-out scores before and after, the oracle's, separability, the law's error."""
+    from dieseltwin.discovery.challenge.cases import MAP_RMS
     from dieseltwin.discovery.challenge.records import Scoring, case_row
     from dieseltwin.discovery.challenge.run import RESULTS, read_manifest
     from dieseltwin.discovery.challenge.score import verified_answers
@@ -88,7 +89,8 @@ def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str
     with _laid_out(benchmark, {f"{RESULTS}/{kind}": [result]}) as folder:
         manifest = read_manifest(folder)
         only = manifest | {"cases": [entry for entry in manifest["cases"] if entry["case"] == kind]}
-        case_row(folder, verified_answers(folder, only)[0], Scoring.of_the_tool())
+        scoring = Scoring.of_the_tool(MAP_RMS[manifest["tier"]])
+        case_row(folder, verified_answers(folder, only)[0], scoring)
         computed = folder / RESULTS / kind / _SCORED
         if computed.exists():
             _copied(computed, out / _SCORED)

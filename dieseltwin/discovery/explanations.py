@@ -9,6 +9,7 @@ import numpy as np
 
 from dieseltwin.discovery.features import generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.preparation import recentred
 from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import Scored, best_of_each, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search_state import Search, set_probabilities
@@ -163,12 +164,13 @@ def choose(found: Search, first: Linearisation) -> None:
         return
     found.kind, found.variant = kind, variant
     if fit is not None and kind != "single":
-        found.best = fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null)
+        found.best = recentred(found, fit)
     if found.best is not None:  # a confident lie is what nearly fits: look at what the explanation leaves
         found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
         left = found.left[0].gain if found.left else 0.0
         place = {"single": 0, "pair": 1}.get(kind, 2)
-        limit = max(settings.left_gain[place], settings.left_share[place] * found.gain(found.best.fit))
+        gained = single if kind == "single" or fit is None else found.gain(fit)
+        limit = max(settings.left_gain[place], settings.left_share[place] * gained)
         ahead = left - found.beyond if kind == "single" else np.inf
         if left > limit and ahead > settings.left_ahead:
             found.refused, found.kind = kind, "law"

@@ -143,3 +143,16 @@ def rebased(found: Search, fit: Fit, rounds: int = 2) -> Linearisation:
         at = fit_fully(cast(Twin, twin), found.whitening, fit, rounds=3, frozen=null)
         fit, residual = at.fit, np.nan_to_num(at.residual)
     return at
+
+
+def recentred(found: Search, fit: Fit) -> Linearisation:
+    """A fit with initial states and tolerances linearised about itself, not about the health-only fit.
+
+    Where the missing effect is large the two differ: the metric of the health-only fit gives magnitudes off by up to a
+    tenth with intervals three times too narrow, and leaves structure that isn't there. Its objective is of its own.
+    """
+    twin = found.twin
+    at = Linearisation(twin, found.whitening, fit, found.null)
+    own = tolerances(twin, at, found.settings)
+    responses = nuisance_responses(twin, at.fit.lanes(), at.simulated, own)
+    return settle_local(fit_fully(twin, found.whitening, fit, responses, rounds=4))

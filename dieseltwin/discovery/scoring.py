@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dieseltwin.discovery import search
-from dieseltwin.discovery.engine_twin import EngineTwin
+from dieseltwin.discovery.engine_twin import MAP_TOLERANCE, EngineTwin
 from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, first_fit, fit_fully, settle_local
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.noise import Noise, estimate_noise
@@ -42,18 +42,21 @@ def held_out_nll(engine: EngineParameters, recording: Recording, noise: Noise | 
     return float((0.5 * whitened @ whitened + logs) / twin.time_s.size)
 
 
-def fit_oracle(recording: Recording, engine: EngineParameters, terms: tuple[Term, ...]) -> EngineParameters:
+def fit_oracle(
+    recording: Recording, engine: EngineParameters, terms: tuple[Term, ...], map_tolerance: float = MAP_TOLERANCE
+) -> EngineParameters:
     """Health parameters and magnitudes refitted by someone who knows the effects' form, started at the truth.
 
     Args:
         recording: the one that the tool saw.
         engine: with the true health parameters.
         terms: true effects with onset and region.
+        map_tolerance: standard deviation of the maps' smooth relative errors [-].
 
     Returns:
         The engine with the refitted values, terms included.
     """
-    twin = EngineTwin(recording, engine)
+    twin = EngineTwin(recording, engine, map_tolerance=map_tolerance)
     start_s = float(twin.recording_time_s[0])
     schedules = {
         t.effect: t.factor(twin.recording_time_s, start_s, dict(twin.conditions))
@@ -74,13 +77,15 @@ def fit_oracle(recording: Recording, engine: EngineParameters, terms: tuple[Term
     return engine.replace(**values, terms=(*engine.terms, *refitted))
 
 
-def separability(recording: Recording, engine: EngineParameters, term: Term) -> dict[str, float]:
+def separability(
+    recording: Recording, engine: EngineParameters, term: Term, map_tolerance: float = MAP_TOLERANCE
+) -> dict[str, float]:
     """D of every other catalogue effect at the truth: what it would leave of the true effect's evidence.
 
     D = lambda (1 - cos^2), lambda the expected gain of the true effect, cos between the two responses after health
     parameters, initial states and tolerances are taken out (DISCOVERY.md, step 3).
     """
-    twin = EngineTwin(recording, engine)
+    twin = EngineTwin(recording, engine, map_tolerance=map_tolerance)
     noise = estimate_noise(twin.measured)
     rough = _settled(twin, noise, first_fit(twin, Candidate((term.effect,)), [term.magnitude]))
     noise = estimate_noise(twin.measured, explained=rough.simulated)

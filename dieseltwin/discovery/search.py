@@ -9,9 +9,9 @@ import time
 
 from dieseltwin.discovery.explanations import VARIANTS, choose, polish, try_pairs, try_variants
 from dieseltwin.discovery.features import generic_features, score_features
-from dieseltwin.discovery.fit import Candidate, Fit, fit_fully
+from dieseltwin.discovery.fit import Candidate, Fit
 from dieseltwin.discovery.law_sensor import best_law
-from dieseltwin.discovery.preparation import prepare, rebased, split_growing, tolerance_responses, verify
+from dieseltwin.discovery.preparation import prepare, rebased, recentred, split_growing, tolerance_responses, verify
 from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import best_of_each
 from dieseltwin.discovery.search_state import Search, Settings, occam
@@ -54,7 +54,7 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.kind = "single"
     clock = time.perf_counter()
     lead = found.singles[0]
-    first = fit_fully(twin, found.whitening, lead, rounds=2, frozen=found.null)
+    first = recentred(found, lead)
     found.best = first
     try_variants(found)
     found.seconds["variants"] = time.perf_counter() - clock

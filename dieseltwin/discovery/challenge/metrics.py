@@ -162,13 +162,17 @@ def _sizes(rows: Sequence[CaseRow]) -> list[tuple[CaseRow, TrueEffect, float, fl
 
 @dataclass(frozen=True)
 class HealthBias:
-    """Median relative error of the health parameters over cases, before and after the repair [-]."""
+    """Median relative error of the health parameters over cases, before and after the repair [-].
+
+    `oracle`: of a fit that is told the true form, over the same cases: what maps and sensors of this tolerance allow.
+    """
 
     before: float
     after: float
     after_by_name: dict[str, float]
     before_by_name: dict[str, float]
     cases: int
+    oracle: float | None = None
 
     @property
     def factor(self) -> float:
@@ -187,7 +191,12 @@ def health_bias(rows: Sequence[CaseRow]) -> HealthBias | None:
     )
     bias_before, bias_after = np.abs(before / true - 1.0), np.abs(after / true - 1.0)
     by_name = [dict(zip(HEALTH, np.median(b, axis=0).tolist(), strict=True)) for b in (bias_after, bias_before)]
-    return HealthBias(float(np.median(bias_before)), float(np.median(bias_after)), by_name[0], by_name[1], len(cases))
+    told = [row for row in cases if row.oracle_health]
+    oracle = [abs(row.oracle_health[name] / row.health_true[name] - 1.0) for row in told for name in HEALTH]
+    return HealthBias(
+        float(np.median(bias_before)), float(np.median(bias_after)), *by_name, len(cases),
+        float(np.median(oracle)) if oracle else None,
+    )  # fmt: skip
 
 
 def gains(rows: Sequence[CaseRow]) -> tuple[np.ndarray, int]:

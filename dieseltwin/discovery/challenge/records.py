@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -139,15 +140,16 @@ class Scoring:
     terms: Callable[[Sequence[Fault]], tuple[Any, ...]] | None = None
 
     @classmethod
-    def of_the_tool(cls) -> Scoring:
-        """The functions of `dieseltwin.discovery.scoring`, and the law's error of `challenge.laws`."""
+    def of_the_tool(cls, map_tolerance: float) -> Scoring:
+        """The functions of `dieseltwin.discovery.scoring` at the maps' tolerance of a tier, and the law's error of
+        `challenge.laws`."""
         from dieseltwin.discovery import scoring
         from dieseltwin.discovery.challenge.laws import law_error
 
-        nll, oracle, distance = (
-            getattr(scoring, name, None) for name in ("held_out_nll", "fit_oracle", "separability")
-        )
-        return cls(nll, oracle, distance, law_error, engine_terms)
+        return cls(
+            scoring.held_out_nll, partial(scoring.fit_oracle, map_tolerance=map_tolerance),
+            partial(scoring.separability, map_tolerance=map_tolerance), law_error, engine_terms,
+        )  # fmt: skip
 
 
 def engine_terms(faults: Sequence[Fault]) -> tuple[Any, ...]:

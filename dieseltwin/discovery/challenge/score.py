@@ -12,6 +12,7 @@ import pandas as pd
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery.challenge import metrics
+from dieseltwin.discovery.challenge.cases import MAP_RMS
 from dieseltwin.discovery.challenge.processes import in_processes
 from dieseltwin.discovery.challenge.records import CaseRow, SaidEffect, Scoring, case_row
 from dieseltwin.discovery.challenge.run import RESULTS, plain, read_manifest
@@ -52,7 +53,7 @@ def score_challenge(
         answers = [a for a in answers if any((folder / RESULTS / a["case"]).glob("*.json"))]
     if not answers:
         raise InputError(str(folder), "no results", "results of `challenge run`", "run the tool first")
-    scoring = Scoring.of_the_tool() if scoring is None else scoring
+    scoring = Scoring.of_the_tool(MAP_RMS[manifest["tier"]]) if scoring is None else scoring
     found_rows: dict[int, CaseRow] = {}
     for k, row in in_processes(partial(case_row, folder, scoring=scoring), answers, jobs):
         found_rows[k] = row

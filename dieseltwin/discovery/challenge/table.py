@@ -96,7 +96,10 @@ def _health(bias: metrics.HealthBias | None) -> Line:
     after = ", ".join(f"{name} {100 * bias.after_by_name[name]:.2f} %" for name in HEALTH)
     small = all(bias.after_by_name[name] <= (0.03 if name == "h_tot" else 0.01) for name in HEALTH)
     value = f"{100 * bias.before:.2f} -> {100 * bias.after:.2f} % (/ {bias.factor:.1f}; {after}; {bias.cases})"
-    numbers = {"before": bias.before, "after": bias.after, "factor": bias.factor, "after_by_name": bias.after_by_name,
+    if bias.oracle is not None:
+        value += f"; the oracle's {100 * bias.oracle:.2f} % (/ {bias.before / max(bias.oracle, 1e-12):.1f})"
+    numbers = {"before": bias.before, "after": bias.after, "factor": bias.factor, "oracle": bias.oracle,
+               "after_by_name": bias.after_by_name,
                "before_by_name": bias.before_by_name, "of": bias.cases}  # fmt: skip
     return Line("health", _HEALTH, value, "/ 4", _HEALTH_AIM, bias.factor >= 4.0, bias.factor >= 10.0 and small,
                 numbers)  # fmt: skip

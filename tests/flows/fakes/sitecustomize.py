@@ -71,11 +71,11 @@ def _held_out_nll(engine: Any, recording: Any, noise: Any = None) -> float:
     return 2.0
 
 
-def _fit_oracle(recording: Any, engine: Any, terms: Any) -> Any:
+def _fit_oracle(recording: Any, engine: Any, terms: Any, map_tolerance: float = 0.003) -> Any:
     return engine.model_copy(update={"terms": tuple(terms)})
 
 
-def _separability(recording: Any, engine: Any, term: Any) -> dict[str, float]:
+def _separability(recording: Any, engine: Any, term: Any, map_tolerance: float = 0.003) -> dict[str, float]:
     return {"blow_by": 12.0}
 
 
