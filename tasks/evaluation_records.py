@@ -9,20 +9,24 @@ from pathlib import Path
 from typing import Any
 
 from tasks.evaluation_plan import Plan
-from tasks.run_context import current, seconds_of
+from tasks.run_context import current
 from tasks.store import RUNTIME, Artifact
 from tasks.tracking import Curve, Record, Tracker, view
 
 NAME = "evaluate"
 NOTE = (
     "The paper's tables. A run is an ensemble of one method on one case (clean-151, clean-301, noisy-301) or a variant;"
-    " `rmse_pct/…` is the median RMSE over the minutes that can be known, in per cent of the truth; nested runs are"
-    " members. `tables` holds every table, `…/better_pct` the share of the paper's cells where we are as close."
+    " `…_rmse_pct` is the median RMSE over the minutes that can be known, in per cent of the truth, `seconds_per_run`"
+    " wall seconds, `training/…` curves along the epochs (health parameters in SI units). Clear the filter to see the"
+    " nested runs, the members. `tables` holds every table, `…/better_pct` the share of the paper's cells where we are"
+    " as close."
 )
 _HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+_WHOLE = "ensemble"
 VIEW = view(
-    [*(f"rmse_pct/{name}" for name in _HEALTH), "seconds_per_run", "diverged", "converged_share"],
+    [*(f"{name}_rmse_pct" for name in _HEALTH), "seconds_per_run", "diverged", "converged_share"],
     ["method", "case", "variant", "members", "epochs"],
+    f"tags.level = '{_WHOLE}'",  # without the members, which fill a page of their own
 )
 _IDENTIFIABLE = 0.25
 
@@ -39,7 +43,7 @@ def evaluated(
     tracker = Tracker(current().workspace)
     experiment = tracker.experiment(NAME, NOTE, VIEW)
     datasets = {name: artifact.sha256 for name, artifact in inputs.items()}
-    tags = {"profile": settings["profile"]}
+    tags = {"profile": settings["profile"], "level": _WHOLE}
     for plan, artifact in zip(plans, found.values(), strict=True):
         tracker.log(experiment, _ensemble(plan, artifact, tags, datasets))
     metrics = json.loads((common.path / "metrics.json").read_text(encoding="utf-8"))
@@ -76,7 +80,7 @@ def _ensemble(plan: Plan, artifact: Artifact, tags: Mapping[str, str], datasets:
     per_cell = known.groupby(["parameter", "segment"])["ratio"]
     rmse = ((per_cell.mean() - 1.0) ** 2 + per_cell.std().fillna(0.0) ** 2) ** 0.5
     metrics: dict[str, float | None] = {
-        f"rmse_pct/{name}": round(100.0 * float(value), 4) for name, value in rmse.groupby("parameter").median().items()
+        f"{name}_rmse_pct": round(100.0 * float(value), 4) for name, value in rmse.groupby("parameter").median().items()
     }
     metrics["diverged"] = float(members.groupby(["segment", "member"])["diverged"].first().sum())
     metrics["converged_share"] = round(float(members["converged"].mean()), 4)
@@ -93,7 +97,7 @@ def _ensemble(plan: Plan, artifact: Artifact, tags: Mapping[str, str], datasets:
         curves=_curves(artifact.path / "curves.parquet"),
         artifacts={"members.parquet": artifact.path / "members.parquet"},
         tags=tags,
-        seconds=seconds_of(artifact),
+        seconds=float(runtime["seconds"]),
         children=_members(plan, members, artifact.sha256),
         datasets=datasets,
     )  # fmt: skip
@@ -113,6 +117,7 @@ def _members(plan: Plan, members: Any, sha256: str) -> list[Record]:
                 _identity(sha256, int(number)),
                 curves=[curve for curve in curves if curve.steps],
                 tags={
+                    "level": "member",
                     "converged": str(bool(part["converged"].all())).lower(),
                     "diverged": str(bool(part["diverged"].any())).lower(),
                 },

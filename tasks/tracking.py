@@ -214,11 +214,11 @@ def _make_database(path: Path) -> None:
     partial.rename(path)
 
 
-def view(metrics: Sequence[str], params: Sequence[str] = ()) -> dict[str, str]:
-    """Tags of an experiment whose page shows these columns (see :meth:`Tracker.page`)."""
+def view(metrics: Sequence[str], params: Sequence[str] = (), filtered: str = "") -> dict[str, str]:
+    """Tags of an experiment whose page shows these columns of filtered runs (see :meth:`Tracker.page`)."""
     columns = [f"metrics.`{name}`" for name in metrics] + [f"params.`{name}`" for name in params]
     state = {
-        "searchFilter": "",
+        "searchFilter": filtered,
         "orderByKey": "attributes.start_time",
         "orderByAsc": False,
         "startTime": "ALL",

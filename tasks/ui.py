@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 
+from tasks import evaluation_records
 from tasks.records import EXPERIMENTS
 from tasks.tracking import Tracker
 from tasks.workspace import prepare_environment
@@ -23,7 +24,8 @@ def main() -> int:
         print("nothing to show yet: `make run` first", file=sys.stderr)
         return 2
     address = f"http://{arguments.host}:{arguments.port}"
-    for name in EXPERIMENTS:
+    evaluated = [evaluation_records.NAME] if tracker.client.get_experiment_by_name(evaluation_records.NAME) else []
+    for name in (*EXPERIMENTS, *evaluated):
         print(f"{name:<10} {address}{tracker.page(name)}")
     print("Ctrl-C ends it", flush=True)
     command = [
