@@ -106,13 +106,18 @@ def best_law(twin: Twin, at: Linearisation, structure: Sequence[Structure]) -> L
         at: converged health-only fit, with its tolerance directions.
         structure: scored generic features, strongest first.
     """
-    if structure and structure[0].feature.channel is not None:
-        return sensor_law(twin, at, faults_of(structure, twin.channels), at.nuisance_response)
+    top = structure[0].gain if structure else 0.0
+    near = [item for item in structure if item.gain >= _WITHIN * top]
+    of_sensors = [item for item in near if item.feature.channel is not None]
+    fault = sensor_law(twin, at, faults_of(of_sensors, twin.channels), at.nuisance_response)
+    if len(of_sensors) == len(near) > 0:
+        return fault
     inside = search(twin, at, at.nuisance_response).law
-    lag = sensor_law(twin, at, (), at.nuisance_response)  # no generic feature looks like one
-    if inside is None or lag is None:
-        return inside or lag
-    return lag if lag.score > inside.score else inside
+    if inside is None or fault is None:
+        return inside or fault
+    bent = len(inside.placed) > 1 or any(placed.form.factors for placed in inside.placed)
+    ahead = inside.score - fault.score  # a fault of a sensor is as simple as a constant
+    return fault if ahead < (_RIVALS if bent else 0.0) else inside
 
 
 __all__ = ["best_law", "faults_of", "sensor_law"]

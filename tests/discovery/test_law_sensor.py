@@ -12,7 +12,7 @@ from dieseltwin.discovery.engine_twin import EngineTwin
 from dieseltwin.discovery.features import generic_features, score_features
 from dieseltwin.discovery.fit import Linearisation
 from dieseltwin.discovery.grammar import Factor, Form, lagged, orifice
-from dieseltwin.discovery.law import Law, null_fit
+from dieseltwin.discovery.law import Law, _simplest_first, null_fit
 from dieseltwin.discovery.law_sensor import best_law, faults_of, sensor_law
 from dieseltwin.discovery.law_terms import law_terms_of
 from dieseltwin.discovery.law_twin import Placed
@@ -117,3 +117,13 @@ def test_nozzles_of_tensors() -> None:
     exact = orifice(p_em.detach().numpy(), 1.2e5)
     np.testing.assert_allclose(value.detach().numpy(), exact, atol=1e-6)
     assert torch.isfinite(p_em.grad).all() and p_em.grad[0] > 0
+
+
+def test_of_laws_that_cannot_be_told_apart_the_simplest_is_first() -> None:
+    def refit(score: float, *forms: Form) -> SimpleNamespace:
+        return SimpleNamespace(score=score, twin=SimpleNamespace(laws=[Placed(form, 1.0) for form in forms]))
+
+    power = Factor("power", ("Pi_c",), (1.0,), 0.5, ("-",))
+    bent, plain, weak = refit(90.0, Form("W_c", (power,)), Form("W_c")), refit(84.0, Form("W_c")), refit(80.0, Form("p"))
+    assert _simplest_first([bent, plain, weak]) == [plain, bent, weak]  # type: ignore[comparison-overlap, list-item]
+    assert _simplest_first([bent, weak])[0] is bent  # type: ignore[list-item]
