@@ -124,6 +124,7 @@ def test_of_laws_that_cannot_be_told_apart_the_simplest_is_first() -> None:
         return SimpleNamespace(score=score, twin=SimpleNamespace(laws=[Placed(form, 1.0) for form in forms]))
 
     power = Factor("power", ("Pi_c",), (1.0,), 0.5, ("-",))
-    bent, plain, weak = refit(90.0, Form("W_c", (power,)), Form("W_c")), refit(84.0, Form("W_c")), refit(80.0, Form("p"))
+    bent, plain = refit(90.0, Form("W_c", (power,)), Form("W_c")), refit(84.0, Form("W_c"))
+    weak = refit(80.0, Form("eta_c"))
     assert _simplest_first([bent, plain, weak]) == [plain, bent, weak]  # type: ignore[comparison-overlap, list-item]
     assert _simplest_first([bent, weak])[0] is bent  # type: ignore[list-item]
