@@ -17,9 +17,13 @@ from dieseltwin.discovery.variants import Variant, edge_cost, onset_candidates, 
 
 _PAIRS = 10
 VARIANTS = 6  # are refitted
+_OTHER_LEADS = 3  # of pairs, behind the best single effect
+_SECONDS = 4  # that join each of them
 _RIVALS = 4  # other effects that act in the best region
 _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
 _POLISHED = 4  # of the best fits get sensitivities of their own
+_POLISHED_SHARE = 0.6  # of the best gain: fits that far behind are polished too
+_POLISH_ROUNDS = 8
 _LEADING = 60.0  # gain within which a fit counts as leading
 _LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
 
@@ -47,6 +51,12 @@ def try_variants(found: Search) -> None:
     _refit_variants(found, [v for v in rivals if v.name not in known and v.gain > 0.5 * best.gain][:_RIVALS])
     _polish_variants(found)
     for count, fine in _RESCANS:
+        if count == 1:  # the edges are known by now: other effects between the same ones
+            _refit_variants(found, [
+                v for v in same_region(found.null, found.scored, found.variants[0][0])
+                if v.name != found.variants[0][0].name
+            ][:_RIVALS])  # fmt: skip
+            _polish_variants(found)
         for variant, fit in _leaders(found)[:count]:
             moved = rescan(found.null, found.whitening, variant, fit, fine)
             if moved.region != variant.region:
@@ -147,6 +157,30 @@ def try_pairs(found: Search, first: Linearisation) -> None:
     found.pairs = polish(found, fits, 3)
 
 
+def try_more_pairs(found: Search) -> bool:
+    """Pairs about the refits of the other leading effects; whether the best pair is a better one now.
+
+    Two strong effects bend the linear table, and the strongest by itself may be neither of them.
+    """
+    names = [name for name in found.twin.hypotheses if name not in found.settings.withhold]
+    known = {tuple(sorted(fit.candidate.names)) for fit in found.pairs}
+    before = found.gain(found.pairs[0]) if found.pairs else -np.inf
+    fits: list[Fit] = []
+    for lead in found.singles[1 : 1 + _OTHER_LEADS]:
+        name = lead.candidate.names[0]
+        base = Linearisation(found.twin, found.whitening, lead, found.null)
+        wanted = secant_sizes(found.twin, [other for other in names if other != name])
+        ranked = best_of_each(score(base, wanted, effect_responses(found.twin, base, wanted)))[:_SECONDS]
+        seconds = [item for item in ranked if tuple(sorted((name, item.name))) not in known]
+        known |= {tuple(sorted((name, item.name))) for item in seconds}
+        candidates = [Candidate((name, item.name)) for item in seconds]
+        fits += refit_all(base, candidates, [np.stack([base.jacobian[-1], item.response]) for item in seconds])
+    if not fits:
+        return False
+    found.pairs = polish(found, sorted([*found.pairs, *fits], key=lambda fit: fit.objective), 3)
+    return found.gain(found.pairs[0]) > before + found.settings.left_ahead
+
+
 def choose(found: Search, first: Linearisation) -> None:
     """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs."""
     settings = found.settings
@@ -179,12 +213,13 @@ def choose(found: Search, first: Linearisation) -> None:
 
 
 def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:
-    """Full refits of the leading fits; the rest as they are."""
+    """Full refits of the leading fits; the rest as they are. Large effects take many steps, and rank wrongly before."""
+    reach = max(_LEADING, _POLISHED_SHARE * found.gain(fits[0]))
     best = fits[0].objective
     out = []
     for k, fit in enumerate(fits):
-        if k < count and fit.objective < best + _LEADING and found.gain(fit) > 4.0:
-            polished = fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit
+        if k < count and fit.objective < best + reach and found.gain(fit) > 4.0:
+            polished = fit_fully(found.twin, found.whitening, fit, rounds=_POLISH_ROUNDS, frozen=found.null).fit
             out.append(polished)
         else:
             out.append(fit)

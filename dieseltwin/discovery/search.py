@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 
-from dieseltwin.discovery.explanations import VARIANTS, choose, polish, try_pairs, try_variants
+from dieseltwin.discovery.explanations import VARIANTS, choose, polish, try_more_pairs, try_pairs, try_variants
 from dieseltwin.discovery.features import generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit
 from dieseltwin.discovery.law_sensor import best_law
@@ -16,7 +16,7 @@ from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import best_of_each
 from dieseltwin.discovery.search_state import Search, Settings, occam
 from dieseltwin.discovery.twin import Twin
-from dieseltwin.discovery.variants import scan
+from dieseltwin.discovery.variants import edge_cost, scan
 
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _REFIT_AT_LEAST = 6
@@ -47,21 +47,25 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     clock = time.perf_counter()
     found.structure = score_features(base, generic_features(twin, found.null.fit))
     found.seconds["structure"] = time.perf_counter() - clock
-    if not _alarm(found, found.singles[0]) and not hidden:
+    alarm = _alarm(found, found.singles[0])
+    clock = time.perf_counter()
+    if alarm or hidden:
+        try_variants(found)
+    found.seconds["variants"] = time.perf_counter() - clock
+    if not alarm and not (hidden and _shown(found)):
         if _unnamed(found):
             _law(found, laws)
         return found
     found.kind = "single"
-    clock = time.perf_counter()
-    lead = found.singles[0]
-    first = recentred(found, lead)
+    first = recentred(found, found.singles[0])
     found.best = first
-    try_variants(found)
-    found.seconds["variants"] = time.perf_counter() - clock
     clock = time.perf_counter()
     try_pairs(found, first)
-    found.seconds["pairs"] = time.perf_counter() - clock
     choose(found, first)
+    if found.refused in ("single", "pair") and try_more_pairs(found):
+        found.refused = ""
+        choose(found, first)
+    found.seconds["pairs"] = time.perf_counter() - clock
     if found.kind == "law":
         _law(found, laws)
     return found
@@ -75,6 +79,14 @@ def _law(found: Search, wanted: bool) -> None:
         clock = time.perf_counter()
         found.law = best_law(found.twin, found.null, found.structure)
         found.seconds["law"] = time.perf_counter() - clock
+
+
+def _shown(found: Search) -> bool:
+    """Whether an onset or a region that the linear scan promised keeps its promise when it is simulated."""
+    if not found.variants:
+        return False
+    variant, fit = found.variants[0]
+    return found.gain(fit) - edge_cost(variant) > found.settings.hidden_gain
 
 
 def _unnamed(found: Search) -> bool:

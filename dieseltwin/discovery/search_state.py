@@ -42,6 +42,7 @@ class Settings:
         left_ahead: what it must be ahead of the best second effect.
         equivalent_gain: names within this gain of the best can't be told apart: DISCOVERY.md's 9, and what maps that
             are off by their tolerance add to it.
+        edges_share: of the gain of an effect in a region: closer names can't be told apart.
         withhold: effects that the search must do without.
         seed: of the bootstrap.
     """
@@ -58,10 +59,11 @@ class Settings:
     unnamed_gain: float = 32.0
     unnamed_sensor_gain: float = 20.0
     law_gain: float = 15.0
-    left_gain: tuple[float, float, float] = (28.0, 45.0, 60.0)
-    left_share: tuple[float, float, float] = (0.0, 0.0, 0.15)
-    left_ahead: float = 15.0
+    left_gain: tuple[float, float, float] = (20.0, 24.0, 40.0)
+    left_share: tuple[float, float, float] = (0.0, 0.0, 0.05)
+    left_ahead: float = 8.0
     equivalent_gain: float = 12.0
+    edges_share: float = 0.02
     withhold: tuple[str, ...] = ()
     seed: int = 0
 
@@ -134,6 +136,8 @@ def set_probabilities(found: Search, kind: str) -> None:
     best = min(fit.objective for fit in pool)
     # what an explanation leaves is the size of what the twin can't describe: closer names can't be told apart
     reach = max(found.settings.equivalent_gain, found.left[0].gain if found.left else 0.0)
+    if kind == "variant":  # nor can those whose regions' edges decide
+        reach = max(reach, found.settings.edges_share * found.gain(pool[0]))
     seen: list[tuple[str, ...]] = []
     for fit in pool:
         if fit.objective - best < reach and fit.candidate.names not in seen:
