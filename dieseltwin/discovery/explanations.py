@@ -24,6 +24,7 @@ _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, abou
 _POLISHED = 4  # of the best fits get sensitivities of their own
 _POLISHED_SHARE = 0.6  # of the best gain: fits that far behind are polished too
 _POLISH_ROUNDS = 8
+_CHANCE_LEAVES = 9.0  # gain of the best term without a name, of some seventy, beyond a right explanation
 _LEADING = 60.0  # gain within which a fit counts as leading
 _LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
 
@@ -209,7 +210,15 @@ def choose(found: Search, first: Linearisation) -> None:
         if left > limit and ahead > settings.left_ahead:
             found.refused, found.kind = kind, "law"
             return
+        _widen(found.best, left)
     set_probabilities(found, kind)
+
+
+def _widen(at: Linearisation, left: float) -> None:
+    """Intervals for an explanation that isn't quite right: wider by what it leaves over what chance leaves (Birge)."""
+    factor = max(1.0, left / _CHANCE_LEAVES)
+    at.covariance = factor * at.covariance
+    at.fit = replace(at.fit, covariance=at.covariance)
 
 
 def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:

@@ -194,7 +194,7 @@ def health_bias(rows: Sequence[CaseRow]) -> HealthBias | None:
     told = [row for row in cases if row.oracle_health]
     oracle = [abs(row.oracle_health[name] / row.health_true[name] - 1.0) for row in told for name in HEALTH]
     return HealthBias(
-        float(np.median(bias_before)), float(np.median(bias_after)), *by_name, len(cases),
+        float(np.median(bias_before)), float(np.median(bias_after)), by_name[0], by_name[1], len(cases),
         float(np.median(oracle)) if oracle else None,
     )  # fmt: skip
 
