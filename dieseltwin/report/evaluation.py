@@ -211,7 +211,7 @@ def scores(beside: pd.DataFrame, ensembles: Sequence[Ensemble], resamplings: int
 
 
 def _resampled_rmse(ratios: NDArray[np.float64], resamplings: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """(resamplings,) RMSE of members drawn with replacement; widened by n / (n - 1), or few members look too sure."""
+    """(resamplings,) RMSE of members drawn with replacement; variances by n / (n - 1), or few members look too sure."""
     if not len(ratios):
         return np.full(resamplings, np.nan)
     count = len(ratios)
