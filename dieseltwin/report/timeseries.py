@@ -238,8 +238,8 @@ def trajectories(
     blind = any(
         not e.identifiable for m in results.methods for s in m.segments for e in s.parameters.values()
     )
-    columns = style.legend_columns([str(handle.get_label()) for handle in handles], WIDTH_IN)
-    figure.legend(handles=handles, loc="outside upper center", ncols=columns)
+    ncols = style.legend_columns([str(handle.get_label()) for handle in handles], WIDTH_IN)
+    figure.legend(handles=handles, loc="outside upper center", ncols=ncols)
     caption = f"{words} {captions.SEGMENTS}" + (f" {captions.ERRORS}" if known else "")
     caption += f" {captions.BLIND}" if known and blind else ""
     return style.ReportFigure(name, title, caption, figure, kind="png")
