@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from dieseltwin.discovery.nuisance import map_nuisances, nuisance_responses, tol
 from dieseltwin.discovery.refit import refit_all
 from dieseltwin.discovery.score import best_of_each, chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.twin import Twin
-from dieseltwin.discovery.variants import scan
+from dieseltwin.discovery.variants import Variant, scan
 from tests.discovery.toy import Toy
 
 SETTINGS = search.Settings(sensor_gain=0.0, sensor_offset=0.0)
@@ -184,3 +186,36 @@ def test_region_is_found() -> None:
     assert best.region is not None
     assert best.region["u"][0] == pytest.approx(1.75, abs=0.3)
     assert np.mean(np.abs(best.schedule - acts) < 0.6) > 0.85
+
+
+def test_region_with_two_edges_is_named_and_its_edges_found() -> None:
+    toy = Toy()
+    acts = ((toy.u > 1.2) & (toy.u < 2.2)).astype(float)
+    found = search.run(toy.record(gain=0.95, leak=(0.1, acts)), SETTINGS, laws=False)
+    assert found.kind == "variant" and found.variant is not None and found.variant.region is not None
+    assert found.best is not None and found.best.fit.candidate.names == ("leak",)
+    assert found.variant.region["u"] == pytest.approx((1.2, 2.2), abs=0.12)
+    assert found.variant.edges == 2
+    assert abs(found.best.fit.magnitudes[0] - 0.1) < 4 * found.best.fit.std[1]
+    assert found.best.fit.parameters[0] == pytest.approx(0.95, abs=0.02)
+
+
+def test_two_effects_are_named_where_the_stronger_hides_the_other() -> None:
+    found = search.run(Toy().record(gain=0.9, drag=0.2, x_offset=-0.12), SETTINGS, laws=False)
+    assert found.kind == "pair"
+    assert found.best is not None and set(found.best.fit.candidate.names) == {"drag", "x_offset"}
+    for name, size in (("drag", 0.2), ("x_offset", -0.12)):
+        at = found.best.fit.candidate.names.index(name)
+        assert abs(found.best.fit.magnitudes[at] - size) < 4 * found.best.fit.std[1 + at]
+
+
+def test_an_onset_that_only_the_linear_scan_promises_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A strong promise on a healthy machine; its simulated refit gains nothing."""
+    toy = Toy(900, 6, seed=3).record(seed=53)
+    real = search.scan
+
+    def promising(*given: object) -> list[Variant]:
+        return [replace(variant, gain=500.0) for variant in real(*given)]  # type: ignore[arg-type]
+
+    monkeypatch.setattr(search, "scan", promising)
+    assert search.run(toy, SETTINGS, laws=False).kind == "healthy"
