@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import tiny_settings
 from toy_library import fresh_context, write_toylib
 
 from tasks import run_context
+from tasks.progress import Display
 from tasks.run_context import RunContext
 from tasks.workspace import PROJECT, Workspace, quiet_settings
+
+FAKES = Path(__file__).parent / "fakes"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -28,6 +33,26 @@ def context(tmp_path: Path) -> Iterator[RunContext]:
     made = fresh_context(tmp_path)
     run_context.use(made)
     yield made
+    run_context.use(None)
+
+
+@pytest.fixture
+def faked_discovery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], RunContext]]:
+    """A workspace in which the steps' processes find fakes for the fit and the oracle; call it for a fresh context."""
+    tiny_settings.write_params(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(FAKES), *sys.path])
+
+    codes: dict = {}  # the sources as they are when the test starts
+
+    def fresh() -> RunContext:
+        display = Display(tmp_path / ".cache" / "expected_seconds.json")
+        display.console.quiet = True
+        context = RunContext(Workspace(tmp_path), display, codes=codes)
+        run_context.use(context)
+        return context
+
+    fresh()
+    yield fresh
     run_context.use(None)
 
 

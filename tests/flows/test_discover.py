@@ -4,42 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import tiny_settings
 
 from tasks import discover as steps
-from tasks import prove, run_context
+from tasks import prove
 from tasks.failures import StepFailed
-from tasks.progress import Display
 from tasks.run_context import RunContext
 from tasks.store import content_hash
 from tasks.workspace import Workspace
-
-FAKES = Path(__file__).parent / "fakes"
-
-
-@pytest.fixture
-def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], RunContext]]:
-    """A workspace whose steps find a fake of the fit; call it for a fresh context."""
-    tiny_settings.write_params(tmp_path)
-    monkeypatch.setattr(sys, "path", [str(FAKES), *sys.path])
-
-    codes: dict = {}  # the sources as they are when the test starts
-
-    def fresh() -> RunContext:
-        display = Display(tmp_path / ".cache" / "expected_seconds.json")
-        display.console.quiet = True
-        context = RunContext(Workspace(tmp_path), display, codes=codes)
-        run_context.use(context)
-        return context
-
-    fresh()
-    yield fresh
-    run_context.use(None)
 
 
 def test_recordings_are_named_by_their_files(tmp_path: Path) -> None:
@@ -57,7 +32,7 @@ def test_recordings_are_named_by_their_files(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_one_line_before_anything_starts(
-    workspace: Callable[[], RunContext], capsys: pytest.CaptureFixture[str]
+    faked_discovery: Callable[[], RunContext], capsys: pytest.CaptureFixture[str]
 ) -> None:
     from flows.discover import discover
     from tasks.launch import run_alone
@@ -70,7 +45,7 @@ def test_a_missing_file_is_one_line_before_anything_starts(
 
 @pytest.mark.flow
 def test_the_chains_own_machine_and_a_list_of_recordings(
-    prefect: None, workspace: Callable[[], RunContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    prefect: None, faked_discovery: Callable[[], RunContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from flows.discover import discover
     from tasks.tracking import Tracker
@@ -82,7 +57,7 @@ def test_the_chains_own_machine_and_a_list_of_recordings(
     assert not Path(document["recording"]["path"]).is_absolute()
     assert (tmp_path / "reports" / "discover" / "concealed" / "report.html").exists()
     before = content_hash(tmp_path / "discoveries")
-    again = workspace()
+    again = faked_discovery()
     assert discover("tiny") == ["concealed"] and not again.timings
     assert content_hash(tmp_path / "discoveries") == before
 
@@ -90,7 +65,7 @@ def test_the_chains_own_machine_and_a_list_of_recordings(
     text = (found / "recording.csv").read_text()
     (tmp_path / "mine.csv").write_text(text)
     (tmp_path / "short.csv").write_text("".join(text.splitlines(keepends=True)[:60]))
-    context = workspace()
+    context = faked_discovery()
     with pytest.raises(StepFailed) as failed:
         discover("tiny", [str(tmp_path / "short.csv"), str(tmp_path / "mine.csv")])
     assert failed.value.exit_code == 2 and "\n" not in str(failed.value)
@@ -110,13 +85,13 @@ def test_the_chains_own_machine_and_a_list_of_recordings(
     # The tool breaks down: the reason is what is said, and what was published stays.
     shutil.rmtree(tmp_path / ".cache" / "discover")
     monkeypatch.setenv("FAKE_DISCOVERY_FAILS", "1")
-    workspace()
+    faked_discovery()
     with pytest.raises(StepFailed, match="no convergence"):
         discover("tiny")
     assert content_hash(tmp_path / "discoveries") == before
 
 
-def test_the_concealed_machine_has_a_fault_worth_finding(workspace: Callable[[], RunContext]) -> None:
+def test_the_concealed_machine_has_a_fault_worth_finding(faked_discovery: Callable[[], RunContext]) -> None:
     """The example of the chain: single, catalogued, three tolerances or more."""
     from dieseltwin.config import load_params
 

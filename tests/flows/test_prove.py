@@ -4,42 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import tiny_settings
 
 from tasks import prove as steps
 from tasks import run_context
-from tasks.progress import Display
 from tasks.run_context import RunContext
 from tasks.store import content_hash
 from tasks.workspace import Workspace
 
-FAKES = Path(__file__).parent / "fakes"
 CASES = 3
-
-
-@pytest.fixture
-def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], RunContext]]:
-    """A workspace in which the steps' processes find fakes for the fit and the oracle; call it for a fresh context."""
-    tiny_settings.write_params(tmp_path)
-    monkeypatch.setattr(sys, "path", [str(FAKES), *sys.path])
-
-    codes: dict = {}  # the sources as they are when the test starts
-
-    def fresh() -> RunContext:
-        display = Display(tmp_path / ".cache" / "expected_seconds.json")
-        display.console.quiet = True
-        context = RunContext(Workspace(tmp_path), display, codes=codes)
-        run_context.use(context)
-        return context
-
-    fresh()
-    yield fresh
-    run_context.use(None)
 
 
 def made() -> run_context.Artifact:
@@ -47,7 +23,7 @@ def made() -> run_context.Artifact:
 
 
 def test_the_tool_sees_the_recording_alone(
-    workspace: Callable[[], RunContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    faked_discovery: Callable[[], RunContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = tmp_path / "calls.txt"
     monkeypatch.setenv("FAKE_DISCOVERY_CALLS", str(calls))
@@ -65,7 +41,7 @@ def test_the_tool_sees_the_recording_alone(
 
 
 def test_a_case_that_fails_is_a_result_without_its_time(
-    workspace: Callable[[], RunContext], monkeypatch: pytest.MonkeyPatch
+    faked_discovery: Callable[[], RunContext], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FAKE_DISCOVERY_FAILS", "1")
     benchmark = made()
@@ -93,7 +69,7 @@ def test_numbers_of_a_line_are_flat() -> None:
 
 @pytest.mark.flow
 def test_the_flow_publishes_logs_and_resumes(
-    prefect: None, workspace: Callable[[], RunContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    prefect: None, faked_discovery: Callable[[], RunContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from flows.prove import prove
     from tasks.tracking import Tracker
@@ -110,7 +86,7 @@ def test_the_flow_publishes_logs_and_resumes(
     # One case is lost, as after a kill: that one alone runs again.
     lost = next(path.parent for path in (tmp_path / ".cache" / "case").glob("*/discrepancy.json"))
     (lost / "discrepancy.json").write_text("{}")
-    context = workspace()
+    context = faked_discovery()
     prove("tiny")
     assert len(calls.read_text().splitlines()) == CASES + 1
     assert len(context.timings) == 1 and next(iter(context.timings)).startswith("case-case_")
