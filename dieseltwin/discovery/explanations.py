@@ -43,9 +43,12 @@ def try_variants(found: Search) -> None:
         for reach, count in ((8.0, 5), (2.0, 5)):
             best, _ = found.variants[0]
             _refit_variants(found, [
-                replace(best, onset_s=t, schedule=(found.twin.time_s >= t).astype(float))
-                for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
+                _since(found, best, t) for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
             ])  # fmt: skip
+        best, _ = found.variants[0]  # the onset is known by now: other effects since then
+        others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
+        _refit_variants(found, [_since(found, variant, float(best.onset_s or 0.0)) for variant in others.values()])
+        _polish_variants(found)
         return
     known = {v.name for v, _ in found.variants}
     rivals = same_region(found.null, found.scored, best)
@@ -86,6 +89,11 @@ def _polish_variants(found: Search) -> None:
     ]
     polished = [(variant, fit) for (variant, _), fit in zip(leaders, fits, strict=True)]
     found.variants = sorted([*rest, *polished], key=_with_edges)
+
+
+def _since(found: Search, variant: Variant, onset_s: float) -> Variant:
+    """The variant with another onset; its response stays that of the scan, near enough for a refit."""
+    return replace(variant, onset_s=onset_s, schedule=(found.twin.time_s >= onset_s).astype(float))
 
 
 def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None = None) -> None:
