@@ -17,13 +17,14 @@ import numpy as np
 from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.grammar import Form, rounded
 from dieseltwin.discovery.law_curve import Curve, binned, law_curve
+from dieseltwin.discovery.law_final import Tolerances, WithSignals, about_itself, signals_of
 from dieseltwin.discovery.law_ranking import Ranked, rank, shortlist
 from dieseltwin.discovery.law_refit import Refit, refit_all_laws, start_of
 from dieseltwin.discovery.law_responses import Linearised, Responses
 from dieseltwin.discovery.law_twin import LawTwin, Placed
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.reading_twin import ReadingFault, ReadingTwin
-from dieseltwin.discovery.twin import Array, Lanes, Twin
+from dieseltwin.discovery.twin import Array, Twin
 from dieseltwin.discovery.worth import Worth, independent
 
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)
@@ -134,33 +135,12 @@ class Found:
     ranked: tuple[tuple[str, str, float], ...]
 
 
-class _WithSignal:
-    """A twin with fixed signals in every simulation."""
-
-    def __init__(self, twin: Twin, signals: dict[str, Array]) -> None:
-        self._twin, self._signals = twin, signals
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._twin, name)
-
-    def simulate(self, lanes: Lanes) -> Array:
-        return self._twin.simulate(replace(lanes, signals=self._joined(lanes)))
-
-    def variables(self, lanes: Lanes) -> dict[str, Array]:
-        return self._twin.variables(replace(lanes, signals=self._joined(lanes)))
-
-    def _joined(self, lanes: Lanes) -> dict[str, Array]:
-        joined = dict(lanes.signals)
-        for name, signal in self._signals.items():
-            joined[name] = joined.get(name, 0.0) + signal
-        return joined
-
-
 def search(
     twin: Twin,
     at: Linearisation,
     nuisance_response: Array | None = None,
     options: Options | None = None,
+    tolerances: Tolerances | None = None,
 ) -> Found:
     """Law that explains what is left of a fit.
 
@@ -169,6 +149,7 @@ def search(
         at: converged linearisation of that twin.
         nuisance_response: (K, n, C) tolerance directions, as used for `at`.
         options: settings.
+        tolerances: directions about the law found, for its last fit; None keeps those given.
     """
     options = options or Options()
     base_lanes = at.fit.lanes()
@@ -195,7 +176,7 @@ def search(
     resolved = bool(refits) and refits[0].score > options.false_law
     if not resolved:
         return Found(None, _loose_curve(twin, responses, ranked, variables, at), tried, _table(twin, refits))
-    law = _report(twin, at, _simplest_first(refits), nuisance_response, options, worth)
+    law = _report(twin, at, _simplest_first(refits), nuisance_response, options, worth, tolerances)
     return Found(law, None, tried, _table(twin, refits))
 
 
@@ -255,10 +236,8 @@ def _renewed(
 ) -> tuple[list[Ranked], Linearisation, Responses, dict[str, Array]]:  # fmt: skip
     """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
     known, best = len(twin.parameters), refits[0]
-    signals: dict[str, Array] = {}
-    for law, signal in zip(best.twin.laws, best.twin.signals(best.fit.lanes()), strict=True):
-        signals[law.form.point] = signals.get(law.form.point, 0.0) + signal
-    fixed = cast(Twin, _WithSignal(twin, signals))
+    signals = signals_of(best.twin, best.fit.lanes())
+    fixed = cast(Twin, WithSignals(twin, signals))
     start = replace(best.fit, parameters=best.fit.parameters[:known])
     here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
     lanes = start.lanes()
@@ -274,8 +253,9 @@ def _renewed(
 
 
 def _report(
-    twin: Twin, at: Linearisation, refits: list[Refit], nuisance_response: Array | None, options: Options, worth: Worth
-) -> Law:
+    twin: Twin, at: Linearisation, refits: list[Refit], nuisance_response: Array | None, options: Options, worth: Worth,
+    tolerances: Tolerances | None = None,
+) -> Law:  # fmt: skip
     """Full fit of the best law, its intervals, rivals and curve."""
     best = refits[0]
     freedom = worth.readings or float(at.whitening.present.sum())
@@ -301,7 +281,8 @@ def _report(
             form = replace(form, factors=(replace(form.factors[0], shape=float(f"{shape:.3g}")), *form.factors[1:]))
             placed = [Placed(form, float(np.sign(coefficient) * freed.fit.parameters[at_shape - 1]))]
             final = _final(twin, at, placed, replace(best.fit, local=freed.fit.local), nuisance_response)
-    law, lin = final
+    law, reached = final
+    lin = about_itself(reached, tolerances)
     at_coefficient = len(twin.parameters)
     coefficient = float(law.values(lin.fit.parameters)[0][0])
     std = float(np.sqrt(scale) * lin.fit.std[at_coefficient])
@@ -325,7 +306,8 @@ def _report(
     return Law(
         form.point, point.site, text, form, coefficient, std, point.unit, shape, shape_std, argument, curve,
         {name: (float(np.min(variables[name])), float(np.max(variables[name]))) for name in names},
-        at.fit.objective - lin.fit.objective, best.score, at.fit.objective / readings, lin.fit.objective / readings,
+        at.fit.objective - reached.fit.objective, best.score, at.fit.objective / readings,
+        reached.fit.objective / readings,
         rivals, lin.fit.parameters[:at_coefficient], lin.fit.local,
         tuple(
             replace(q, coefficient=float(c), free_shape=False)
@@ -350,11 +332,9 @@ def _curve(
     """The law over its argument beside what the recording says bin by bin, free of it."""
     name = law.laws[0].form.point
     index = next(i for i, p in enumerate(twin.points) if p.name == name)
-    signals: dict[str, Array] = {}
-    for placed, value in zip(law.laws, law.signals(lin.fit.lanes()), strict=True):  # terms of a sum share a point
-        signals[placed.form.point] = signals.get(placed.form.point, 0.0) + value
+    signals = signals_of(law, lin.fit.lanes())
     signal = signals[name]
-    fixed = cast(Twin, _WithSignal(twin, signals))
+    fixed = cast(Twin, WithSignals(twin, signals))
     start = replace(lin.fit, parameters=lin.fit.parameters[: len(twin.parameters)])
     here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
     responses = Responses(cast(Linearised, here), start.lanes())

@@ -12,6 +12,7 @@ from dieseltwin.discovery.features import Structure
 from dieseltwin.discovery.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.grammar import Form
 from dieseltwin.discovery.law import Law, Rival, search
+from dieseltwin.discovery.law_final import Tolerances, about_itself
 from dieseltwin.discovery.reading_twin import FaultKind, ReadingFault, ReadingTwin
 from dieseltwin.discovery.twin import Twin
 
@@ -41,7 +42,7 @@ def faults_of(structure: Sequence[Structure], channels: Sequence[str]) -> list[R
 
 def sensor_law(
     twin: Twin, at: Linearisation, faults: Sequence[ReadingFault], nuisance_response: np.ndarray | None = None,
-    lags: bool = True,
+    lags: bool = True, tolerances: Tolerances | None = None,
 ) -> Law | None:  # fmt: skip
     """The fault of a sensor that explains most of what is left of a fit.
 
@@ -51,6 +52,7 @@ def sensor_law(
         faults: to choose from, with first sizes (`faults_of`).
         nuisance_response: (K, n, C) tolerance directions, as used for `at`.
         lags: try lags of the sensors that the twin says may lag (`lagging_sensors`).
+        tolerances: directions about the fault found, for its last fit; None keeps those given.
 
     Returns:
         The law, its std with the tolerances inside; None where none is resolved.
@@ -80,6 +82,7 @@ def sensor_law(
     gain = at.fit.objective - objective
     if gain - charge < _RESOLVED:
         return None
+    best = about_itself(best, tolerances)
     found = replace(fault, size=float(best.fit.parameters[P]), std=float(best.fit.std[P]))
     rivals: dict[str, Rival] = {}
     for other, weaker, _ in fits[1:]:
@@ -98,21 +101,24 @@ def sensor_law(
     )  # fmt: skip
 
 
-def best_law(twin: Twin, at: Linearisation, structure: Sequence[Structure]) -> Law | None:
+def best_law(
+    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None
+) -> Law | None:
     """A law for what no name explains: of a sensor where the linear scores say so, else from the grammar.
 
     Args:
         twin: without it.
         at: converged health-only fit, with its tolerance directions.
         structure: scored generic features, strongest first.
+        tolerances: directions about a linearisation of a law; None keeps those of `at`.
     """
     top = structure[0].gain if structure else 0.0
     near = [item for item in structure if item.gain >= _WITHIN * top]
     of_sensors = [item for item in near if item.feature.channel is not None]
-    fault = sensor_law(twin, at, faults_of(of_sensors, twin.channels), at.nuisance_response)
+    fault = sensor_law(twin, at, faults_of(of_sensors, twin.channels), at.nuisance_response, tolerances=tolerances)
     if len(of_sensors) == len(near) > 0:
         return fault
-    inside = search(twin, at, at.nuisance_response).law
+    inside = search(twin, at, at.nuisance_response, tolerances=tolerances).law
     if inside is None or fault is None:
         return inside or fault
     bent = len(inside.placed) > 1 or any(placed.form.factors for placed in inside.placed)

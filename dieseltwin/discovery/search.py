@@ -77,7 +77,10 @@ def _law(found: Search, wanted: bool) -> None:
     found.best = None
     if wanted:
         clock = time.perf_counter()
-        found.law = best_law(found.twin, found.null, found.structure)
+        found.law = best_law(
+            found.twin, found.null, found.structure,
+            lambda here: tolerance_responses(here.twin, here, found.settings),
+        )  # fmt: skip
         found.seconds["law"] = time.perf_counter() - clock
 
 

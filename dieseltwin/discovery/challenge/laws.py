@@ -17,6 +17,7 @@ from dieseltwin.discovery.challenge.driving import INPUTS, Driving
 from dieseltwin.discovery.challenge.plant import run_plant
 from dieseltwin.discovery.challenge.plant_effects import Fault
 from dieseltwin.discovery.challenge.sensors import NOISE_REL, SENSORS, SensorSet, shown
+from dieseltwin.discovery.document import NONE_OF_THESE, load_discrepancy
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.parameters import load_engine
 from dieseltwin.engine.terms import OneTerm, Term
@@ -34,12 +35,17 @@ def law_error(result: Path, clean: pd.DataFrame, fault: Fault, health: Mapping[s
         result: folder of the case's result; clean: signals of the second recording; fault: the truth; health: true.
 
     Returns:
-        None where no law was found.
+        None where no law was found, or the answer isn't `none_of_these`. Whatever terms the engine file of such an
+        answer carries are the law, in whichever words, save those of effects that the answer names beside it.
     """
-    terms = load_engine(result / "engine.yaml").terms
-    if all(isinstance(term, Term) for term in terms):
+    named = {effect.name for effect in load_discrepancy(result).effects}
+    if NONE_OF_THESE not in named:
         return None
-    return error_of(terms, clean, fault, health)
+    terms = [
+        term for term in load_engine(result / "engine.yaml").terms
+        if not (isinstance(term, Term) and term.effect in named)
+    ]  # fmt: skip
+    return error_of(terms, clean, fault, health) if terms else None
 
 
 def error_of(terms: Sequence[OneTerm], clean: pd.DataFrame, fault: Fault, health: Mapping[str, float]) -> float:
