@@ -18,7 +18,7 @@ from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.grammar import Form, rounded
 from dieseltwin.discovery.law_curve import Curve, binned, law_curve
 from dieseltwin.discovery.law_final import Tolerances, WithSignals, about_itself, signals_of
-from dieseltwin.discovery.law_ranking import Ranked, rank, shortlist
+from dieseltwin.discovery.law_ranking import Ranked, rank, shortlist, simpler
 from dieseltwin.discovery.law_refit import Refit, refit_all_laws, start_of
 from dieseltwin.discovery.law_responses import Linearised, Responses
 from dieseltwin.discovery.law_twin import LawTwin, Placed
@@ -170,7 +170,10 @@ def search(
         ranked, here, responses, variables = _renewed(
             twin, at, refits, nuisance_response, options, readings
         )
+    known = {r.ranked.key for r in refits}
     single = _single_terms(refits, twin)
+    if refits:
+        single += [item for item in simpler(ranked, refits[0].ranked) if item.key not in known]
     refits += refit_all_laws(twin, here, worth, single, variables)
     refits.sort(key=lambda r: -r.score)
     resolved = bool(refits) and refits[0].score > options.false_law

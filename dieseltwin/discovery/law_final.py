@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
 
+import numpy as np
+
 from dieseltwin.discovery.fit import Linearisation, fit_fully, settle_local
 from dieseltwin.discovery.law_twin import LawTwin
 from dieseltwin.discovery.twin import Array, Lanes, Twin
@@ -13,7 +15,9 @@ from dieseltwin.discovery.twin import Array, Lanes, Twin
 Tolerances = Callable[[Linearisation], Array]
 """Tolerance directions (K, n, C) about a linearisation."""
 
-_ROUNDS = 4
+_ROUNDS = 6
+_PASSES = 3
+_SETTLED = 0.3  # of a standard deviation: change in a pass that counts as none
 
 
 class WithSignals:
@@ -60,10 +64,14 @@ def about_itself(at: Linearisation, tolerances: Tolerances | None) -> Linearisat
     """
     if tolerances is None or at.nuisance_response is None:
         return at
-    here = at
-    if isinstance(at.twin, LawTwin):  # the law's signal as it is: maps off by a little hardly move it
-        law = at.twin
-        start = replace(at.fit, parameters=at.fit.parameters[: len(law.base.parameters)])
-        fixed = cast(Twin, WithSignals(law.base, signals_of(law, at.fit.lanes())))
-        here = Linearisation(fixed, at.whitening, start, at)
-    return settle_local(fit_fully(at.twin, at.whitening, at.fit, tolerances(here), _ROUNDS))
+    for _ in range(_PASSES):
+        here, last = at, at.fit.parameters
+        if isinstance(at.twin, LawTwin):  # the law's signal as it is: maps off by a little hardly move it
+            law = at.twin
+            start = replace(at.fit, parameters=at.fit.parameters[: len(law.base.parameters)])
+            fixed = cast(Twin, WithSignals(law.base, signals_of(law, at.fit.lanes())))
+            here = Linearisation(fixed, at.whitening, start, at)
+        at = settle_local(fit_fully(at.twin, at.whitening, at.fit, tolerances(here), _ROUNDS))
+        if at.fit.converged and np.all(np.abs(at.fit.parameters - last) < _SETTLED * at.fit.std):
+            break
+    return at

@@ -18,6 +18,7 @@ _BEAM = (24, 10)  # forms of one and of two factors that are multiplied by every
 _KEPT = 24  # forms of a point that compete over all, and for pairs
 _FIRST_TERMS = 6  # of a point's best forms, to which every further one is added as a second term
 _OF_PAIRS = 4
+_NEAR = 18.0  # of the best score: candidates whose simplicity counts; twice what a refit can't tell apart
 _ALIKE = 0.9995  # correlation in the metric above which the simpler of two forms stands for both
 _OPERATOR_AMPLITUDE = (0.2, 3.0)  # an operator's coefficient is 1; its size isn't known yet
 
@@ -46,6 +47,11 @@ class Ranked:
     def score(self) -> float:
         """Worth less charge."""
         return self.worth - self.charge
+
+    @property
+    def complexity(self) -> int:
+        """Terms, and what their forms hold."""
+        return sum(1 + p.form.complexity for p in self.placed)
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -165,7 +171,8 @@ def _of_point(
     kept = _distinct(response, sorted(everything, key=lambda s: -s.score)[: 3 * _KEPT])
     ranked = [Ranked(index, point.site, (_placed(s),), s.gain, s.charge, s.worth) for s in kept]
     free = [s for s in kept if s.form.fixed is None]
-    ranked += _pairs(index, point, response, free[:_FIRST_TERMS], [*singles, *free], worth)
+    firsts = [*free[:_FIRST_TERMS], *(s for s in singles if not s.form.factors and s not in free[:_FIRST_TERMS])]
+    ranked += _pairs(index, point, response, firsts, [*singles, *free], worth)
     return ranked, count
 
 
@@ -213,7 +220,10 @@ def _pairs(
     index: int, point: Point, response: PointResponse, firsts: Sequence[_Scored], seconds: Sequence[_Scored],
     worth: Worth,
 ) -> list[Ranked]:  # fmt: skip
-    """Sums of two terms at one point: to each of its best forms every single factor and every good product."""
+    """Sums of two terms at one point: to each of its best forms and a constant every single factor and good product.
+
+    The best few, and the simplest of those near the best.
+    """
     if not firsts or len(seconds) < 2:
         return []
     left, right = np.stack([s.at_knots for s in firsts]), np.stack([s.at_knots for s in seconds])
@@ -227,14 +237,27 @@ def _pairs(
         safe = np.where(apart, determinant, 1.0)
         x, y = (b * push[0][i] - c * push[1]) / safe, (a * push[1] - c * push[0][i]) / safe
         gains = np.where(apart, x * push[0][i] + y * push[1], -np.inf)
-        for j in np.argsort(-gains)[: 2 * _OF_PAIRS]:
+        for j in np.argsort(-gains)[: (2 if first.form.factors else 8) * _OF_PAIRS]:
             charge = first.charge + seconds[j].charge - 2.0 * np.log(2.0)
             value = worth(float(gains[j])) if np.isfinite(gains[j]) else -np.inf
             if value - charge > max(first.score, seconds[j].score):
                 placed = (Placed(first.form, float(x[j])), Placed(seconds[j].form, float(y[j])))
                 item = Ranked(index, point.site, placed, float(gains[j]), charge, value)
                 out.setdefault(item.key, item)
-    return sorted(out.values(), key=lambda item: -item.score)[:_OF_PAIRS]
+    best = sorted(out.values(), key=lambda item: -item.score)
+    return [*best[:_OF_PAIRS], *simplest(best[_OF_PAIRS:], best[0].score - _NEAR, _OF_PAIRS)] if best else []
+
+
+def simplest(items: Sequence[Ranked], score: float, count: int) -> list[Ranked]:
+    """The simplest few of those that reach a score."""
+    return sorted((i for i in items if i.score > score), key=lambda i: (i.complexity, -i.score))[:count]
+
+
+def simpler(ranked: Sequence[Ranked], than: Ranked, count: int = 4) -> list[Ranked]:
+    """Candidates at the same point, simpler than one and near the best there by their linear scores."""
+    there = [item for item in ranked if item.index == than.index]
+    fewer = [item for item in there if item.complexity < than.complexity]
+    return simplest(fewer, max((item.score for item in there), default=0.0) - _NEAR, count)
 
 
 def shortlist(ranked: Sequence[Ranked], count: int, of_one_point: int = 4) -> list[Ranked]:
@@ -255,4 +278,4 @@ def shortlist(ranked: Sequence[Ranked], count: int, of_one_point: int = 4) -> li
     return out
 
 
-__all__ = ["Ranked", "rank", "shortlist"]
+__all__ = ["Ranked", "rank", "shortlist", "simpler"]
