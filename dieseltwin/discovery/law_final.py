@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.fit import Linearisation, fit_fully, settle_local
+from dieseltwin.discovery.fit import Fit, Linearisation, fit_fully, settle_local
 from dieseltwin.discovery.law_twin import LawTwin
 from dieseltwin.discovery.twin import Array, Lanes, Twin
 
@@ -16,7 +16,7 @@ Tolerances = Callable[[Linearisation], Array]
 """Tolerance directions (K, n, C) about a linearisation."""
 
 _ROUNDS = 6
-_PASSES = 3
+_PASSES = 2
 _SETTLED = 0.3  # of a standard deviation: change in a pass that counts as none
 
 
@@ -64,14 +64,23 @@ def about_itself(at: Linearisation, tolerances: Tolerances | None) -> Linearisat
     """
     if tolerances is None or at.nuisance_response is None:
         return at
+    centre = at.fit
     for _ in range(_PASSES):
-        here, last = at, at.fit.parameters
-        if isinstance(at.twin, LawTwin):  # the law's signal as it is: maps off by a little hardly move it
-            law = at.twin
-            start = replace(at.fit, parameters=at.fit.parameters[: len(law.base.parameters)])
-            fixed = cast(Twin, WithSignals(law.base, signals_of(law, at.fit.lanes())))
-            here = Linearisation(fixed, at.whitening, start, at)
-        at = settle_local(fit_fully(at.twin, at.whitening, at.fit, tolerances(here), _ROUNDS))
-        if at.fit.converged and np.all(np.abs(at.fit.parameters - last) < _SETTLED * at.fit.std):
+        own = tolerances(_held(at, centre))
+        last, at = at, settle_local(fit_fully(at.twin, at.whitening, centre, own, _ROUNDS))
+        # half way: about each other's ends the fits would swing from one side of the estimate to the other
+        middle = 0.5 * (last.fit.parameters + at.fit.parameters)
+        centre = replace(at.fit, parameters=middle, local=0.5 * (last.fit.local + at.fit.local))
+        if at.fit.converged and np.all(np.abs(at.fit.parameters - last.fit.parameters) < _SETTLED * at.fit.std):
             break
     return at
+
+
+def _held(at: Linearisation, fit: Fit) -> Linearisation:
+    """A law's twin at a fit with the law's signal held: maps off by a little hardly move it. Others as they are."""
+    law = at.twin
+    if not isinstance(law, LawTwin):
+        return Linearisation(law, at.whitening, fit, at)
+    fixed = cast(Twin, WithSignals(law.base, signals_of(law, fit.lanes())))
+    start = replace(fit, parameters=fit.parameters[: len(law.base.parameters)])
+    return Linearisation(fixed, at.whitening, start, at)

@@ -13,6 +13,7 @@ from dieseltwin.discovery.features import generic_features, score_features
 from dieseltwin.discovery.fit import Linearisation
 from dieseltwin.discovery.grammar import Factor, Form, lagged, orifice
 from dieseltwin.discovery.law import Law, _simplest_first, null_fit
+from dieseltwin.discovery.law_ranking import Ranked, simpler
 from dieseltwin.discovery.law_sensor import best_law, faults_of, sensor_law
 from dieseltwin.discovery.law_terms import law_terms_of
 from dieseltwin.discovery.law_twin import Placed
@@ -128,3 +129,40 @@ def test_of_laws_that_cannot_be_told_apart_the_simplest_is_first() -> None:
     weak = refit(80.0, Form("eta_c"))
     assert _simplest_first([bent, plain, weak]) == [plain, bent, weak]  # type: ignore[comparison-overlap, list-item]
     assert _simplest_first([bent, weak])[0] is bent  # type: ignore[list-item]
+
+
+def test_the_last_fit_is_about_the_fault_itself() -> None:
+    toy = Toy().record()
+    toy.measured[:, 0] *= 1.2
+    at = _null(toy)
+    mean = np.zeros_like(toy.measured)
+    mean[:, 0] = 0.005 * at.simulated[:, 0].mean()
+    at = null_fit(cast(Twin, toy), at.whitening, at.fit.parameters, mean[None])
+    structure = score_features(at, generic_features(cast(Twin, toy), at.fit))
+    asked: list[np.ndarray] = []
+
+    def tolerances(here: Linearisation) -> np.ndarray:
+        asked.append(here.simulated)
+        own = np.zeros_like(here.simulated)
+        own[:, 0] = 0.005 * here.simulated[:, 0].mean()
+        return own[None]
+
+    law = sensor_law(
+        cast(Twin, toy), at, faults_of(structure, toy.channels), at.nuisance_response, tolerances=tolerances
+    )
+    assert law is not None and asked  # asked about the reading with its fault, not about the one without
+    assert asked[0][:, 0].mean() == pytest.approx(np.nanmean(toy.measured[:, 0]), rel=0.05)
+    assert law.coefficient == pytest.approx(0.2, abs=max(4.0 * law.std, 0.02))
+
+
+def test_simpler_candidates_near_the_best_are_refitted_too() -> None:
+    def of(index: int, score: float, *forms: Form) -> Ranked:
+        return Ranked(index, "", tuple(Placed(form, 1.0) for form in forms), score, 0.0, score)
+
+    n_e = ("n_e",), (1000.0,)
+    plain, line, cube = (Form("eta_vol", f) for f in ((), (Factor("power", *n_e),), (Factor("power", *n_e, 3.0),)))
+    crooked, straight = of(0, 100.0, line, cube), of(0, 90.0, plain, line)
+    far, elsewhere = of(0, 60.0, plain), of(1, 95.0, plain)
+    assert crooked.complexity > straight.complexity > far.complexity
+    assert simpler([crooked, elsewhere, straight, far], crooked) == [straight]
+    assert simpler([crooked, elsewhere, straight, far], straight) == []

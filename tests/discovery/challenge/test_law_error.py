@@ -15,6 +15,7 @@ from dieseltwin.discovery.challenge.plant_effects import Fault
 from dieseltwin.discovery.challenge.routes import draw_driving
 from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.engine.effects import ActuatorTerm, LawTerm, SensorTerm, Term
+from tests.report import synthetic_discovery as synthetic
 
 ENGINE = we2011.PARAMETERS
 HEALTHY = dict(zip(HEALTH, ENGINE.health(), strict=True))
@@ -45,7 +46,24 @@ def test_half_the_fault_is_half_wrong(clean: pd.DataFrame) -> None:
     assert error_of((half,), clean, Fault("w_egr_gain", 0.08), HEALTHY) == pytest.approx(0.5, abs=0.02)
 
 
+def test_whatever_terms_an_unnamed_answer_carries_are_its_law(tmp_path: Path, clean: pd.DataFrame) -> None:
+    lag = ENGINE.replace(terms=(Term(effect="exhaust_thermal_inertia", magnitude=0.6),))
+    fault = Fault("exhaust_thermal_inertia", 0.6)
+    (tmp_path / "engine.yaml").write_text(yaml.safe_dump(lag.model_dump(mode="json")))
+    unnamed = synthetic.document(effects=[synthetic.UNNAMED])
+    unnamed.write(tmp_path / "discrepancy.json")
+    error = law_error(tmp_path, clean, fault, HEALTHY)
+    assert error is not None and error < 0.05
+    beside = [synthetic.UNNAMED, {**synthetic.LEAK, "name": "exhaust_thermal_inertia", "equivalent_names": []}]
+    synthetic.document(effects=beside).write(tmp_path / "discrepancy.json")
+    assert law_error(tmp_path, clean, fault, HEALTHY) is None
+    (tmp_path / "engine.yaml").write_text(yaml.safe_dump(ENGINE.model_dump(mode="json")))
+    unnamed.write(tmp_path / "discrepancy.json")
+    assert law_error(tmp_path, clean, fault, HEALTHY) is None
+
+
 def test_a_name_is_no_law(tmp_path: Path, clean: pd.DataFrame) -> None:
     named = ENGINE.replace(terms=(Term(effect="boost_leak", magnitude=1e-5),))
     (tmp_path / "engine.yaml").write_text(yaml.safe_dump(named.model_dump(mode="json")))
+    synthetic.document().write(tmp_path / "discrepancy.json")
     assert law_error(tmp_path, clean, Fault("boost_leak", 1e-5), HEALTHY) is None
