@@ -11,6 +11,7 @@ from dieseltwin.discovery.fit import Fit, Linearisation
 from dieseltwin.discovery.nuisance import signal_responses
 from dieseltwin.discovery.score import without_parameters
 from dieseltwin.discovery.twin import Array, Twin
+from dieseltwin.engine.terms import LawGroup
 
 _STEP = 0.005  # of a point's scale: small enough to be linear
 
@@ -46,7 +47,8 @@ class Structure:
 
 
 def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
-    """One constant per point, and one proportional to each port; offset and gain per sensor."""
+    """One constant per point, one proportional to each port, a hole to the surroundings where a balance has a pressure;
+    offset and gain per sensor."""
     variables = twin.variables(fit.lanes())
     found = []
     for index, point in enumerate(twin.points):
@@ -56,6 +58,12 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
             size = float(np.sqrt(np.mean(values**2)))
             if size > 0 and np.std(values) > 1e-3 * size:
                 found.append(Feature(index, port, values / size, point.site))
+            if not point.relative and port.startswith("p_") and "p_amb" in variables:
+                hole = LawGroup(kind="orifice", variables=(port, "p_amb"))
+                flow = values * hole.value({port: values, "p_amb": np.asarray(variables["p_amb"])})
+                size = float(np.sqrt(np.mean(flow**2)))
+                if size > 0:
+                    found.append(Feature(index, f"hole of {port}", flow / size, point.site))
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(twin.channels):
         found.append(Feature(None, "offset", ones, f"sensor:{name}", j))
