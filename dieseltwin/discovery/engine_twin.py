@@ -11,7 +11,7 @@ import numpy as np
 
 from dieseltwin.discovery.engine_points import POINT_FACTS
 from dieseltwin.discovery.recording_windows import piece_start, windows_of, without_gaps
-from dieseltwin.discovery.twin import Array, Hypothesis, Lanes, Parameter, Point
+from dieseltwin.discovery.twin import Array, Hypothesis, Lanes, Parameter, Point, joined
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.actuator_effects import actuate_lanes
 from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS
@@ -225,7 +225,7 @@ class EngineTwin:
         one, signals = _lane(lanes, 0), self._law_signals
         start_s, conditions = float(self.recording_time_s[0]), dict(self.conditions)
         for _ in range(_LAW_ROUNDS):
-            entered = replace(one, signals=_joined(one.signals, signals))
+            entered = replace(one, signals=joined(one.signals, signals))
             variables = self._variables(self._simulate_signals(entered)[1], 0, entered)
             new: dict[str, Array] = {}
             for law in self._laws:
@@ -238,7 +238,7 @@ class EngineTwin:
             if change < _LAW_SETTLED:
                 break
         self._law_signals = signals
-        return replace(lanes, signals=_joined(lanes.signals, signals))
+        return replace(lanes, signals=joined(lanes.signals, signals))
 
     def _simulate_signals(self, lanes: Lanes) -> tuple[Array, object]:
         size = lanes.size
@@ -351,13 +351,6 @@ def _lane(lanes: Lanes, index: int) -> Lanes:
         lanes.signals, None if lanes.lane_points is None else lanes.lane_points[some],
         None if lanes.lane_signals is None else lanes.lane_signals[some],
     )  # fmt: skip
-
-
-def _joined(a: Mapping[str, Array], b: Mapping[str, Array]) -> dict[str, Array]:
-    out = dict(a)
-    for name, signal in b.items():
-        out[name] = out.get(name, 0.0) + signal
-    return out
 
 
 def _size(values: Array) -> float:

@@ -62,7 +62,7 @@ def try_variants(found: Search) -> None:
             ][:_RIVALS])  # fmt: skip
             _polish_variants(found)
         for variant, fit in _leaders(found)[:count]:
-            moved = rescan(found.null, found.whitening, variant, fit, fine)
+            moved = rescan(found.null, variant, fit, fine)
             if moved.region != variant.region:
                 _refit_variants(found, [moved], fit)
         _polish_variants(found)
@@ -132,14 +132,17 @@ def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Sco
     return sorted(out, key=lambda item: -item[0])
 
 
+def _beyond(found: Search, at: Linearisation) -> list[Scored]:
+    """What every other effect would add to a fit of one, strongest first."""
+    without = {*found.settings.withhold, *at.fit.candidate.names}
+    wanted = secant_sizes(found.twin, [name for name in found.twin.hypotheses if name not in without])
+    return best_of_each(score(at, wanted, effect_responses(found.twin, at, wanted))) if wanted else []
+
+
 def try_pairs(found: Search, first: Linearisation) -> None:
     """Two effects: the best pairs of the linear table, and what the residual of the best single asks for."""
-    names = [name for name in found.twin.hypotheses if name not in found.settings.withhold]
     lead = first.fit.candidate.names[0]
-    wanted = secant_sizes(found.twin, [name for name in names if name != lead])
-    if not wanted:
-        return
-    beyond = best_of_each(score(first, wanted, effect_responses(found.twin, first, wanted)))
+    beyond = _beyond(found, first)
     found.beyond = beyond[0].gain if beyond else 0.0
     items = best_of_each(found.scored)
     by_name = {s.name: s for s in items}
@@ -171,15 +174,13 @@ def try_more_pairs(found: Search) -> bool:
 
     Two strong effects bend the linear table, and the strongest by itself may be neither of them.
     """
-    names = [name for name in found.twin.hypotheses if name not in found.settings.withhold]
     known = {tuple(sorted(fit.candidate.names)) for fit in found.pairs}
     before = found.gain(found.pairs[0]) if found.pairs else -np.inf
     fits: list[Fit] = []
     for lead in found.singles[1 : 1 + _OTHER_LEADS]:
         name = lead.candidate.names[0]
         base = Linearisation(found.twin, found.whitening, lead, found.null)
-        wanted = secant_sizes(found.twin, [other for other in names if other != name])
-        ranked = best_of_each(score(base, wanted, effect_responses(found.twin, base, wanted)))[:_SECONDS]
+        ranked = _beyond(found, base)[:_SECONDS]
         seconds = [item for item in ranked if tuple(sorted((name, item.name))) not in known]
         known |= {tuple(sorted((name, item.name))) for item in seconds}
         candidates = [Candidate((name, item.name)) for item in seconds]

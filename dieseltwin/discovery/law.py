@@ -17,14 +17,14 @@ import numpy as np
 from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.grammar import Form, rounded
 from dieseltwin.discovery.law_curve import Curve, binned, law_curve
-from dieseltwin.discovery.law_final import Tolerances, WithSignals, about_itself, signals_of
+from dieseltwin.discovery.law_final import Tolerances, about_itself, signals_of
 from dieseltwin.discovery.law_ranking import Ranked, rank, shortlist, simpler
 from dieseltwin.discovery.law_refit import Refit, refit_all_laws, start_of
 from dieseltwin.discovery.law_responses import Linearised, Responses
 from dieseltwin.discovery.law_twin import LawTwin, Placed
 from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.reading_twin import ReadingFault, ReadingTwin
-from dieseltwin.discovery.twin import Array, Twin
+from dieseltwin.discovery.twin import Array, Twin, WithSignals
 from dieseltwin.discovery.worth import Worth, independent
 
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)

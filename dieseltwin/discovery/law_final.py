@@ -10,7 +10,7 @@ import numpy as np
 
 from dieseltwin.discovery.fit import Fit, Linearisation, fit_fully, settle_local
 from dieseltwin.discovery.law_twin import LawTwin
-from dieseltwin.discovery.twin import Array, Lanes, Twin
+from dieseltwin.discovery.twin import Array, Lanes, Twin, WithSignals
 
 Tolerances = Callable[[Linearisation], Array]
 """Tolerance directions (K, n, C) about a linearisation."""
@@ -18,30 +18,6 @@ Tolerances = Callable[[Linearisation], Array]
 _ROUNDS = 6
 _PASSES = 2
 _SETTLED = 0.3  # of a standard deviation: change in a pass that counts as none
-
-
-class WithSignals:
-    """A twin with fixed signals in every simulation, its further parameters left to whoever made them."""
-
-    def __init__(self, twin: Twin, signals: dict[str, Array]) -> None:
-        self._twin, self._signals = twin, signals
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._twin, name)
-
-    def simulate(self, lanes: Lanes) -> Array:
-        """As `Twin.simulate`."""
-        return self._twin.simulate(replace(lanes, signals=self._joined(lanes)))
-
-    def variables(self, lanes: Lanes) -> dict[str, Array]:
-        """As `Twin.variables`."""
-        return self._twin.variables(replace(lanes, signals=self._joined(lanes)))
-
-    def _joined(self, lanes: Lanes) -> dict[str, Array]:
-        joined = dict(lanes.signals)
-        for name, signal in self._signals.items():
-            joined[name] = joined.get(name, 0.0) + signal
-        return joined
 
 
 def signals_of(law: LawTwin, lanes: Lanes) -> dict[str, Array]:

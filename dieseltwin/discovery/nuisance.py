@@ -7,11 +7,11 @@ correlation length of a third of the range driven. Its leading modes along the r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from dieseltwin.discovery.twin import Array, Lanes, Twin
+from dieseltwin.discovery.twin import Array, Lanes, Twin, WithSignals, joined
 
 CORRELATION_LENGTH = 1.0 / 3.0
 """Of the range of each argument (DISCOVERY.md, Proof) [-]."""
@@ -128,7 +128,7 @@ def nuisance_responses(twin: Twin, base: Lanes, simulated: Array, nuisances: Seq
     return out
 
 
-class Rebased:
+class Rebased(WithSignals):
     """A twin about another point of its tolerances: maps off by an estimate, not by nothing.
 
     Tolerances are taken out linearly. Where the machine bends (no back-flow through the EGR valve at p_em = p_im) that
@@ -143,22 +143,11 @@ class Rebased:
     """
 
     def __init__(self, twin: Twin, nuisances: Sequence[Nuisance], responses: Array, estimate: Array) -> None:
-        self._twin = twin
-        self._signals: dict[str, Array] = {}
+        signals: dict[str, Array] = {}
         moved = np.zeros_like(twin.measured)
         for nuisance, response, size in zip(nuisances, responses, estimate, strict=True):
             if nuisance.point is not None and nuisance.signal is not None:
-                name = twin.points[nuisance.point].name
-                self._signals[name] = self._signals.get(name, np.zeros(len(moved))) + size * nuisance.signal
+                signals = joined(signals, {twin.points[nuisance.point].name: size * nuisance.signal})
                 moved += size * response
+        super().__init__(twin, signals)
         self.measured = twin.measured + moved
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._twin, name)
-
-    def simulate(self, lanes: Lanes) -> Array:
-        """As `Twin.simulate`, with the estimated errors inside."""
-        joined = dict(lanes.signals)
-        for name, signal in self._signals.items():
-            joined[name] = joined.get(name, 0.0) + signal
-        return self._twin.simulate(replace(lanes, signals=joined))

@@ -8,7 +8,7 @@ recording can't diverge where the machine is unstable, and what is lost is a few
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -166,3 +166,32 @@ def rows_of(twin: Twin, windows: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def single(parameters: Array, local: Array, **more: Any) -> Lanes:
     """One lane."""
     return Lanes(np.asarray(parameters, dtype=np.float64)[None], np.asarray(local, dtype=np.float64)[None], **more)
+
+
+def joined(signals: Mapping[str, Array], more: Mapping[str, Array]) -> dict[str, Array]:
+    """Signals at points, added up by name."""
+    out = dict(signals)
+    for name, signal in more.items():
+        out[name] = out.get(name, 0.0) + signal
+    return out
+
+
+class WithSignals:
+    """A twin with fixed signals in every simulation."""
+
+    def __init__(self, twin: Twin, signals: Mapping[str, Array]) -> None:
+        self._twin, self._signals = twin, signals
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._twin, name)
+
+    def _with_signals(self, lanes: Lanes) -> Lanes:
+        return replace(lanes, signals=joined(lanes.signals, self._signals))
+
+    def simulate(self, lanes: Lanes) -> Array:
+        """As `Twin.simulate`."""
+        return self._twin.simulate(self._with_signals(lanes))
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        """As `Twin.variables`."""
+        return self._twin.variables(self._with_signals(lanes))

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, simulate_fits
-from dieseltwin.discovery.metric import Whitening
 from dieseltwin.discovery.score import Scored, best_of_each, without_parameters
 from dieseltwin.discovery.twin import Array, Twin
 
@@ -100,8 +99,7 @@ class _Sums:
         """Gains (..., H) of sums over groups."""
         information = np.maximum(squares - (inner**2).sum(axis=-2), 1e-9 * np.maximum(squares, 1e-300))
         push = pushes - np.einsum("...kh,k->...h", inner, self.known)
-        estimate = np.clip(push / information, self.low, self.high)
-        gains = estimate * (2.0 * push - estimate * information)
+        gains = _gain(push, information, self.low, self.high)
         return np.where(information > 1e-4 * squares, gains, 0.0)
 
     def per_row(self, of_sample: np.ndarray) -> np.ndarray:
@@ -110,6 +108,12 @@ class _Sums:
         group = np.full(self.rows, -1, dtype=np.int64)
         group[: of_sample.size * channels] = np.repeat(of_sample, channels)
         return group
+
+
+def _gain(push: Array | float, information: Array | float, low: Array | float, high: Array | float) -> Array:
+    """Decrease of -2 log likelihood by the best magnitude inside its limits."""
+    estimate = np.clip(push / information, low, high)
+    return np.asarray(estimate * (2.0 * push - estimate * information))
 
 
 def scan(at: Linearisation, scored: Sequence[Scored], count: int) -> list[Variant]:
@@ -135,11 +139,14 @@ def _variant(
     twin: Twin, item: Scored, onset: float | None, region: Region | None, acts: np.ndarray, gain: float
 ) -> Variant:
     schedule = acts.astype(np.float64) if region is None else _schedule(acts)
-    edges = 0
-    for name, (low, high) in (region or {}).items():
-        values = twin.conditions[name]
-        edges += int(low > values.min()) + int(high < values.max())
+    edges = _inner_edges(twin, region or {})
     return Variant(item.name, onset, region, schedule, schedule[:, None] * item.response, float(gain), edges)
+
+
+def _inner_edges(twin: Twin, region: Region) -> int:
+    """Edges of a region that lie inside the range driven."""
+    ranges = ((twin.conditions[name], low, high) for name, (low, high) in region.items())
+    return sum(int(low > values.min()) + int(high < values.max()) for values, low, high in ranges)
 
 
 def _schedule(acts: np.ndarray) -> Array:
@@ -229,7 +236,7 @@ def _refined(sums: _Sums, h: int, gain: float, region: Region) -> tuple[float, R
     alone = sums.only(h)
     for _ in range(_TURNS):
         before = gain
-        for name in region if len(region) > 1 or not np.isfinite(gain) else ():
+        for name in region if len(region) > 1 else ():
             rest = {other: box for other, box in region.items() if other != name}
             for found, low, high in _intervals(alone, conditions[name], inside_region(conditions, rest)):
                 if found > gain:
@@ -264,7 +271,7 @@ def same_region(at: Linearisation, scored: Sequence[Scored], like: Variant) -> l
     return sorted(found, key=lambda v: -v.gain)
 
 
-def rescan(null: Linearisation, whitening: Whitening, variant: Variant, fit: Fit, fine: float) -> Variant:
+def rescan(null: Linearisation, variant: Variant, fit: Fit, fine: float) -> Variant:
     """The best ranges of a variant's region about its own refit, each condition given the other.
 
     What acts on the turbo's speed acts for seconds, so its response to a region isn't that part of its response to
@@ -276,7 +283,7 @@ def rescan(null: Linearisation, whitening: Whitening, variant: Variant, fit: Fit
     if variant.region is None or magnitude == 0.0:
         return variant
     region, gain = dict(variant.region), variant.gain
-    at = Linearisation(twin, whitening, replace(fit, candidate=Candidate(), magnitudes=np.zeros(0)), null)
+    at = Linearisation(twin, null.whitening, replace(fit, candidate=Candidate(), magnitudes=np.zeros(0)), null)
     for name in variant.region:
         rest = inside_region(twin.conditions, {other: box for other, box in region.items() if other != name})
         values = twin.conditions[name]
@@ -295,14 +302,13 @@ def rescan(null: Linearisation, whitening: Whitening, variant: Variant, fit: Fit
                 if information <= 0.0:
                     continue
                 pushed = float(push[a:b].sum())
-                size = float(np.clip(pushed / information, low, high))
-                value = size * (2.0 * pushed - size * information) - _SECOND_EDGE * ((a > 0) + (b < len(slabs)))
+                value = float(_gain(pushed, information, low, high)) - _SECOND_EDGE * ((a > 0) + (b < len(slabs)))
                 if value > best:
                     best, region[name] = value, _open_ended(edges, a, b)
         gain = best
     acts = inside_region(twin.conditions, region)
-    item = Scored(variant.name, magnitude, at.jacobian[:0].sum(axis=0), np.zeros(0), magnitude, np.inf, gain)
-    return _variant(twin, item, None, region, acts, gain)
+    # its response stays that of the region before: refits near a fit take the fit's own
+    return replace(variant, region=region, schedule=_schedule(acts), gain=gain, edges=_inner_edges(twin, region))
 
 
 def _slab_edges(values: Array, box: tuple[float, float], fine: float) -> Array:
