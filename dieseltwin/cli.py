@@ -229,6 +229,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code (0 done, 2 the input cannot be used, 130 interrupted)."""
     if not sys.warnoptions:  # numerical warnings are for developers: `python -W default -m dieseltwin`
         warnings.simplefilter("ignore", RuntimeWarning)
+    # Numpy reads it when first imported, which is after this. Its matrices are small here: on two busy cores a second
+    # spinning thread doubles a discovery's processor time and up to quadruples the wait. Simulations have own threads.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     try:
         result = app(args=arguments, prog_name="dieseltwin", standalone_mode=False)
     except DieselTwinError as error:

@@ -298,3 +298,9 @@ def test_a_fit_that_misses_the_readings_is_reported(run: Run, noisy: Path, tmp_p
     assert any("times the noise" in line for line in wrong)
     assert not any("times the noise" in line for line in right)
     assert len(json.loads((tmp_path / "right" / "identification.json").read_text())["segments"]) == 4
+
+
+def test_the_command_line_is_started_without_numpy() -> None:
+    """`main` sets numpy's threads before it is imported, which only works as long as nothing imports it earlier."""
+    started = subprocess.run([sys.executable, "-c", "import sys, dieseltwin.cli; sys.exit('numpy' in sys.modules)"])
+    assert started.returncode == 0
