@@ -127,16 +127,34 @@ def false_none(rows: Sequence[CaseRow]) -> Share:
     return Share(sum("none_of_these" in row.named for row in cases), len(cases))
 
 
+def law_cases(rows: Sequence[CaseRow]) -> list[CaseRow]:
+    """Counted withheld cases answered by `none_of_these`: those whose law is judged."""
+    return [row for row in counted(rows) if row.withheld and row.said_none]
+
+
 def laws(rows: Sequence[CaseRow], right_hand_side: bool = False) -> Share:
     """Counted withheld cases answered by `none_of_these` whose law is within 10 % on unseen driving (no law: not).
 
     `right_hand_side`: those only whose fault is a flow, power or temperature, not a sensor or an actuator.
     """
-    cases = [row for row in counted(rows) if row.withheld and row.said_none]
+    cases = law_cases(rows)
     if right_hand_side:
         cases = [row for row in cases if not row.truth[0].site.startswith("sensor:")]
         cases = [row for row in cases if not row.truth[0].site.endswith("_actuator")]
     return Share(sum(row.law_error is not None and row.law_error <= LAW_WITHIN for row in cases), len(cases))
+
+
+def oracle_laws(rows: Sequence[CaseRow]) -> Share:
+    """Of the cases of `laws` with a catalogued effect, those where the true form with the oracle's magnitude is within
+    10 % on unseen driving: what map and sensor tolerances of the recording allow a law that has the right form."""
+    errors = [row.oracle_law_error for row in law_cases(rows) if row.oracle_law_error is not None]
+    return Share(sum(error <= LAW_WITHIN for error in errors), len(errors))
+
+
+def laws_where_oracle(rows: Sequence[CaseRow]) -> Share:
+    """`laws` over those of its cases where the oracle's law is within 10 %, or is not known."""
+    able = [r for r in law_cases(rows) if r.oracle_law_error is None or r.oracle_law_error <= LAW_WITHIN]
+    return laws(able)
 
 
 def magnitude_errors(rows: Sequence[CaseRow]) -> np.ndarray:
@@ -219,6 +237,14 @@ def times(rows: Sequence[CaseRow]) -> np.ndarray:
     return np.array([row.seconds for row in rows if row.seconds is not None])
 
 
+def _off(row: CaseRow) -> str:
+    """How far a law is off, and how far the oracle's."""
+    said = [] if row.law_error is None else [f"{100 * row.law_error:.0f} % off"]
+    if row.oracle_law_error is not None:
+        said.append(f"the oracle {100 * row.oracle_law_error:.0f} %")
+    return "; ".join(said)
+
+
 def failures(rows: Sequence[CaseRow]) -> list[dict[str, str | float]]:
     """Every failure, one row each: kind, case, what was true and what was said."""
     found: list[dict[str, str | float]] = []
@@ -253,7 +279,7 @@ def failures(rows: Sequence[CaseRow]) -> list[dict[str, str | float]]:
                 near = row.truth[0].nearest
                 add(row, "withheld, named all the same", "" if near is None else f"D to {near[0]} {near[1]:.1f}")
             elif row.law_error is None or row.law_error > LAW_WITHIN:
-                add(row, "no law within 10 %", "" if row.law_error is None else f"{100 * row.law_error:.0f} % off")
+                add(row, "no law within 10 %", _off(row))
             continue
         if "none_of_these" in row.named:
             add(row, "false none")

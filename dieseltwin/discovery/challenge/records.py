@@ -68,6 +68,7 @@ class CaseRow:
         nll_before, nll_after, nll_oracle: per sample on the second recording; `samples` of it.
         oracle_health, oracle_magnitudes: what the oracle estimates, name -> value.
         law_error: of the found law on unseen driving, relative; None where there is none or it can't be told.
+        oracle_law_error: of the true form with the oracle's magnitude, likewise: what the recording allows.
         seconds, peak_rss_mib: of the run.
     """
 
@@ -93,6 +94,7 @@ class CaseRow:
     oracle_magnitudes: Mapping[str, float] = field(default_factory=dict)
     samples: int = 0
     law_error: float | None = None
+    oracle_law_error: float | None = None
     seconds: float | None = None
     peak_rss_mib: float | None = None
 
@@ -130,6 +132,7 @@ class Scoring:
         fit_oracle: (recording, engine, terms) -> engine.
         separability: (recording, engine, term) -> name -> D.
         law_error: (result folder, clean held-out signals, fault, true health) -> error of the found law, or None.
+        error_of: (terms, clean held-out signals, fault, true health) -> error of given terms.
         terms: (faults) -> terms of the engine file.
     """
 
@@ -137,6 +140,7 @@ class Scoring:
     fit_oracle: Callable[..., EngineParameters] | None = None
     separability: Callable[..., Mapping[str, float]] | None = None
     law_error: Callable[[Path, pd.DataFrame, Fault, Mapping[str, float]], float | None] | None = None
+    error_of: Callable[[Sequence[Any], pd.DataFrame, Fault, Mapping[str, float]], float] | None = None
     terms: Callable[[Sequence[Fault]], tuple[Any, ...]] | None = None
 
     @classmethod
@@ -144,11 +148,12 @@ class Scoring:
         """The functions of `dieseltwin.discovery.scoring` at the maps' tolerance of a tier, and the law's error of
         `challenge.laws`."""
         from dieseltwin.discovery import scoring
-        from dieseltwin.discovery.challenge.laws import law_error
+        from dieseltwin.discovery.challenge.laws import error_of, law_error
 
         return cls(
             scoring.held_out_nll, partial(scoring.fit_oracle, map_tolerance=map_tolerance),
-            partial(scoring.separability, map_tolerance=map_tolerance), law_error, engine_terms,
+            partial(scoring.separability, map_tolerance=map_tolerance), law_error, error_of,
+            engine_terms,
         )  # fmt: skip
 
 
@@ -212,9 +217,13 @@ def _computed(
     if cache.is_file():
         kept = json.loads(cache.read_text())
         if kept.get("of") == _stamp(result):
-            return dict(kept["values"])
+            values = dict(kept["values"])
+            if "law_error" in values and "oracle_law_error" not in values:  # of a scorer that didn't tell it
+                values |= _law_errors(folder, result, answers, faults, scoring, values.get("oracle_magnitudes", {}))
+                write_json(cache, {"of": _stamp(result), "values": values})
+            return values
     name = str(answers["case"])
-    values: dict[str, Any] = {}
+    values = {}
     recording = read_recording(folder / name / "recording.csv")
     later = read_recording(folder / SEALED / f"{name}_held_out.csv")
     catalogued = all(FAMILIES[f.effect].catalogued for f in faults)
@@ -238,14 +247,28 @@ def _computed(
         if distances:
             other = min(distances, key=lambda k: distances[k])
             values["nearest"] = [other, float(distances[other])]
-    if scoring.law_error is not None and answers["kind"] == "withheld":
-        clean = pd.read_parquet(folder / SEALED / f"{name}_held_out_clean.parquet")
-        error = scoring.law_error(result, clean, faults[0], answers["health"])
-        values["law_error"] = None if error is None or not np.isfinite(error) else float(error)
+    values |= _law_errors(folder, result, answers, faults, scoring, values.get("oracle_magnitudes", {}))
     with_numbers = {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in values.items()}
     if scoring != Scoring():
         write_json(cache, {"of": _stamp(result), "values": with_numbers})
     return with_numbers
+
+
+def _law_errors(
+    folder: Path, result: Path, answers: Mapping[str, Any], faults: Sequence[Fault], scoring: Scoring,
+    oracle: Mapping[str, float],
+) -> dict[str, Any]:  # fmt: skip
+    """Errors of the found law and of the true form with the oracle's magnitude, in withheld cases."""
+    if scoring.law_error is None or answers["kind"] != "withheld":
+        return {}
+    fault, health = faults[0], answers["health"]
+    clean = pd.read_parquet(folder / SEALED / f"{answers['case']}_held_out_clean.parquet")
+    errors = [scoring.law_error(result, clean, fault, health), None]
+    told = oracle.get(fault.effect)
+    if told is not None and scoring.error_of is not None and scoring.terms is not None:
+        errors[1] = scoring.error_of(scoring.terms([replace(fault, magnitude=told)]), clean, fault, health)
+    fine = [None if error is None or not np.isfinite(error) else float(error) for error in errors]
+    return {"law_error": fine[0], "oracle_law_error": fine[1]}
 
 
 def _stamp(result: Path) -> str:

@@ -22,6 +22,7 @@ from dieseltwin.discovery.challenge.records import CaseRow, SaidEffect, Scoring,
 from dieseltwin.discovery.challenge.run import RESULTS, read_manifest, run_challenge
 from dieseltwin.discovery.challenge.score import oracle_row, score_challenge, verified_answers, write_score
 from dieseltwin.discovery.challenge.seal import SEALED
+from dieseltwin.discovery.challenge.table import lines
 from dieseltwin.discovery.curves import Curves, Discovery
 from dieseltwin.discovery.document import Discrepancy
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
@@ -238,6 +239,22 @@ def test_counts_of_the_table(rows: list[CaseRow]) -> None:
     assert metrics.withheld_none(rows, separable_only=True) == Share(1, 1)
     assert metrics.false_none(rows) == Share(1, 6)
     assert metrics.laws(rows) == Share(1, 1)
+    assert metrics.oracle_laws(rows) == Share(0, 0)
+
+
+def test_the_oracles_law_stands_beside_the_law(rows: list[CaseRow]) -> None:
+    far = {"kind": "withheld", "said": (NONE,)}
+    told = [
+        *rows, row("w3", true("boost_leak"), law_error=0.26, oracle_law_error=0.11, **far),
+        row("w4", true("boost_leak"), law_error=0.2, oracle_law_error=0.02, **far),
+    ]  # fmt: skip
+    assert metrics.laws(told) == Share(1, 3)
+    assert metrics.oracle_laws(told) == Share(1, 2)
+    assert metrics.laws_where_oracle(told) == Share(1, 2)
+    line = next(one for one in lines(told) if one.key == "law")
+    assert line.value.endswith("the oracle's law 1/2") and line.numbers["oracle_hits"] == 1
+    details = [f["detail"] for f in metrics.failures(told) if f["failure"] == "no law within 10 %"]
+    assert details == ["26 % off; the oracle 11 %", "20 % off; the oracle 2 %"]
     assert metrics.magnitude_errors(rows) == pytest.approx([0.05, 0.05])
     assert metrics.coverage(rows) == Share(2, 2)
     values, small = metrics.gains(rows)
