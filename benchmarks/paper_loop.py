@@ -13,6 +13,10 @@ computed once outside the loop), autograd for the gradient, Adam. It is no straw
 - the six maps hold one dropout realisation, like the batched program, with closed-form slopes; fresh masks in every
   epoch, as the paper has them, cost more (--fresh-dropout).
 
+The second-order methods have no epochs: theirs are CPU seconds a run of --draws noise draws of the five segments,
+against the few-shot loop's milliseconds times the paper's 30,000 epochs, in the same process. Where the loop has the
+learned maps with dropout, they have the improved maps, which have none.
+
 Milliseconds are CPU time of this one thread, the best of some repetitions that alternate between loop and batch, so
 that other work on the machine disturbs both alike; on an idle machine they equal wall time.
 """
@@ -31,8 +35,16 @@ import torch
 from identification import benchmark_problems
 from torch import Tensor
 
+from dieseltwin.config import load_params
 from dieseltwin.engine import actuate, bind
-from dieseltwin.identification import baseline, fewshot_adam, fewshot_program, multistage, pinn_training
+from dieseltwin.identification import (
+    baseline,
+    fewshot_adam,
+    fewshot_program,
+    identify_segments,
+    multistage,
+    pinn_training,
+)
 from dieseltwin.identification.losses import Weights, total_loss
 from dieseltwin.identification.pinn_networks import N_STATES, StateNetworks
 from dieseltwin.identification.problem import SegmentProblem
@@ -234,10 +246,30 @@ def measure(
     return loop_total, totals
 
 
+def second_order_s(method: str, models: Path | None, kind: str, draws: int) -> float:
+    """CPU seconds a run of a second-order method on the benchmark driving, compiled beforehand; the best of three."""
+    from dieseltwin.cli_identify import load_networks
+
+    given = load_networks(models, method, "improved" if kind == "learned" else "exact")
+    problems, _ = benchmark_problems(draws, SEED)
+    config = load_params(None, "quick").identify
+    identify_segments(benchmark_problems(1, SEED)[0], method, 1, 0, config=config, **given)
+    seconds = []
+    for _ in range(3):
+        start = time.process_time()
+        identify_segments(problems, method, draws, SEED, config=config, **given)
+        seconds.append(time.process_time() - start)
+    return min(seconds) / (draws * len(problems))
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--methods", nargs="+", default=list(PAPER_MS), choices=list(PAPER_MS))
+    parser.add_argument("--second-order", nargs="*", default=["few-shot-newton", "classical"], help="beside the loop")
+    parser.add_argument(
+        "--draws", type=int, default=30, help="noise draws of each segment, for the second-order methods"
+    )
     parser.add_argument("--lanes", nargs="+", type=int, default=[30, 120])
     parser.add_argument("--models", type=Path, default=None, help="folder with maps_paper.pt")
     parser.add_argument("--fresh-dropout", action="store_true", help="the loop draws new masks in every epoch")
@@ -252,9 +284,12 @@ def main() -> None:
         kinds["learned"] = EmpiricalMaps.load(arguments.models / "maps_paper.pt")
     problem = benchmark_problems(max(arguments.lanes), SEED)[0][0]
     print("ms an epoch  maps      paper    loop  /paper  lanes  batched  ratio      run")
+    loop_s: dict[str, float] = {}
     for method in arguments.methods:
         for kind, maps in kinds.items():
             loop, batched = measure(method, problem, maps, arguments.lanes, arguments.fresh_dropout)
+            if method == "few-shot":
+                loop_s[kind] = loop * EPOCHS[method] / 1e3
             for count, value in batched.items():
                 seconds = value * EPOCHS[method] / 1e3
                 print(
@@ -262,6 +297,12 @@ def main() -> None:
                     f"{count:>6d} {value:>8.3f} {loop / value:>6.1f} {seconds:>6.1f} s",
                     flush=True,
                 )
+    if loop_s:
+        print("s a run                 loop   method   ratio")
+    for method in arguments.second_order if loop_s else []:
+        for kind, reference in loop_s.items():
+            seconds = second_order_s(method, arguments.models, kind, arguments.draws)
+            print(f"{method:<15} {kind:<8} {reference:>7.0f} {seconds:>8.4f} {reference / seconds:>7.0f}", flush=True)
 
 
 if __name__ == "__main__":
