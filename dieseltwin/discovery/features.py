@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dieseltwin.discovery.fit import Fit, Linearisation
+from dieseltwin.discovery.grammar import Factor, Form, Kind, operators, unit_of
 from dieseltwin.discovery.nuisance import signal_responses
 from dieseltwin.discovery.score import without_parameters
 from dieseltwin.discovery.twin import Array, Twin
-from dieseltwin.engine.terms import LawGroup
 
+_OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
 _STEP = 0.005  # of a point's scale: small enough to be linear
 
 
@@ -26,6 +27,7 @@ class Feature:
         signal: (n,).
         site: word for the report.
         channel: of the faulty sensor.
+        form: the same as a law, None for a fault of a sensor.
     """
 
     point: int | None
@@ -33,6 +35,7 @@ class Feature:
     signal: Array
     site: str
     channel: int | None = None
+    form: Form | None = None
 
 
 @dataclass(frozen=True)
@@ -47,28 +50,53 @@ class Structure:
 
 
 def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
-    """One constant per point, one proportional to each port, a hole to the surroundings where a balance has a pressure;
-    offset and gain per sensor."""
-    variables = twin.variables(fit.lanes())
+    """One constant per point, one proportional to each port, a hole to the surroundings where a balance has a pressure,
+    losses of a shaft; dead time, lag and play of each actuator, which no function of the moment comes near; offset and
+    gain per sensor."""
+    variables = {**twin.variables(fit.lanes()), "time_s": twin.time_s}
     found = []
     for index, point in enumerate(twin.points):
-        found.append(Feature(index, "constant", np.ones(twin.time_s.size), point.site))
+        found.append(Feature(index, "constant", np.ones(twin.time_s.size), point.site, form=Form(point.name)))
         for port in point.ports:
             values = np.asarray(variables[port], dtype=np.float64)
             size = float(np.sqrt(np.mean(values**2)))
             if size > 0 and np.std(values) > 1e-3 * size:
-                found.append(Feature(index, port, values / size, point.site))
+                kind: Kind = "power" if values.min() > 0.0 else "signed_power"
+                form = Form(point.name, (Factor(kind, (port,), (size,), 1.0, (unit_of(port, {}),)),))
+                found.append(Feature(index, port, values / size, point.site, form=form))
             if not point.relative and port.startswith("p_") and "p_amb" in variables:
-                hole = LawGroup(kind="orifice", variables=(port, "p_amb"))
-                flow = values * hole.value({port: values, "p_amb": np.asarray(variables["p_amb"])})
-                size = float(np.sqrt(np.mean(flow**2)))
-                if size > 0:
-                    found.append(Feature(index, f"hole of {port}", flow / size, point.site))
+                warm = next((name for name in point.ports if name.startswith("T_")), None)
+                found += _of_form(index, f"hole of {port}", _hole(point.name, port, size, warm, variables), point.site,
+                                  variables)  # fmt: skip
+            if point.unit == "W" and port.startswith("omega"):
+                for power in _OF_SPEED:
+                    form = Form(point.name, (Factor("signed_power", (port,), (size,), power, (unit_of(port, {}),)),))
+                    found += _of_form(index, f"{port}^{power:g}", form, point.site, variables)
+        if point.unit == "%" and point.name in variables:
+            for factor in operators(point.name, point.unit, point.relative):
+                form = Form(point.name, (factor,), 1.0)
+                text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
+                found += _of_form(index, text, form, point.site, variables)
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(twin.channels):
         found.append(Feature(None, "offset", ones, f"sensor:{name}", j))
         found.append(Feature(None, "gain", ones, f"sensor:{name}", j))
     return found
+
+
+def _hole(point: str, port: str, size: float, warm: str | None, variables: Mapping[str, Array]) -> Form:
+    """A nozzle to the surroundings; its flow falls with the root of the temperature where the point touches one."""
+    if warm is None:
+        return Form(point, (Factor("orifice", (port, "p_amb"), (size, 1.0), 1.0, ("Pa", "Pa")),))
+    typical = float(np.median(variables[warm]))
+    names, units = (port, "p_amb", warm), ("Pa", "Pa", "K")
+    return Form(point, (Factor("orifice", names, (size, 1.0, typical), 1.0, units),))
+
+
+def _of_form(index: int, text: str, form: Form, site: str, variables: Mapping[str, Array]) -> list[Feature]:
+    signal = np.asarray(form.value(variables), dtype=np.float64)
+    size = float(np.sqrt(np.mean(signal**2)))
+    return [Feature(index, text, signal / size, site, form=form)] if size > 0 else []
 
 
 def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Structure]:
