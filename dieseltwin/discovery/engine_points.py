@@ -37,5 +37,6 @@ POINT_FACTS: dict[str, PointFacts] = {
     "u_delta": PointFacts("fuel_injection", ("u_delta", "n_e")),
     "u_egr": PointFacts("egr_actuator", ("u_egr",), 20.0),
     "u_vgt": PointFacts("vgt_actuator", ("u_vgt",), 20.0),
+    "egr_opening": PointFacts("egr_flow", ("u_egr", "Pi_egr", "t"), 0.2),
 }
 """By the names of `engine.effects.POINTS`."""

@@ -28,12 +28,13 @@ STATE_EFFECTS = (
 
 POINTS = (
     "eta_vol", "W_eo", "T_e", "T_em", "f_egr", "W_t", "eta_tm", "p_es", "W_c", "eta_c", "p_bc", "T_im",
-    "intake_balance", "exhaust_balance", "shaft_power", "u_delta", "u_egr", "u_vgt",
+    "intake_balance", "exhaust_balance", "shaft_power", "u_delta", "u_egr", "u_vgt", "egr_opening",
 )  # fmt: skip
 """Insertion points of the model graph, in the order of `extended.Extension.signals`."""
 
 ADDED_AT = {
     "intake_balance": "kg/s", "exhaust_balance": "kg/s", "shaft_power": "W", "u_egr": "%", "u_vgt": "%",
+    "egr_opening": "-",
 }  # fmt: skip
 """Points where a signal is added, with its unit; at the others the quantity is multiplied by (1 + signal)."""
 

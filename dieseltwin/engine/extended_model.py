@@ -76,7 +76,8 @@ class Magnitudes(NamedTuple):
 class Signals(NamedTuple):
     """Signals at the insertion points: relative on maps, flows, temperatures, pressures and u_delta, added elsewhere.
 
-    Added are intake_balance, exhaust_balance [kg/s into the manifold], shaft_power [W], u_egr, u_vgt [% of position].
+    Added are intake_balance, exhaust_balance [kg/s into the manifold], shaft_power [W], u_egr, u_vgt [% of position],
+    egr_opening [-, share of the largest area, beside f_egr].
     """
 
     eta_vol: Any
@@ -97,6 +98,7 @@ class Signals(NamedTuple):
     u_delta: Any
     u_egr: Any
     u_vgt: Any
+    egr_opening: Any
 
 
 class Gas(NamedTuple):
@@ -264,7 +266,7 @@ def intake_side(
     P_c = compressor_power(isentropic_compressor_power(W_c, Pi_c, c), compressor_efficiency)
     T_c = compressor_out_temperature(compressor_efficiency, Pi_c, c)
 
-    opening = f_egr(egr_position, c) * (1.0 + s.f_egr) + m.egr_valve_leak
+    opening = f_egr(egr_position, c) * (1.0 + s.f_egr) + m.egr_valve_leak + s.egr_opening
     A_egr = egr_area(opening, c) * clogged_share(m.egr_clogging)
     Psi_egr = egr_flow_factor(egr_pressure_ratio(p_im, p_em, c), c)
     W_egr = egr_flow(A_egr, p_em, Psi_egr, T_gas, c)

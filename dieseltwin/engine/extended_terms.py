@@ -20,8 +20,17 @@ from dieseltwin.engine.simulate import MEASURED, Observations, numpy_model
 from dieseltwin.engine.terms import REGION_COLUMNS, SENSOR_SLOTS, LawTerm, OneTerm, amounts, effect_terms, law_terms
 from dieseltwin.errors import InputError
 
-LAW_SWEEPS = 4
-"""Rounds of the fixed point between a law term and the trajectory it depends on (the last changes 1e-4 of it)."""
+LAW_SWEEPS = 8
+"""Most rounds of the fixed point between laws and trajectory."""
+
+POINT_SWEEPS = 4
+"""Rounds of the fixed point between laws and quantities at given states."""
+
+LAW_SETTLED = 1e-4
+"""Change of a signal, relative to its size, that ends the rounds."""
+
+_LEAST_CHANGE = 1e-30
+_STEEPEST = 2.0 / 3.0  # slope of a law against its own signal that a secant step may use
 
 GAS_SWEEPS = 4
 """Rounds of the fixed point between the gas temperature and the EGR that it heats, from a cold start."""
@@ -137,9 +146,13 @@ def _with_laws(
 ) -> Observations:
     """Lanes under laws at one point, or one lane under laws at several."""
     laws = law_terms(batch.terms)
+    before: Any = None
     for _ in range(LAW_SWEEPS if laws else 0):
         states = simulate_extended(actuation, batch, extension, starts, threads).states
         _, s = along(states, actuation, batch.terms, batch.constants())
+        if before is not None and _settled(before, s):
+            break
+        before = s
         if batch.size == 1:
             signals = np.stack([np.broadcast_to(value, states.shape[:2])[0] for value in s])
             extension = replace(extension, signals=signals)
@@ -148,6 +161,12 @@ def _with_laws(
             signal = np.ascontiguousarray(np.broadcast_to(s[at], states.shape[:2]))
             extension = replace(extension, lane_point=np.full(batch.size, at), lane_signal=signal)
     return simulate_extended(actuation, batch, extension, starts, threads)
+
+
+def _settled(before: Signals, now: Signals) -> bool:
+    return all(
+        float(np.max(np.abs(b - a))) <= LAW_SETTLED * float(np.max(np.abs(b))) for a, b in zip(before, now, strict=True)
+    )
 
 
 def signals_of(
@@ -172,7 +191,7 @@ def law_variables(q: ExtendedQuantities, states: Mapping[str, Any], c: Constants
 
 def quantities_under(
     model: Model, states: Mapping[str, Any], gas: Gas, m: Magnitudes, laws: Sequence[LawTerm], factors: Sequence[Any],
-    c: Constants, power: Power = np.power, sweeps: int = LAW_SWEEPS,
+    c: Constants, power: Power = np.power, sweeps: int = POINT_SWEEPS, newton: bool = False,
 ) -> tuple[ExtendedQuantities, Signals]:  # fmt: skip
     """`quantities_extended` with law terms evaluated on its own quantities.
 
@@ -184,16 +203,28 @@ def quantities_under(
         laws, factors: law terms and where they act.
         power: raises to a power in the backend.
         sweeps: rounds of the fixed point between laws and quantities.
+        newton: rounds by the secant of each signal: where a law's quantity answers its own signal strongly (a filter at
+            high flow, W_c against p_bc) plain rounds swing about the solution.
     """
     order = ("p_im", "p_em", "omega_t", "x_r", "T_1")
     inputs = ("n_e", "u_delta", "u_egr", "u_vgt")
     arguments = (*(states[n] for n in order), gas, *(states[n] for n in inputs), m)
     s = Signals(*([0.0] * len(POINTS)))
     q = model.quantities_extended(*arguments, s, c)
+    last: tuple[Signals, Signals] | None = None
     for _ in range(sweeps if laws else 0):
-        s = signals_of(laws, factors, law_variables(q, states, c), power)
+        new = signals_of(laws, factors, law_variables(q, states, c), power)
+        following = new if last is None or not newton else Signals(*map(_by_secant, *last, s, new))
+        last, s = (s, new), following
         q = model.quantities_extended(*arguments, s, c)
     return q, s
+
+
+def _by_secant(s_0: Any, f_0: Any, s_1: Any, f_1: Any) -> Any:
+    """Next signal from two pairs of a signal and what its law then says; at most three times a plain step."""
+    change = s_1 - s_0
+    slope = np.minimum((f_1 - f_0) * change / (change * change + _LEAST_CHANGE), _STEEPEST)
+    return s_1 + (f_1 - s_1) / (1.0 - slope)
 
 
 def along(
@@ -226,11 +257,11 @@ def along(
     else:
         T_gas = np.full(p_im.shape, 700.0)
         for _ in range(GAS_SWEEPS):
-            q, _ = quantities_under(model, named, Gas(T_gas, 1.0, 0.0), m, laws, factors, c)
+            q, _ = quantities_under(model, named, Gas(T_gas, 1.0, 0.0), m, laws, factors, c, newton=True)
             T_gas = _lagged(q.T_em_static, actuation.time_s, inertia) if inertia.any() else q.T_em
     inert = inertia > 0.0
     gas = Gas(T_gas, np.where(inert, 0.0, 1.0), np.where(inert, T_gas, 0.0))
-    return quantities_under(model, named, gas, m, laws, factors, c)
+    return quantities_under(model, named, gas, m, laws, factors, c, newton=True)
 
 
 def _lagged(static: np.ndarray, time_s: np.ndarray, tau: np.ndarray) -> np.ndarray:

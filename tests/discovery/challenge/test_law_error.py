@@ -34,6 +34,11 @@ def clean() -> pd.DataFrame:
         (Fault("p_im_offset", -5000.0), SensorTerm(sensor="p_im_pa", fault="offset", magnitude=-5000.0)),
         (Fault("vgt_dead_time", 0.3), ActuatorTerm(actuator="vgt", fault="dead_time", magnitude=0.3)),
         (Fault("compressor_flow_loss", 0.05), LawTerm(point="W_c", coefficient=-0.05, unit="-")),
+        (Fault("egr_valve_leak", 0.03), LawTerm(point="egr_opening", coefficient=0.03, unit="-")),
+        (  # the flow answers the pressure so strongly that plain rounds of a fixed point swing about the solution
+            Fault("air_filter_restriction", 45000.0),
+            LawTerm(point="p_bc", coefficient=-45000.0 * 0.04 / ENGINE.p_amb, unit="-", factors=(("W_c", 0.2, 2.0),)),
+        ),
     ],
 )
 def test_the_truth_has_no_error(fault: Fault, term: SensorTerm, clean: pd.DataFrame) -> None:
