@@ -225,8 +225,9 @@ def choose(found: Search, first: Linearisation) -> None:
         place = {"single": 0, "pair": 1}.get(kind, 2)
         gained = single if kind == "single" or fit is None else found.gain(fit)
         limit = max(settings.left_gain[place], settings.left_share[place] * gained)
-        ahead = left - found.beyond if kind == "single" else np.inf
-        if (left > limit and ahead > settings.left_ahead) or (left > _CHANCE_LEAVES and _outdone(found, best)):
+        held = max((item.held for item in found.left), default=0.0)
+        ahead = held - found.beyond if kind == "single" else np.inf
+        if (held > limit and ahead > settings.left_ahead) or (left > _CHANCE_LEAVES and _outdone(found, best)):
             found.refused, found.kind = kind, "law"
             return
         _widen(found.best, left)

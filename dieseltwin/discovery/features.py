@@ -40,13 +40,20 @@ class Feature:
 
 @dataclass(frozen=True)
 class Structure:
-    """A feature's linear estimate: coefficient in the point's unit, its std, and its gain."""
+    """A feature's linear estimate: coefficient in the point's unit, its std, and its gain.
+
+    Attributes:
+        response: (n, C) of the readings per unit.
+        held: gain without the window that it hangs on most. Next to a kink (EGR flow at p_em = p_im) the tolerances of
+            one window aren't linear, and can leave what looks like a term; a term that is real acts elsewhere too.
+    """
 
     feature: Feature
     coefficient: float
     std: float
     gain: float
     response: Array
+    held: float
 
 
 def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
@@ -122,5 +129,20 @@ def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Struc
         information = float(vector @ vector)
         if information > 0:
             push = float(vector @ at.projected_residual)
-            found.append(Structure(feature, push / information, information**-0.5, push * push / information, response))
+            gain = push * push / information
+            held = min(gain, _held(at, vector, push, information))
+            found.append(Structure(feature, push / information, information**-0.5, gain, response, held))
     return sorted(found, key=lambda item: -item.gain)
+
+
+def _held(at: Linearisation, vector: Array, push: float, information: float) -> float:
+    """Least gain of a direction (rows,) with one window left out."""
+    n, channels = at.residual.shape
+    starts = at.twin.starts * channels
+    if starts.size < 2:
+        return push * push / information
+    own = vector[: n * channels]
+    pushes = np.add.reduceat(own * at.projected_residual[: n * channels], starts)
+    informations = np.add.reduceat(own * own, starts)
+    rest = np.maximum(information - informations, 1e-9 * information)
+    return float(np.min((push - pushes) ** 2 / rest))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dieseltwin.discovery import search
-from dieseltwin.discovery.features import generic_features, score_features
+from dieseltwin.discovery.features import Structure, generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit, fit_fully
 from dieseltwin.discovery.twin import Point
 from dieseltwin.discovery.unnamed import best_term, leading, refit_terms
@@ -85,3 +85,21 @@ def test_losses_of_a_shaft_and_holes_of_hot_gas() -> None:
     hole = signals["exhaust_mass_balance", "hole of p_em"]  # always choked but for the lowest pressures
     choked = values["p_em"] > 1.9e5
     assert np.ptp(hole[choked] / (values["p_em"] / np.sqrt(values["T_em"]))[choked]) < 1e-4 * hole.mean()
+
+
+def test_a_term_that_hangs_on_one_window_is_not_held() -> None:
+    toy = Toy(2000, 10).record(leak=0.03)
+    everywhere = _strongest(toy)
+    toy = Toy(2000, 10).record()
+    bent = Toy(2000, 10).record(leak=(0.2, (np.arange(2000) // 200 == 4).astype(float)))
+    rows = slice(800, 1000)
+    toy.measured[rows] = bent.measured[rows]
+    once = _strongest(toy)
+    assert once.gain > 50.0 and once.held < 0.2 * once.gain
+    assert everywhere.gain > 50.0 and everywhere.held > 0.6 * everywhere.gain
+
+
+def _strongest(toy: Toy) -> Structure:
+    null = search.prepare(toy, SETTINGS).null
+    terms = score_features(null, generic_features(toy, null.fit))
+    return next(item for item in terms if item.feature.site == "vessel" and item.feature.text == "x")
