@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Literal
 
+import numba
 import numpy as np
 
 from dieseltwin.discovery.twin import Array, Point
@@ -104,10 +105,15 @@ def signed_power(x: Any, exponent: Any) -> Any:
 
 def lagged(values: Array, time_s: Array, constant: float) -> Array:
     """First-order lag [s] of samples, linear between them."""
-    out = values.copy()
     step = np.diff(time_s)
     decay = np.exp(-step / max(constant, 1e-9))
     mean = (1.0 - decay) * constant / step
+    return np.asarray(_follow(np.ascontiguousarray(values, dtype=np.float64), decay, mean))
+
+
+@numba.njit(cache=True)
+def _follow(values, decay, mean):  # type: ignore[no-untyped-def]
+    out = values.copy()
     for k in range(1, len(values)):
         decayed, held = decay[k - 1], mean[k - 1]
         out[k] = decayed * out[k - 1] + (held - decayed) * values[k - 1] + (1.0 - held) * values[k]
@@ -116,7 +122,12 @@ def lagged(values: Array, time_s: Array, constant: float) -> Array:
 
 def played(values: Array, width: float) -> Array:
     """Play (backlash) operator of full width."""
-    out, at, half = np.empty_like(values), values[0], 0.5 * width
+    return np.asarray(_pushed(np.ascontiguousarray(values, dtype=np.float64), 0.5 * width))
+
+
+@numba.njit(cache=True)
+def _pushed(values, half):  # type: ignore[no-untyped-def]
+    out, at = np.empty_like(values), values[0]
     for k, value in enumerate(values):
         at = min(max(at, value - half), value + half)
         out[k] = at
