@@ -63,7 +63,7 @@ def run(where: str, root: Path, members: int, *, kill: bool = False) -> tuple[st
             for name, channels in SENSORS.items():
                 what = {
                     "case": case, "members": members, "noise_seed": 1, "seed": 2, "start": "lab", "channels": channels,
-                    "held_out_share": 0.0, "weight_share": 1.0, "x_r_weight": 100.0, "first": 0, "runs": members,
+                    "held_out_share": 0.0, "weight_share": 1.0, "scale_x_r": None, "first": 0, "runs": members,
                 }  # fmt: skip
                 own = ensembles.own_settings(settings, "classical")
                 pending.append(

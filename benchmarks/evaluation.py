@@ -1,7 +1,7 @@
-"""Ensembles against the paper's cells without pretraining: exact formulae, spline bodies, Case-V of `make run`.
+"""Ensembles against the paper's cells: exact formulae and spline bodies, or `--models`; Case-V of `make run`.
 
     python benchmarks/evaluation.py --methods classical few-shot-newton --members 30
-    python benchmarks/evaluation.py --methods few-shot-adam --members 2 --epochs 6000 --cases noisy-301 --x-r-weight 1e4
+    python benchmarks/evaluation.py --methods few-shot-adam multi-stage --members 3 --cases noisy-301 --models models
     python benchmarks/evaluation.py --methods classical --channels p_im_pa p_em_pa omega_t_rad_s --cases noisy-301
 
 `python -m flows.evaluate` makes the whole tables, with everything learned; this is the short way to one figure of them.
@@ -14,6 +14,7 @@ import argparse
 import json
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,10 +29,14 @@ from dieseltwin.engine import HEALTH, MEASURED
 from dieseltwin.identification import PAPER_CHANNELS, NoiseLevels, identify_segments, problems_from_recording
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.ensemble import CASES, case_problems, member_table
-from dieseltwin.identification.fewshot_program import AdamSettings
 from dieseltwin.recordings import read_recording
 from dieseltwin.report import evaluation
+from dieseltwin.surrogates.bodies import Bodies
+from dieseltwin.surrogates.empirical import EmpiricalMaps
+from dieseltwin.surrogates.operators import ActuatorOperators
 
+SECTIONS = ("adam", "baseline", "multi_stage")
+LEARNED = ("few-shot-adam", "baseline", "multi-stage")
 STATES = ["p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k"]
 
 
@@ -48,6 +53,18 @@ def clean_problems(path: Path, params: Any) -> list[Any]:
     return [replace(p, true_initial=row) for p, row in zip(problems, initial, strict=True)]
 
 
+def networks(folder: Path | None, left_out: Sequence[str]) -> dict[str, Any]:
+    """The paper's bodies, maps and operators of a folder, less those left out."""
+    if folder is None:
+        return {}
+    given = {
+        "bodies": (Bodies, "bodies_paper.pt"),
+        "maps": (EmpiricalMaps, "maps_paper.pt"),
+        "operators": (ActuatorOperators, "operators.pt"),
+    }
+    return {name: kind.load(folder / file) for name, (kind, file) in given.items() if name not in left_out}
+
+
 def main() -> None:
     """Run the ensembles and print scores, cells and calibration."""
     torch.set_num_threads(1)
@@ -56,20 +73,24 @@ def main() -> None:
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument("--members", type=int, default=30)
     parser.add_argument("--channels", nargs="+", default=None, help="sensors; all five without it")
-    parser.add_argument("--epochs", type=int, default=6000, help="of few-shot-adam")
-    parser.add_argument("--x-r-weight", type=float, default=100.0, help="of few-shot-adam; the paper's is 100")
+    parser.add_argument("--profile", default="quick", help="whose epochs and settings")
+    parser.add_argument("--models", type=Path, default=None, help="folder of trained networks, for the Adam methods")
+    parser.add_argument("--leave-out", nargs="+", default=[], help="of bodies, maps, operators")
+    parser.add_argument("--scale-x-r", type=float, default=None, help="unit of the residual of x_r")
+    parser.add_argument("--fixed-dropout", action="store_true", help="one realisation of the maps a run")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--recording", type=Path, default=Path("data/field/case_v_clean.parquet"))
     arguments = parser.parse_args()
 
-    params = load_params(None, "paper")
+    params = load_params(None, arguments.profile)
     clean = clean_problems(arguments.recording, params)
     truth = dict(clean[0].truth)
-    adam = AdamSettings.from_config(params.identify)
-    adam = replace(
-        adam, epochs=arguments.epochs, weights_until_epoch=arguments.epochs * 2 // 3,
-        scales=replace(adam.scales, x_r_weight=arguments.x_r_weight),
-    )  # fmt: skip
+    changed: dict[str, Any] = {"fresh_dropout": not arguments.fixed_dropout}
+    if arguments.scale_x_r is not None:
+        changed["scale_x_r"] = arguments.scale_x_r
+    sections = {name: getattr(params.identify, name).model_copy(update=changed) for name in SECTIONS}
+    config = params.identify.model_copy(update=sections)
+    given = networks(arguments.models, arguments.leave_out)
     with tempfile.TemporaryDirectory() as temporary:
         for case in arguments.cases:
             problems = case_problems(clean, case, arguments.members, arguments.seed, arguments.channels)
@@ -77,9 +98,9 @@ def main() -> None:
                 cramer_rao([p], np.array([truth[n] for n in HEALTH]), p.true_initial[:3])[0].relative for p in problems
             ]
             for method in arguments.methods:
-                config: Any = adam if method == "few-shot-adam" else params.identify
+                learned = given if method in LEARNED else {}
                 began = time.process_time()
-                found = identify_segments(problems, method, arguments.members, arguments.seed, config=config)
+                found = identify_segments(problems, method, arguments.members, arguments.seed, config=config, **learned)
                 cpu = (time.process_time() - began) / (arguments.members * len(problems))
                 print(f"{method}, {case}: {cpu:.3f} CPU s per run", flush=True)
                 folder = Path(temporary) / f"{case}-{method}"

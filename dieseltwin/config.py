@@ -14,13 +14,13 @@ from typing import Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from dieseltwin.config_discovery import DiscoverConfig, PromotionConfig, ProofConfig
+from dieseltwin.config_maps import MapsConfig, Widths
 from dieseltwin.strict import StrictModel, overridden, read_profile, validate
 
 PARAMS_FILE = "params.yaml"
 DEFAULT_PROFILE = "quick"
 
 Range = tuple[float, float]
-Widths = tuple[PositiveInt, ...]
 
 
 class EngineConfig(StrictModel):
@@ -118,42 +118,6 @@ class NoiseConfig(StrictModel):
         return (self.p_im_rel, self.p_em_rel, self.omega_t_rel, self.w_egr_rel, self.t_em_rel, self.w_c_rel)
 
 
-class PaperMapsConfig(StrictModel):
-    """Empirical surrogates as printed."""
-
-    hidden: Widths
-    activation: Literal["tanh", "sin", "relu", "silu", "softplus"]
-    dropout_rel: NonNegativeFloat
-    steps: PositiveInt = Field(description="Adam steps, one mini-batch each")
-    batch: PositiveInt
-    rate: PositiveFloat
-    rate_end: PositiveFloat
-
-
-class ImprovedMapsConfig(StrictModel):
-    """Improved empirical surrogates: an ensemble of small networks, second-order least squares on averaged labels."""
-
-    hidden: dict[str, Widths]
-    cells: PositiveInt = Field(description="cells that the labels are averaged over")
-    starts: PositiveInt = Field(description="random starts; the best is the nominal network")
-    members: PositiveInt
-    steps: PositiveInt = Field(description="Levenberg-Marquardt steps from a random start")
-    refine_steps: PositiveInt = Field(description="steps of every later fit")
-    rounds: NonNegativeInt = Field(description="corrections for the curvature within cells")
-    accepted_cost_ratio: PositiveFloat = Field(description="of a start's cost to the best, up to which members use it")
-    ridge: NonNegativeFloat
-    first_layer_scale: PositiveFloat
-    start_level: float
-    spread: PositiveFloat = Field(description="factor on the members' standard deviation")
-
-
-class MapsConfig(StrictModel):
-    """Empirical surrogates: as printed, and improved."""
-
-    paper: PaperMapsConfig
-    improved: ImprovedMapsConfig
-
-
 class OperatorConfig(StrictModel):
     """One causality DeepONet."""
 
@@ -195,6 +159,7 @@ class BodiesPaperConfig(StrictModel):
     epochs: PositiveInt
     rate: PositiveFloat
     finish_heads: bool = Field(description="solve the heads in closed form after the last epoch")
+    first_layer_scale: Range | None = Field(default=None, description="as of conditioned; none: the printed start")
 
 
 class BodiesConditionedConfig(StrictModel):
@@ -263,6 +228,8 @@ class AdamConfig(StrictModel):
     scale_t_em_k: PositiveFloat = Field(description="unit of the residual of T_em")
     scale_t_1_k: PositiveFloat = Field(description="unit of the residual of T_1")
     scale_rates: PositiveFloat = Field(description="of the rates' residuals, in 1e5 Pa/s and 5e3 rad/s2")
+    scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
+    fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
     weight_start: dict[str, PositiveFloat]
 
 
@@ -284,6 +251,8 @@ class PinnConfig(StrictModel):
     first_layer_slopes: Range | None = Field(description="start of the first layer on time scaled to [-1, 1]")
     scale_t_em_k: PositiveFloat = Field(description="unit of the data residual of T_em")
     scale_rates: PositiveFloat = Field(description="further divisor of the residuals of the three rates")
+    scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
+    fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
     weight_start: dict[str, PositiveFloat]
 
 
@@ -319,7 +288,7 @@ class VariantConfig(StrictModel):
     channels: tuple[str, ...] | None = Field(default=None, description="sensors that are read; none = all five")
     held_out_share: NonNegativeFloat = Field(default=0.0, lt=1.0, description="readings no loss sees: early stopping")
     weight_share: PositiveFloat = Field(default=1.0, description="factor on the paper's starting weights")
-    x_r_weight: PositiveFloat = Field(default=100.0, description="of the equation of x_r in the loss; paper: 100")
+    scale_x_r: PositiveFloat | None = Field(default=None, description="unit of the residual of x_r; none: its own")
     start: Literal["lab", "truth"] = "lab"
     members: PositiveInt
 

@@ -126,7 +126,7 @@ def baseline(
 
     problems = problems_for(field, settings, what, what["members"])
     printed = settings_from(_config(settings, what), "baseline", SETTINGS)
-    chosen = replace(printed, scales=replace(printed.scales, x_r_weight=what["x_r_weight"]))
+    chosen = replace(printed, scales=replace(printed.scales, x_r=what["scale_x_r"] or printed.scales.x_r))
     given = _networks(None, maps, operators)
     began = time.perf_counter()
     lanes = make_lanes(problems, [0], what["runs"], what["seed"], chosen, what["first"])
@@ -215,7 +215,7 @@ def few_shot_adam(
         printed,
         held_out_share=what["held_out_share"],
         weight_share=what["weight_share"],
-        scales=replace(printed.scales, x_r_weight=what["x_r_weight"]),
+        scales=replace(printed.scales, x_r=what["scale_x_r"] or printed.scales.x_r),
     )
     given = _networks(bodies, maps, operators)
     began = time.perf_counter()

@@ -70,7 +70,7 @@ def _plan(settings: Mapping[str, Any], method: str, case: str, variant: str, cha
         "channels": changed.get("channels"),
         "held_out_share": changed.get("held_out_share", 0.0),
         "weight_share": changed.get("weight_share", 1.0),
-        "x_r_weight": changed.get("x_r_weight", 100.0),
+        "scale_x_r": changed.get("scale_x_r"),
     }
     at_a_time = settings["evaluation"]["members_per_batch"] if method in _BATCHED else members
     batches = tuple((first, min(at_a_time, members - first)) for first in range(0, members, at_a_time))

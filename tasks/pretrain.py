@@ -97,7 +97,8 @@ def maps(
     seed: int,
 ) -> None:
     """``maps.pt``, one kind of the six maps."""
-    from dieseltwin.config import EngineConfig, MapsConfig
+    from dieseltwin.config import EngineConfig
+    from dieseltwin.config_maps import MapsConfig
     from dieseltwin.datasets import laboratory_parameters
     from dieseltwin.surrogates.empirical_training import train_maps
 

@@ -54,7 +54,7 @@ def estimate(
         seed: seed of all draws; a run's draws depend on (seed, segment, run) alone, not on the batch it runs in.
         bodies: not used; every layer is trained.
         operators: trained actuator operators, or None for the exact actuators.
-        maps: learned empirical maps, one dropout realisation a run, or None for the exact formulae.
+        maps: learned empirical maps, dropout on, or None for the exact formulae.
         config: `params.identify`, its section `baseline`, `PinnSettings` or None.
 
     Returns:

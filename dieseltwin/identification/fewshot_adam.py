@@ -64,7 +64,7 @@ def estimate(
         seed: seed of all draws; a run's draws depend on (seed, segment, run) alone, not on the batch it runs in.
         bodies: trained bodies, or None for B-splines of the paper's widths.
         operators: trained actuator operators, or None for the exact actuators.
-        maps: learned empirical maps, one dropout realisation a run, or None for the exact formulae.
+        maps: learned empirical maps, dropout on, or None for the exact formulae.
         config: `params.identify`, its section `adam`, `AdamSettings` or None.
         first_run: number of the first run: runs 10-19 alone are those of a batch of 30.
 
@@ -158,6 +158,7 @@ def train(
         return z, masked, weights, program(z, masked, weights)
 
     for epoch in range(settings.epochs + 1):
+        program.renew()
         z, masked, weights, loss = forward(True)
         if epoch in keep:
             curve_health.append(to_physical(masked.detach(), torch))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, bind, constants
-from dieseltwin.identification.fused_maps import fused_replacements
+from dieseltwin.identification.fused_maps import Dropout, fused_replacements
 from dieseltwin.identification.heads import body_basis
 from dieseltwin.identification.losses import (
     PAPER_WEIGHTS,
@@ -58,6 +58,7 @@ class AdamSettings:
         held_out_share: share of the readings that no loss sees; a run's result is then the epoch that predicts them
             best (early stopping). 0 is the paper's loop.
         weight_share: factor on `weight_start`; below 1 the data count less against the equations. 1 is the paper's.
+        fresh_dropout: the learned maps lose other neurons in every epoch; False: one realisation a run.
         dtype: float32 or float64.
     """
 
@@ -73,6 +74,7 @@ class AdamSettings:
     lanes: int = 150
     held_out_share: float = 0.0
     weight_share: float = 1.0
+    fresh_dropout: bool = True
     dtype: torch.dtype = torch.float32
 
     @classmethod
@@ -84,10 +86,10 @@ class AdamSettings:
             return config
         own = getattr(config, "adam", config)
         common = {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
-        names = ("epochs", "weights_until_epoch", "rate_heads", "rate_unknowns", "rate_weights")
+        names = ("epochs", "weights_until_epoch", "rate_heads", "rate_unknowns", "rate_weights", "fresh_dropout")
         given = {name: getattr(own, name) for name in names}
         given |= {name: getattr(own, name) for name in ("held_out_share", "weight_share") if hasattr(own, name)}
-        scales = Scales(T_1=own.scale_t_1_k, T_em=own.scale_t_em_k, rate=own.scale_rates)
+        scales = Scales(T_1=own.scale_t_1_k, T_em=own.scale_t_em_k, rate=own.scale_rates, x_r=own.scale_x_r)
         return cls(weight_start=dict(own.weight_start), scales=scales, **given, **common)
 
 
@@ -137,6 +139,7 @@ class Program:
         c: constants.
         n: samples.
         held_out: (L, n, 5) 1 where a reading exists that no loss sees; None = none.
+        dropout: renews the learned maps' realisations; None = they stay.
     """
 
     columns: tuple[Tensor, ...]
@@ -146,6 +149,12 @@ class Program:
     c: Any
     n: int
     held_out: Tensor | None = None
+    dropout: Dropout | None = None
+
+    def renew(self) -> None:
+        """Draw the dropout of the next epoch."""
+        if self.dropout is not None:
+            self.dropout.draw()
 
     def widths(self) -> list[int]:
         """Heads of each state, bias included."""
@@ -227,14 +236,16 @@ def make_program(
         present = present - held_out
     begin = torch.tensor(np.stack([initial[lane.index] for lane in lanes]), dtype=dtype)
     observed = Observed(torch.nan_to_num(readings).to(dtype), present, begin, settings.scales)
-    learned = None
+    learned, dropout = None, None
     if maps is not None:
-        learned = fused_replacements(maps, [lane.run + 1 for lane in lanes], stacked.u_egr, c, dtype)
+        if settings.fresh_dropout and maps.dropout > 0.0:
+            dropout = Dropout([lane.generator_seed for lane in lanes])
+        learned = fused_replacements(maps, [lane.run + 1 for lane in lanes], stacked.u_egr, c, dtype, dropout)
     model: Any = bind("torch", replace=learned)
     if lanes[0].problem.parameters.terms:
         own = [actuations[lane.index] for lane in lanes]
         model = TermModel(learned, lanes[0].problem.parameters, own, dtype=dtype)
-    return Program(tuple(columns), stacked, observed, model, c, len(time_s), held_out)
+    return Program(tuple(columns), stacked, observed, model, c, len(time_s), held_out, dropout)
 
 
 def _shared_constants(lanes: Sequence[Lane], dtype: torch.dtype) -> Any:

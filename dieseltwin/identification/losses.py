@@ -7,7 +7,7 @@ for the start of the weights and their softplus mask.
 Not printed, so chosen in `params.yaml` (identify.adam): the units that the residuals are squared in (`Scales`). The
 paper's networks give states over 1e5 Pa, 5e3 rad/s and 300 K, and its printed weights (1e3, 2e3, 20) only balance for
 residuals of that order, so by default a state and its rate use the output scaling of the table of networks, W_egr kg/s,
-x_r 1, T_em that of T_1.
+T_em that of T_1. x_r is of the order of 0.05 and is counted in tenths.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from dieseltwin.identification.residuals import PhysicsResiduals
 X_R_WEIGHT = 100.0
 """Weight of the residual of x_r (paper, total loss).
 
-It is too small for noisy data: x_r moves T_em by 300-600 K, so the heads of x_r follow the noise of T_em (18 K) almost
-for free, T_em stops saying anything about h_tot, and h_tot drifts with the epochs. `Scales.x_r_weight` of 1e4 stops it.
+With x_r in units of one it is too small for noisy data: x_r moves T_em by 300-600 K, so its heads follow the noise of
+T_em (18 K) almost for free, T_em stops saying anything about h_tot, and h_tot drifts with the epochs. Tenths stop it.
 """
 INITIAL_WEIGHTS = (1.0, 1.0, 1.0, 100.0, 100.0)
 """Weights of the initial-condition losses of p_im, p_em, omega_t, x_r, T_1 (paper, total loss)."""
@@ -48,7 +48,7 @@ class Scales:
         p: pressures [Pa], and their rates [Pa/s]; omega: turbo speed [rad/s], and its rate [rad/s2].
         T_1, T_em: temperatures [K]; w_egr: EGR flow [kg/s].
         rate: further divisor of the three rates [-]: below 1 the differential equations count more against the data.
-        x_r_weight: weight of the residual of x_r [-]; the paper's is `X_R_WEIGHT`.
+        x_r: residual gas [-], which is of the order of 0.05.
     """
 
     p: float = 1e5
@@ -57,17 +57,17 @@ class Scales:
     T_em: float = 300.0
     w_egr: float = 1.0
     rate: float = 1.0
-    x_r_weight: float = X_R_WEIGHT
+    x_r: float = 0.1
 
     @property
     def physics(self) -> tuple[float, ...]:
         """Scales of the five physics residuals."""
-        return (self.p * self.rate, self.p * self.rate, self.omega * self.rate, 1.0, self.T_1)
+        return (self.p * self.rate, self.p * self.rate, self.omega * self.rate, self.x_r, self.T_1)
 
     @property
     def states(self) -> tuple[float, ...]:
         """Scales of p_im, p_em, omega_t, x_r, T_1."""
-        return (self.p, self.p, self.omega, 1.0, self.T_1)
+        return (self.p, self.p, self.omega, self.x_r, self.T_1)
 
     @property
     def channels(self) -> tuple[float, ...]:
@@ -166,7 +166,7 @@ def total_loss(residuals: PhysicsResiduals, states: tuple[Tensor, ...], weights:
     data = (mean_square[:, :4] * masked.square()).sum((1, 2))
     t_em = mean_square[:, 4].sum(-1)
     total = (
-        physics[0] + physics[1] + physics[2] + scale.x_r_weight * physics[3] + single[:, 1] * physics[4]
+        physics[0] + physics[1] + physics[2] + X_R_WEIGHT * physics[3] + single[:, 1] * physics[4]
         + initial + data + single[:, 0] * t_em
     )  # fmt: skip
     return Loss(total, mean_square[:, :4].detach(), torch.stack([t_em, physics[4]], -1).detach())

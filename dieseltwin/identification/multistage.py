@@ -62,7 +62,7 @@ def estimate(
         seed: seed of all draws, as `baseline.estimate`.
         bodies: not used.
         operators: trained actuator operators, or None for the exact actuators.
-        maps: learned empirical maps, one dropout realisation a run, or None for the exact formulae.
+        maps: learned empirical maps, dropout on, or None for the exact formulae.
         config: `params.identify` or None; its section `baseline` rules the first segment. Also `PinnSettings` for all
             segments behind the first, which then starts from the defaults of `baseline`.
 

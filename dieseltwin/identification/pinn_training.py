@@ -70,6 +70,7 @@ class PinnSettings:
         first_layer_slopes: start of the first layer, None for the plain start (neither is printed).
         weight_start: alpha of the weights by channel (paper).
         scales: units of the residuals (not printed).
+        fresh_dropout: as `AdamSettings`.
         lanes: runs in one tensor program; an epoch has 5 ms of its own, whatever the number.
         dtype: float32 or float64.
     """
@@ -80,6 +81,7 @@ class PinnSettings:
     first_layer_slopes: tuple[float, float] | None = FIRST_LAYER_SLOPES
     weight_start: Mapping[str, float] = field(default_factory=lambda: dict(PINN_WEIGHTS))
     scales: Scales = field(default_factory=Scales)
+    fresh_dropout: bool = True
     lanes: int = 150
     dtype: torch.dtype = torch.float32
 
@@ -118,7 +120,8 @@ def settings_from(config: Any, section: str, default: PinnSettings) -> PinnSetti
         stages=tuple(Stage(**stage.model_dump()) for stage in own.stages),
         first_layer_slopes=own.first_layer_slopes,
         weight_start=dict(own.weight_start),
-        scales=Scales(T_em=own.scale_t_em_k, rate=own.scale_rates),
+        scales=Scales(T_em=own.scale_t_em_k, rate=own.scale_rates, x_r=own.scale_x_r),
+        fresh_dropout=own.fresh_dropout,
         **common,
     )
 
@@ -230,6 +233,7 @@ def train(
         rates = rates[..., live]
         while epoch < stage.until_epoch:
             hidden = networks.hidden(values) if hidden is None or not frozen else hidden
+            program.renew()
             z = [row.requires_grad_() for row in networks.outputs(values, hidden)]
             masked = columns.masked(values).clone().requires_grad_()
             weights = columns.weights(values)
@@ -321,7 +325,7 @@ def train_lanes(
     Args:
         lanes: the runs.
         operators: trained actuator operators, or None for the exact actuators.
-        maps: learned empirical maps, one dropout realisation a run, or None for the exact formulae.
+        maps: learned empirical maps, dropout on, or None for the exact formulae.
         settings: settings.
         sources: network weights (L, size) and masked unknowns (L, 4) to start from; None draws them.
 

@@ -49,7 +49,7 @@ def train_as_printed(
     transform = TRANSFORMS[next(iter(states))]  # the two pressures share theirs
     y = np.concatenate(list(states.values()), axis=1)
     target = torch.as_tensor(y / transform.scale, dtype=torch.float32)
-    network = MultiHead(widths, generator=generator)
+    network = MultiHead(widths, first_scale=config.first_layer_scale, generator=generator)
     with torch.no_grad():
         # the start of the biases is not printed; at zero, x_r would begin at 0.5, tenfold its size
         network.head.biases[0].copy_(torch.as_tensor(transform.linear(y).mean(axis=0)[None, :]))

@@ -7,6 +7,7 @@ f_egr: Case-I as printed, all four cases in improved.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 
@@ -14,7 +15,7 @@ import numpy as np
 import pandas as pd
 import torch
 
-from dieseltwin.config import ImprovedMapsConfig, MapsConfig, PaperMapsConfig
+from dieseltwin.config_maps import ImprovedMapsConfig, MapsConfig, PaperMapsConfig
 from dieseltwin.engine import MAPS, EngineParameters, constants, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.networks import MLP
@@ -33,8 +34,10 @@ from dieseltwin.surrogates.small_networks import (
     evaluate,
     levenberg_marquardt,
     make_cells,
+    masked_parameters,
     n_parameters,
     start,
+    tanh,
     unpack,
 )
 from dieseltwin.surrogates.speed_jump import find_jump
@@ -186,8 +189,64 @@ def _train_paper(
             for target, source in zip(single.parameters(), stack.parameters(), strict=True):
                 target.copy_(source[number : number + 1, : target.shape[1]])
         centre, scale = scaling[name]
+        if settings.finish_steps > 0 and name in settings.finish_maps:
+            x = (np.stack(forms[name].inputs(*samples[name][0], c), axis=-1) - centre) / scale
+            rng = np.random.default_rng([seed, number, 2])
+            single = finish(name, single, x, samples[name][1], settings, rng)
         maps[name] = MapNetwork(single, np.full(d, -np.inf), np.full(d, np.inf), centre, scale)
     return maps
+
+
+def finish(
+    name: str, network: MLP, x: np.ndarray, label: np.ndarray, settings: PaperMapsConfig, rng: np.random.Generator
+) -> MLP:
+    """Gauss-Newton on averaged labels, with a little of the loss of a network that lacks a neuron.
+
+    The mean over dropout realisations is, to first order, the network without dropout, and the estimators draw new
+    realisations in every epoch; so that network is fitted, and each neuron missing on its own share of the cells keeps
+    the realisations together (without it they scatter fivefold).
+
+    Args:
+        name: of the map.
+        network: one tanh network (members=1).
+        x: (n, d) scaled inputs; label: (n,).
+        settings: cells, steps, ridge, and the weight of a missing neuron.
+        rng: which cells each missing neuron is tried on.
+
+    Returns:
+        The network with other weights.
+
+    Raises:
+        InputError: another activation than tanh.
+    """
+    if network.activation != "tanh":
+        raise InputError("finish_steps", f"{network.activation} network", "tanh", "set finish_steps to 0")
+    widths, neurons = network.widths, sum(network.hidden)
+    cells = make_cells(x, math.ceil(label.size / settings.finish_cells))
+    at = np.stack([cells.mean(x[:, j]) for j in range(x.shape[1])])
+    mean_label = cells.mean(label)
+    sigma = _noise_of(cells, label, mean_label)
+    k = mean_label.size
+    ends = np.cumsum([0, *network.hidden])
+    at_once = max(1, k // neurons)
+    chosen, share = [np.arange(k)], [np.ones(k)]
+    masked = [(slice(0, k), np.ones(n_parameters(widths)))]
+    for missing in range(neurons):
+        mask = np.arange(neurons) != missing
+        factor = masked_parameters(widths, [mask[a:b] for a, b in itertools.pairwise(ends)])
+        first = k + missing * at_once
+        masked.append((slice(first, first + at_once), factor))
+        chosen.append(rng.choice(k, at_once, replace=False))
+        share.append(np.full(at_once, settings.finish_missing * k / at_once))
+    rows = np.concatenate(chosen)
+    doubt = LIMIT_SIGMAS * sigma / np.sqrt(cells.count)
+    found = levenberg_marquardt(
+        _packed(network), widths, at[:, rows], mean_label[rows][None],
+        (cells.count / sigma**2)[rows] * np.concatenate(share),
+        _output_with_slope(name, at[:, rows], mean_label[rows], doubt[rows], "paper"),
+        steps=settings.finish_steps, ridge=settings.finish_ridge, activate=tanh, masked=masked,
+    )  # fmt: skip
+    return _as_mlp(found.parameters, widths, "tanh", network.dropout).to(network.weights[0].dtype)
 
 
 # --- improved ----------------------------------------------------------------------------------------------------
@@ -275,13 +334,15 @@ def _noise_of(cells: Cells, label: np.ndarray, mean_label: np.ndarray) -> float:
     return max(float(np.sqrt(np.median(scatter))), NOISE_MIN * float(np.mean(np.abs(label))))
 
 
-def _output_with_slope(name: str, raw: np.ndarray, label: np.ndarray, doubt: np.ndarray) -> Output:
+def _output_with_slope(
+    name: str, raw: np.ndarray, label: np.ndarray, doubt: np.ndarray, kind: Kind = "improved"
+) -> Output:
     """The map's output restriction at cells (d, k) with its slope, by automatic differentiation.
 
     A cell whose label lies clearly (by `doubt`) inside the cap and floor is fitted without them: a network that starts
     beyond a limit there has no slope and would never come back.
     """
-    restrict = bound_forms("improved", "torch")[name].output
+    restrict = bound_forms(kind, "torch")[name].output
     inputs = tuple(torch.as_tensor(row) for row in raw)
     floor, cap = HARD_LIMITS.get(name, (np.inf, -np.inf))
     inside = torch.as_tensor((label - doubt > floor) & (label + doubt < cap))
@@ -295,11 +356,18 @@ def _output_with_slope(name: str, raw: np.ndarray, label: np.ndarray, doubt: np.
     return output
 
 
-def _as_mlp(p: np.ndarray, widths: tuple[int, ...]) -> MLP:
+def _packed(network: MLP) -> np.ndarray:
+    """Packed parameters (M, P) of a stack of networks."""
+    layers = zip(network.weights, network.biases, strict=True)
+    parts = [t.detach().double().transpose(1, 2).flatten(1) for layer in layers for t in layer]
+    return torch.cat(parts, 1).numpy()
+
+
+def _as_mlp(p: np.ndarray, widths: tuple[int, ...], activation: str = "algebraic", dropout: float = 0.0) -> MLP:
     """Packed parameters (M, P) as a stack of networks."""
     if p.shape[1] != n_parameters(widths):
         raise InputError("parameters", p.shape, f"(M, {n_parameters(widths)})", "use the fit's widths")
-    stack = MLP(widths, "algebraic", members=len(p), dtype=torch.float64)
+    stack = MLP(widths, activation, dropout, members=len(p), dtype=torch.float64)
     with torch.no_grad():
         for number, (weights, biases) in enumerate(unpack(p, widths)):
             stack.weights[number].copy_(torch.as_tensor(weights.transpose(0, 2, 1).copy()))

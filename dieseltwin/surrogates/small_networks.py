@@ -22,6 +22,11 @@ Widths = Sequence[int]
 Output = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Network output z (M, k) -> value and slope dvalue/dz, each (M, k)."""
 
+Activation = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Value and slope of a hidden layer's activation."""
+Masked = Sequence[tuple[slice, np.ndarray]]
+"""Rows and the factor (P,) that dropout puts on the parameters there; all rows, one after the other."""
+
 DAMPING_START, DAMPING_UP, DAMPING_DOWN, DAMPING_MIN = 1e-2, 4.0, 3.0, 1e-9
 DAMPING_FLOOR = 1e-3  # of the mean curvature: weights without effect must not run away
 TRIES = 5  # dampings tried in one step
@@ -74,6 +79,12 @@ def algebraic(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return z * r, r * r * r
 
 
+def tanh(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """tanh(z) and its slope."""
+    a = np.tanh(z)
+    return a, 1.0 - a * a
+
+
 Layers = list[tuple[np.ndarray, np.ndarray]]
 """Per layer: weights (M, out, in) and biases (M, out, 1)."""
 
@@ -114,22 +125,42 @@ def start(
     return p
 
 
-def evaluate(p: np.ndarray, widths: Widths, x: np.ndarray) -> np.ndarray:
+def masked_parameters(widths: Widths, masks: Sequence[np.ndarray]) -> np.ndarray:
+    """Factor (P,) on packed parameters that is the same as masks (width,) behind the hidden layers."""
+    factor = np.ones((1, n_parameters(widths)))
+    for (weights, _), mask in zip(unpack(factor, widths)[1:], masks, strict=True):
+        weights *= mask
+    return factor[0]
+
+
+def evaluate(
+    p: np.ndarray, widths: Widths, x: np.ndarray, activate: Activation = algebraic, masked: Masked = ()
+) -> np.ndarray:
     """Outputs (M, n) of the networks at x (d, n)."""
+    if masked:
+        return np.concatenate([evaluate(p * factor, widths, x[:, rows], activate) for rows, factor in masked], 1)
     layers = unpack(p, widths)
     a = x[None]
     for weights, biases in layers[:-1]:
-        a = algebraic(weights @ a + biases)[0]
+        a = activate(weights @ a + biases)[0]
     weights, biases = layers[-1]
     return (weights @ a + biases)[:, 0]
 
 
-def evaluate_with_jacobian(p: np.ndarray, widths: Widths, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def evaluate_with_jacobian(
+    p: np.ndarray, widths: Widths, x: np.ndarray, activate: Activation = algebraic, masked: Masked = ()
+) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (M, n) and their derivatives by the parameters (M, P, n)."""
+    if masked:
+        z, jacobian = np.empty((len(p), x.shape[1])), np.empty((*p.shape, x.shape[1]))
+        for rows, factor in masked:
+            z[:, rows], part = evaluate_with_jacobian(p * factor, widths, x[:, rows], activate)
+            jacobian[:, :, rows] = part * factor[:, None]
+        return z, jacobian
     layers = unpack(p, widths)
     values, slopes = [np.broadcast_to(x, (len(p), *x.shape))], []
     for weights, biases in layers[:-1]:
-        a, da = algebraic(weights @ values[-1] + biases)
+        a, da = activate(weights @ values[-1] + biases)
         values.append(a)
         slopes.append(da)
     z = (layers[-1][0] @ values[-1] + layers[-1][1])[:, 0]
@@ -155,12 +186,14 @@ class Fit:
 def levenberg_marquardt(
     p: np.ndarray, widths: Widths, x: np.ndarray, y: np.ndarray, weight: np.ndarray, output: Output,
     *, steps: int, ridge: float, tolerance: float = 1e-6, damping: float = DAMPING_START,
+    activate: Activation = algebraic, masked: Masked = (),
 ) -> Fit:  # fmt: skip
     """Minimise sum(weight (y - output(network(x)))^2) + ridge |p|^2 for M networks at once, each with its damping.
 
     Args:
         p: start (M, P). x: (d, k) shared inputs. y: (M, k) or (1, k) labels. weight: (k,) one over variance.
         steps: at most so many. tolerance: relative decrease of the cost that counts as progress.
+        activate: of the hidden layers. masked: dropout by rows; none without it.
 
     Raises:
         DieselTwinError: the start has no finite cost.
@@ -170,7 +203,7 @@ def levenberg_marquardt(
     y = np.broadcast_to(y, (len(p), x.shape[1]))
 
     def cost_of(q: np.ndarray) -> np.ndarray:
-        residual = root_weight * (y - output(evaluate(q, widths, x))[0])
+        residual = root_weight * (y - output(evaluate(q, widths, x, activate, masked))[0])
         return (residual * residual).sum(1) + ridge * (q * q).sum(1)
 
     cost = cost_of(p)
@@ -181,7 +214,7 @@ def levenberg_marquardt(
     diagonal = np.arange(p.shape[1])
     taken = 0
     for taken in range(1, steps + 1):  # noqa: B007  reported
-        z, jacobian = evaluate_with_jacobian(p, widths, x)
+        z, jacobian = evaluate_with_jacobian(p, widths, x, activate, masked)
         value, slope = output(z)
         jacobian *= (root_weight * slope)[:, None]
         residual = root_weight * (y - value)

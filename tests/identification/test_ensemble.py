@@ -1,4 +1,4 @@
-"""Ensembles: cases, batches that equal the whole, what is kept of every member, early stopping, x_r held."""
+"""Ensembles: cases, batches that equal the whole, what is kept of every member, early stopping, the unit of x_r."""
 
 from __future__ import annotations
 
@@ -99,9 +99,9 @@ def test_early_stopping_takes_the_epoch_that_predicts_unseen_readings_best(clean
             assert made.parameters[run, i] == made.curves[name][best, run]
 
 
-def test_the_weight_of_x_r_changes_only_its_own_term(clean: list[SegmentProblem]) -> None:
+def test_the_unit_of_x_r_changes_only_its_own_term(clean: list[SegmentProblem]) -> None:
     problems = case_problems(clean[:1], "clean-301", 1, 7)
     printed = estimate(problems, 1, 3, config=SHORT)[0]
-    held = estimate(problems, 1, 3, config=replace(SHORT, scales=replace(SHORT.scales, x_r_weight=1e4)))[0]
+    held = estimate(problems, 1, 3, config=replace(SHORT, scales=replace(SHORT.scales, x_r=0.03)))[0]
     assert held.curves["loss"][0] > printed.curves["loss"][0]  # the same start, a dearer residual
     np.testing.assert_array_equal(held.curves["A_egrmax"][0], printed.curves["A_egrmax"][0])

@@ -41,7 +41,7 @@ def _case(lanes: int = 2, n: int = 7) -> tuple[PhysicsResiduals, tuple[torch.Ten
     weights = Weights(3.0 * draw(lanes, 4, n), 3.0 * draw(lanes, 2))
     present = torch.ones(lanes, n, 5, dtype=torch.float64)
     present[0, 2:4, 0] = 0.0
-    observed = Observed(draw(lanes, n, 5), present, draw(lanes, 5), Scales(2.0, 3.0, 5.0, 7.0, 11.0, 0.5))
+    observed = Observed(draw(lanes, n, 5), present, draw(lanes, 5), Scales(2.0, 3.0, 5.0, 7.0, 11.0, 0.5, 1.0))
     return residuals, states, weights, observed
 
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 from operating_points import laboratory, operating_points
 
-from dieseltwin.config import MapsConfig, load_params
+from dieseltwin.config import load_params
+from dieseltwin.config_maps import MapsConfig
 from dieseltwin.engine import MAPS, Inputs, actuate, bind, constants, parameter_batch, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
@@ -23,7 +24,7 @@ C = constants(we2011.PARAMETERS)
 @pytest.fixture(scope="module")
 def config() -> MapsConfig:
     maps = load_params(None, "quick").pretrain.maps
-    paper = maps.paper.model_copy(update={"steps": 600})
+    paper = maps.paper.model_copy(update={"steps": 600, "finish_steps": 6, "finish_cells": 600})
     improved = maps.improved.model_copy(update={"cells": 1000, "members": 4, "starts": 4, "steps": 50})
     return maps.model_copy(update={"paper": paper, "improved": improved})
 
@@ -208,7 +209,7 @@ def test_same_seed_same_bits(config):
     cases = laboratory(600, 1)
     small = config.model_copy(
         update={
-            "paper": config.paper.model_copy(update={"steps": 30}),
+            "paper": config.paper.model_copy(update={"steps": 30, "finish_steps": 2, "finish_cells": 300}),
             "improved": config.improved.model_copy(update={"cells": 200, "steps": 10, "starts": 2, "members": 2}),
         }
     )
