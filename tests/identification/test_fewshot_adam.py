@@ -13,7 +13,7 @@ from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.identification import SegmentProblem, identify_segments
 from dieseltwin.identification.fewshot_adam import train
 from dieseltwin.identification.fewshot_program import AdamSettings, draw_lane, make_program, start_values
-from dieseltwin.identification.fused_maps import as_sigmoid_layers
+from dieseltwin.identification.fused_maps import BANK, Dropout, as_sigmoid_layers
 from dieseltwin.identification.losses import (
     INITIAL_WEIGHTS,
     Observed,
@@ -171,3 +171,19 @@ def test_it_comes_near_a_planted_area(simulated: Make, drive: Drive) -> None:
     assert found.curves["loss"][-1] < 1e-2 * found.curves["loss"][0]
     error = np.abs(found.states[5:, :3] / clean.measured[5:, :3] - 1.0)
     assert np.median(error) < 0.02
+
+
+def test_dropout_is_drawn_anew_and_a_lane_does_not_see_the_batch() -> None:
+    bank = [torch.arange(float(BANK))[:, None], torch.arange(float(BANK))]
+    alone, batch = Dropout([7]), Dropout([3, 7])
+    kept = [(d.add("eta_c", bank), d.add("f_egr", [torch.arange(2.0 * BANK).view(2, BANK)], rows)) for d, rows in (
+        (alone, torch.tensor([1])), (batch, torch.tensor([0, 1])))]  # fmt: skip
+    seen = []
+    for _ in range(3):
+        alone.draw()
+        batch.draw()
+        (one, two), (many, opening) = kept
+        assert float(one[0]) == float(many[0][1]) == float(one[1]) and float(two[0]) == float(opening[0][1]) >= BANK
+        assert float(opening[0][0]) < BANK
+        seen.append((float(one[0]), float(two[0])))
+    assert len(set(seen)) == 3
