@@ -57,7 +57,7 @@ def networks(folder: Path | None, left_out: Sequence[str]) -> dict[str, Any]:
     """The paper's bodies, maps and operators of a folder, less those left out."""
     if folder is None:
         return {}
-    given = {
+    given: dict[str, tuple[Any, str]] = {
         "bodies": (Bodies, "bodies_paper.pt"),
         "maps": (EmpiricalMaps, "maps_paper.pt"),
         "operators": (ActuatorOperators, "operators.pt"),
@@ -95,7 +95,7 @@ def main() -> None:
         for case in arguments.cases:
             problems = case_problems(clean, case, arguments.members, arguments.seed, arguments.channels)
             bounds = [
-                cramer_rao([p], np.array([truth[n] for n in HEALTH]), p.true_initial[:3])[0].relative for p in problems
+                cramer_rao([p], np.array([truth[n] for n in HEALTH]), np.asarray(p.true_initial)[:3])[0].relative for p in problems
             ]
             for method in arguments.methods:
                 learned = given if method in LEARNED else {}
