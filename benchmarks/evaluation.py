@@ -94,9 +94,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         for case in arguments.cases:
             problems = case_problems(clean, case, arguments.members, arguments.seed, arguments.channels)
-            bounds = [
-                cramer_rao([p], np.array([truth[n] for n in HEALTH]), np.asarray(p.true_initial)[:3])[0].relative for p in problems
-            ]
+            true = np.array([truth[name] for name in HEALTH])
+            bounds = [cramer_rao([p], true, np.asarray(p.true_initial)[:3])[0].relative for p in problems]
             for method in arguments.methods:
                 learned = given if method in LEARNED else {}
                 began = time.process_time()
