@@ -10,8 +10,8 @@ computed once outside the loop), autograd for the gradient, Adam. It is no straw
 
 - equations, loss and weights are the library's own, over all points at once; what stays the same is computed before;
 - two fused Adam optimisers over few tensors instead of eight; p_im and p_em share a forward pass;
-- the six maps hold one dropout realisation, like the batched program, with closed-form slopes; fresh masks in every
-  epoch, as the paper has them, cost more (--fresh-dropout).
+- the six maps hold one dropout realisation, with closed-form slopes, where the batched program draws new ones in every
+  epoch: cheaper for the loop than what the paper has. --fresh-dropout gives the loop new masks too.
 
 The second-order methods have no epochs: theirs are CPU seconds a run of --draws noise draws of the five segments,
 against the few-shot loop's milliseconds times the paper's 30,000 epochs, in the same process. Where the loop has the
