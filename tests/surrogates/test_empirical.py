@@ -127,6 +127,16 @@ def test_paper_learns(trained):
         assert rows[name]["l2_rel"] < allowed, name
 
 
+def test_gauss_newton_behind_adam_halves_the_errors_and_leaves_f_egr_alone(config, trained):
+    plain = config.model_copy(update={"paper": config.paper.model_copy(update={"finish_steps": 0})})
+    held_out = {"held_out": operating_points(4000, 9)}
+    before = table(train_maps(laboratory(4000, 1), plain, 3, "paper", held_out=held_out))
+    after = table(trained["paper"])
+    ratios = {name: after[name]["l2_rel"] / before[name]["l2_rel"] for name in config.paper.finish_maps}
+    assert np.median(list(ratios.values())) < 0.5, ratios
+    assert after["f_egr"] == before["f_egr"]
+
+
 def test_uncertainty_is_calibrated(trained):
     rows = table(trained["improved"])
     z = [rows[name]["z_rms"] for name in MAPS]

@@ -11,8 +11,11 @@ from dieseltwin.surrogates.small_networks import (
     evaluate_with_jacobian,
     levenberg_marquardt,
     make_cells,
+    masked_parameters,
     n_parameters,
     start,
+    tanh,
+    unpack,
 )
 from dieseltwin.surrogates.speed_jump import find_jump
 
@@ -44,6 +47,27 @@ def test_jacobian_matches_differences(widths):
         step = np.zeros_like(p)
         step[:, column] = 1e-6
         difference = (evaluate(p + step, widths, x) - evaluate(p - step, widths, x)) / 2e-6
+        assert jacobian[:, column] == pytest.approx(difference, rel=1e-5, abs=1e-8)
+
+
+def test_masked_rows_are_networks_without_the_neuron():
+    widths, rng = (2, 4, 3, 1), np.random.default_rng(6)
+    x, p = rng.normal(size=(2, 10)), rng.normal(size=(2, n_parameters((2, 4, 3, 1))))
+    masks = [np.array([1.0, 0.0, 1.0, 1.0]), np.array([1.0, 1.0, 0.0])]
+    masked = [(slice(0, 6), np.ones(p.shape[1])), (slice(6, 10), masked_parameters(widths, masks))]
+    found, jacobian = evaluate_with_jacobian(p, widths, x, tanh, masked)
+
+    (w1, b1), (w2, b2), (w3, b3) = unpack(p, widths)
+    one = np.tanh(w1 @ x[None] + b1)
+    whole = w3 @ np.tanh(w2 @ one + b2) + b3
+    less = w3 @ (np.tanh(w2 @ (one * masks[0][:, None]) + b2) * masks[1][:, None]) + b3
+    assert found[:, :6] == pytest.approx(whole[:, 0, :6], rel=1e-12)
+    assert found[:, 6:] == pytest.approx(less[:, 0, 6:], rel=1e-12)
+    assert not np.allclose(less[:, 0, 6:], whole[:, 0, 6:])
+    for column in range(p.shape[1]):
+        step = np.zeros_like(p)
+        step[:, column] = 1e-6
+        difference = (evaluate(p + step, widths, x, tanh, masked) - evaluate(p - step, widths, x, tanh, masked)) / 2e-6
         assert jacobian[:, column] == pytest.approx(difference, rel=1e-5, abs=1e-8)
 
 
