@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from evaluation import clean_problems
 
 from dieseltwin.config import load_params
 from dieseltwin.identification import identify_segments
 from dieseltwin.identification.ensemble import case_problems
 from dieseltwin.surrogates.bodies import Bodies
+from evaluation import clean_problems
 
 SEED = 1
 MEMBERS = ((1, 5), (30, 5), (300, 5))
