@@ -317,7 +317,8 @@ def calibration(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
                     "z_std": float(z.std()) if own and len(z) > 1 else math.nan,
                 }
             )  # fmt: skip
-    return pd.DataFrame(rows)
+    columns = ["variant", "method", "parameter", "stated_by", "intervals", "coverage", "z_mean", "z_std"]
+    return pd.DataFrame(rows, columns=columns)  # named, for a run without a noisy case has no rows
 
 
 def over_epochs(ensembles: Sequence[Ensemble], truth: Mapping[str, float], points: int = 12) -> pd.DataFrame:
