@@ -55,6 +55,8 @@ PAPER_MS = {"few-shot": 4.3, "multi-stage": 6.7, "baseline": 6.6}
 """Milliseconds an epoch of the paper, from its table of computational times (clean data)."""
 EPOCHS = {"few-shot": 30000, "multi-stage": 35000, "baseline": 80000}
 REPEATS = 5
+LEAST_EPOCHS = 25
+"""Of the batched program, so that they weigh more than its set-up (the bank of dropout realisations)."""
 SEED = 1
 RATES = (1e-3, 1e-3, 1e-2)
 """Learning rates of networks, unknowns, weights; without influence on the time."""
@@ -210,11 +212,10 @@ class Batch:
         self.actuations = {0: actuate(problem.inputs, problem.parameters)}
         self.sigma = np.stack([problem.sigma[:5]] * lanes)
 
-    def ms(self, last: bool, adaptive: bool, epochs: int) -> float:
-        """Milliseconds an epoch and run: the difference of a long and a short run, so that set-up does not count."""
-        long, short = (self._work(last, adaptive, n) for n in (2 * epochs, epochs))
-        a, b = cpu_ms(short, 1), cpu_ms(long, 1)
-        return (b - a) / (epochs * self.count)
+    def ms(self, last: bool, adaptive: bool, epochs: int) -> tuple[float, float]:
+        """Milliseconds of `epochs` and of twice as many, all runs; their difference is free of the set-up."""
+        short, long = (cpu_ms(self._work(last, adaptive, n), 1) for n in (epochs, 2 * epochs))
+        return short, long
 
     def _work(self, last: bool, adaptive: bool, epochs: int) -> Callable[[], None]:
         if self.method == "few-shot":
@@ -235,14 +236,17 @@ def measure(
     for share, last, adaptive in merged(pieces(method)):
         loop = few_shot_loop(problem, maps, fresh) if method == "few-shot" else network_loop(problem, maps, fresh, last)
         loop_ms(loop, adaptive, 10)
-        of_loop, of_batch = [], {count: [] for count in lane_counts}
+        of_loop: list[float] = []
+        of_batch: dict[int, list[tuple[float, float]]] = {count: [] for count in lane_counts}
         for _ in range(REPEATS):
             of_loop.append(loop_ms(loop, adaptive, 40))
             for count, batch in batches.items():
-                of_batch[count].append(batch.ms(last, adaptive, max(5, 300 // count)))
+                of_batch[count].append(batch.ms(last, adaptive, max(LEAST_EPOCHS, 1500 // count)))
         loop_total += share * min(of_loop)
         for count in lane_counts:
-            totals[count] += share * min(of_batch[count])
+            # the best of each, then the difference: the least of noisy differences would flatter the batch
+            short, long = (min(times) for times in zip(*of_batch[count], strict=True))
+            totals[count] += share * (long - short) / (max(LEAST_EPOCHS, 1500 // count) * count)
     return loop_total, totals
 
 
