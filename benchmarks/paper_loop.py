@@ -214,8 +214,7 @@ class Batch:
 
     def ms(self, last: bool, adaptive: bool, epochs: int) -> tuple[float, float]:
         """Milliseconds of `epochs` and of twice as many, all runs; their difference is free of the set-up."""
-        short, long = (cpu_ms(self._work(last, adaptive, n), 1) for n in (epochs, 2 * epochs))
-        return short, long
+        return cpu_ms(self._work(last, adaptive, epochs), 1), cpu_ms(self._work(last, adaptive, 2 * epochs), 1)
 
     def _work(self, last: bool, adaptive: bool, epochs: int) -> Callable[[], None]:
         if self.method == "few-shot":
@@ -233,6 +232,7 @@ def measure(
     """Milliseconds an epoch of the loop and of the batched programs by number of lanes, over the method's schedule."""
     loop_total, totals = 0.0, dict.fromkeys(lane_counts, 0.0)
     batches = {count: Batch(method, problem, maps, count) for count in lane_counts}
+    epochs = {count: max(LEAST_EPOCHS, 1500 // count) for count in lane_counts}
     for share, last, adaptive in merged(pieces(method)):
         loop = few_shot_loop(problem, maps, fresh) if method == "few-shot" else network_loop(problem, maps, fresh, last)
         loop_ms(loop, adaptive, 10)
@@ -241,12 +241,12 @@ def measure(
         for _ in range(REPEATS):
             of_loop.append(loop_ms(loop, adaptive, 40))
             for count, batch in batches.items():
-                of_batch[count].append(batch.ms(last, adaptive, max(LEAST_EPOCHS, 1500 // count)))
+                of_batch[count].append(batch.ms(last, adaptive, epochs[count]))
         loop_total += share * min(of_loop)
         for count in lane_counts:
             # the best of each, then the difference: the least of noisy differences would flatter the batch
             short, long = (min(times) for times in zip(*of_batch[count], strict=True))
-            totals[count] += share * (long - short) / (max(LEAST_EPOCHS, 1500 // count) * count)
+            totals[count] += share * (long - short) / (epochs[count] * count)
     return loop_total, totals
 
 
