@@ -230,6 +230,7 @@ class AdamConfig(StrictModel):
     scale_rates: PositiveFloat = Field(description="of the rates' residuals, in 1e5 Pa/s and 5e3 rad/s2")
     scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
     fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
+    average_share: NonNegativeFloat = Field(le=1.0, description="of the epochs, at the end, whose mean is the estimate")
     weight_start: dict[str, PositiveFloat]
 
 
@@ -253,6 +254,7 @@ class PinnConfig(StrictModel):
     scale_rates: PositiveFloat = Field(description="further divisor of the residuals of the three rates")
     scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
     fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
+    average_share: NonNegativeFloat = Field(le=1.0, description="of the epochs, at the end, whose mean is the estimate")
     weight_start: dict[str, PositiveFloat]
 
 

@@ -131,7 +131,7 @@ def baseline(
     began = time.perf_counter()
     lanes = make_lanes(problems, [0], what["runs"], what["seed"], chosen, what["first"])
     found = train_lanes(lanes, given["operators"], given["maps"], chosen)
-    estimates = estimates_of(problems[:1], found, what["runs"], began, METHOD)
+    estimates = estimates_of(problems[:1], found, what["runs"], began, METHOD, chosen.average_share)
     _write(out, estimates, time.perf_counter() - began)
     np.savez(
         out / SOURCES, weights=found.weights.numpy(), masked=found.masked.numpy(),

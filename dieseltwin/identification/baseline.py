@@ -66,6 +66,6 @@ def estimate(
         began = time.perf_counter()
         lanes = make_lanes(problems, group, runs, seed, settings)
         found = train_lanes(lanes, operators, maps, settings)
-        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD)
+        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, settings.average_share)
         results |= dict(zip(group, made, strict=True))
     return [results[i] for i in range(len(problems))]

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, actuate
+from dieseltwin.identification.averaging import TailMean
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.fewshot_program import AdamSettings, Lane, draw_lane, make_program, start_values
 from dieseltwin.identification.losses import Loss, Weights, weights_gradient
@@ -42,7 +43,7 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 CURVE_POINTS = 200
 """Points of the curves that are kept."""
 STILL_BELOW = 0.01
-"""Relative change of every parameter over the last tenth of the epochs that counts as converged."""
+"""Relative change of every estimate within the last tenth of the epochs that counts as converged."""
 
 
 def estimate(
@@ -87,11 +88,14 @@ def estimate(
         loss = np.concatenate([f.loss for f in found]).reshape(len(group), runs, -1)
         misfit = np.concatenate([f.misfit for f in found]).reshape(len(group), runs)
         held_out = np.concatenate([f.held_out for f in found]).reshape(len(group), runs, -1)
+        final = np.concatenate([f.final for f in found]).reshape(len(group), runs, len(HEALTH))
         seconds = (time.perf_counter() - began) / len(lanes)
         for row, i in enumerate(group):
             parts = (health[row], states[row], loss[row], misfit[row])
             unseen = held_out[row] if settings.held_out_share > 0.0 else None
-            results[i] = estimate_of(problems[i], *parts, seconds, settings.epochs, unseen)
+            results[i] = estimate_of(
+                problems[i], *parts, final[row], settings.average_share, seconds, settings.epochs, unseen
+            )
     return [results[i] for i in range(len(problems))]
 
 
@@ -100,8 +104,9 @@ class Trained:
     """What the loop found for L lanes.
 
     Attributes:
-        health: (L, points, 4) parameters along the epochs [SI]; the last ones are the result, with readings held out
-            those of the epoch that predicts them best.
+        health: (L, points, 4) parameters along the epochs [SI].
+        final: (L, 4) the result: the mean over the last share of the epochs [SI]. With readings held out the result is
+            in `health`, at the epoch that predicts them best.
         states: (L, n, 5) p_im, p_em, omega_t, x_r, T_1 [SI].
         loss: (L, points) total loss.
         misfit: (L,) sum of squared data residuals over sigma, divided by their number.
@@ -109,6 +114,7 @@ class Trained:
     """
 
     health: NDArray[np.float64]
+    final: NDArray[np.float64]
     states: NDArray[np.float64]
     loss: NDArray[np.float64]
     misfit: NDArray[np.float64]
@@ -146,6 +152,7 @@ def train(
     keep = np.unique(np.linspace(0, settings.epochs, min(CURVE_POINTS, settings.epochs + 1)).round().astype(int))
     curve_health, curve_loss, curve_held_out = [], [], []
     sigma = torch.tensor(np.stack([lane.problem.sigma[:5] for lane in lanes]), dtype=values.dtype)
+    mean = TailMean(settings.epochs, settings.average_share, values[:, n_heads:n_down])
     best, least = values.clone(), torch.full((count,), float("inf"), dtype=values.dtype)
 
     def forward(leaf: bool) -> tuple[list[Tensor], Tensor, Weights, Loss]:
@@ -158,6 +165,7 @@ def train(
         return z, masked, weights, program(z, masked, weights)
 
     for epoch in range(settings.epochs + 1):
+        mean.add(epoch, values[:, n_heads:n_down])
         program.renew()
         z, masked, weights, loss = forward(True)
         if epoch in keep:
@@ -198,31 +206,39 @@ def train(
     squares = torch.cat([pointwise.sum(-1), t_em[:, None]], 1) * (scale / sigma).square()
     misfit = squares.sum(-1) / present.sum((1, 2)).clamp(min=1.0)
     return Trained(
-        torch.stack(curve_health, 1).double().numpy(), torch.stack(states, -1).double().numpy(),
-        torch.stack(curve_loss, 1).double().numpy(), misfit.double().numpy(),
-        torch.stack(curve_held_out, 1).double().numpy(),
+        torch.stack(curve_health, 1).double().numpy(), mean.physical().numpy(),
+        torch.stack(states, -1).double().numpy(), torch.stack(curve_loss, 1).double().numpy(),
+        misfit.double().numpy(), torch.stack(curve_held_out, 1).double().numpy(),
     )  # fmt: skip
 
 
 def estimate_of(
     problem: SegmentProblem, health: NDArray[np.float64], states: NDArray[np.float64], loss: NDArray[np.float64],
-    misfit: NDArray[np.float64], seconds: float, epochs: int = 0, held_out: NDArray[np.float64] | None = None,
+    misfit: NDArray[np.float64], final: NDArray[np.float64], average_share: float, seconds: float, epochs: int = 0,
+    held_out: NDArray[np.float64] | None = None,
 ) -> SegmentEstimate:  # fmt: skip
     """The runs of one segment as an estimate (also of the baseline and the multi-stage method).
 
     Args:
         problem: the segment.
         health: (R, C, 4) health parameters along the training [m2, m2, -, W/(m2 K)]; loss: (R, C) along with it [-].
-        states: (R, n, 5) final states [Pa, Pa, rad/s, -, K].
+        states: (R, n, 5) states after the last epoch [Pa, Pa, rad/s, -, K].
         misfit: (R,) chi-square per sample [-]; seconds: wall seconds per run; epochs: trained.
+        final: (R, 4) mean of the health parameters over the last `average_share` of the epochs, the estimate. A run has
+            converged if it is within `STILL_BELOW` of the mean a tenth of the epochs earlier.
         held_out: (R, C) misfit of readings that no loss saw: a run's parameters are those where it is least, and a
             choice before the last epoch counts as converged.
     """
-    chosen = np.full(len(health), health.shape[1] - 1) if held_out is None else np.argmin(held_out, axis=1)
-    final = health[np.arange(len(health)), chosen]
-    earlier = health[:, -max(2, health.shape[1] // 10)]
+    points = health.shape[1]
+    width, lag = max(1, round(average_share * points)), max(2, points // 10) - 1
+    earlier = health[:, max(0, points - lag - width) : max(1, points - lag)].mean(axis=1)
+    chosen = np.full(len(health), points - 1)
+    if held_out is not None:
+        chosen = np.argmin(held_out, axis=1)
+        final = health[np.arange(len(health)), chosen]
+        earlier = health[:, -(lag + 1)]
     finite = np.isfinite(final).all(axis=1) & np.isfinite(loss[:, -1])
-    still = finite & ((np.abs(final / earlier - 1.0) <= STILL_BELOW).all(axis=1) | (chosen < health.shape[1] - 1))
+    still = finite & ((np.abs(final / earlier - 1.0) <= STILL_BELOW).all(axis=1) | (chosen < points - 1))
     used = still if still.any() else (finite if finite.any() else np.ones_like(finite))
     pooled_states = states[used].mean(axis=0)
     # At the nominal values: these methods can end far off, and a wrong estimate must not vouch for its own bound.

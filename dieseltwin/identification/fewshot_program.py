@@ -59,6 +59,7 @@ class AdamSettings:
             best (early stopping). 0 is the paper's loop.
         weight_share: factor on `weight_start`; below 1 the data count less against the equations. 1 is the paper's.
         fresh_dropout: the learned maps lose other neurons in every epoch; False: one realisation a run.
+        average_share: share of the epochs, at the end, whose mean is the estimate; 0 is the last epoch (`averaging`).
         dtype: float32 or float64.
     """
 
@@ -75,6 +76,7 @@ class AdamSettings:
     held_out_share: float = 0.0
     weight_share: float = 1.0
     fresh_dropout: bool = True
+    average_share: float = 0.1
     dtype: torch.dtype = torch.float32
 
     @classmethod
@@ -86,7 +88,8 @@ class AdamSettings:
             return config
         own = getattr(config, "adam", config)
         common = {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
-        names = ("epochs", "weights_until_epoch", "rate_heads", "rate_unknowns", "rate_weights", "fresh_dropout")
+        rates = ("rate_heads", "rate_unknowns", "rate_weights")
+        names = ("epochs", "weights_until_epoch", *rates, "fresh_dropout", "average_share")
         given = {name: getattr(own, name) for name in names}
         given |= {name: getattr(own, name) for name in ("held_out_share", "weight_share") if hasattr(own, name)}
         scales = Scales(T_1=own.scale_t_1_k, T_em=own.scale_t_em_k, rate=own.scale_rates, x_r=own.scale_x_r)

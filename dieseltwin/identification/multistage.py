@@ -86,7 +86,7 @@ def estimate_with(
     """`estimate` with the settings of the first segment and of the others given apart."""
     began = time.perf_counter()
     source = train_lanes(make_lanes(problems, [0], runs, seed, of_first), operators, maps, of_first)
-    first = estimates_of(problems[:1], source, runs, began, METHOD)
+    first = estimates_of(problems[:1], source, runs, began, METHOD, of_first.average_share)
     return first + later_segments(problems, source_models(source, runs), runs, seed, settings, operators, maps)
 
 
@@ -121,7 +121,7 @@ def later_segments(
         lanes = make_lanes(problems, group, runs, seed, settings, first_run)
         sources = (taken[0].repeat(len(group), 1), taken[1].repeat(len(group), 1))
         found = train_lanes(lanes, operators, maps, settings, sources)
-        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD)
+        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, settings.average_share)
         results |= dict(zip(group, made, strict=True))
     return [results[i] for i in range(1, len(problems))]
 

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from dieseltwin.engine import actuate
 from dieseltwin.errors import InputError
+from dieseltwin.identification.averaging import TailMean
 from dieseltwin.identification.fewshot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
 from dieseltwin.identification.fewshot_program import Lane, Program, draw_lane, make_program
 from dieseltwin.identification.losses import PAPER_WEIGHTS, Scales, Weights, starting_weights, weights_gradient
@@ -70,7 +71,7 @@ class PinnSettings:
         first_layer_slopes: start of the first layer, None for the plain start (neither is printed).
         weight_start: alpha of the weights by channel (paper).
         scales: units of the residuals (not printed).
-        fresh_dropout: as `AdamSettings`.
+        fresh_dropout, average_share: as `AdamSettings`.
         lanes: runs in one tensor program; an epoch has 5 ms of its own, whatever the number.
         dtype: float32 or float64.
     """
@@ -82,6 +83,7 @@ class PinnSettings:
     weight_start: Mapping[str, float] = field(default_factory=lambda: dict(PINN_WEIGHTS))
     scales: Scales = field(default_factory=Scales)
     fresh_dropout: bool = True
+    average_share: float = 0.1
     lanes: int = 150
     dtype: torch.dtype = torch.float32
 
@@ -122,6 +124,7 @@ def settings_from(config: Any, section: str, default: PinnSettings) -> PinnSetti
         weight_start=dict(own.weight_start),
         scales=Scales(T_em=own.scale_t_em_k, rate=own.scale_rates, x_r=own.scale_x_r),
         fresh_dropout=own.fresh_dropout,
+        average_share=own.average_share,
         **common,
     )
 
@@ -205,7 +208,7 @@ def start_values(
 
 def train(
     program: Program, networks: StateNetworks, values: Tensor, stages: Sequence[Stage], sigma: NDArray[np.float64],
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] | None = None, average_share: float = 0.0,
 ) -> PinnTrained:  # fmt: skip
     """Run the stages over L lanes of one sample grid.
 
@@ -216,6 +219,7 @@ def train(
         stages: the schedule.
         sigma: (L, 5) noise of the five channels [SI], for the misfit.
         progress: called with the epoch now and then.
+        average_share: as `PinnSettings`.
 
     Returns:
         Parameters, states, losses and the networks at the end.
@@ -225,6 +229,7 @@ def train(
     keep = np.unique(np.linspace(0, epochs, min(CURVE_POINTS, epochs + 1)).round().astype(int))
     kept, curve = set(keep.tolist()), _Curve()
     hidden: Hidden | None = None
+    mean = TailMean(epochs, average_share, columns.masked(values))
     epoch = 0
     for stage in stages:
         live, rates = columns.live(stage), columns.rates(stage, values.dtype)
@@ -254,6 +259,7 @@ def train(
             correct = (1.0 - BETA_2 ** (epoch + 1)) ** 0.5
             x.addcmul_(m / v.sqrt().add_(EPSILON * correct), rates, value=-correct / (1.0 - BETA_1 ** (epoch + 1)))
             epoch += 1
+            mean.add(epoch, columns.masked(values))
     with torch.no_grad():
         z = networks.outputs(values, networks.hidden(values))
         masked = columns.masked(values)
@@ -262,9 +268,9 @@ def train(
         states, _ = program.states(z)
         misfit = _misfit(program, loss, torch.tensor(sigma, dtype=values.dtype))
     found = Trained(
-        torch.stack(curve.health, 1).double().numpy(), torch.stack(states, -1).double().numpy(),
-        torch.stack(curve.loss, 1).double().numpy(), misfit.double().numpy(),
-        torch.zeros(len(misfit), len(curve.loss)).double().numpy(),
+        torch.stack(curve.health, 1).double().numpy(), mean.physical().numpy(),
+        torch.stack(states, -1).double().numpy(), torch.stack(curve.loss, 1).double().numpy(),
+        misfit.double().numpy(), torch.zeros(len(misfit), len(curve.loss)).double().numpy(),
     )  # fmt: skip
     terms = {name: torch.stack(values, 1).double().numpy() for name, values in curve.terms.items()}
     return PinnTrained(found, keep, terms, values[:, : networks.size].clone(), masked.clone())
@@ -341,7 +347,7 @@ def train_lanes(
         taken = None if sources is None else (sources[0][a : a + len(part)], sources[1][a : a + len(part)])
         values = start_values(part, program, networks, settings, taken)
         sigma = np.stack([lane.problem.sigma[:5] for lane in part])
-        found.append(train(program, networks, values, settings.stages, sigma))
+        found.append(train(program, networks, values, settings.stages, sigma, average_share=settings.average_share))
     whole = Trained(*(np.concatenate([getattr(f.trained, n) for f in found]) for n in Trained.__dataclass_fields__))
     terms = {name: np.concatenate([f.terms[name] for f in found]) for name in found[0].terms}
     weights, masked = torch.cat([f.weights for f in found]), torch.cat([f.masked for f in found])
@@ -349,7 +355,8 @@ def train_lanes(
 
 
 def estimates_of(
-    problems: Sequence[SegmentProblem], found: PinnTrained, runs: int, began: float, method: str
+    problems: Sequence[SegmentProblem], found: PinnTrained, runs: int, began: float, method: str,
+    average_share: float,
 ) -> list[SegmentEstimate]:
     """Estimates of segments whose runs follow each other in `found`.
 
@@ -359,6 +366,7 @@ def estimates_of(
         runs: runs of each segment.
         began: `time.perf_counter()` when the work began [s].
         method: name of the method.
+        average_share: of the training.
 
     Returns:
         One estimate for each segment, with curves: total loss and parameters of each run, the other losses over runs.
@@ -369,7 +377,8 @@ def estimates_of(
         of = slice(row * runs, (row + 1) * runs)
         t = found.trained
         one = estimate_of(
-            problem, t.health[of], t.states[of], t.loss[of], t.misfit[of], seconds, int(found.epochs[-1])
+            problem, t.health[of], t.states[of], t.loss[of], t.misfit[of], t.final[of], average_share, seconds,
+            int(found.epochs[-1]),
         )
         curves = {"epoch": found.epochs.astype(np.float64), "loss": t.loss[of].T}
         curves |= {name: t.health[of, :, i].T for i, name in enumerate(HEALTH)}

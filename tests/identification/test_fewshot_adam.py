@@ -11,7 +11,7 @@ import torch
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.identification import SegmentProblem, identify_segments
-from dieseltwin.identification.fewshot_adam import train
+from dieseltwin.identification.fewshot_adam import estimate_of, train
 from dieseltwin.identification.fewshot_program import AdamSettings, draw_lane, make_program, start_values
 from dieseltwin.identification.fused_maps import BANK, Dropout, as_sigmoid_layers
 from dieseltwin.identification.losses import (
@@ -24,6 +24,7 @@ from dieseltwin.identification.losses import (
     weights_gradient,
 )
 from dieseltwin.identification.residuals import PhysicsResiduals
+from dieseltwin.identification.unknowns import to_masked, to_physical
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
@@ -143,8 +144,6 @@ def test_first_step_is_adam_on_the_autograd_gradient(pair: list[SegmentProblem])
     at = sum(program.widths())
     moved = values - rates * gradient / (gradient.abs() + 1e-8)  # the first Adam step is the sign of the gradient
     found = train(lanes, actuations, None, None, None, settings)
-    from dieseltwin.identification.unknowns import to_physical
-
     expected = to_physical(moved[:, at : at + 4].detach(), torch)
     np.testing.assert_allclose(found.health[:, -1], expected.numpy(), rtol=1e-9)
 
@@ -159,6 +158,34 @@ def test_a_batch_equals_its_runs_alone_to_rounding(pair: list[SegmentProblem]) -
         np.testing.assert_allclose(a.parameters, c.parameters, rtol=1e-6)
         assert np.isnan(a.std).all()
     assert not np.allclose(together.segments[0].parameters[0], together.segments[0].parameters[1], rtol=1e-3)
+
+
+def test_the_estimate_is_the_mean_of_the_last_epochs(pair: list[SegmentProblem]) -> None:
+    last, mean, unseen = (
+        identify_segments(pair[:1], "few-shot-adam", 2, 4, config=replace(SHORT, **changed)).segments[0]
+        for changed in ({"average_share": 0.0}, {"average_share": 0.2}, {"average_share": 0.2, "held_out_share": 0.1})
+    )
+    curves = np.stack([mean.curves[name] for name in HEALTH], -1)  # every one of so few epochs is kept
+    np.testing.assert_allclose(last.parameters, curves[-1], rtol=1e-6)
+    masked = to_masked(curves[-6:]).mean(axis=0)
+    np.testing.assert_allclose(mean.parameters, to_physical(masked), rtol=1e-6)
+    best = unseen.curves["held_out_misfit"].argmin(axis=0)  # early stopping keeps its own rule
+    chosen = np.stack([unseen.curves[name] for name in HEALTH], -1)[best, np.arange(2)]
+    np.testing.assert_allclose(unseen.parameters, chosen, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("slope", "settled"), [(0.0, True), (2e-4, True), (2e-3, False)])
+def test_converged_is_an_estimate_that_stands_still(pair: list[SegmentProblem], slope: float, settled: bool) -> None:
+    share, points = 0.1, 200
+    rng = np.random.default_rng(1)
+    steps = np.arange(points)[None, :, None]
+    noise = 0.006 * rng.standard_normal((2, points, 4))
+    health = pair[0].parameters.health() * (1.0 + slope * (steps - points) + noise)
+    states, loss = np.tile(pair[0].first_states()[0], (2, 3, 1)), np.ones((2, points))
+    final = health[:, -20:].mean(axis=1)
+    found = estimate_of(pair[0], health, states, loss, np.ones(2), final, share, 0.0, 1000)
+    assert found.converged.tolist() == [settled, settled]
+    np.testing.assert_array_equal(found.parameters, final)
 
 
 def test_it_comes_near_a_planted_area(simulated: Make, drive: Drive) -> None:

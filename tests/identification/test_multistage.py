@@ -18,7 +18,7 @@ from dieseltwin.identification import NoiseLevels, SegmentProblem, baseline, ide
 from dieseltwin.identification import pinn_training as pinn
 from dieseltwin.identification.fewshot_program import make_program
 from dieseltwin.identification.pinn_networks import StateNetworks
-from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.identification.unknowns import to_masked, to_physical
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 RATES = (1e-2, 1e-2, 1e-2)
@@ -162,7 +162,7 @@ def test_a_diverged_run_is_reported_and_leaves_the_others_alone(problems: list[S
     source.weights[0] = float("nan")
     found = pinn.train_lanes(lanes, None, None, settings, (source.weights, source.masked))
     np.testing.assert_allclose(found.trained.health[1], good.trained.health[1], rtol=1e-5)
-    (estimate,) = pinn.estimates_of(problems[:1], found, 2, 0.0, "multi-stage")
+    (estimate,) = pinn.estimates_of(problems[:1], found, 2, 0.0, "multi-stage", 0.1)
     assert estimate.runs == 2 and not estimate.converged[0]
     assert np.isfinite(estimate.states).all() and np.isfinite(estimate.bound).all()
 
@@ -184,6 +184,19 @@ def test_methods_stand_in_the_registry(problems: list[SegmentProblem], method: s
     assert found.to_json()["segments"][1]["t0_s"] == problems[1].t0_s
     curves = found.segments[1].curves
     assert curves["epoch"][-1] == 12 and curves["loss"].shape == (13, 2) and curves["loss_data_W_egr"].shape == (13,)
+
+
+def test_the_estimate_is_the_mean_of_the_last_epochs(problems: list[SegmentProblem]) -> None:
+    stages = (pinn.Stage(10, "all", *RATES),)
+    found = {}
+    for share in (0.0, 0.4):
+        settings = settings_of(*stages, average_share=share)
+        lanes = pinn.make_lanes(problems, [0], 2, 1, settings)
+        found[share] = pinn.train_lanes(lanes, None, None, settings).trained
+    np.testing.assert_allclose(found[0.0].final, found[0.0].health[:, -1], rtol=1e-6)
+    masked = to_masked(found[0.4].health[:, -4:]).mean(axis=1)  # every one of so few epochs is kept
+    np.testing.assert_allclose(found[0.4].final, to_physical(masked), rtol=1e-6)
+    np.testing.assert_array_equal(found[0.4].health, found[0.0].health)
 
 
 def test_paper_profile_has_the_printed_epochs() -> None:
