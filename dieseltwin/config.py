@@ -283,10 +283,14 @@ class EvaluateConfig(StrictModel):
 
 
 class VariantConfig(StrictModel):
-    """One further ensemble on the noisy case: a method with something changed."""
+    """Further ensembles: a method with something changed."""
 
     name: str
-    method: Literal["classical", "few-shot-newton", "few-shot-adam", "baseline"]
+    method: Literal["classical", "few-shot-newton", "few-shot-adam", "baseline", "multi-stage"]
+    cases: tuple[Literal["clean-151", "clean-301", "noisy-301"], ...] = ("noisy-301",)
+    last_epoch: bool = Field(
+        default=False, description="the method's own runs, read at the last epoch; nothing is trained anew"
+    )
     channels: tuple[str, ...] | None = Field(default=None, description="sensors that are read; none = all five")
     held_out_share: NonNegativeFloat = Field(default=0.0, lt=1.0, description="readings no loss sees: early stopping")
     weight_share: PositiveFloat = Field(default=1.0, description="factor on the paper's starting weights")

@@ -42,7 +42,7 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
     trainings = {} if only else _submit_trainings(settings, lab, field)
     assembled = {}
     for plan in plans:
-        parts = {f"part_{first:04d}": waiting.result() for first, waiting in pending[plan.slug].items()}
+        parts = {f"part_{first:04d}": waiting.result() for first, waiting in pending[plan.trained_as].items()}
         assembled[plan.slug] = after.ensemble.submit(
             field=field,
             settings=steps.own_settings(settings, plan.method),
@@ -50,6 +50,7 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
             method=plan.method,
             variant=plan.variant,
             epochs=plan.epochs,
+            last_epoch=plan.last_epoch,
             kind=plan.slug,
             run_times=_times(list(parts.values())),
             **parts,
@@ -107,6 +108,7 @@ def _submit_ensembles(
         "few-shot-newton": steps.few_shot_newton,
         "classical": steps.classical,
     }
+    plans = [plan for plan in plans if not plan.last_epoch]
     pending: dict[str, dict[int, Pending]] = {plan.slug: {} for plan in plans}
 
     def batch(plan: Plan, first: int, runs: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 from tasks.run_context import step
 
 TABLES = ("cells", "beside_paper", "scores", "operators", "bodies", "maps", "calibration", "over_epochs",
-          "identifiability")  # fmt: skip
+          "identifiability", "variants")  # fmt: skip
 PAGE = "evaluation.html"
 METRICS = "metrics.json"
 
@@ -26,13 +26,14 @@ def ensemble(
     method: str,
     variant: str,
     epochs: int | None,
+    last_epoch: bool,
     kind: str,
     run_times: list[str],
     **parts: Path,
 ) -> None:
     """All batches of one method on one case: ``members.parquet`` and what ``dieseltwin identify`` writes.
 
-    ``run_times``: hashes of the batches' runtime.json, which are no part of their results' hashes but are shown.
+    ``last_epoch``: take the members' estimates from there. ``run_times``: hashes of the batches' runtime.json, which are no part of their results' hashes but are shown.
     """
     import json
 
@@ -42,7 +43,7 @@ def ensemble(
     from dieseltwin.engine import HEALTH
     from dieseltwin.identification.bound import cramer_rao
     from dieseltwin.identification.curves import curves_table
-    from dieseltwin.identification.ensemble import load_estimates, member_table, merged, without_diverged
+    from dieseltwin.identification.ensemble import at_last_epoch, load_estimates, member_table, merged, without_diverged
     from dieseltwin.identification.result import Identification
     from tasks.ensembles import ESTIMATES, problems_for
     from tasks.store import RUNTIME
@@ -54,13 +55,15 @@ def ensemble(
         loaded.append(load_estimates(parts[name] / ESTIMATES, times["seconds_per_run"]))
         seconds += times["seconds"]
     estimates = [merged(of_segment) for of_segment in zip(*loaded, strict=True)]
+    if last_epoch:
+        estimates = [at_last_epoch(estimate) for estimate in estimates]
     starts = {round(problem.t0_s, 6): problem for problem in problems}
     problems = [starts[round(estimate.t0_s, 6)] for estimate in estimates]
     truth = problems[0].truth
     true = np.array([truth[name] for name in HEALTH])
     bounds = [cramer_rao([problem], true, problem.true_initial[:3])[0].relative for problem in problems]
     member_table(estimates, truth, bounds, what["seed"]).to_parquet(out / "members.parquet", index=False)
-    about = {"method": method, "variant": variant, "epochs": epochs, **what}
+    about = {"method": method, "variant": variant, "epochs": epochs, "last_epoch": last_epoch or None, **what}
     write_json(out / "ensemble.json", {key: value for key, value in about.items() if value is not None})
     usable = [without_diverged(estimate, true, bound) for estimate, bound in zip(estimates, bounds, strict=True)]
     known = [i for i, estimate in enumerate(usable) if estimate is not None]
@@ -100,6 +103,7 @@ def tables(
     from dieseltwin.atomic import write_json
     from dieseltwin.engine import HEALTH
     from dieseltwin.report import evaluation
+    from dieseltwin.report.evaluation_variants import variant_scores
     from tasks.store import RUNTIME
 
     with _linked({name: path for name, path in parts.items() if name.startswith("ensemble_")}) as folder:
@@ -129,6 +133,7 @@ def tables(
         "calibration": evaluation.calibration(found),
         "over_epochs": evaluation.over_epochs(found, truth),
         "identifiability": evaluation.identifiability(found),
+        "variants": variant_scores(all_cells),
     }
     for name in TABLES:
         made[name].to_csv(out / f"{name}.csv", index=False)

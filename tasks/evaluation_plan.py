@@ -17,7 +17,8 @@ class Plan:
     """One ensemble.
 
     ``what``: all that its members' numbers depend on but for the settings: case, seeds, start, sensors, members.
-    ``batches``: (first member, members) of each cached step.
+    ``batches``: (first member, members) of each cached step. ``last_epoch``: the runs of the method's own ensemble on
+    that case, read at their last epoch.
     """
 
     method: str
@@ -26,6 +27,7 @@ class Plan:
     what: dict[str, Any]
     batches: tuple[tuple[int, int], ...]
     epochs: int | None
+    last_epoch: bool = False
 
     @property
     def slug(self) -> str:
@@ -33,12 +35,17 @@ class Plan:
         parts = [self.case, self.method, self.variant]
         return "-".join(part.replace(" ", "_") for part in parts if part)
 
+    @property
+    def trained_as(self) -> str:
+        """`slug` of the ensemble whose batches are this one's."""
+        return f"{self.case}-{self.method}" if self.last_epoch else self.slug
+
 
 def ensembles_of(settings: Mapping[str, Any], only: Sequence[str] = ()) -> list[Plan]:
     """Every ensemble of the evaluation, the paper's own first, the longest methods first.
 
     ``only``: names of ensembles (`Plan.slug`); none means all. multi-stage brings the baseline of its case with it,
-    whose networks it starts from. Raises ``InputError`` for an unknown name.
+    whose networks it starts from, and what is read at the last epoch the ensemble that it is read from. Raises ``InputError`` for an unknown name.
     """
     evaluation = settings["evaluation"]
     found = [
@@ -48,17 +55,21 @@ def ensembles_of(settings: Mapping[str, Any], only: Sequence[str] = ()) -> list[
         if method in evaluation["members"]
     ]
     for variant in evaluation["variants"]:
-        found.append(_plan(settings, variant["method"], "noisy-301", variant["name"], variant))
-    known = {plan.slug for plan in found}
+        cases = [case for case in variant["cases"] if case in evaluation["cases"]]
+        found += [_plan(settings, variant["method"], case, variant["name"], variant) for case in cases]
+    known = {plan.slug: plan for plan in found}
     for name in only:
         if name not in known:
             raise InputError("--only", name, ", ".join(sorted(known)), "name an ensemble of this profile")
-    wanted = {*only, *(name.replace("multi-stage", "baseline") for name in only)}
+    wanted = {*only, *(known[name].trained_as for name in only)}
+    wanted |= {f"{known[name].case}-baseline" for name in wanted if known[name].method == "multi-stage"}
     return [plan for plan in found if plan.slug in wanted] if only else found
 
 
 def _plan(settings: Mapping[str, Any], method: str, case: str, variant: str, changed: Mapping[str, Any]) -> Plan:
-    members = changed["members"]
+    members, last_epoch = changed["members"], changed.get("last_epoch", False)
+    if last_epoch:  # whatever the method's own ensemble has
+        members = settings["evaluation"]["members"][method]
     what = {
         "case": case,
         "members": members,
@@ -74,7 +85,7 @@ def _plan(settings: Mapping[str, Any], method: str, case: str, variant: str, cha
     }
     at_a_time = settings["evaluation"]["members_per_batch"] if method in _BATCHED else members
     batches = tuple((first, min(at_a_time, members - first)) for first in range(0, members, at_a_time))
-    return Plan(method, case, variant, what, batches, _epochs(settings["identify"], method))
+    return Plan(method, case, variant, what, batches, _epochs(settings["identify"], method), last_epoch)
 
 
 def _epochs(identify: Mapping[str, Any], method: str) -> int | None:

@@ -164,6 +164,12 @@ def merged(parts: Sequence[SegmentEstimate]) -> SegmentEstimate:
     )
 
 
+def at_last_epoch(estimate: SegmentEstimate) -> SegmentEstimate:
+    """The parameters as the last epoch of the training left them, not a mean over epochs; without samples for bands."""
+    last = np.stack([estimate.curves[name][-1] for name in HEALTH], -1)
+    return replace(estimate, parameters=last, parameter_samples=None, state_samples=None)
+
+
 def diverged(
     parameters: NDArray[np.float64], truth: NDArray[np.float64], bound: NDArray[np.float64]
 ) -> NDArray[np.bool_]:

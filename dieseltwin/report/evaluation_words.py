@@ -44,7 +44,11 @@ SECTIONS: Mapping[str, tuple[str, str]] = {
         "What each minute can tell",
         "Relative Cramér-Rao bound at the truth with the noise of the recording, also for the clean cases.",
     ),
-    "variants": ("One thing changed", "Further ensembles on noisy data; RMSE over the truth [%]."),
+    "variants": (
+        "One thing changed",
+        "Further ensembles; RMSE over the truth [%]. Last epoch: the same runs, read at their last epoch in place of the"
+        " mean over the last epochs.",
+    ),
 }
 
 RATIOS = (

@@ -29,6 +29,7 @@ EVALUATION = {
     "bootstrap": 50,
     "variants": [
         {"name": "early stopping", "method": "few-shot-adam", "held_out_share": 0.1, "members": 2},
+        {"name": "last epoch", "method": "multi-stage", "last_epoch": True, "members": 2},
         {"name": "three sensors", "method": "classical", "members": 2,
          "channels": ["p_im_pa", "p_em_pa", "omega_t_rad_s"]},
     ],
@@ -118,6 +119,9 @@ def test_tables_page_and_records_come_out_and_a_second_run_computes_nothing(tmp_
     client = Tracker(Workspace(tmp_path)).client
     runs = client.search_runs([client.get_experiment_by_name("evaluate").experiment_id])
     names = {run.info.run_name for run in runs}
+    last = pd.read_parquet(results / "ensembles" / "noisy-301-multi-stage-last_epoch" / "members.parquet")
+    assert (last["member"] == members["member"]).all() and not (last["ratio"] == members["ratio"]).any()
+    assert {"last epoch", "early stopping"} <= set(pd.read_csv(results / "variants.csv")["variant"].dropna())
     assert {"tables", "classical noisy-301", "few-shot-adam noisy-301 early stopping"} <= names
 
     context = new_context(tmp_path)

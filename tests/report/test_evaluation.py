@@ -13,6 +13,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.report import evaluation
 from dieseltwin.report import evaluation_printed as printed
 from dieseltwin.report.evaluation_page import build_page, headline
+from dieseltwin.report.evaluation_variants import variant_scores
 
 PAPER = Path(__file__).parents[3] / "shared" / "paper" / "paper.tex"
 
@@ -161,8 +162,11 @@ def test_the_page_shows_the_tables_and_escapes_nothing_wrong(tmp_path: Path) -> 
         "cells": all_cells, "beside_paper": beside, "scores": scores, "run_times": evaluation.run_times(found),
         "operators": operators, "bodies": bodies, "maps": pd.DataFrame(columns=["kind", "map", "test_pct"]),
         "calibration": evaluation.calibration(found), "over_epochs": evaluation.over_epochs(found, {}),
-        "identifiability": evaluation.identifiability(found),
+        "identifiability": evaluation.identifiability(found), "variants": variant_scores(all_cells),
     }  # fmt: skip
+    changed = tables["variants"].set_index("variant")
+    assert set(changed["method"]) == {"few-shot-adam"} and (changed["cells"] == 19).all()
+    assert changed.loc["early stopping", "ratio"] < changed.loc["", "ratio"]
     path = build_page(tables, {}, tmp_path / "page.html", figures_dir=tmp_path / "figures", about={"profile": "tiny"})
     page = path.read_text(encoding="utf-8")
     assert "0.9699 ± 0.0653" in page and "1.0100 ± 0.0200" in page
