@@ -33,7 +33,8 @@ def ensemble(
 ) -> None:
     """All batches of one method on one case: ``members.parquet`` and what ``dieseltwin identify`` writes.
 
-    ``last_epoch``: take the members' estimates from there. ``run_times``: hashes of the batches' runtime.json, which are no part of their results' hashes but are shown.
+    ``last_epoch``: take the members' estimates from there. ``run_times``: hashes of the batches' runtime.json, which
+    are no part of their results' hashes but are shown.
     """
     import json
 

@@ -45,7 +45,8 @@ def ensembles_of(settings: Mapping[str, Any], only: Sequence[str] = ()) -> list[
     """Every ensemble of the evaluation, the paper's own first, the longest methods first.
 
     ``only``: names of ensembles (`Plan.slug`); none means all. multi-stage brings the baseline of its case with it,
-    whose networks it starts from, and what is read at the last epoch the ensemble that it is read from. Raises ``InputError`` for an unknown name.
+    whose networks it starts from, and what is read at the last epoch the ensemble that it is read from.
+    Raises ``InputError`` for an unknown name.
     """
     evaluation = settings["evaluation"]
     found = [

@@ -46,8 +46,8 @@ SECTIONS: Mapping[str, tuple[str, str]] = {
     ),
     "variants": (
         "One thing changed",
-        "Further ensembles; RMSE over the truth [%]. Last epoch: the same runs, read at their last epoch in place of the"
-        " mean over the last epochs.",
+        "Further ensembles; RMSE over the truth [%]. Last epoch: the same runs, read at their last epoch in place of"
+        " the mean over the last epochs.",
     ),
 }
 
