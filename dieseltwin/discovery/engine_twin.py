@@ -9,18 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from dieseltwin.discovery.engine_lanes import Memory, known_terms, lane_actuations, lane_of, signals_of_lane
 from dieseltwin.discovery.engine_points import POINT_FACTS
+from dieseltwin.discovery.engine_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.recording_windows import piece_start, windows_of, without_gaps
 from dieseltwin.discovery.twin import Array, Hypothesis, Lanes, Parameter, Point, joined
-from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters, Inputs
+from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuator_effects import actuate_lanes
 from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, extended_frame, simulate_extended
 from dieseltwin.engine.inputs import INPUT_COLUMNS
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
-from dieseltwin.engine.simulate import settle
-from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, LawTerm, Term, effect_terms, law_terms
+from dieseltwin.engine.simulate import Observations, settle
+from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, Term, effect_terms, law_terms
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import Recording
 
@@ -28,7 +30,7 @@ WINDOW_S = 10.0
 """Length of a window [s]: some time constants of the turbocharger, and short against the growth of an instability."""
 
 STEP_S = 0.025
-"""Integration step of discovery [s]: sensitivities don't need the simulator's own 0.01 %."""
+"""Integration step of the trajectory along which steps are chosen [s]."""
 
 HEALTH_PRIOR = 0.3
 """Standard deviation of a health parameter about the engine file's value [-]."""
@@ -55,6 +57,7 @@ class EngineTwin:
         sensors: columns of `MEASURED` to use, None for all that the recording has.
         window_s: length of the windows [s].
         map_tolerance: standard deviation of the maps' smooth errors [-].
+        step_s: integration step of RK4 [s]; None for steps as `engine_steps` says.
 
     Raises:
         InputError: no sensor, or no stretch with the engine running.
@@ -64,6 +67,9 @@ class EngineTwin:
         "power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "lag", "dead_time", "play",
     )  # fmt: skip
     """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
+
+    own_schedules = True
+    """Lanes may have schedules of their own."""
 
     law_variables = LAW_VARIABLES
     lagging_sensors = (LAGGING_SENSOR,)
@@ -77,7 +83,7 @@ class EngineTwin:
         *,
         window_s: float = WINDOW_S,
         map_tolerance: float = MAP_TOLERANCE,
-        step_s: float = STEP_S,
+        step_s: float | None = None,
     ) -> None:
         present = [c for c in MEASURED if c in recording.columns and np.isfinite(recording.columns[c]).any()]
         self.channels = tuple(c for c in MEASURED if c in (present if sensors is None else sensors))
@@ -88,7 +94,8 @@ class EngineTwin:
                 "name columns that the recording has",
             )  # fmt: skip
         self.engine = engine.replace(p_amb=recording.p_amb_pa, T_amb=recording.t_amb_k)
-        self.step_s = step_s
+        self.step_s = STEP_S if step_s is None else step_s  # even ones
+        self._even_steps = step_s is not None
         rows, self.starts, self.pieces = windows_of(recording, window_s)
         self.rows = rows
         time = recording.time_s[rows]
@@ -129,14 +136,32 @@ class EngineTwin:
             for e in EFFECTS.values()
             if e.kind != "sensor" or e.site.removeprefix("sensor:") in self.channels
         }
-        self._known = _known_terms(self)
+        self._known = known_terms(self.engine.terms, self.recording_time_s, self.conditions)
         self._laws = law_terms(self.engine.terms)
         self._law_signals: dict[str, Array] = {}
         self._begin()
 
     @cached_property
-    def _plain(self) -> list:
+    def _even(self) -> list:
+        """Actuators at even steps."""
         return actuate_lanes(self.inputs, self.engine, {}, 1, None, self.step_s)
+
+    @cached_property
+    def _stiffness(self) -> Array:
+        states = simulate_extended(
+            self._even[0], parameter_batch(self.engine), Extension(restarts=self.starts),
+            self.initial(self.first_local())[None],
+        ).states[0]  # fmt: skip
+        return stiffness(states, self._even[0], self.engine)
+
+    def _choose_steps(self) -> None:
+        """Steps, and the actuators without effects on them."""
+        self._step_s: float | Array = self.step_s
+        self._late, self._plain = 1.0, self._even
+        if self._even_steps:
+            return
+        self._step_s, self._late = step_lengths(self._stiffness, self.starts), LATE
+        self._plain = actuate_lanes(self.inputs, self.engine, {}, 1, None, self._step_s)
 
     def _begin(self) -> None:
         """Readings without the first moments of each window, and the states at the windows' starts."""
@@ -145,6 +170,8 @@ class EngineTwin:
             rest = int(np.searchsorted(self.time_s, self.time_s[start] + _PRESSURES_REST_S))
             self.measured[start:rest] = np.nan
         self._first = self._smoothed_states()
+        self._choose_steps()
+        self._memory = Memory()  # the states' starts are another's
 
     def split(self, windows: np.ndarray, parts: int, local: Array) -> Array:
         """Cut some windows into parts and return the initial states (W', 1) of all, new ones from the readings.
@@ -205,7 +232,7 @@ class EngineTwin:
         n_e, u_delta, u_egr, u_vgt = (float(values[0]) for values in self.conditions.values())
         first = settle(n_e, u_delta, u_egr, u_vgt, self.engine)
         result = simulate_extended(
-            self._plain[0], parameter_batch(self.engine), Extension(), np.asarray(first)[None, None, :]
+            self._even[0], parameter_batch(self.engine), Extension(), np.asarray(first)[None, None, :]
         )
         return result.states[0, :, :3]
 
@@ -222,7 +249,7 @@ class EngineTwin:
 
     def _with_own_laws(self, lanes: Lanes) -> Lanes:
         """The engine's own laws as signals, settled along lane 0 (Picard) and shared by all lanes."""
-        one, signals = _lane(lanes, 0), self._law_signals
+        one, signals = lane_of(lanes, 0), self._law_signals
         start_s, conditions = float(self.recording_time_s[0]), dict(self.conditions)
         for _ in range(_LAW_ROUNDS):
             entered = replace(one, signals=joined(one.signals, signals))
@@ -240,31 +267,44 @@ class EngineTwin:
         self._law_signals = signals
         return replace(lanes, signals=joined(lanes.signals, signals))
 
-    def _simulate_signals(self, lanes: Lanes) -> tuple[Array, object]:
+    def _simulate_signals(self, lanes: Lanes) -> tuple[Array, Observations]:
+        result = self._memory.trajectories(lanes, self._integrate)
+        combined, schedules = self._combined(lanes)
+        measured = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
+        return measured, result
+
+    def _integrate(self, lanes: Lanes) -> Observations:
         size = lanes.size
         n = self.time_s.size
         columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
         batch = parameter_batch(self.engine, **columns)
         magnitudes = np.zeros((len(STATE_EFFECTS), size))
-        schedule = np.ones((len(STATE_EFFECTS), n))
         combined, schedules = self._combined(lanes)
+        own = any(values.ndim > 1 for values in schedules.values())  # a schedule per lane
+        schedule = np.ones((size if own else 1, len(STATE_EFFECTS), n))
         for j, name in enumerate(STATE_EFFECTS):
             if name in combined:
                 magnitudes[j] = combined[name]
-                schedule[j] = schedules.get(name, 1.0)
+                schedule[:, j] = schedules.get(name, 1.0)
         signals = None
         if lanes.signals:
             signals = np.zeros((len(POINTS), n))
             for name, values in lanes.signals.items():
                 signals[POINTS.index(name)] = values
+        actuation = self._actuations(combined, schedules)
+        extension = Extension(
+            magnitudes, None, signals, lanes.lane_points, lanes.lane_signals, self.starts, None,
+            schedule, np.arange(size) if own else np.zeros(size, dtype=np.int64),
+        )  # fmt: skip
+        initial = self.initial(lanes.local)
+        return simulate_extended(actuation or self._plain[0], batch, extension, initial, late=self._late)
+
+    def _actuations(self, combined: Mapping[str, Array], schedules: Mapping[str, Array]) -> list[Actuation] | None:
+        """Of every lane where an effect acts on a command; None where none does."""
         moving = {name: combined[name] for name in ACTUATOR_EFFECTS if name in combined and np.any(combined[name])}
-        actuation = (
-            actuate_lanes(self.inputs, self.engine, moving, size, schedules, self.step_s) if moving else self._plain[0]
-        )
-        extension = Extension(magnitudes, schedule, signals, lanes.lane_points, lanes.lane_signals, self.starts)
-        result = simulate_extended(actuation, batch, extension, self.initial(lanes.local))
-        measured = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
-        return measured, result
+        if not moving:
+            return None
+        return lane_actuations(self.inputs, self.engine, moving, schedules, self._plain, self._step_s)
 
     def _combined(self, lanes: Lanes) -> tuple[dict[str, Array], dict[str, Array]]:
         """Magnitudes and schedules of the lanes together with the engine's own terms."""
@@ -283,7 +323,7 @@ class EngineTwin:
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Variables of ports and tolerances along the trajectory of lane 0, name -> (n,) [SI, %, mg/cycle, rpm]."""
-        one = _lane(lanes, 0)
+        one = lane_of(lanes, 0)
         if self._laws:
             one = self._with_own_laws(one)
         return self._variables(self._simulate_signals(one)[1], 0, one)
@@ -293,7 +333,7 @@ class EngineTwin:
         if self._laws:
             lanes = self._with_own_laws(lanes)
         measured, result = self._simulate_signals(lanes)
-        return measured, [self._variables(result, b, _lane(lanes, b)) for b in range(lanes.size)]
+        return measured, [self._variables(result, b, lane_of(lanes, b)) for b in range(lanes.size)]
 
     def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
         """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
@@ -301,7 +341,7 @@ class EngineTwin:
         engine = self.engine_of(one)
         engine = engine.replace(terms=effect_terms(engine.terms))  # laws are among the signals
         frame = extended_frame(result.states[b], actuation, engine)  # type: ignore[attr-defined]
-        signals = _signals_of(one, self.points)
+        signals = signals_of_lane(one, self.points)
         if signals:  # the frame knows none: the simulation's own flows and temperature do
             for name, column in (("w_egr_kg_s", 3), ("t_em_k", 4), ("w_c_kg_s", 5)):
                 frame[name] = result.measured[b, :, column]  # type: ignore[attr-defined]
@@ -344,38 +384,5 @@ class EngineTwin:
         return self.engine.replace(**values, terms=tuple(terms))
 
 
-def _lane(lanes: Lanes, index: int) -> Lanes:
-    some = slice(index, index + 1)
-    return Lanes(
-        lanes.parameters[some], lanes.local[some], {k: v[some] for k, v in lanes.magnitudes.items()}, lanes.schedules,
-        lanes.signals, None if lanes.lane_points is None else lanes.lane_points[some],
-        None if lanes.lane_signals is None else lanes.lane_signals[some],
-    )  # fmt: skip
-
-
 def _size(values: Array) -> float:
     return max(float(np.max(np.abs(values))), 1e-300)
-
-
-def _signals_of(one: Lanes, points: Sequence[Point]) -> dict[str, Array]:
-    """Point -> total signal of a single lane."""
-    signals = dict(one.signals)
-    if one.lane_points is not None and one.lane_signals is not None and one.lane_points[0] >= 0:
-        name = points[int(one.lane_points[0])].name
-        signals[name] = signals.get(name, 0.0) + one.lane_signals[0]
-    return {name: signal for name, signal in signals.items() if np.any(signal)}
-
-
-def _known_terms(twin: EngineTwin) -> dict[str, tuple[float, Array | None]]:
-    known: dict[str, tuple[float, Array | None]] = {}
-    for term in twin.engine.terms:
-        if not isinstance(term, LawTerm):
-            limited = term.onset_s is not None or term.region is not None
-            schedule = (
-                term.factor(twin.recording_time_s, float(twin.recording_time_s[0]), dict(twin.conditions))
-                if limited
-                else None
-            )
-            before = known.get(term.slot, (0.0, None))[0]
-            known[term.slot] = (before + term.magnitude, schedule)
-    return known

@@ -89,7 +89,8 @@ def _same(a: Array | None, b: Array | None) -> bool:
     return a is b or (a is not None and b is not None and np.array_equal(a, b))
 
 
-def lanes_of(fits: Sequence[Fit]) -> Lanes:
+def lanes_of(fits: Sequence[Fit], own_schedules: bool = False) -> Lanes:
+    """A lane per fit. With `own_schedules` an effect may have another schedule in each, else they must agree."""
     names = list(dict.fromkeys(name for fit in fits for name in fit.candidate.names))
     magnitudes = {name: np.zeros(len(fits)) for name in names}
     schedules: dict[str, Array] = {}
@@ -97,6 +98,11 @@ def lanes_of(fits: Sequence[Fit]) -> Lanes:
         for name, value in zip(fit.candidate.names, fit.magnitudes, strict=True):
             magnitudes[name][k] = value
         schedules.update(fit.candidate.schedules)
+    if own_schedules:
+        for name, some in schedules.items():
+            own = [fit.candidate.schedules.get(name) for fit in fits if name in fit.candidate.names]
+            if not all(_same(own[0], other) for other in own[1:]):
+                schedules[name] = np.stack([fit.candidate.schedules.get(name, np.ones_like(some)) for fit in fits])
     return Lanes(
         np.stack([fit.parameters for fit in fits]), np.stack([fit.local for fit in fits]), magnitudes, schedules
     )
@@ -104,6 +110,8 @@ def lanes_of(fits: Sequence[Fit]) -> Lanes:
 
 def simulate_fits(twin: Twin, fits: Sequence[Fit]) -> Array:
     """Readings of every fit, (len(fits), n, C); as few calls as schedules allow."""
+    if getattr(twin, "own_schedules", False):
+        return twin.simulate(lanes_of(fits, own_schedules=True))
     out = np.empty((len(fits), *twin.measured.shape))
     remaining = list(range(len(fits)))
     while remaining:

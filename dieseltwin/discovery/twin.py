@@ -98,6 +98,7 @@ class Lanes:
         local: (B, W, S) initial states of the W windows.
         magnitudes: effect name -> (B,) magnitudes [unit]; effects not named are absent.
         schedules: effect name -> (n,) factor of its magnitude over the samples (onset, region, drift); 1 if not named.
+            (B, n) one per lane, where the twin says that it takes them (`own_schedules`).
         signals: point name -> (n,) signal shared by all lanes.
         lane_points: (B,) index into `Twin.points` of the point that `lane_signals` enters, -1 for none.
         lane_signals: (B, n) one further signal per lane.

@@ -120,15 +120,15 @@ def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
 evaluate = numba.njit(**_OPTIONS)(_evaluate)
 
 @numba.njit(**_OPTIONS)
-def load_interval(work, i, time, start, magnitudes, schedule, signals, lane_point, lane_signal):  # type: ignore[no-untyped-def]
+def load_interval(  # type: ignore[no-untyped-def]
+    work, i, time, start, magnitudes, schedules, schedule_of_lane, signals, lane_point, lane_signal
+):
     """Magnitudes at sample i and the signals from there to the next sample."""
     following = min(i + 1, time.shape[0] - 1)
     for e in range(N_EFFECTS):
-        factor = schedule[e, i]
-        if e == CLOGGING:
-            factor *= max(time[i] - start, 0.0)
+        since = max(time[i] - start, 0.0) if e == CLOGGING else 1.0
         for k in range(LANES):
-            work[(EFFECT + e) * LANES + k] = factor * magnitudes[e, k]
+            work[(EFFECT + e) * LANES + k] = schedules[schedule_of_lane[k], e, i] * since * magnitudes[e, k]
     for p in range(N_POINTS):
         for k in range(LANES):
             work[(SIGNAL + p) * LANES + k] = signals[p, i]
@@ -176,14 +176,18 @@ def lag_weights(work, width, gain, kept):  # type: ignore[no-untyped-def]
 
 
 def _integrate_extended(  # type: ignore[no-untyped-def]
-    grids, grid_of_lane, steps, time, start, constants, magnitudes, schedule, signals, lane_point, lane_signal,
-    restarts, initial, out,
+    grids, grid_of_lane, steps, time, start, constants, magnitudes, schedules, schedule_of_lane, signals, lane_point,
+    lane_signal, restarts, initial, late, out,
 ):  # fmt: skip
     """Integrate one block of LANES lanes.
 
+    The last stage starts from `late` of the third stage's rate and the rest of the second's. With 1 that is RK4; with
+    less it is of third order, and stable up to longer steps.
+
     grids (G, 4, 2 N + 1), grid_of_lane (LANES,), steps (n - 1,), time (n,), start [s], constants (n_constants, LANES),
-    magnitudes (N_EFFECTS, LANES), schedule (N_EFFECTS, n), signals (N_POINTS, n), lane_point (LANES,), lane_signal
-    (LANES, n), restarts (W,), initial (LANES, W, 3) -> out (LANES, n, N_OUT).
+    magnitudes (N_EFFECTS, LANES), schedules (G', N_EFFECTS, n), schedule_of_lane (LANES,), signals (N_POINTS, n),
+    lane_point (LANES,), lane_signal (LANES, n), restarts (W,), initial (LANES, W, 3), late [-] ->
+    out (LANES, n, N_OUT).
     """
     work = np.zeros((CONSTANT + constants.shape[0]) * LANES)
     for j in range(constants.shape[0]):
@@ -191,6 +195,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
             work[(CONSTANT + j) * LANES + k] = constants[j, k]
     base = np.empty(3 * LANES)
     total = np.empty(3 * LANES)
+    second = np.empty(3 * LANES)
     carried = np.empty(LANES)
     static = np.empty(LANES)
     half_gain, half_kept = np.empty(LANES), np.empty(LANES)
@@ -214,7 +219,9 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                 for j in range(3):
                     work[j * LANES + k] = initial[k, window, j]
             window += 1
-        load_interval(work, i, time, start, magnitudes, schedule, signals, lane_point, lane_signal)
+        load_interval(
+            work, i, time, start, magnitudes, schedules, schedule_of_lane, signals, lane_point, lane_signal
+        )
         load_inputs(work, grids, grid_of_lane, at)
         hold_gas(work, carried)
         if i == 0:  # at rest: the gas, too
@@ -260,6 +267,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
             for j in range(3 * LANES):
                 rate = work[RATE * LANES + j]
                 total[j] += 2.0 * rate
+                second[j] = rate
                 work[j] = base[j] + 0.5 * h * rate
             evaluate(work, (step + 0.5) / steps[i])
             load_inputs(work, grids, grid_of_lane, at + 2)
@@ -267,7 +275,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
             for j in range(3 * LANES):
                 rate = work[RATE * LANES + j]
                 total[j] += 2.0 * rate
-                work[j] = base[j] + h * rate
+                work[j] = base[j] + h * (late * rate + (1.0 - late) * second[j])
             evaluate(work, (step + 1.0) / steps[i])
             for j in range(3 * LANES):
                 value = base[j] + h / 6.0 * (total[j] + work[RATE * LANES + j])

@@ -25,7 +25,6 @@ IMPLICIT = ("back_pressure", "air_filter_restriction")
 
 _MEASURED_AT = (0, 1, 2, 6, 7, 8)
 
-
 @dataclass(frozen=True)
 class Extension:
     """What is added to the published model in B lanes over n samples.
@@ -34,6 +33,8 @@ class Extension:
         magnitudes: (len(STATE_EFFECTS), B) in the units of the catalogue; None: all 0.
         schedule: (len(STATE_EFFECTS), n) factor of the magnitudes, held over the interval after its sample, shared by
             the lanes; None: 1.
+        schedules: (G, len(STATE_EFFECTS), n) several of them in its place, and
+        schedule_of_lane: (B,) which of these is each lane's.
         signals: (len(POINTS), n) shared by the lanes, linear between samples; None: 0.
         lane_point: (B,) index into `POINTS` of one further signal per lane, -1 for none; None: none.
         lane_signal: (B, n) values of these further signals.
@@ -48,6 +49,8 @@ class Extension:
     lane_signal: np.ndarray | None = None
     restarts: np.ndarray | Sequence[int] = (0,)
     start_s: float | None = None
+    schedules: np.ndarray | None = None
+    schedule_of_lane: np.ndarray | None = None
 
 
 def _checked(value: object, shape: tuple[int, ...], name: str, fill: float = 0.0) -> np.ndarray:
@@ -78,12 +81,25 @@ def _grids(actuation: Actuation | Sequence[Actuation], lanes: int) -> tuple[Actu
     return first, grids, np.broadcast_to(of_lane, (lanes,))
 
 
+def _schedules(extension: Extension, lanes: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Schedules (G, len(STATE_EFFECTS), n) and each lane's index among them (B,)."""
+    shape = (len(STATE_EFFECTS), n)
+    if extension.schedules is None:
+        return _checked(extension.schedule, shape, "schedule", 1.0)[None], np.zeros(lanes, dtype=np.int64)
+    schedules = _checked(extension.schedules, (len(extension.schedules), *shape), "schedules")
+    of_lane = np.asarray(extension.schedule_of_lane, dtype=np.int64)
+    if of_lane.shape != (lanes,) or of_lane.min() < 0 or of_lane.max() >= len(schedules):
+        raise InputError("extension: schedule_of_lane", f"{of_lane!r}", f"({lanes},) indices into schedules", "correct")
+    return schedules, of_lane
+
+
 def simulate_extended(
     actuation: Actuation | Sequence[Actuation],
     batch: ParameterBatch,
     extension: Extension,
     initial: np.ndarray,
     threads: int | None = None,
+    late: float = 1.0,
 ) -> Observations:
     """Simulate B parameter sets under effects and signals, eight lanes in lockstep.
 
@@ -93,6 +109,8 @@ def simulate_extended(
         extension: what is added.
         initial: p_im, p_em [Pa], omega_t [rad/s] at each restart, (B, W, 3), or what broadcasts to it.
         threads: threads to use (default `simulate.thread_count`); the result doesn't depend on it.
+        late: share of the third stage's rate, against the second's, in what the last stage starts from: 1 is RK4; with
+            0.48 the order is three and steps may be almost twice as long before they are unstable.
 
     Returns:
         `Observations` with states (B, n, 6) in the order of `EXTENDED_STATES` and measured (B, n, 6) as usual. At a
@@ -108,7 +126,7 @@ def simulate_extended(
     n = time.size
     start = 0.0 if extension.start_s is None else float(extension.start_s - first.time_s[0])
     magnitudes = _checked(extension.magnitudes, (len(STATE_EFFECTS), lanes), "magnitudes")
-    schedule = _checked(extension.schedule, (len(STATE_EFFECTS), n), "schedule", 1.0)
+    schedules, schedule_of_lane = _schedules(extension, lanes, n)
     signals = _checked(extension.signals, (len(POINTS), n), "signals")
     if extension.lane_point is None:
         lane_point, lane_signal = np.full(lanes, -1, dtype=np.int64), np.zeros((lanes, 1))
@@ -135,8 +153,8 @@ def simulate_extended(
         filled = np.append(rows, np.full(LANES - rows.size, rows[-1]))  # with copies of the last lane
         integrate(
             grids, grid_of_lane[filled], first.steps, time, start, np.ascontiguousarray(batch.values[:, filled]),
-            np.ascontiguousarray(magnitudes[:, filled]), schedule, signals, lane_point[filled], lane_signal[filled],
-            restarts, np.ascontiguousarray(starts[filled]), target,
+            np.ascontiguousarray(magnitudes[:, filled]), schedules, schedule_of_lane[filled], signals,
+            lane_point[filled], lane_signal[filled], restarts, np.ascontiguousarray(starts[filled]), late, target,
         )  # fmt: skip
         out[rows] = target[: rows.size]
 

@@ -41,7 +41,7 @@ def apply_sensor_effects(
             rest.
         magnitudes: slot (`SENSOR_SLOTS`) -> (B,) or one magnitude; other names, and sensors that aren't in
             `columns`, are not looked at.
-        schedules: slot -> (n,) factor of its magnitude.
+        schedules: slot -> (n,) factor of its magnitude, or (B, n) one per lane.
     """
     schedules = schedules or {}
     named = [name for name in SENSOR_SLOTS if name in magnitudes and np.any(magnitudes[name])]
@@ -54,7 +54,7 @@ def apply_sensor_effects(
             continue
         at = columns.index(column)
         size = np.broadcast_to(np.asarray(magnitudes[name], dtype=np.float64), (out.shape[0],))[:, None]
-        amount = size * schedules.get(name, np.ones(time_s.size))[None, :]
+        amount = size * np.atleast_2d(schedules.get(name, np.ones(time_s.size)))
         if fault == "lag":
             time = np.ascontiguousarray(time_s, dtype=np.float64)
             out[..., at] = follow_lanes(time, np.ascontiguousarray(out[..., at]), amount)
