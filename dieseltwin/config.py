@@ -225,7 +225,8 @@ class AdamConfig(StrictModel):
     rate_heads: PositiveFloat
     rate_unknowns: PositiveFloat
     rate_weights: PositiveFloat
-    late_rates: PositiveFloat = Field(description="factor on the learning rates once the weights rest")
+    late_rates: PositiveFloat = Field(description="factor on the learning rates from late_from_epoch on")
+    late_from_epoch: PositiveInt
     scale_t_em_k: PositiveFloat = Field(description="unit of the residual of T_em")
     scale_t_1_k: PositiveFloat = Field(description="unit of the residual of T_1")
     scale_rates: PositiveFloat = Field(description="of the rates' residuals, in 1e5 Pa/s and 5e3 rad/s2")

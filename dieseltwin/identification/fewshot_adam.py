@@ -183,7 +183,7 @@ def train(
             gradient[:, at[j] : at[j + 1]] = dz[j] @ program.columns[j].T
         gradient[:, n_heads:n_down] = d_masked
         live = values.shape[1] if epoch < settings.weights_until_epoch else n_down
-        if epoch == settings.weights_until_epoch:
+        if epoch == settings.late_from_epoch:
             rates = settings.late_rates * rates
         if live > n_down:
             up = weights_gradient(loss, weights)

@@ -52,7 +52,7 @@ class AdamSettings:
         epochs: epochs (paper: 30,000).
         weights_until_epoch: the self-adaptive weights rest from here on (paper: 20,000).
         rate_heads, rate_unknowns, rate_weights: learning rates (not printed).
-        late_rates: factor on the learning rates once the weights rest; 1 keeps them.
+        late_rates: factor on the learning rates from `late_from_epoch` on; 1 keeps them.
         weight_start: alpha of the weights by channel (paper).
         scales: units of the residuals (not printed).
         lanes: runs in one tensor program; more lanes make longer vectors until they leave the cache.
@@ -71,7 +71,8 @@ class AdamSettings:
     rate_heads: float = 1e-2
     rate_unknowns: float = 3e-3
     rate_weights: float = 1e-2
-    late_rates: float = 1.0
+    late_rates: float = 0.2
+    late_from_epoch: int = 25000
     weight_start: dict[str, float] = field(default_factory=lambda: dict(PAPER_WEIGHTS))
     scales: Scales = field(default_factory=lambda: Scales(T_1=30.0, T_em=30.0))
     lanes: int = 150
@@ -90,7 +91,7 @@ class AdamSettings:
             return config
         own = getattr(config, "adam", config)
         common = {"start_at": config.start.at, "start_sigma": config.start.sd_masked} if own is not config else {}
-        rates = ("rate_heads", "rate_unknowns", "rate_weights", "late_rates")
+        rates = ("rate_heads", "rate_unknowns", "rate_weights", "late_rates", "late_from_epoch")
         names = ("epochs", "weights_until_epoch", *rates, "fresh_dropout", "average_share")
         given = {name: getattr(own, name) for name in names}
         given |= {name: getattr(own, name) for name in ("held_out_share", "weight_share") if hasattr(own, name)}

@@ -148,6 +148,13 @@ def test_first_step_is_adam_on_the_autograd_gradient(pair: list[SegmentProblem])
     np.testing.assert_allclose(found.health[:, -1], expected.numpy(), rtol=1e-9)
 
 
+def test_rates_fall_at_the_end(pair: list[SegmentProblem]) -> None:
+    settings = AdamSettings(epochs=8, weights_until_epoch=4, late_from_epoch=5, late_rates=1e-6)
+    found = identify_segments(pair[:1], "few-shot-adam", 2, 4, config=settings).segments[0]
+    moved = np.abs(np.diff(np.stack([found.curves[name] for name in HEALTH], -1), axis=0)).max(axis=(1, 2))
+    assert (moved[:5] > 1e3 * moved[5:].max()).all()
+
+
 def test_a_batch_equals_its_runs_alone_to_rounding(pair: list[SegmentProblem]) -> None:
     settings = replace(SHORT, dtype=torch.float64)
     together = identify_segments(pair, "few-shot-adam", 3, 4, config=settings)
