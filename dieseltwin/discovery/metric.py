@@ -84,13 +84,22 @@ class Metric:
         columns = whitening.apply(local).T if local.size else np.zeros((n * channels, 0))
         ridge = np.diag(1.0 / (_LOCAL_PRIOR * np.asarray(state_scales))) if columns.shape[1] else np.zeros((0, 0))
         self._columns = columns
+        self.states = columns.shape[1]
+        self._first = np.array([block.start for block in self._blocks])
+        self._rows_of = np.array([block.stop - block.start for block in self._blocks])
         self._orthonormal = []
         self._triangular = []
-        for block in self._blocks:
-            q, r = np.linalg.qr(np.vstack([columns[block], ridge]))
-            self._orthonormal.append(q)
-            self._triangular.append(r)
-        self.states = columns.shape[1]
+        self._unit, self._unit_prior = np.zeros(0), np.zeros(0)
+        if self.states == 1:  # the orthonormal basis of all windows in a line
+            weight = float(ridge[0, 0])
+            lengths = np.sqrt(np.add.reduceat(columns[:, 0] ** 2, self._first) + weight**2)
+            self._unit, self._unit_prior = columns[:, 0] / np.repeat(lengths, self._rows_of), weight / lengths
+            self._lengths = lengths
+        else:
+            for block in self._blocks:
+                q, r = np.linalg.qr(np.vstack([columns[block], ridge]))
+                self._orthonormal.append(q)
+                self._triangular.append(r)
         self.rows = n * channels + len(self._blocks) * self.states
         self._nuisance: Array | None = None
         self._whitened_nuisance: Array | None = None
@@ -99,10 +108,11 @@ class Metric:
             inner = self._without_local(self._whitened_nuisance)  # (K, rows)
             gram = inner @ inner.T + np.eye(len(inner))
             lower = cholesky(gram, lower=True)
-            top = solve_triangular(lower, inner, lower=True)
-            # rows of the priors: orthonormal together with `top`
+            # rows of the priors: orthonormal together with the first ones
             prior = solve_triangular(lower, np.eye(len(inner)), lower=True)
-            self._nuisance = np.hstack([top, prior])  # (K, rows + K)
+            self._nuisance = np.empty((len(inner), self.rows + len(inner)))  # (K, rows + K)
+            np.matmul(prior, inner, out=self._nuisance[:, : self.rows])
+            self._nuisance[:, self.rows :] = prior
             self._lower = lower
             self._inner = inner
 
@@ -112,6 +122,11 @@ class Metric:
         out = np.zeros((count, self.rows + extra))
         size = whitened.shape[1]
         out[:, :size] = whitened
+        if self.states == 1:
+            along = np.add.reduceat(whitened * self._unit, self._first, axis=1)
+            out[:, :size] -= np.repeat(along, self._rows_of, axis=1) * self._unit
+            out[:, size : size + along.shape[1]] = -along * self._unit_prior
+            return out
         for w, (block, q) in enumerate(zip(self._blocks, self._orthonormal, strict=True)):
             rows = block.stop - block.start
             weights = whitened[:, block] @ q[:rows]
@@ -143,6 +158,8 @@ class Metric:
     def local_step(self, residual: Array) -> Array:
         """Least-squares change of the initial states for one residual (n, C) -> (W, S)."""
         whitened = self.whitening.apply(residual[None])[0]
+        if self.states == 1:
+            return np.asarray(np.add.reduceat(whitened * self._unit, self._first) / self._lengths)[:, None]
         step = np.zeros((len(self._blocks), self.states))
         for w, (block, q, r) in enumerate(zip(self._blocks, self._orthonormal, self._triangular, strict=True)):
             step[w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[block]) if self.states else 0.0
@@ -151,7 +168,7 @@ class Metric:
     def window_costs(self, residual: Array) -> Array:
         """(W,) squared whitened residual of each window."""
         squared = self.whitening.apply(residual[None])[0] ** 2
-        return np.array([squared[block].sum() for block in self._blocks])
+        return np.asarray(np.add.reduceat(squared, self._first))
 
     def growing(self, factor: float) -> np.ndarray:
         """(W,) windows at whose end a change of an initial state counts more than `factor` times what it did before."""
