@@ -55,7 +55,11 @@ def tolerance_modes(arguments: Sequence[Array], kept: float = _KEPT_VARIANCE) ->
     knots = x[np.linspace(0, len(x) - 1, min(_KNOTS, len(x))).astype(int)]
 
     def kernel(a: Array, b: Array) -> Array:
-        return np.exp(-0.5 * ((a[:, None, :] - b[None, :, :]) ** 2).sum(-1))
+        squared = np.zeros((len(a), len(b)))
+        for j in range(a.shape[1]):
+            squared += np.subtract.outer(a[:, j], b[:, j]) ** 2
+        squared *= -0.5
+        return np.exp(squared, out=squared)
 
     values, vectors = np.linalg.eigh(kernel(knots, knots))
     order = np.argsort(values)[::-1]
