@@ -24,6 +24,7 @@ _LONGEST_S = 0.067
 _SHORTEST_S = 0.0125
 _NEAR = 2  # samples to either side that share a step: another trajectory meets the same kinks a little earlier or later
 _PRESSURE_STEP = 20.0  # Pa, for derivatives
+_FASTEST = 1e6  # 1/s, of what is believed
 
 
 def stiffness(states: Array, actuation: Actuation, engine: EngineParameters) -> Array:
@@ -47,7 +48,7 @@ def stiffness(states: Array, actuation: Actuation, engine: EngineParameters) -> 
 
     here = rates(0.0, 0.0)
     columns = [rates(_PRESSURE_STEP, 0.0) - here, rates(0.0, _PRESSURE_STEP) - here]
-    jacobian = np.nan_to_num(np.stack(columns, axis=-1) / _PRESSURE_STEP)
+    jacobian = np.clip(np.nan_to_num(np.stack(columns, axis=-1) / _PRESSURE_STEP), -_FASTEST, _FASTEST)
     return np.asarray(np.abs(np.linalg.eigvals(jacobian)).max(axis=1))
 
 
