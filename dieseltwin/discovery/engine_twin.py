@@ -68,6 +68,12 @@ class EngineTwin:
     )  # fmt: skip
     """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
 
+    command_operators: Mapping[tuple[str, str], str] = {
+        ("dead_time", "u_egr"): "egr_dead_time", ("dead_time", "u_vgt"): "vgt_dead_time",
+        ("play", "u_egr"): "egr_backlash", ("play", "u_vgt"): "vgt_backlash",
+    }  # fmt: skip
+    """Operators of a law that act on an actuator's command, before its lags: (kind, point) -> effect that does it."""
+
     own_schedules = True
     """Lanes may have schedules of their own."""
 
@@ -337,7 +343,8 @@ class EngineTwin:
 
     def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
         """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
-        actuation, c = self._plain[0], self.engine
+        c, moved = self.engine, self._actuations(*self._combined(one))
+        actuation = moved[0] if moved else self._plain[0]
         engine = self.engine_of(one)
         engine = engine.replace(terms=effect_terms(engine.terms))  # laws are among the signals
         frame = extended_frame(result.states[b], actuation, engine)  # type: ignore[attr-defined]

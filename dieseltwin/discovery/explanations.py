@@ -11,7 +11,7 @@ from dieseltwin.discovery.features import generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.preparation import recentred
 from dieseltwin.discovery.refit import refit_all
-from dieseltwin.discovery.score import Scored, best_of_each, effect_responses, score, secant_sizes
+from dieseltwin.discovery.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
 from dieseltwin.discovery.search_state import Search, set_probabilities
 from dieseltwin.discovery.unnamed import best_term
 from dieseltwin.discovery.variants import Variant, edge_cost, onset_candidates, rescan, same_region
@@ -145,6 +145,7 @@ def try_pairs(found: Search, first: Linearisation) -> None:
     lead = first.fit.candidate.names[0]
     beyond = _beyond(found, first)
     found.beyond = beyond[0].gain if beyond else 0.0
+    found.spreads = {item.name: spread(first, item.projected) for item in beyond}
     items = best_of_each(found.scored)
     by_name = {s.name: s for s in items}
     ranked = _pair_gains(found, items)
@@ -154,7 +155,7 @@ def try_pairs(found: Search, first: Linearisation) -> None:
     nothing_left = bool(beyond) and beyond[0].gain < worth_it and single > 0
     if nothing_left and (not ranked or ranked[0][0] < single + worth_it):
         return
-    seconds = [item for item in beyond[: _PAIRS // 2] if item.gain > 0.4 * found.settings.second_gain]
+    seconds = [item for item in beyond[: _PAIRS // 2] if item.gain > worth_it]
     known = {tuple(sorted((lead, item.name))) for item in seconds}
     for gain, a, b in ranked[:_PAIRS]:
         if gain > single - _LEADING:
@@ -201,6 +202,16 @@ def try_more_pairs(found: Search) -> bool:
     return found.gain(found.pairs[0]) > before + found.settings.left_ahead
 
 
+def _pair_bar(found: Search, pair: Fit) -> float:
+    """What two effects must be ahead of the best single one."""
+    lead, settings = found.singles[0].candidate.names[0], found.settings
+    added = [name for name in pair.candidate.names if name != lead]
+    if len(added) > 1:
+        return settings.other_pair_gain
+    held = found.spreads.get(added[0], 0.0) >= settings.least_spread
+    return settings.second_gain if held else settings.hanging_second_gain
+
+
 def choose(found: Search, first: Linearisation) -> None:
     """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs."""
     settings = found.settings
@@ -211,7 +222,7 @@ def choose(found: Search, first: Linearisation) -> None:
         options.append((found.gain(timed_fit) - settings.variant_gain - edge_cost(timed), "variant", timed_fit, timed))
     pair = next((fit for fit in found.pairs if found.of_interest(fit)), None)
     if pair is not None:
-        options.append((found.gain(pair) - settings.second_gain, "pair", pair, None))
+        options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
     best, kind, fit, variant = max(options, key=lambda option: option[0])
     if found.structure and found.structure[0].gain > best + settings.law_gain:
         found.kind = "law"

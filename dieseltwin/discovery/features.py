@@ -10,7 +10,7 @@ import numpy as np
 from dieseltwin.discovery.fit import Fit, Linearisation
 from dieseltwin.discovery.grammar import Factor, Form, Kind, operators, unit_of
 from dieseltwin.discovery.nuisance import signal_responses
-from dieseltwin.discovery.score import without_parameters
+from dieseltwin.discovery.score import spread, without_parameters
 from dieseltwin.discovery.twin import Array, Twin
 
 _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
@@ -44,8 +44,7 @@ class Structure:
 
     Attributes:
         response: (n, C) of the readings per unit.
-        held: gain without the window that it hangs on most. Next to a kink (EGR flow at p_em = p_im) the tolerances of
-            one window aren't linear, and can leave what looks like a term; a term that is real acts elsewhere too.
+        held: gain without the window that it hangs on most (`score.spread`).
     """
 
     feature: Feature
@@ -130,19 +129,7 @@ def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Struc
         if information > 0:
             push = float(vector @ at.projected_residual)
             gain = push * push / information
-            held = min(gain, _held(at, vector, push, information))
+            held = gain * spread(at, vector)
             found.append(Structure(feature, push / information, information**-0.5, gain, response, held))
     return sorted(found, key=lambda item: -item.gain)
 
-
-def _held(at: Linearisation, vector: Array, push: float, information: float) -> float:
-    """Least gain of a direction (rows,) with one window left out."""
-    n, channels = at.residual.shape
-    starts = at.twin.starts * channels
-    if starts.size < 2:
-        return push * push / information
-    own = vector[: n * channels]
-    pushes = np.add.reduceat(own * at.projected_residual[: n * channels], starts)
-    informations = np.add.reduceat(own * own, starts)
-    rest = np.maximum(information - informations, 1e-9 * information)
-    return float(np.min((push - pushes) ** 2 / rest))

@@ -207,6 +207,12 @@ class Factor:
             return np.interp(time_s - shape, time_s, x)
         return played(x, shape)
 
+    def operated(self, shape: float, std: float | None = None) -> str:
+        """What an operator makes of its variable, in words: "play[u_egr, 5.3 +- 0.1 %]"."""
+        unit = self.units[0] if self.kind == "play" else "s"
+        spread = "" if std is None else f" +- {std:.2g}"
+        return f"{self.kind.replace('_', ' ')}[{self.variables[0]}, {shape:.3g}{spread} {unit}]"
+
     def text(self, shape: float | None = None) -> str:
         """As printed in a law."""
         s = self.shape if shape is None else shape
@@ -229,8 +235,7 @@ class Factor:
             inner = f"{x} - {s:.4g}" if self.kind == "excess" else f"{s:.4g} - {x}"
             return f"max(0, {inner} {self.units[0]})/({size})"
         if self.operator:
-            unit = self.units[0] if self.kind == "play" else "s"
-            change = f"({self.kind.replace('_', ' ')}[{x}, {s:.3g} {unit}] - {x})"
+            change = f"({self.operated(s)} - {x})"
             return change if self.references[0] else f"{change}/{x}"
         y = self.variables[1]
         if self.kind == "ratio":

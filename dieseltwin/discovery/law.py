@@ -223,10 +223,11 @@ def _text(twin: Twin, refit: Refit) -> str:
 
 
 def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = None, std: float | None = None) -> str:
-    """"point: +1.2e-3 kg/s (p_im/p_amb)^0.5"."""
+    """"point: +1.2e-3 kg/s (p_im/p_amb)^0.5"; `std` is the coefficient's, or the shape's where that alone is free."""
     point = next(p for p in twin.points if p.name == form.point)
     if form.fixed is not None:
-        return f"{point.name} becomes {form.text(shape)} + {point.name}"
+        factor = form.factors[0]
+        return f"{point.name} becomes {factor.operated(factor.shape if shape is None else shape, std)}"
     unit = "" if point.unit == "-" else f" {point.unit}"
     spread = "" if std is None else f" +- {std:.2g}"
     kind = "relative change of" if point.relative else "added to"
@@ -301,22 +302,31 @@ def _report(
     argument = form.variables[0] if form.variables else point.ports[0]
     argument = form.factors[0].variables[0] if form.factors else argument
     readings = int(at.whitening.present.sum())
+    last = tuple(
+        _as_found(q, float(c), s) for q, (c, s) in zip(law.laws, law.values(lin.fit.parameters), strict=True)
+    )
+    if form.fixed is not None:  # an operator's only number
+        shape, shape_std = last[0].form.factors[0].shape, std
     text = " + ".join(
-        law_text(twin, q.form, float(c), std=std if k == 0 else None)
-        for k, (q, (c, _)) in enumerate(zip(law.laws, law.values(lin.fit.parameters), strict=True))
+        law_text(twin, q.form, q.coefficient, std=std if k == 0 else None) for k, q in enumerate(last)
     )
     curve = _curve(twin, at, law, lin, nuisance_response, variables, argument, std / max(abs(coefficient), 1e-300))
     return Law(
-        form.point, point.site, text, form, coefficient, std, point.unit, shape, shape_std, argument, curve,
+        form.point, point.site, text, last[0].form, coefficient, std, point.unit, shape, shape_std, argument, curve,
         {name: (float(np.min(variables[name])), float(np.max(variables[name]))) for name in names},
         at.fit.objective - reached.fit.objective, best.score, at.fit.objective / readings,
         reached.fit.objective / readings,
-        rivals, lin.fit.parameters[:at_coefficient], lin.fit.local,
-        tuple(
-            replace(q, coefficient=float(c), free_shape=False)
-            for q, (c, _) in zip(law.laws, law.values(lin.fit.parameters), strict=True)
-        ),
+        rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last,
     )  # fmt: skip
+
+
+def _as_found(placed: Placed, coefficient: float, shape: float | None) -> Placed:
+    """A term with its estimates, none of them free any more."""
+    form = placed.form
+    if shape is not None:
+        first = replace(form.factors[0], shape=float(shape))
+        form = replace(form, factors=(first, *form.factors[1:]))
+    return replace(placed, form=form, coefficient=coefficient, free_shape=False)
 
 
 def _final(

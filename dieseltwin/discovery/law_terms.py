@@ -9,8 +9,6 @@ from dieseltwin.engine.effects import ActuatorTerm, LawGroup, LawTerm, SensorTer
 from dieseltwin.engine.terms import OneTerm
 
 _WRITTEN = ("power", "time", "ratio", "orifice", "difference", "head", "above_one", "share")
-_OPERATORS = {("dead_time", "u_egr"): "egr", ("dead_time", "u_vgt"): "vgt", ("play", "u_egr"): "egr",
-              ("play", "u_vgt"): "vgt"}  # fmt: skip
 
 
 def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
@@ -75,12 +73,10 @@ def _operator_term(form: Form) -> Term | ActuatorTerm | None:
     kind, size = form.factors[0].kind, float(form.factors[0].shape)
     if len(form.factors) > 1:
         return None
-    if (kind, form.point) in _OPERATORS:
-        actuator = _OPERATORS[(kind, form.point)]
-        return ActuatorTerm(
-            actuator=actuator,  # type: ignore[arg-type]
-            fault="dead_time" if kind == "dead_time" else "backlash", magnitude=size,
-        )  # fmt: skip
+    effect = EngineTwin.command_operators.get((kind, form.point))
+    if effect is not None:
+        actuator, fault = effect.split("_", 1)
+        return ActuatorTerm(actuator=actuator, fault=fault, magnitude=size)  # type: ignore[arg-type]
     if (kind, form.point) == ("lag", "T_em"):
         return Term(effect="exhaust_thermal_inertia", magnitude=size)
     return None

@@ -1,8 +1,10 @@
 """A twin with a law inside: its coefficient and free shape are further parameters, so that every fit works on it.
 
 Twins that can evaluate a law at every moment do so (`simulate_with_laws`). For others the law becomes a signal, found
-by simulating, evaluating the law along the trajectory and simulating again until it settles (Picard). Either way the
-law is refitted by simulation, never on derivatives.
+by simulating, evaluating the law along the trajectory and simulating again until it settles (Picard). Operators on an
+actuator's command, where the twin can put them there (`command_operators`), are simulated before its lags: behind an
+actuator that overshoots, play of the position isn't play of the command. In all cases the law is refitted by
+simulation, never on derivatives.
 """
 
 from __future__ import annotations
@@ -66,7 +68,15 @@ class LawTwin:
         self.points, self.hypotheses, self.time_s = base.points, base.hypotheses, base.time_s
         self.starts, self.measured, self.conditions = base.starts, base.measured, base.conditions
         self._instant = hasattr(base, "simulate_with_laws") and not any(law.form.operator for law in self.laws)
+        self._commands = self._on_commands()
         self._settled: Array | None = None
+
+    def _on_commands(self) -> tuple[str, ...]:
+        """The twin's own effect for every law, where all laws are operators on commands."""
+        known: Mapping[tuple[str, str], str] = getattr(self.base, "command_operators", {})
+        forms = [law.form for law in self.laws]
+        names = [known.get((form.factors[0].kind, form.point), "") if form.operator else "" for form in forms]
+        return tuple(names) if all(names) and all(form.fixed == 1.0 for form in forms) else ()
 
     def first_local(self) -> Array:
         """As the base's."""
@@ -90,10 +100,20 @@ class LawTwin:
     def _base_lanes(self, lanes: Lanes) -> Lanes:
         return replace(lanes, parameters=lanes.parameters[:, : len(self.base.parameters)])
 
+    def _commanded(self, lanes: Lanes) -> Lanes:
+        """Lanes of the base with the operators on the commands."""
+        magnitudes = dict(lanes.magnitudes)
+        for name, law, (_, shape) in zip(self._commands, self.laws, self.values(lanes.parameters), strict=True):
+            size = np.broadcast_to(law.form.factors[0].shape if shape is None else shape, (lanes.size,))
+            magnitudes[name] = magnitudes.get(name, 0.0) + np.maximum(size, 0.0)
+        return replace(self._base_lanes(lanes), magnitudes=magnitudes)
+
     def simulate(self, lanes: Lanes) -> Array:
         """Readings without noise, (B, n, C)."""
         if self._instant:
             return self.base.simulate_with_laws(self._base_lanes(lanes), self._terms(lanes.parameters))  # type: ignore[attr-defined]
+        if self._commands:
+            return self.base.simulate(self._commanded(lanes))
         return self._settle(lanes)[0]
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
@@ -101,6 +121,8 @@ class LawTwin:
         lane = one_lane(lanes, 0)
         if self._instant:
             return self.base.variables(self._base_lanes(lane), self._terms(lane.parameters))  # type: ignore[call-arg]
+        if self._commands:
+            return self.base.variables(self._commanded(lane))
         return self._settle(lane)[1][0]
 
     def _terms(self, parameters: Array) -> Mapping[str, list[Any]]:
@@ -148,6 +170,10 @@ class LawTwin:
 
     def signals(self, lanes: Lanes) -> list[Array]:
         """What each law adds at its point along the trajectory of lane 0, (n,) each."""
+        if self._commands:
+            plain = self.base.variables(one_lane(self._base_lanes(lanes), 0))
+            moved = self.variables(lanes)
+            return [moved[law.form.point] - plain[law.form.point] for law in self.laws]
         variables: Mapping[str, Array] = {**self.variables(lanes), "time_s": self.time_s}
         if not self._instant and self._settled is not None:
             return list(self._settled)

@@ -8,12 +8,12 @@ from __future__ import annotations
 import time
 
 from dieseltwin.discovery.explanations import VARIANTS, choose, polish, try_more_pairs, try_pairs, try_variants
-from dieseltwin.discovery.features import generic_features, score_features
+from dieseltwin.discovery.features import Structure, generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit
 from dieseltwin.discovery.law_sensor import best_law
 from dieseltwin.discovery.preparation import prepare, rebased, recentred, split_growing, tolerance_responses, verify
 from dieseltwin.discovery.refit import refit_all
-from dieseltwin.discovery.score import best_of_each
+from dieseltwin.discovery.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search_state import Search, Settings, occam
 from dieseltwin.discovery.twin import Twin
 from dieseltwin.discovery.variants import edge_cost, scan
@@ -47,13 +47,14 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     clock = time.perf_counter()
     found.structure = score_features(base, generic_features(twin, found.null.fit))
     found.seconds["structure"] = time.perf_counter() - clock
-    alarm = _alarm(found, found.singles[0])
+    unnamed = _unnamed(found)
+    alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _same_sensor(found, unnamed))
     clock = time.perf_counter()
     if alarm or hidden:
         try_variants(found)
     found.seconds["variants"] = time.perf_counter() - clock
     if not alarm and not (hidden and _shown(found)):
-        if _unnamed(found):
+        if unnamed is not None:
             _law(found, laws)
         return found
     found.kind = "single"
@@ -89,17 +90,27 @@ def _shown(found: Search) -> bool:
     if not found.variants:
         return False
     variant, fit = found.variants[0]
-    return found.gain(fit) - edge_cost(variant) > found.settings.hidden_gain
+    direction = without_parameters(found.null, found.null.metric.project(variant.response[None]))[0]
+    held = spread(found.null, direction) >= found.settings.least_spread
+    return held and found.gain(fit) - edge_cost(variant) > found.settings.hidden_gain
 
 
-def _unnamed(found: Search) -> bool:
-    """Whether a term without a name raises an alarm by itself."""
-    if not found.structure:
-        return False
-    item = found.structure[0]
+def _unnamed(found: Search) -> Structure | None:
+    """The strongest term without a name that raises an alarm by itself, None where none does."""
     settings = found.settings
-    sensor = item.feature.channel is not None
-    return item.gain > (settings.unnamed_sensor_gain if sensor else settings.unnamed_gain)
+    for item in found.structure:
+        bar = settings.unnamed_gain if item.feature.channel is None else settings.unnamed_sensor_gain
+        if item.gain > bar and item.held >= settings.least_spread * item.gain:
+            return item
+    return None
+
+
+def _same_sensor(found: Search, item: Structure) -> bool:
+    """Whether a term is a fault of the sensor that the best name accuses: the same finding, with a name."""
+    fit = found.singles[0]
+    site = found.twin.hypotheses[fit.candidate.names[0]].site
+    near = found.gain(fit) > item.gain - found.settings.law_gain
+    return item.feature.channel is not None and site == item.feature.site and near and found.of_interest(fit)
 
 
 def _alarm(found: Search, fit: Fit) -> bool:

@@ -30,10 +30,13 @@ class Settings:
         alarm_level: probability of a false alarm by chance alone.
         alarm_gain: a mismatch needs this gain at least, whatever chance says: tolerances are never quite Gaussian.
         alarm_size: and this share of the effect's tolerance of interest.
-        second_gain: what a second effect, beyond one, must add.
+        least_spread: share of its gain (`score.spread`) that a finding near its bar must keep without its best window.
+        second_gain: what a second effect, beyond one, must add, and keep that share of.
+        other_pair_gain: what two effects must be ahead of the best single one that isn't among them.
+        hanging_second_gain: what a second effect must add that hangs on one window.
         variant_gain: what an onset or a region must add.
         hidden_gain: gain of an onset or a region that raises an alarm by itself.
-        unnamed_gain: gain of a term without a name that raises an alarm by itself.
+        unnamed_gain: gain of a term without a name that raises an alarm by itself, where it keeps that share of it.
         unnamed_sensor_gain: the same of a sensor's fault: these are few.
         law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
         left_gain: gain of a term without a name beyond the chosen explanation, above which that explanation is refused:
@@ -53,11 +56,14 @@ class Settings:
     alarm_level: float = 1e-3
     alarm_gain: float = 18.0
     alarm_size: float = 0.8
-    second_gain: float = 32.0
+    least_spread: float = 0.5
+    second_gain: float = 24.0
+    other_pair_gain: float = 32.0
+    hanging_second_gain: float = 60.0
     variant_gain: float = 30.0
     hidden_gain: float = 45.0
     unnamed_gain: float = 32.0
-    unnamed_sensor_gain: float = 20.0
+    unnamed_sensor_gain: float = 18.0
     law_gain: float = 15.0
     left_gain: tuple[float, float, float] = (20.0, 24.0, 40.0)
     left_share: tuple[float, float, float] = (0.0, 0.0, 0.05)
@@ -70,7 +76,11 @@ class Settings:
 
 @dataclass
 class Search:
-    """Everything that the search found out; `chosen` is the explanation, `null` the health-only fit."""
+    """Everything that the search found out.
+
+    `null` is the health-only fit, `best` the explanation; `beyond` is what the best second effect would gain beside the
+    best single one, `spreads` which share of it each second effect keeps without its best window.
+    """
 
     twin: Twin
     settings: Settings
@@ -82,6 +92,7 @@ class Search:
     singles: list[Fit] = field(default_factory=list)
     pairs: list[Fit] = field(default_factory=list)
     beyond: float = 0.0
+    spreads: dict[str, float] = field(default_factory=dict)
     scanned: list[Variant] = field(default_factory=list)
     variants: list[tuple[Variant, Fit]] = field(default_factory=list)
     structure: list[Structure] = field(default_factory=list)
