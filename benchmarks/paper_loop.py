@@ -218,7 +218,8 @@ class Batch:
 
     def _work(self, last: bool, adaptive: bool, epochs: int) -> Callable[[], None]:
         if self.method == "few-shot":
-            settings = replace(self.settings, epochs=epochs, weights_until_epoch=epochs if adaptive else 0)
+            until = epochs if adaptive else 0
+            settings = replace(self.settings, epochs=epochs, weights_until_epoch=until, compiled=True)
             return lambda: fewshot_adam.train(self.lanes, self.actuations, None, None, self.maps, settings) and None
         networks = StateNetworks(self.problem.time_s)
         values = pinn_training.start_values(self.lanes, self.program, networks, self.settings)

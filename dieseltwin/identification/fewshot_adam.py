@@ -30,8 +30,9 @@ from torch import Tensor
 from dieseltwin.engine import HEALTH, Actuation, actuate
 from dieseltwin.identification.averaging import TailMean
 from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.compiled_loss import gradient_function
 from dieseltwin.identification.fewshot_program import AdamSettings, Lane, draw_lane, make_program, start_values
-from dieseltwin.identification.losses import Loss, Weights, weights_gradient
+from dieseltwin.identification.losses import Weights
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.shooting import by_grid
@@ -155,22 +156,22 @@ def train(
     mean = TailMean(settings.epochs, settings.average_share, values[:, n_heads:n_down])
     best, least = values.clone(), torch.full((count,), float("inf"), dtype=values.dtype)
 
-    def forward(leaf: bool) -> tuple[list[Tensor], Tensor, Weights, Loss]:
-        z = [values[:, at[j] : at[j + 1]] @ program.columns[j] for j in range(5)]
-        masked = values[:, n_heads:n_down].clone()
-        weights = Weights(values[:, n_down : n_down + 4 * n].view(count, 4, n), values[:, n_down + 4 * n :])
-        if leaf:
-            for v in (*z, masked):
-                v.requires_grad_()
-        return z, masked, weights, program(z, masked, weights)
+    gradients = gradient_function(program, count * settings.epochs, settings.compiled)
+    masked = values[:, n_heads:n_down]
+    weights = Weights(values[:, n_down : n_down + 4 * n].view(count, 4, n), values[:, n_down + 4 * n :])
+
+    def outputs() -> list[Tensor]:
+        return [values[:, at[j] : at[j + 1]] @ program.columns[j] for j in range(5)]
 
     for epoch in range(settings.epochs + 1):
         mean.add(epoch, values[:, n_heads:n_down])
         program.renew()
-        z, masked, weights, loss = forward(True)
+        z = outputs()
+        adaptive = epoch < settings.weights_until_epoch
+        found = gradients(z, masked, weights, adaptive)
         if epoch in keep:
-            curve_health.append(to_physical(masked.detach(), torch))
-            curve_loss.append(loss.total.detach())
+            curve_health.append(to_physical(masked, torch))
+            curve_loss.append(found.total)
             curve_held_out.append(program.held_out_misfit(z, masked, sigma))
             better = curve_held_out[-1] < least
             best[better], least[better] = values[better], curve_held_out[-1][better]
@@ -178,17 +179,15 @@ def train(
                 progress(epoch)
         if epoch == settings.epochs:
             break
-        *dz, d_masked = torch.autograd.grad(loss.total.sum(), [*z, masked])
         for j in range(5):
-            gradient[:, at[j] : at[j + 1]] = dz[j] @ program.columns[j].T
-        gradient[:, n_heads:n_down] = d_masked
-        live = values.shape[1] if epoch < settings.weights_until_epoch else n_down
+            gradient[:, at[j] : at[j + 1]] = found.outputs[j] @ program.columns[j].T
+        gradient[:, n_heads:n_down] = found.masked
+        live = values.shape[1] if adaptive else n_down
         if epoch == settings.late_from_epoch:
             rates = settings.late_rates * rates
-        if live > n_down:
-            up = weights_gradient(loss, weights)
-            gradient[:, n_down : n_down + 4 * n] = up.pointwise.reshape(count, -1)
-            gradient[:, n_down + 4 * n :] = up.single
+        if found.weights is not None:
+            gradient[:, n_down : n_down + 4 * n] = found.weights.pointwise.view(count, -1)
+            gradient[:, n_down + 4 * n :] = found.weights.single
         g, m, v = gradient[:, :live], first[:, :live], second[:, :live]
         m.lerp_(g, 1.0 - BETA_1)
         v.mul_(BETA_2).addcmul_(g, g, value=1.0 - BETA_2)
@@ -199,7 +198,8 @@ def train(
     if program.held_out is not None:
         values.copy_(best)
     with torch.no_grad():
-        z, masked, weights, loss = forward(False)
+        z = outputs()
+        loss = program(z, masked, weights)
         states, _ = program.states(z)
     present = program.observed.present
     scale = torch.tensor(program.observed.scales.channels, dtype=values.dtype)

@@ -62,6 +62,7 @@ class AdamSettings:
         fresh_dropout: the learned maps lose other neurons in every epoch; False: one realisation a run.
         average_share: share of the epochs, at the end, whose mean is the estimate; 0 is the last epoch (`averaging`).
         dtype: float32 or float64.
+        compiled: whether loss and gradient are compiled (`compiled_loss`); None: where it pays.
     """
 
     start_at: str = "lab"
@@ -81,6 +82,7 @@ class AdamSettings:
     fresh_dropout: bool = True
     average_share: float = 0.1
     dtype: torch.dtype = torch.float32
+    compiled: bool | None = None
 
     @classmethod
     def from_config(cls, config: Any) -> AdamSettings:
@@ -166,15 +168,22 @@ class Program:
         """Heads of each state, bias included."""
         return [int(h.shape[0]) for h in self.columns]
 
+    def points(self, z: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """Linear outputs (L, n or 2 n) cut into eight (L, n): values of the five states, rates of the first three."""
+        n = self.n
+        return (*(v[:, :n] for v in z[:3]), *z[3:], *(v[:, n:] for v in z[:3]))
+
     def states(self, z: Sequence[Tensor]) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         """States and rates from the linear outputs (paper, Eq. "mult-head derivative softplus")."""
-        n = self.n
+        return self._states(self.points(z))
+
+    def _states(self, points: Sequence[Tensor]) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         outputs, rates = [], []
-        for value, factor in zip(z[:3], OUTPUT_SCALES, strict=True):
-            outputs.append(factor * torch.nn.functional.softplus(value[:, :n]))
-            rates.append(factor * torch.sigmoid(value[:, :n]) * value[:, n:])
-        x_r = torch.sigmoid(z[3])
-        T_1 = T_1_SCALE * torch.nn.functional.softplus(z[4]) + T_1_OFFSET
+        for value, rate, factor in zip(points[:3], points[5:], OUTPUT_SCALES, strict=True):
+            outputs.append(factor * torch.nn.functional.softplus(value))
+            rates.append(factor * torch.sigmoid(value) * rate)
+        x_r = torch.sigmoid(points[3])
+        T_1 = T_1_SCALE * torch.nn.functional.softplus(points[4]) + T_1_OFFSET
         return (*outputs, x_r, T_1), tuple(rates)
 
     def __call__(self, z: Sequence[Tensor], masked: Tensor, weights: Weights) -> Loss:
@@ -186,8 +195,18 @@ class Program:
         """Physics residuals with the predicted flows, and the states, of linear outputs and masked unknowns."""
         states, rates = self.states(z)
         health = to_physical(masked, torch).unsqueeze(-1).unbind(1)
+        return self._residuals(states, rates, health), states
+
+    def _residuals(
+        self, states: tuple[Tensor, ...], rates: tuple[Tensor, ...], health: Sequence[Tensor]
+    ) -> PhysicsResiduals:
         c = self.c._replace(**dict(zip(HEALTH, health, strict=True)))
-        return physics_residuals(self.model, states, rates, self.inputs, c), states
+        return physics_residuals(self.model, states, rates, self.inputs, c)
+
+    def at_points(self, points: Sequence[Tensor], health: Sequence[Tensor], weights: Weights) -> Loss:
+        """Loss of `points` and four health values, each (L, n): every operation but the sums is one point's own."""
+        states, rates = self._states(points)
+        return total_loss(self._residuals(states, rates, health), states, weights, self.observed)
 
     @torch.no_grad()
     def held_out_misfit(self, z: Sequence[Tensor], masked: Tensor, sigma: Tensor) -> Tensor:
@@ -241,7 +260,8 @@ def make_program(
         held_out = present * torch.tensor(np.stack(unseen), dtype=dtype)
         present = present - held_out
     begin = torch.tensor(np.stack([initial[lane.index] for lane in lanes]), dtype=dtype)
-    observed = Observed(torch.nan_to_num(readings).to(dtype), present, begin, settings.scales)
+    by_channel = torch.nan_to_num(readings).to(dtype).transpose(1, 2).contiguous()  # contiguous in time
+    observed = Observed(by_channel.transpose(1, 2), present, begin, settings.scales)
     learned, dropout = None, None
     if maps is not None:
         if settings.fresh_dropout and maps.dropout > 0.0:

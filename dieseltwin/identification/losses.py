@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -123,6 +124,13 @@ class Observed:
     initial: Tensor
     scales: Scales = field(default_factory=Scales)
 
+    @cached_property
+    def gains(self) -> Tensor:
+        """(L, n, 5) factor on an error whose square then is its part of the mean: 1 / (unit sqrt(count)), or 0."""
+        channels = self.present.transpose(1, 2)
+        units = channels.new_tensor(self.scales.channels)[:, None]
+        return (channels / (units * channels.sum(-1, keepdim=True).clamp(min=1.0).sqrt())).contiguous().transpose(1, 2)
+
 
 @dataclass(frozen=True)
 class Loss:
@@ -130,13 +138,23 @@ class Loss:
 
     Attributes:
         total: (L,).
-        mean_squares: (L, 4, n) squared scaled data residuals over the number of readings, for the weights' ascent.
-        single: (L, 2) losses that the single weights multiply: data of T_em, physics of T_1.
+        channels: four (L, n), squared scaled data residuals over the number of readings, for the weights' ascent.
+        singles: two (L,), losses that the single weights multiply: data of T_em, physics of T_1.
     """
 
     total: Tensor
-    mean_squares: Tensor
-    single: Tensor
+    channels: tuple[Tensor, ...]
+    singles: tuple[Tensor, ...]
+
+    @property
+    def mean_squares(self) -> Tensor:
+        """(L, 4, n) `channels` in one tensor."""
+        return torch.stack(self.channels, 1)
+
+    @property
+    def single(self) -> Tensor:
+        """(L, 2) `singles` in one tensor."""
+        return torch.stack(self.singles, 1)
 
 
 def total_loss(residuals: PhysicsResiduals, states: tuple[Tensor, ...], weights: Weights, observed: Observed) -> Loss:
@@ -157,19 +175,19 @@ def total_loss(residuals: PhysicsResiduals, states: tuple[Tensor, ...], weights:
         w * ((x[:, 0] - observed.initial[:, i]) / s).square()
         for i, (x, s, w) in enumerate(zip(states, scale.states, INITIAL_WEIGHTS, strict=True))
     )
-    predicted = torch.stack([*states[:3], residuals.W_egr, residuals.T_em], 1)
-    present = observed.present.transpose(1, 2)
-    error = (predicted - observed.readings.transpose(1, 2)) * present / predicted.new_tensor(scale.channels)[:, None]
-    mean_square = error.square() / present.sum(-1, keepdim=True).clamp(min=1.0)
-    masked = torch.nn.functional.softplus(weights.pointwise)
-    single = torch.nn.functional.softplus(weights.single)
-    data = (mean_square[:, :4] * masked.square()).sum((1, 2))
-    t_em = mean_square[:, 4].sum(-1)
+    of_t_em, of_t_1 = (torch.nn.functional.softplus(weights.single[:, i]) for i in range(len(SCALAR)))
+    # One channel after the other, each contiguous in time: a stack of them would be written and read again.
+    predicted = (*states[:3], residuals.W_egr, residuals.T_em)
+    squares = [((x - observed.readings[..., i]) * observed.gains[..., i]).square() for i, x in enumerate(predicted)]
+    masked = [torch.nn.functional.softplus(weights.pointwise[:, i]) for i in range(len(POINTWISE))]
+    data = sum((square * w.square()).sum(-1) for square, w in zip(squares, masked, strict=False))
+    t_em = squares[-1].sum(-1)
     total = (
-        physics[0] + physics[1] + physics[2] + X_R_WEIGHT * physics[3] + single[:, 1] * physics[4]
-        + initial + data + single[:, 0] * t_em
+        physics[0] + physics[1] + physics[2] + X_R_WEIGHT * physics[3] + of_t_1 * physics[4]
+        + initial + data + of_t_em * t_em
     )  # fmt: skip
-    return Loss(total, mean_square[:, :4].detach(), torch.stack([t_em, physics[4]], -1).detach())
+    channels = tuple(square.detach() for square in squares[: len(POINTWISE)])
+    return Loss(total, channels, (t_em.detach(), physics[4].detach()))
 
 
 def weights_gradient(loss: Loss, weights: Weights) -> Weights:
@@ -182,5 +200,10 @@ def weights_gradient(loss: Loss, weights: Weights) -> Weights:
     Returns:
         Gradient, shapes as the weights; never negative, because each loss grows with its weight.
     """
-    masked, slope = torch.nn.functional.softplus(weights.pointwise), torch.sigmoid(weights.pointwise)
-    return Weights(2.0 * loss.mean_squares * masked * slope, loss.single * torch.sigmoid(weights.single))
+    up = [channel_gradient(square, weights.pointwise[:, i]) for i, square in enumerate(loss.channels)]
+    return Weights(torch.stack(up, 1), loss.single * torch.sigmoid(weights.single))
+
+
+def channel_gradient(square: Tensor, weight: Tensor) -> Tensor:
+    """Derivative of `square` times the masked weight squared by the unmasked weight, (L, n)."""
+    return 2.0 * square * torch.nn.functional.softplus(weight) * torch.sigmoid(weight)
