@@ -224,7 +224,7 @@ def choose(found: Search, first: Linearisation) -> None:
     if pair is not None:
         options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
     best, kind, fit, variant = max(options, key=lambda option: option[0])
-    if found.structure and found.structure[0].gain > best + settings.law_gain:
+    if any(item.gain > best + settings.law_gain for item in found.lasting()):
         found.kind = "law"
         return
     found.kind, found.variant = kind, variant

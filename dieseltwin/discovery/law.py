@@ -28,6 +28,7 @@ from dieseltwin.discovery.twin import Array, Twin, WithSignals
 from dieseltwin.discovery.worth import Worth, independent
 
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)
+_ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
 _FINAL_ROUNDS = 8
 _LEADING = 0.5  # of the best score: points whose laws reach it are ranked again with the best law inside
 
@@ -200,9 +201,11 @@ def _single_terms(refits: Sequence[Refit], twin: Twin, of: int = 3) -> list[Rank
 def _simplest_first(refits: list[Refit]) -> list[Refit]:
     """Of the laws that the recording can't tell from the best one, the simplest goes first, wherever it sits.
 
-    A form that follows this recording's chance is no better here and worse on other driving.
+    A form that follows this recording's chance, or the errors of its maps, is no better here and worse on other
+    driving.
     """
-    alike = [r for r in refits if refits[0].score - r.score < _RIVALS]
+    reach = max(_RIVALS, _ALIKE_SHARE * refits[0].gain)
+    alike = [r for r in refits if refits[0].score - r.score < reach]
     simplest = min(alike, key=lambda r: (_complexity(r), -r.score))
     return [simplest, *(r for r in refits if r is not simplest)]
 
@@ -280,8 +283,9 @@ def _report(
         freed = fit_fully(cast(Twin, loose), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
         at_shape = len(loose.parameters) - 1
         shape, shape_std = float(freed.fit.parameters[at_shape]), float(np.sqrt(scale) * freed.fit.std[at_shape])
-        price = np.log(worth.readings or at.whitening.present.sum())
-        if worth(at.fit.objective - freed.fit.objective) > worth(at.fit.objective - final[1].fit.objective) + price:
+        gained = worth(at.fit.objective - final[1].fit.objective)
+        price = max(float(np.log(freedom)), _ALIKE_SHARE * gained)
+        if worth(at.fit.objective - freed.fit.objective) > gained + price:
             form = replace(form, factors=(replace(form.factors[0], shape=float(f"{shape:.3g}")), *form.factors[1:]))
             placed = [Placed(form, float(np.sign(coefficient) * freed.fit.parameters[at_shape - 1]))]
             final = _final(twin, at, placed, replace(best.fit, local=freed.fit.local), nuisance_response)

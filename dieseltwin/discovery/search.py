@@ -98,9 +98,9 @@ def _shown(found: Search) -> bool:
 def _unnamed(found: Search) -> Structure | None:
     """The strongest term without a name that raises an alarm by itself, None where none does."""
     settings = found.settings
-    for item in found.structure:
+    for item in found.lasting():
         bar = settings.unnamed_gain if item.feature.channel is None else settings.unnamed_sensor_gain
-        if item.gain > bar and item.held >= settings.least_spread * item.gain:
+        if item.gain > bar:
             return item
     return None
 

@@ -112,6 +112,10 @@ class Search:
         """Gain of a fit over the health-only fit."""
         return self.null.fit.objective - fit.objective
 
+    def lasting(self) -> list[Structure]:
+        """Terms without a name that don't hang on one window, strongest first."""
+        return [item for item in self.structure if item.held >= self.settings.least_spread * item.gain]
+
     def of_interest(self, fit: Fit) -> bool:
         """Whether every magnitude is near its tolerance of interest or above."""
         return all(

@@ -209,6 +209,27 @@ def test_two_effects_are_named_where_the_stronger_hides_the_other() -> None:
         assert abs(found.best.fit.magnitudes[at] - size) < 4 * found.best.fit.std[1 + at]
 
 
+def test_a_second_effect_that_hangs_on_one_window_is_not_named() -> None:
+    """What bends one of ten windows isn't an effect of the machine; the same evidence in all of them is."""
+    toy, bent = Toy(2000, 10).record(drag=0.2), Toy(2000, 10).record(drag=0.2, x_offset=0.16)
+    rows = slice(800, 1000)
+    toy.measured[rows] = bent.measured[rows]
+    once = search.run(toy, SETTINGS, laws=False)
+    assert once.pairs and once.gain(once.pairs[0]) > once.gain(once.singles[0]) + SETTINGS.second_gain
+    assert once.spreads["x_offset"] < SETTINGS.least_spread
+    assert once.kind != "pair"
+    everywhere = search.run(Toy(2000, 10).record(drag=0.2, x_offset=0.08), SETTINGS, laws=False)
+    assert everywhere.kind == "pair" and everywhere.spreads["x_offset"] > SETTINGS.least_spread
+
+
+def test_a_sensor_accused_by_name_and_by_term_is_named() -> None:
+    """The term raises the alarm, the name alone would not: still the name is said."""
+    settings = replace(SETTINGS, alarm_gain=1e6, unnamed_gain=1e6, unnamed_sensor_gain=18.0)
+    found = search.run(Toy().record(gain=0.9, x_offset=0.08), settings, laws=False)
+    assert found.kind == "single" and found.best is not None
+    assert found.best.fit.candidate.names == ("x_offset",)
+
+
 def test_an_onset_that_only_the_linear_scan_promises_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
     """A strong promise on a healthy machine; its simulated refit gains nothing."""
     toy = Toy(900, 6, seed=3).record(seed=53)
