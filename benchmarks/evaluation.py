@@ -77,6 +77,7 @@ def main() -> None:
     parser.add_argument("--models", type=Path, default=None, help="folder of trained networks, for the Adam methods")
     parser.add_argument("--leave-out", nargs="+", default=[], help="of bodies, maps, operators")
     parser.add_argument("--scale-x-r", type=float, default=None, help="unit of the residual of x_r")
+    parser.add_argument("--average-share", type=float, default=None, help="of the epochs; 0 is the last epoch")
     parser.add_argument("--fixed-dropout", action="store_true", help="one realisation of the maps a run")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--recording", type=Path, default=Path("data/field/case_v_clean.parquet"))
@@ -88,6 +89,8 @@ def main() -> None:
     changed: dict[str, Any] = {"fresh_dropout": not arguments.fixed_dropout}
     if arguments.scale_x_r is not None:
         changed["scale_x_r"] = arguments.scale_x_r
+    if arguments.average_share is not None:
+        changed["average_share"] = arguments.average_share
     sections = {name: getattr(params.identify, name).model_copy(update=changed) for name in SECTIONS}
     config = params.identify.model_copy(update=sections)
     given = networks(arguments.models, arguments.leave_out)
