@@ -341,6 +341,7 @@ class EngineTwin:
         measured, result = self._simulate_signals(lanes)
         return measured, [self._variables(result, b, lane_of(lanes, b)) for b in range(lanes.size)]
 
+    @np.errstate(invalid="ignore")  # of a lane that ran away
     def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
         """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
         c, moved = self.engine, self._actuations(*self._combined(one))

@@ -202,6 +202,12 @@ def try_more_pairs(found: Search) -> bool:
     return found.gain(found.pairs[0]) > before + found.settings.left_ahead
 
 
+def two_are_ahead(found: Search) -> bool:
+    """Whether two effects explain more than one by what the second costs."""
+    pair = next((fit for fit in found.pairs if found.of_interest(fit)), None)
+    return pair is not None and found.gain(pair) - _pair_bar(found, pair) > found.gain(found.singles[0])
+
+
 def _pair_bar(found: Search, pair: Fit) -> float:
     """What two effects must be ahead of the best single one."""
     lead, settings = found.singles[0].candidate.names[0], found.settings

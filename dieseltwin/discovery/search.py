@@ -7,7 +7,15 @@ from __future__ import annotations
 
 import time
 
-from dieseltwin.discovery.explanations import VARIANTS, choose, polish, try_more_pairs, try_pairs, try_variants
+from dieseltwin.discovery.explanations import (
+    VARIANTS,
+    choose,
+    polish,
+    try_more_pairs,
+    try_pairs,
+    try_variants,
+    two_are_ahead,
+)
 from dieseltwin.discovery.features import Structure, generic_features, score_features
 from dieseltwin.discovery.fit import Candidate, Fit
 from dieseltwin.discovery.law_sensor import best_law
@@ -62,6 +70,8 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.best = first
     clock = time.perf_counter()
     try_pairs(found, first)
+    if two_are_ahead(found):  # which two is another question: the strongest by itself may be neither
+        try_more_pairs(found)
     choose(found, first)
     if found.refused in ("single", "pair") and try_more_pairs(found):
         found.refused = ""
