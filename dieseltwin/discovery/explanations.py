@@ -193,6 +193,8 @@ def try_more_pairs(found: Search) -> bool:
         base = Linearisation(found.twin, found.whitening, lead, found.null)
         ranked = _beyond(found, base)[:_SECONDS]
         seconds = [item for item in ranked if tuple(sorted((name, item.name))) not in known]
+        if not seconds:
+            continue
         known |= {tuple(sorted((name, item.name))) for item in seconds}
         candidates = [Candidate((name, item.name)) for item in seconds]
         fits += refit_all(base, candidates, [np.stack([base.jacobian[-1], item.response]) for item in seconds])

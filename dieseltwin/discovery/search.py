@@ -70,10 +70,11 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.best = first
     clock = time.perf_counter()
     try_pairs(found, first)
-    if two_are_ahead(found):  # which two is another question: the strongest by itself may be neither
+    widened = two_are_ahead(found)
+    if widened:  # which two is another question: the strongest by itself may be neither
         try_more_pairs(found)
     choose(found, first)
-    if found.refused in ("single", "pair") and try_more_pairs(found):
+    if found.refused in ("single", "pair") and not widened and try_more_pairs(found):
         found.refused = ""
         choose(found, first)
     found.seconds["pairs"] = time.perf_counter() - clock

@@ -57,7 +57,7 @@ class Settings:
     alarm_gain: float = 18.0
     alarm_size: float = 0.8
     least_spread: float = 0.5
-    second_gain: float = 24.0
+    second_gain: float = 20.0
     other_pair_gain: float = 32.0
     hanging_second_gain: float = 60.0
     variant_gain: float = 30.0
