@@ -69,6 +69,14 @@ def test_compiled_runs_are_the_eager_ones_and_repeat(lanes: list[Lane], caplog: 
     np.testing.assert_allclose(runs[0], runs[2], rtol=1e-4)
 
 
+@needs_compiler
+def test_a_loaded_loop_leaves_subnormal_numbers_alone(lanes: list[Lane]) -> None:
+    """Fast mathematics in the linker would flush them to zero in the whole process."""
+    fewshot_adam.train(lanes, {0: actuate(lanes[0].problem.inputs, lanes[0].problem.parameters)}, None, None, None,
+                       replace(SETTINGS, compiled=True))  # fmt: skip
+    assert (np.array([1e-310]) * 0.5)[0] > 0.0
+
+
 def test_without_a_compiler_it_stays_eager_and_says_so_once(
     lanes: list[Lane], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
