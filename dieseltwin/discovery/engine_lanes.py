@@ -1,4 +1,4 @@
-"""Lanes of the diesel engine: parts of a batch, their actuators, and a memory of what was simulated lately.
+"""Lanes of the diesel engine: their signals and actuators, and a memory of what was simulated lately.
 
 Fits come back to where they were: a polished fit is the start of the next, a linearisation's first lane is the trial
 before it, faults of sensors leave the engine itself as it is. Such lanes aren't simulated twice.
@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from hashlib import blake2b
 
 import numpy as np
 
-from dieseltwin.discovery.twin import Array, Lanes, Point
+from dieseltwin.discovery.twin import Array, Lanes, Point, some_lanes
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine.actuator_effects import actuate_lanes
 from dieseltwin.engine.inputs import Actuation
@@ -22,24 +21,6 @@ from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, LawTerm
 
 _REMEMBERED = 8  # lanes of a call at most: larger ones are responses, which nobody asks for twice
 _MOST_BYTES = 64 * 2**20
-
-
-def some_lanes(lanes: Lanes, at: np.ndarray | slice) -> Lanes:
-    """A part of the lanes."""
-    return replace(
-        lanes,
-        parameters=lanes.parameters[at],
-        local=lanes.local[at],
-        magnitudes={name: values[at] for name, values in lanes.magnitudes.items()},
-        schedules={name: v if v.ndim == 1 else v[at] for name, v in lanes.schedules.items()},
-        lane_points=None if lanes.lane_points is None else lanes.lane_points[at],
-        lane_signals=None if lanes.lane_signals is None else lanes.lane_signals[at],
-    )
-
-
-def lane_of(lanes: Lanes, index: int) -> Lanes:
-    """One lane alone."""
-    return some_lanes(lanes, slice(index, index + 1))
 
 
 def signals_of_lane(one: Lanes, points: Sequence[Point]) -> dict[str, Array]:

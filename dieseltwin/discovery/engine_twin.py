@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.discovery.engine_lanes import Memory, known_terms, lane_actuations, lane_of, signals_of_lane
+from dieseltwin.discovery.engine_lanes import Memory, known_terms, lane_actuations, signals_of_lane
 from dieseltwin.discovery.engine_points import POINT_FACTS
 from dieseltwin.discovery.engine_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.recording_windows import piece_start, windows_of, without_gaps
-from dieseltwin.discovery.twin import Array, Hypothesis, Lanes, Parameter, Point, joined
+from dieseltwin.discovery.twin import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuator_effects import actuate_lanes
 from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS

@@ -204,9 +204,13 @@ def try_more_pairs(found: Search) -> bool:
     return found.gain(found.pairs[0]) > before + found.settings.left_ahead
 
 
+def _best_pair(found: Search) -> Fit | None:
+    return next((fit for fit in found.pairs if found.of_interest(fit)), None)
+
+
 def two_are_ahead(found: Search) -> bool:
     """Whether two effects explain more than one by what the second costs."""
-    pair = next((fit for fit in found.pairs if found.of_interest(fit)), None)
+    pair = _best_pair(found)
     return pair is not None and found.gain(pair) - _pair_bar(found, pair) > found.gain(found.singles[0])
 
 
@@ -228,7 +232,7 @@ def choose(found: Search, first: Linearisation) -> None:
     if found.variants:
         timed, timed_fit = found.variants[0]
         options.append((found.gain(timed_fit) - settings.variant_gain - edge_cost(timed), "variant", timed_fit, timed))
-    pair = next((fit for fit in found.pairs if found.of_interest(fit)), None)
+    pair = _best_pair(found)
     if pair is not None:
         options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
     best, kind, fit, variant = max(options, key=lambda option: option[0])

@@ -132,4 +132,3 @@ def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Struc
             held = gain * spread(at, vector)
             found.append(Structure(feature, push / information, information**-0.5, gain, response, held))
     return sorted(found, key=lambda item: -item.gain)
-

@@ -9,7 +9,7 @@ or a temperature. Variables enter over a rounded reference value, so that coeffi
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Literal
 
@@ -284,6 +284,10 @@ class Form:
     def key(self) -> tuple[Any, ...]:
         """Same for forms that differ in the order of factors alone."""
         return (self.point, tuple(sorted((f.kind, f.variables, f.shape) for f in self.factors)))
+
+    def with_shape(self, shape: float) -> Form:
+        """The form with another shape of its first factor."""
+        return replace(self, factors=(replace(self.factors[0], shape=shape), *self.factors[1:]))
 
     def value(self, at: Mapping[str, Any], shape: Any = None) -> Any:
         """Shape of the signal, coefficient 1; `shape` replaces the first factor's."""

@@ -286,7 +286,7 @@ def _report(
         gained = worth(at.fit.objective - final[1].fit.objective)
         price = max(float(np.log(freedom)), _ALIKE_SHARE * gained)
         if worth(at.fit.objective - freed.fit.objective) > gained + price:
-            form = replace(form, factors=(replace(form.factors[0], shape=float(f"{shape:.3g}")), *form.factors[1:]))
+            form = form.with_shape(float(f"{shape:.3g}"))
             placed = [Placed(form, float(np.sign(coefficient) * freed.fit.parameters[at_shape - 1]))]
             final = _final(twin, at, placed, replace(best.fit, local=freed.fit.local), nuisance_response)
     law, reached = final
@@ -326,10 +326,7 @@ def _report(
 
 def _as_found(placed: Placed, coefficient: float, shape: float | None) -> Placed:
     """A term with its estimates, none of them free any more."""
-    form = placed.form
-    if shape is not None:
-        first = replace(form.factors[0], shape=float(shape))
-        form = replace(form, factors=(first, *form.factors[1:]))
+    form = placed.form if shape is None else placed.form.with_shape(float(shape))
     return replace(placed, form=form, coefficient=coefficient, free_shape=False)
 
 

@@ -270,8 +270,7 @@ def _finished(twin: Twin, at: Linearisation, worth: Worth, lane: _Lane, known: i
         if p.form.fixed is None:
             changed = replace(p, coefficient=float(amount) or 1e-12)
         else:
-            factor = replace(p.form.factors[0], shape=float(amount))
-            changed = replace(p, form=replace(p.form, factors=(factor, *p.form.factors[1:])))
+            changed = replace(p, form=p.form.with_shape(float(amount)))
         placed.append(changed)
     law = LawTwin(twin, placed)
     start = start_of(at, law)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.grammar import Form
-from dieseltwin.discovery.twin import Array, Lanes, Parameter, Twin
+from dieseltwin.discovery.twin import Array, Lanes, Parameter, Twin, lane_of
 
 _SETTLED = 1e-7  # change of a signal relative to its size that counts as settled
 _PICARD_ROUNDS = 10
@@ -118,7 +118,7 @@ class LawTwin:
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Along the trajectory of lane 0."""
-        lane = one_lane(lanes, 0)
+        lane = lane_of(lanes, 0)
         if self._instant:
             return self.base.variables(self._base_lanes(lane), self._terms(lane.parameters))  # type: ignore[call-arg]
         if self._commands:
@@ -171,7 +171,7 @@ class LawTwin:
     def signals(self, lanes: Lanes) -> list[Array]:
         """What each law adds at its point along the trajectory of lane 0, (n,) each."""
         if self._commands:
-            plain = self.base.variables(one_lane(self._base_lanes(lanes), 0))
+            plain = self.base.variables(lane_of(self._base_lanes(lanes), 0))
             moved = self.variables(lanes)
             return [moved[law.form.point] - plain[law.form.point] for law in self.laws]
         variables: Mapping[str, Array] = {**self.variables(lanes), "time_s": self.time_s}
@@ -204,7 +204,7 @@ def trajectories(twin: Twin, lanes: Lanes, signals: Mapping[str, Array]) -> tupl
         return twin.trajectories(entered)  # type: ignore[no-any-return]
     readings, variables = [], []
     for b in range(lanes.size):
-        lane = one_lane(lanes, b)
+        lane = lane_of(lanes, b)
         total = dict(lane.signals)
         for name, signal in signals.items():
             total[name] = total.get(name, 0.0) + signal[b]
@@ -212,16 +212,3 @@ def trajectories(twin: Twin, lanes: Lanes, signals: Mapping[str, Array]) -> tupl
         readings.append(twin.simulate(lane)[0])
         variables.append(twin.variables(lane))
     return np.stack(readings), variables
-
-
-def one_lane(lanes: Lanes, index: int) -> Lanes:
-    """Lane `index` alone."""
-    some = slice(index, index + 1)
-    return replace(
-        lanes,
-        parameters=lanes.parameters[some],
-        local=lanes.local[some],
-        magnitudes={name: value[some] for name, value in lanes.magnitudes.items()},
-        lane_points=None if lanes.lane_points is None else lanes.lane_points[some],
-        lane_signals=None if lanes.lane_signals is None else lanes.lane_signals[some],
-    )

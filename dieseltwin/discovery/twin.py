@@ -169,6 +169,24 @@ def single(parameters: Array, local: Array, **more: Any) -> Lanes:
     return Lanes(np.asarray(parameters, dtype=np.float64)[None], np.asarray(local, dtype=np.float64)[None], **more)
 
 
+def some_lanes(lanes: Lanes, at: np.ndarray | slice) -> Lanes:
+    """A part of the lanes."""
+    return replace(
+        lanes,
+        parameters=lanes.parameters[at],
+        local=lanes.local[at],
+        magnitudes={name: values[at] for name, values in lanes.magnitudes.items()},
+        schedules={name: v if v.ndim == 1 else v[at] for name, v in lanes.schedules.items()},
+        lane_points=None if lanes.lane_points is None else lanes.lane_points[at],
+        lane_signals=None if lanes.lane_signals is None else lanes.lane_signals[at],
+    )
+
+
+def lane_of(lanes: Lanes, index: int) -> Lanes:
+    """One lane alone."""
+    return some_lanes(lanes, slice(index, index + 1))
+
+
 def joined(signals: Mapping[str, Array], more: Mapping[str, Array]) -> dict[str, Array]:
     """Signals at points, added up by name."""
     out = dict(signals)

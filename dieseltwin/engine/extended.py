@@ -25,6 +25,7 @@ IMPLICIT = ("back_pressure", "air_filter_restriction")
 
 _MEASURED_AT = (0, 1, 2, 6, 7, 8)
 
+
 @dataclass(frozen=True)
 class Extension:
     """What is added to the published model in B lanes over n samples.

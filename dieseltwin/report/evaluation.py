@@ -163,6 +163,13 @@ def beside_paper(table: pd.DataFrame) -> pd.DataFrame:
     return found
 
 
+def score_of(scored: pd.DataFrame) -> dict[str, Any]:
+    """Cells, better (share) and ratio (geometric mean) of some rows of `beside_paper`."""
+    with np.errstate(divide="ignore"):
+        ratio = float(np.exp(np.mean(np.log(scored["ratio"]))))
+    return {"cells": len(scored), "better": float(scored["better"].mean()), "ratio": ratio}
+
+
 def scores(beside: pd.DataFrame, ensembles: Sequence[Ensemble], resamplings: int, seed: int = 0) -> pd.DataFrame:
     """How each method does against each printed table, over the cells with a bound below 10 %.
 
@@ -196,13 +203,12 @@ def scores(beside: pd.DataFrame, ensembles: Sequence[Ensemble], resamplings: int
             relative = again / scored["paper_rmse"].to_numpy()[:, None]
             with np.errstate(divide="ignore"):
                 means = np.exp(np.mean(np.log(relative), axis=0))
-                centre = float(np.exp(np.mean(np.log(scored["ratio"]))))
             tail = 0.5 * (1.0 - CONFIDENCE)
             low, high = np.quantile(means, [tail, 1.0 - tail])
             rows.append(
                 {
-                    "method": method, "table": table, "case": case, "cells": len(scored),
-                    "better": float(scored["better"].mean()), "ratio": centre, "low": float(low), "high": float(high),
+                    "method": method, "table": table, "case": case, **score_of(scored),
+                    "low": float(low), "high": float(high),
                     "worse_beyond": int((np.quantile(relative, tail, axis=1) > 1.0).sum()),
                     "diverged": int(part["diverged"].sum()), "unscored": len(part) - len(scored),
                 }

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pandas as pd
 
-from dieseltwin.report.evaluation import beside_paper
+from dieseltwin.report.evaluation import beside_paper, score_of
 
 COLUMNS = ("variant", "method", "table", "case", "cells", "better", "ratio")
 
@@ -31,8 +30,6 @@ def variant_scores(table: pd.DataFrame) -> pd.DataFrame:
             if scored.empty or (not variant and (method, case) not in changed):
                 continue
             changed.add((method, case))
-            with np.errstate(divide="ignore"):
-                ratio = float(np.exp(np.mean(np.log(scored["ratio"]))))
-            better = float(scored["better"].mean())
-            rows.append((variant, method, printed, case, len(scored), better, ratio))
+            named_by = {"variant": variant, "method": method, "table": printed, "case": case}
+            rows.append({**named_by, **score_of(scored)})
     return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values(list(COLUMNS[1:4]), kind="stable", ignore_index=True)
