@@ -236,7 +236,7 @@ def choose(found: Search, first: Linearisation) -> None:
     if pair is not None:
         options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
     best, kind, fit, variant = max(options, key=lambda option: option[0])
-    if any(item.gain > best + settings.law_gain for item in found.lasting()):
+    if any(item.gain > best + settings.law_gain for item in found.nameless()):
         found.kind = "law"
         return
     found.kind, found.variant = kind, variant
@@ -265,7 +265,7 @@ def _outdone(found: Search, value: float) -> bool:
     for each of a dozen terms refitted.
     """
     needed = value + found.settings.law_gain
-    return best_term(found.twin, found.whitening, found.null, found.structure, needed) > needed
+    return best_term(found.twin, found.whitening, found.null, found.nameless(), needed) > needed
 
 
 def _widen(at: Linearisation, left: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Feature:
         site: word for the report.
         channel: of the faulty sensor.
         form: the same as a law, None for a fault of a sensor.
+        effect: hypothesis that says the same by name, where the twin has one.
     """
 
     point: int | None
@@ -36,6 +37,7 @@ class Feature:
     site: str
     channel: int | None = None
     form: Form | None = None
+    effect: str | None = None
 
 
 @dataclass(frozen=True)
@@ -82,11 +84,14 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
             for factor in operators(point.name, point.unit, point.relative):
                 form = Form(point.name, (factor,), 1.0)
                 text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
-                found += _of_form(index, text, form, point.site, variables)
+                effect = getattr(twin, "command_operators", {}).get((factor.kind, point.name))
+                found += [replace(f, effect=effect) for f in _of_form(index, text, form, point.site, variables)]
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(twin.channels):
-        found.append(Feature(None, "offset", ones, f"sensor:{name}", j))
-        found.append(Feature(None, "gain", ones, f"sensor:{name}", j))
+        for text in ("offset", "gain"):
+            site = f"sensor:{name}"
+            same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{text}"))
+            found.append(Feature(None, text, ones, site, j, effect=next(same, None)))
     return found
 
 

@@ -56,7 +56,7 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.structure = score_features(base, generic_features(twin, found.null.fit))
     found.seconds["structure"] = time.perf_counter() - clock
     unnamed = _unnamed(found)
-    alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _same_sensor(found, unnamed))
+    alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _said_by_name(found, unnamed))
     clock = time.perf_counter()
     if alarm or hidden:
         try_variants(found)
@@ -116,12 +116,13 @@ def _unnamed(found: Search) -> Structure | None:
     return None
 
 
-def _same_sensor(found: Search, item: Structure) -> bool:
-    """Whether a term is a fault of the sensor that the best name accuses: the same finding, with a name."""
+def _said_by_name(found: Search, item: Structure) -> bool:
+    """Whether the best name says the same as a term: one finding, and it has a name."""
     fit = found.singles[0]
-    site = found.twin.hypotheses[fit.candidate.names[0]].site
-    near = found.gain(fit) > item.gain - found.settings.law_gain
-    return item.feature.channel is not None and site == item.feature.site and near and found.of_interest(fit)
+    return (
+        found.known_by_name(item) and fit.candidate.names == (item.feature.effect,)
+        and found.gain(fit) > item.gain - found.settings.law_gain and found.of_interest(fit)
+    )  # fmt: skip
 
 
 def _alarm(found: Search, fit: Fit) -> bool:

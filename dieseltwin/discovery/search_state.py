@@ -116,6 +116,15 @@ class Search:
         """Terms without a name that don't hang on one window, strongest first."""
         return [item for item in self.structure if item.held >= self.settings.least_spread * item.gain]
 
+    def known_by_name(self, item: Structure) -> bool:
+        """Whether a hypothesis says the same as a term: then the name stands for it, whatever a refit reaches."""
+        name = item.feature.effect
+        return name is not None and name in self.twin.hypotheses and name not in self.settings.withhold
+
+    def nameless(self) -> list[Structure]:
+        """The lasting terms that no hypothesis says."""
+        return [item for item in self.lasting() if not self.known_by_name(item)]
+
     def of_interest(self, fit: Fit) -> bool:
         """Whether every magnitude is near its tolerance of interest or above."""
         return all(
