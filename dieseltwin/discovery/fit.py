@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +15,7 @@ _DIFFERENCE = 1e-4  # of a scale, for sensitivities
 _TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what matters, large against rounding
 _LOCAL_SETTLED = 1e-3  # of a state's scale
 _STEP_LIMIT = 2.0  # parameter scales in one step
+_SHORTER_STEPS = 5
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
 
@@ -260,28 +262,15 @@ def fit_fully(
     `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move. With
     `frozen` the whole metric of another linearisation is kept, and objectives are comparable to its own.
     """
-    scales = np.array([p.scale for p in twin.parameters])
-    P = len(scales)
-    here = Linearisation(twin, whitening, start, frozen, nuisance_response)
+    make = partial(Linearisation, twin, whitening, frozen=frozen, nuisance_response=nuisance_response)
+    here = make(start)
     for _ in range(rounds):
         step, predicted = here.step()
         if predicted < _CONVERGED:
             return _marked(here, True)
-        shrink = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
-        there = None
-        for _half in range(5):
-            change = shrink * step
-            parameters, magnitudes = within_limits(
-                twin, here.fit.parameters + change[:P], start.candidate.names, here.fit.magnitudes + change[P:]
-            )
-            moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
-            local = bounded(twin, here.fit.local + shrink * here.local_step(moved / shrink))
-            trial = replace(here.fit, parameters=parameters, magnitudes=magnitudes, local=local)
-            there = Linearisation(twin, whitening, trial, frozen, nuisance_response)
-            if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
-                break
-            there = None
-            shrink *= 0.35
+        there = _downhill(make, here, step, local=True)
+        if there is None and predicted > 20 * _CONVERGED:
+            there = _downhill(make, here, step, local=False)
         if there is None:
             return _marked(here, predicted < 20 * _CONVERGED)
         gained = here.fit.objective - there.fit.objective
@@ -289,6 +278,35 @@ def fit_fully(
         if gained < _CONVERGED:
             return _marked(here, True)
     return _marked(here, here.step()[1] < 20 * _CONVERGED)
+
+
+def _downhill(
+    make: Callable[[Fit], Linearisation], here: Linearisation, step: Array, *, local: bool
+) -> Linearisation | None:
+    """The first of ever shorter steps that lowers the objective, None if none does.
+
+    `local`: whether initial states move along. They do in general; but one window in which a valve or a stop turns its
+    slope round, so that its own step leads uphill, would stop all the others.
+    """
+    twin, names = here.twin, here.fit.candidate.names
+    scales = np.array([p.scale for p in twin.parameters])
+    P = len(scales)
+    shrink = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
+    for _ in range(_SHORTER_STEPS):
+        change = shrink * step
+        parameters, magnitudes = within_limits(
+            twin, here.fit.parameters + change[:P], names, here.fit.magnitudes + change[P:]
+        )
+        begun = here.fit.local
+        if local:
+            moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
+            begun = bounded(twin, begun + shrink * here.local_step(moved / shrink))
+        trial = replace(here.fit, parameters=parameters, magnitudes=magnitudes, local=begun)
+        there = make(trial)
+        if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
+            return there
+        shrink *= 0.35
+    return None
 
 
 def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:

@@ -101,9 +101,10 @@ def _shown(found: Search) -> bool:
     if not found.variants:
         return False
     variant, fit = found.variants[0]
+    if found.gain(fit) - edge_cost(variant) <= found.settings.hidden_gain:
+        return False
     direction = without_parameters(found.null, found.null.metric.project(variant.response[None]))[0]
-    held = spread(found.null, direction) >= found.settings.least_spread
-    return held and found.gain(fit) - edge_cost(variant) > found.settings.hidden_gain
+    return spread(found.null, direction) >= found.settings.least_spread
 
 
 def _unnamed(found: Search) -> Structure | None:

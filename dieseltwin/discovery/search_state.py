@@ -30,6 +30,7 @@ class Settings:
         alarm_level: probability of a false alarm by chance alone.
         alarm_gain: a mismatch needs this gain at least, whatever chance says: tolerances are never quite Gaussian.
         alarm_size: and this share of the effect's tolerance of interest.
+        beside_size: the same of a lesser effect beside one of that size.
         least_spread: share of its gain (`score.spread`) that a finding near its bar must keep without its best window.
         second_gain: what a second effect, beyond one, must add, and keep that share of.
         other_pair_gain: what two effects must be ahead of the best single one that isn't among them.
@@ -56,8 +57,9 @@ class Settings:
     alarm_level: float = 1e-3
     alarm_gain: float = 18.0
     alarm_size: float = 0.8
+    beside_size: float = 0.4
     least_spread: float = 0.5
-    second_gain: float = 20.0
+    second_gain: float = 16.0
     other_pair_gain: float = 32.0
     hanging_second_gain: float = 60.0
     variant_gain: float = 30.0
@@ -126,11 +128,12 @@ class Search:
         return [item for item in self.lasting() if not self.known_by_name(item)]
 
     def of_interest(self, fit: Fit) -> bool:
-        """Whether every magnitude is near its tolerance of interest or above."""
-        return all(
-            abs(m) >= self.settings.alarm_size * self.twin.hypotheses[name].tolerance
+        """Whether the largest magnitude is near its tolerance of interest or above, and no other far below."""
+        sizes = [
+            abs(m) / self.twin.hypotheses[name].tolerance
             for name, m in zip(fit.candidate.names, fit.magnitudes, strict=True)
-        )
+        ]
+        return max(sizes) >= self.settings.alarm_size and min(sizes) >= self.settings.beside_size
 
 
 def occam(found: Search, fit: Fit) -> float:

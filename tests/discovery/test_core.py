@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from dieseltwin.discovery import search
-from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.fit import Candidate, Fit, Linearisation, _downhill, fit_fully
 from dieseltwin.discovery.metric import Metric, Whitening
 from dieseltwin.discovery.noise import Noise, estimate_noise
 from dieseltwin.discovery.nuisance import map_nuisances, nuisance_responses, tolerance_modes
@@ -220,6 +221,49 @@ def test_a_second_effect_that_hangs_on_one_window_is_not_named() -> None:
     assert once.kind != "pair"
     everywhere = search.run(Toy(2000, 10).record(drag=0.2, x_offset=0.08), SETTINGS, laws=False)
     assert everywhere.kind == "pair" and everywhere.spreads["x_offset"] > SETTINGS.least_spread
+
+
+def test_a_lesser_effect_of_half_a_tolerance_counts_beside_a_strong_one() -> None:
+    found = search.prepare(Toy().record(drag=0.2), SETTINGS)
+
+    def pair(drag: float, offset: float) -> Fit:
+        sizes = np.array([drag, offset]) * [0.01, 0.02]  # their tolerances
+        return Fit(Candidate(("drag", "x_offset")), np.ones(1), sizes, found.null.fit.local, 0.0, True)
+
+    assert found.of_interest(pair(3.0, -0.5)) and found.of_interest(pair(0.5, 1.0))
+    assert not found.of_interest(pair(3.0, 0.3)) and not found.of_interest(pair(0.7, 0.7))
+
+
+def test_a_term_that_a_name_says_does_not_outdo_it() -> None:
+    """The sensor's fault as a term is the same as its name, unless that name is withheld."""
+    toy = Toy().record(x_offset=0.2)
+    for withhold, known in (((), True), (("x_offset",), False)):
+        found = search.run(toy, replace(SETTINGS, withhold=withhold), laws=False)
+        at = [item for item in found.structure if item.feature.channel == 0 and item.feature.text == "offset"]
+        assert len(at) == 1 and at[0] in found.lasting()
+        assert found.known_by_name(at[0]) is known
+        assert (at[0] in found.nameless()) is not known
+
+
+def test_one_window_that_leads_uphill_does_not_stop_a_fit() -> None:
+    """Where a stop turns the slope of a window's initial state round, parameters and other windows still move."""
+    toy = Toy().record(gain=1.1, drag=0.1)
+    right = _at(toy)
+    slopes = right.local_response.copy()
+    rows = slice(int(toy.starts[3]), int(toy.starts[4]))
+    slopes[:, rows] *= -1.0
+    turned = Linearisation(toy, right.whitening, right.fit)
+    turned.metric = Metric(right.whitening, toy.starts, slopes, toy.state_scales)
+    local = right.fit.local.copy()
+    local[3] += 1.0
+    start = Fit(Candidate(("drag",)), np.array([1.09]), np.array([0.09]), local, np.inf, False)
+    here = Linearisation(toy, right.whitening, start, turned)
+    make = partial(Linearisation, toy, right.whitening, frozen=turned)
+    assert _downhill(make, here, here.step()[0], local=True) is None
+    reached = fit_fully(toy, right.whitening, start, frozen=turned).fit
+    assert reached.converged
+    assert reached.magnitudes[0] == pytest.approx(0.1, abs=0.03)
+    assert reached.parameters[0] == pytest.approx(1.1, abs=0.03)
 
 
 def test_a_sensor_accused_by_name_and_by_term_is_named() -> None:
