@@ -133,7 +133,7 @@ def identify(
     segment: Annotated[
         float | None, typer.Option("--segment", metavar="S", help="Length of a segment [s]; 60 in params.yaml.")
     ] = None,
-    seed: Annotated[int | None, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Seed of everything random.")] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
 ) -> None:
@@ -174,8 +174,9 @@ def discover(
         str | None, typer.Option("--withhold", metavar="NAME,...", help="Effects to keep out of the catalogue.")
     ] = None,
     map_tolerance: Annotated[
-        float, typer.Option("--map-tolerance", metavar="X", help="Smooth relative error believed of the maps [-].")
-    ] = 0.003,
+        float | None,
+        typer.Option("--map-tolerance", metavar="X", help="Smooth relative error believed of the maps; 0.003."),
+    ] = None,
     name: Annotated[
         str | None,
         typer.Option(
@@ -243,7 +244,7 @@ def main(arguments: list[str] | None = None) -> int:
         closed = InputError(str(error.filename), "permission denied", "a file you may read", "change its permissions")
         return _fail(str(closed), closed.exit_code)
     except (typer.Abort, KeyboardInterrupt):
-        return _fail("interrupted; nothing was written", 130)
+        return _fail("interrupted; no file is half-written, and what was finished before is kept", 130)
     except BrokenPipeError:  # `dieseltwin engine show | head`: the flush at the end must not complain either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

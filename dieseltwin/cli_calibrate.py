@@ -16,6 +16,7 @@ from dieseltwin.cli_petrol import is_petrol_base, run_calibrate_petrol
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters, load_engine
 from dieseltwin.errors import InputError
+from dieseltwin.strict import refuse_options
 
 BASES = {"we2011": we2011.PARAMETERS}
 OWNED = ("discrepancy.json", "report.html", "report_figures", "implied.parquet", "repaired.yaml",
@@ -48,6 +49,7 @@ def run_calibrate(
     from dieseltwin.steady_points import read_points
 
     if is_petrol_base(base):
+        refuse_options({"--geometry": geometry, "--channels": channels, "--noise": noise_pct}, "for a petrol engine")
         yield from run_calibrate_petrol(points, out, base)
         return
     if out.suffix not in (".yaml", ".yml"):

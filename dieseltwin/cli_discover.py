@@ -28,8 +28,9 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.recordings import Recording, read_recording
 from dieseltwin.steady_points import has_time
-from dieseltwin.strict import unknown_name
+from dieseltwin.strict import refuse_options, unknown_name
 
+MAP_TOLERANCE = 0.003  # rms [-], where none is named
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
 OWNED = ("figures", "report.html", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
 
@@ -57,7 +58,7 @@ def run_discover(
     sensors: str | None = None,
     channels: Path | None = None,
     withhold: str | None = None,
-    map_tolerance: float = 0.003,
+    map_tolerance: float | None = None,
     seed: int = 0,
     name: str | None = None,
 ) -> Iterator[str]:
@@ -71,7 +72,7 @@ def run_discover(
         sensors: comma-separated columns to use; None takes all that the recording has.
         channels: channel map of the recording.
         withhold: comma-separated effects to keep out of the catalogue.
-        map_tolerance: standard deviation of the maps' smooth relative error that is believed [-].
+        map_tolerance: standard deviation of the maps' smooth relative error that is believed [-]; None takes 0.003.
         seed: of everything random.
         name: an effect; say why it was or wasn't chosen. With results of the same question in `out`, nothing is run.
 
@@ -79,9 +80,14 @@ def run_discover(
         InputError: any file or option that can't be used, a recording or an engine file that can't carry a verdict;
             nothing is written then.
     """
+    of_recordings = {
+        "--sensors": sensors, "--withhold": withhold, "--map-tolerance": map_tolerance, "--explain": name,
+    }  # fmt: skip
     if is_petrol_engine(engine) and engine is not None and recording is not None:
+        refuse_options({**of_recordings, "--channels": channels}, "for a petrol engine")
         yield from run_discover_petrol(recording, out, engine)
         return
+    map_tolerance = MAP_TOLERANCE if map_tolerance is None else map_tolerance
     asked = _asked(engine, sensors, channels, withhold, map_tolerance, seed)
     if name is not None:
         check_name(name)
@@ -94,6 +100,7 @@ def run_discover(
         yield from explain(name, out)
         return
     if not has_time(recording, channels):
+        refuse_options(of_recordings, "for settled points")
         yield from run_discover_points(recording, out, engine=engine, channels=channels, seed=seed)
         return
     began = time.perf_counter()

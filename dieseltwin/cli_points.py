@@ -23,7 +23,7 @@ def calibrate_command(
     noise: Annotated[
         float | None, typer.Option("--noise", metavar="PCT", help="Standard deviation of every sensor [%].")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the held-out third.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the held-out third.")] = 0,
 ) -> None:
     """Calibrate another engine of the same kind from steady points."""
     from dieseltwin.cli_calibrate import run_calibrate

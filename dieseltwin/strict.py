@@ -26,6 +26,17 @@ class StrictModel(BaseModel):
 Model = TypeVar("Model", bound=BaseModel)
 
 
+def refuse_options(given: Mapping[str, object], where: str) -> None:
+    """Options that were given (are not None) although they mean nothing there.
+
+    Raises:
+        InputError: any was given; an option without an effect would be taken for one with.
+    """
+    extra = [option for option, value in given.items() if value is not None]
+    if extra:
+        raise InputError(", ".join(extra), "given", f"no such option {where}", "leave it out")
+
+
 class _UniqueKeyLoader(yaml.SafeLoader):
     """SafeLoader that refuses a key given twice (YAML would silently keep the last one)."""
 

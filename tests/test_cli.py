@@ -86,13 +86,21 @@ def test_unexpected_errors_keep_their_traceback(monkeypatch: pytest.MonkeyPatch,
         main(["params", "show"])
 
 
+@pytest.mark.parametrize("command", [["identify", "drive.csv", "--out", "x"], ["calibrate", "p.csv", "--out", "e.yml"]])
+def test_a_negative_seed_is_refused(command: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    assert main([*command, "--seed", "-1"]) == 2
+    error = capfd.readouterr().err
+    assert "--seed" in error and "0" in error and error.count("\n") == 1
+
+
 def test_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cli, "app", interrupted)
     assert main(["params", "show"]) == 130
-    assert capfd.readouterr().err == "dieseltwin: interrupted; nothing was written\n"
+    said = "dieseltwin: interrupted; no file is half-written, and what was finished before is kept\n"
+    assert capfd.readouterr().err == said
 
 
 # --- show

@@ -259,6 +259,20 @@ def test_bad_options(arguments: list[str], says: str, run: Run, fake: FakeCore, 
     assert fake.asked == 0 and not (tmp_path / "o").exists()
 
 
+@pytest.mark.parametrize(
+    "option",
+    [("--sensors", "p_im_pa"), ("--withhold", "blow_by"), ("--map-tolerance", "0.01"), ("--explain", "blow_by")],
+)
+def test_options_without_effect_on_settled_points_are_refused(
+    option: tuple[str, str], run: Run, fake: FakeCore, csv: Path, tmp_path: Path
+) -> None:
+    points = tmp_path / "points.csv"
+    pd.read_csv(csv).drop(columns="time_s").to_csv(points, index=False)
+    code, _, error = run(points, "--out", tmp_path / "o", *option)
+    assert code == 2 and option[0] in error and "settled points" in error
+    assert not (tmp_path / "o").exists()
+
+
 def test_no_recording_and_nothing_to_explain(run: Run, fake: FakeCore, tmp_path: Path) -> None:
     code, _, error = run("--out", tmp_path / "o")
     assert code == 2 and "name the recording" in error

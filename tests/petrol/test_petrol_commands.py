@@ -80,3 +80,18 @@ def test_discover_command(
         "residuals_over_time.png", "over_pressure.png", "candidates.svg"
     }  # fmt: skip
     assert "data:image/png;base64" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_options_of_the_diesel_engine_are_refused(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = save_petrol(engine, tmp_path / "engine.yaml")
+    recording = str(record(10, 400.0).path)
+    commands = [
+        ["discover", recording, "--engine", str(file), "--sensors", "p_im_pa", "--out", str(tmp_path / "out")],
+        ["calibrate", recording, "--base", "liu_petrol", "--noise", "1", "--out", str(tmp_path / "new.yaml")],
+    ]
+    for command in commands:
+        assert main(command) == 2
+        assert "petrol" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists() and not (tmp_path / "new.yaml").exists()
