@@ -3,6 +3,9 @@
 A result is written to a temporary name, described by a manifest of file hashes, and renamed: whoever is killed leaves a
 temporary folder that nobody reads. A hit counts only if every file still has the hash of the manifest: one flipped byte
 and the step runs again.
+
+The folder may be shared by several machines (:mod:`tasks.cluster`): a temporary folder's name says which machine and
+which process writes it, and a machine judges by the process only what is its own.
 """
 
 from __future__ import annotations
@@ -10,6 +13,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import platform
+import re
 import shutil
 import time
 import uuid
@@ -82,14 +87,25 @@ class Store:
         return Artifact(folder, _digest(manifest["files"]))
 
     def prune(self, unused_s: float) -> int:
-        """Remove results that nobody asked for within the last ``unused_s`` seconds. Returns how many."""
+        """Remove results that nobody asked for within the last ``unused_s`` seconds, and temporary folders as old,
+        whoever's they were. Returns how many results; another run may prune at the same time."""
         limit = time.time() - unused_s
-        old = [path.parent for path in self.root.glob(f"*/*/{MANIFEST}") if path.parent.stat().st_mtime < limit]
-        for folder in old:
-            grave = folder.parent / f"{_TEMPORARY}{folder.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-            folder.rename(grave)
+        removed = 0
+        for manifest in self.root.glob(f"*/*/{MANIFEST}"):
+            folder = manifest.parent
+            if folder.name.startswith(_TEMPORARY) or not _is_older(folder, limit):
+                continue
+            grave = folder.parent / _temporary_name(folder.name)
+            try:
+                folder.rename(grave)
+            except FileNotFoundError:  # the other run was first
+                continue
             shutil.rmtree(grave, ignore_errors=True)
-        return len(old)
+            removed += 1
+        for left in self.root.glob(f"*/{_TEMPORARY}*"):
+            if _is_older(left, limit):
+                shutil.rmtree(left, ignore_errors=True)
+        return removed
 
     def manifest(self, artifact: Artifact) -> dict[str, Any]:
         """What is written beside a stored result: key, inputs, parameters, sources."""
@@ -101,7 +117,7 @@ class Store:
         """A temporary folder that becomes the result of ``step`` under ``key`` when the block ends without an error."""
         target = self.folder(step, key)
         self._sweep(target)
-        partial = target.parent / f"{_TEMPORARY}{key}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        partial = target.parent / _temporary_name(key)
         partial.mkdir(parents=True)
         try:
             yield partial
@@ -127,7 +143,7 @@ class Store:
             except OSError:
                 if self.find(step, key) is not None:
                     return
-                grave = target.parent / f"{_TEMPORARY}{key}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+                grave = target.parent / _temporary_name(key)
                 try:
                     target.rename(grave)
                 except FileNotFoundError:
@@ -136,11 +152,15 @@ class Store:
         partial.rename(target)
 
     def _sweep(self, target: Path) -> None:
-        """Remove temporary folders of processes that no longer live."""
+        """Remove temporary folders of this machine's processes that no longer live."""
         for folder in target.parent.glob(f"{_TEMPORARY}*"):
-            pid = folder.name.split("-")[-2]
-            if not (pid.isdigit() and _is_alive(int(pid))):
+            if _is_abandoned(folder.name.split("-")[-3:-1]):
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def host() -> str:
+    """This machine's name as temporary names hold it: letters, digits and underscores."""
+    return re.sub(r"[^A-Za-z0-9]", "_", platform.node()) or "unknown"
 
 
 def content_hash(path: Path) -> str:
@@ -154,10 +174,9 @@ def replace_folder(target: Path, files: Mapping[str, Path]) -> None:
     """Make ``target`` hold exactly ``files`` (relative name -> source), through a temporary folder beside it."""
     target.parent.mkdir(parents=True, exist_ok=True)
     for stale in target.parent.glob(f"{target.name}.*.partial"):
-        pid = stale.name.split(".")[-2]
-        if not (pid.isdigit() and _is_alive(int(pid))):
+        if _is_abandoned(stale.name.split(".")[-3:-1]):
             shutil.rmtree(stale, ignore_errors=True)
-    partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
+    partial = target.with_name(f"{target.name}.{host()}.{os.getpid()}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     try:
@@ -167,7 +186,7 @@ def replace_folder(target: Path, files: Mapping[str, Path]) -> None:
             shutil.copyfile(source, destination)
         if target.exists():
             # Renamed away before it is deleted: at no time is there a folder with a part of the files.
-            old = target.with_name(f"{target.name}.old.{os.getpid()}.partial")
+            old = target.with_name(f"{target.name}.old.{host()}.{os.getpid()}.partial")
             target.rename(old)
             partial.rename(target)
             shutil.rmtree(old, ignore_errors=True)
@@ -193,6 +212,25 @@ def _digest(hashes: Mapping[str, str]) -> str:
 def _file_hash(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _temporary_name(key: str) -> str:
+    return f"{_TEMPORARY}{key}-{host()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+
+
+def _is_abandoned(machine_and_pid: list[str]) -> bool:
+    """Whether a temporary folder is this machine's and its process lives no longer."""
+    if len(machine_and_pid) != 2 or machine_and_pid[0] != host():
+        return False
+    return not (machine_and_pid[1].isdigit() and _is_alive(int(machine_and_pid[1])))
+
+
+def _is_older(folder: Path, limit: float) -> bool:
+    """Whether it was last of use before ``limit`` [s since 1970]; no for what is gone."""
+    try:
+        return folder.stat().st_mtime < limit
+    except FileNotFoundError:
+        return False
 
 
 def _is_alive(pid: int) -> bool:

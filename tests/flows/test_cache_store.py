@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import pytest
 
-from tasks.store import Artifact, Store, content_hash, replace_folder
+from tasks import store as store_module
+from tasks.store import Artifact, Store, content_hash, host, replace_folder
 
 
 @pytest.fixture
@@ -73,12 +75,29 @@ def test_a_bad_result_makes_way_and_a_concurrent_good_one_stays(store: Store) ->
 
 
 def test_temporary_folders_of_dead_processes_are_swept(store: Store) -> None:
-    dead = store.root / "step" / ".partial-k9-999999999-abcd"
-    alive = store.root / "step" / f".partial-k9-{os.getpid()}-abcd"
+    dead = store.root / "step" / f".partial-k9-{host()}-999999999-abcd"
+    alive = store.root / "step" / f".partial-k9-{host()}-{os.getpid()}-abcd"
     for folder in (dead, alive):
         folder.mkdir(parents=True)
     put(store)
     assert not dead.exists() and alive.exists()
+
+
+def test_what_another_machine_writes_is_not_swept(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Process numbers mean nothing on another machine of a cluster, which shares the folder."""
+    with monkeypatch.context() as other:
+        other.setattr(store_module.platform, "node", lambda: "other-machine.local")
+        other.setattr(store_module.os, "getpid", lambda: 999_999_999)
+        writing = store.writing("step", "k9", {})
+        out = writing.__enter__()
+    published = store.root / "out.other_machine_local.999999999.partial"
+    published.mkdir()
+    (out / "a.txt").write_text("half")
+    put(store)
+    replace_folder(store.root / "out", {"a": out / "a.txt"})
+    assert (out / "a.txt").exists() and published.exists()
+    writing.__exit__(None, None, None)
+    assert store.find("step", "k9") is not None
 
 
 def test_replace_folder_holds_exactly_the_files_and_keeps_the_old_one_on_failure(tmp_path: Path) -> None:
@@ -101,3 +120,33 @@ def test_prune_removes_what_was_not_asked_for(store: Store) -> None:
     assert store.prune(3600.0) == 1
     assert not old.exists() and new.exists()
     assert sorted(path.name for path in old.parent.iterdir()) == ["k2"]
+
+
+def test_prune_removes_old_temporary_folders_whoever_left_them(store: Store) -> None:
+    names = (".partial-k8-elsewhere-1-abcd", ".partial-k9-elsewhere-1-abcd")
+    left, busy = (store.root / "step" / name for name in names)
+    for folder in (left, busy):
+        folder.mkdir(parents=True)
+    os.utime(left, (0, 0))
+    assert store.prune(3600.0) == 0
+    assert not left.exists() and busy.exists()
+
+
+@pytest.mark.parametrize("before", ["stat", "rename"])
+def test_two_runs_prune_together(store: Store, monkeypatch: pytest.MonkeyPatch, before: str) -> None:
+    """The other run removes a folder just before this one looks at it, or renames it."""
+    first, second = put(store, "k1").path, put(store, "k2").path
+    for folder in (first, second):
+        os.utime(folder, (0, 0))
+    plain = getattr(Path, before)
+
+    def late(path: Path, *arguments, **options):
+        if path == first and path.exists():
+            shutil.rmtree(path)
+        return plain(path, *arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "exists", lambda path: os.path.lexists(path))
+        patched.setattr(Path, before, late)
+        assert store.prune(3600.0) == 1
+    assert not first.exists() and not second.exists()
