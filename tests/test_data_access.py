@@ -131,8 +131,8 @@ def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_local_copies_are_the_known_ones(project_root: Path) -> None:
     folder = project_root.parent / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip("no ../shared/data")
-    for file in FILES.values():
-        if (folder / file.name).is_file():
-            assert checked(folder / file.name, file)
+    here = [file for file in FILES.values() if (folder / file.name).is_file()]
+    if not here:
+        pytest.skip("no recording in ../shared/data")
+    for file in here:
+        assert checked(folder / file.name, file)

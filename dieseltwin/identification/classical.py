@@ -34,7 +34,7 @@ from dieseltwin.identification.shooting import (
     exact_engine,
     sample_states,
 )
-from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts
+from dieseltwin.identification.unknowns import START_SIGMA, health_of, start_centre, starts
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -209,9 +209,7 @@ def fit_runs(
 
 
 def _starts(problem: SegmentProblem, runs: int, settings: ClassicalSettings, rng: np.random.Generator) -> Array:
-    centre = health_of(problem.parameters)
-    if settings.start_at == "truth" and problem.truth is not None:
-        centre = health_of(problem.truth)
+    centre = start_centre(problem.parameters, problem.truth, settings.start_at)
     health = starts(centre, runs, rng, settings.start_sigma)
     at = problem.inputs.n_history
     inputs = problem.inputs

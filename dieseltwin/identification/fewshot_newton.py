@@ -28,9 +28,9 @@ from dieseltwin.identification.heads import Heads, heads_for
 from dieseltwin.identification.newton_settings import NewtonSettings
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.process_noise import calibrate
-from dieseltwin.identification.residuals import N_HEALTH, Cylinder, DrivenInputs, PointModel, driven_inputs
+from dieseltwin.identification.residuals import N_HEALTH, Cylinder, DrivenInputs, PointModel, driven_inputs, told_inputs
 from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
-from dieseltwin.identification.unknowns import health_of, starts
+from dieseltwin.identification.unknowns import health_of, start_centre, starts
 
 METHOD = "few-shot-newton"
 BLOCK = 10
@@ -99,9 +99,7 @@ def estimate(
     results = []
     for problem in problems:
         began = time.perf_counter()
-        centre = health_of(problem.parameters)
-        if settings.start_at == "truth" and problem.truth is not None:
-            centre = health_of(problem.truth)
+        centre = start_centre(problem.parameters, problem.truth, settings.start_at)
         begin = np.log(starts(centre, runs, rng, settings.start_sigma))
         results.append(_segment(problem, begin, bodies, operators, maps, settings, began))
     return results
@@ -112,10 +110,7 @@ def prepare(problem: SegmentProblem, bodies: Any = None, operators: Any = None) 
     actuation = actuate(problem.inputs, problem.parameters, STEP_S)
     inputs = driven_inputs(actuation)
     if operators is not None:
-        told = operators.predict(problem.inputs)
-        k_egr = problem.parameters.K_egr
-        position = k_egr * told.u_egr1 - (k_egr - 1.0) * told.u_egr2
-        inputs = inputs._replace(u_egr=torch.tensor(position), u_vgt=torch.tensor(told.u_vgt))
+        inputs = told_inputs(inputs, operators, problem.inputs, problem.parameters)
     return Setting(
         problem,
         actuation,

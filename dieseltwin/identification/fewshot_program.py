@@ -30,16 +30,16 @@ from dieseltwin.identification.residuals import (
     PointModel,
     driven_inputs,
     physics_residuals,
+    told_inputs,
 )
 from dieseltwin.identification.term_model import TermModel
-from dieseltwin.identification.unknowns import START_SIGMA, health_of, starts, to_masked, to_physical
+from dieseltwin.identification.unknowns import START_SIGMA, health_of, start_centre, starts, to_masked, to_physical
+from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
 BODIES = ("pressures", "pressures", "omega_t", "x_r", "T_1")
 """Body of p_im, p_em, omega_t, x_r, T_1; the first three are also differentiated."""
-T_1_SCALE, T_1_OFFSET = 300.0, 230.0
-"""Output transform of T_1 [K]: 300 (softplus(z) + 230/300) (paper, table of networks)."""
-OUTPUT_SCALES = (1e5, 1e5, 5e3)
-"""Output scaling of p_im, p_em [Pa] and omega_t [rad/s] (paper, table of networks)."""
+_OUTPUT_SCALES = tuple(TRANSFORMS[name].scale for name in ("p_im_pa", "p_em_pa", "omega_t_rad_s"))
+_T_1 = TRANSFORMS["t_1_k"]
 
 
 @dataclass(frozen=True)
@@ -124,9 +124,7 @@ class Lane:
 
 def draw_lane(problem: SegmentProblem, index: int, run: int, seed: int, settings: AdamSettings) -> Lane:
     rng = np.random.default_rng([seed, index, run])
-    centre = health_of(problem.parameters)
-    if settings.start_at == "truth" and problem.truth is not None:
-        centre = health_of(problem.truth)
+    centre = start_centre(problem.parameters, problem.truth, settings.start_at)
     masked = to_masked(starts(centre, 1, rng, settings.start_sigma))[0]
     draws = problem.noise_draws
     readings = problem.measured if draws is None else draws[run % len(draws)]
@@ -179,11 +177,11 @@ class Program:
 
     def _states(self, points: Sequence[Tensor]) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         outputs, rates = [], []
-        for value, rate, factor in zip(points[:3], points[5:], OUTPUT_SCALES, strict=True):
+        for value, rate, factor in zip(points[:3], points[5:], _OUTPUT_SCALES, strict=True):
             outputs.append(factor * torch.nn.functional.softplus(value))
             rates.append(factor * torch.sigmoid(value) * rate)
         x_r = torch.sigmoid(points[3])
-        T_1 = T_1_SCALE * torch.nn.functional.softplus(points[4]) + T_1_OFFSET
+        T_1 = _T_1.scale * torch.nn.functional.softplus(points[4]) + _T_1.scale * _T_1.offset
         return (*outputs, x_r, T_1), tuple(rates)
 
     def __call__(self, z: Sequence[Tensor], masked: Tensor, weights: Weights) -> Loss:
@@ -242,11 +240,7 @@ def make_program(
         if lane.index not in inputs:
             told = driven_inputs(actuations[lane.index])
             if operators is not None:
-                states = operators.predict(lane.problem.inputs)
-                k = lane.problem.parameters.K_egr
-                told = told._replace(
-                    u_egr=torch.tensor(k * states.u_egr1 - (k - 1.0) * states.u_egr2), u_vgt=torch.tensor(states.u_vgt)
-                )
+                told = told_inputs(told, operators, lane.problem.inputs, lane.problem.parameters)
             inputs[lane.index] = told
             initial[lane.index] = _initial(lane.problem, told, actuations[lane.index])
     stacked = DrivenInputs(

@@ -20,8 +20,9 @@ from scipy.interpolate import BSpline
 from torch import Tensor
 
 from dieseltwin.errors import InputError
+from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
-SCALES = (1e5, 1e5, 5e3)
+SCALES = tuple(TRANSFORMS[name].scale for name in ("p_im_pa", "p_em_pa", "omega_t_rad_s"))
 """Output scaling of p_im, p_em [Pa] and omega_t [rad/s] behind the softplus (paper, table of networks)."""
 RANK_TOLERANCE = 1e-9
 """Columns of a body whose singular value is below this share of the largest carry rounding errors only."""

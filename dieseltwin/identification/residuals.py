@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, bind, constants
+from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, Inputs, bind, constants
+from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.identification.term_model import TermModel
 
 N_HEALTH = len(HEALTH)
@@ -36,6 +37,13 @@ class DrivenInputs(NamedTuple):
     u_delta: Tensor
     u_egr: Tensor
     u_vgt: Tensor
+
+
+def told_inputs(inputs: DrivenInputs, operators: Any, segment: Inputs, parameters: EngineParameters) -> DrivenInputs:
+    """The same inputs with the actuator positions [%] that the operators predict of a segment's commands."""
+    told = operators.predict(segment)
+    u_egr = egr_valve_position(told.u_egr1, told.u_egr2, constants(parameters))
+    return inputs._replace(u_egr=torch.tensor(u_egr), u_vgt=torch.tensor(told.u_vgt))
 
 
 def driven_inputs(actuation: Actuation, dtype: torch.dtype = torch.float64) -> DrivenInputs:

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from dieseltwin.engine import HEALTH
 from dieseltwin.errors import InputError
 
-__all__ = ["HEALTH", "SCALES", "START_SIGMA", "UNITS", "health_of", "starts", "to_masked", "to_physical"]
+__all__ = ["HEALTH", "SCALES", "START_SIGMA", "UNITS", "health_of", "start_centre", "starts", "to_masked",
+           "to_physical"]  # fmt: skip
 
 UNITS: dict[str, str] = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
 """SI unit of each unknown parameter."""
@@ -84,6 +85,14 @@ def health_of(parameters: Any) -> NDArray[np.float64]:
     if hasattr(parameters, "keys"):
         return np.array([float(parameters[name]) for name in HEALTH])
     return np.array([float(getattr(parameters, name)) for name in HEALTH])
+
+
+def start_centre(parameters: Any, truth: Any | None, start_at: str) -> NDArray[np.float64]:
+    """Centre of the starts: the engine file's health parameters, (4,) [m2, m2, -, W/(m2 K)].
+
+    `start_at` "truth" takes the true ones, where a recording knows them; others start at the file's all the same.
+    """
+    return health_of(truth if start_at == "truth" and truth is not None else parameters)
 
 
 def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float = START_SIGMA) -> NDArray[np.float64]:
