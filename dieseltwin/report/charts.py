@@ -168,10 +168,7 @@ def _cell(column: int, row: int) -> Patch:
         (column - 0.5, row - 0.5),
         1,
         1,
-        facecolor=style.NOT_IDENTIFIABLE,
-        edgecolor="#9a9a9a",
-        hatch="///",
-        linewidth=0,
+        **{**style.BLIND, "edgecolor": "#9a9a9a"},
     )
 
 

@@ -19,13 +19,13 @@ from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import clock, display_unit, magnitude_words, unit_of
 from dieseltwin.report.segment_axis import WIDTH_IN
+from dieseltwin.report.statistics import Z_90
 
 BEFORE = "#D55E00"
 AFTER = "#0072B2"
 LIGHT = "#8CC3E8"
 DROPPED = "#b8b8b8"
 ORACLE = "#009E73"
-Z_90 = 1.6449  # half width of a 90 % interval in standard deviations
 MOST_CANDIDATES = 14
 CELLS = 10  # of an operating map along each axis
 MAPS = (("n_e_rpm", "u_delta_mg"), ("u_egr_pct", "u_vgt_pct"))

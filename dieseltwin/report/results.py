@@ -18,8 +18,9 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
+from dieseltwin.symbols import HEALTH_NAMES
 
-PARAMETERS = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
+PARAMETERS = HEALTH_NAMES
 METHOD_ORDER = ("classical", "few-shot-newton", "few-shot-adam", "multi-stage", "baseline")
 
 

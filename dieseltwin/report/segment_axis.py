@@ -29,15 +29,12 @@ def segment_axis(axes: Axes, results: Results) -> None:
         axes.axvline(edge - 0.5, color=style.SEGMENT_LINE, linewidth=0.6, linestyle=":")
 
 
-def method_handles(methods: Sequence[MethodResult], *, line: bool = False) -> list[Line2D]:
+def method_handles(methods: Sequence[MethodResult]) -> list[Line2D]:
     """Legend entries, one per method."""
     handles = []
     for method in methods:
         look = style.method_style(method.method)
-        kind = look.line if line else "none"
-        handles.append(
-            Line2D([], [], color=look.colour, marker=look.marker, linestyle=kind, label=look.label)
-        )
+        handles.append(Line2D([], [], color=look.colour, marker=look.marker, linestyle="none", label=look.label))
     return handles
 
 

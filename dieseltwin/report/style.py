@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -30,6 +30,8 @@ PAPER = "#b8b8b8"
 GRID = "#dcdcdc"
 PALETTE_COLOURS = 255
 NOT_IDENTIFIABLE = "#efefef"
+BLIND: dict[str, Any] = {"facecolor": NOT_IDENTIFIABLE, "edgecolor": "#cfcfcf", "hatch": "///", "linewidth": 0}
+"""Where a parameter cannot be known: keywords of a patch."""
 BAND_OF_TRUTH = "#e4e4e4"
 SEGMENT_LINE = "#9a9a9a"
 
@@ -61,6 +63,12 @@ RC: dict[str, object] = {
     "svg.fonttype": "path",
     "path.simplify_threshold": 0.5,
 }
+
+
+def slug(name: str) -> str:
+    """A name as part of a file's name: letters and digits, the rest underscores."""
+    return "".join(c if c.isalnum() else "_" for c in name)
+
 
 P = ParamSpec("P")
 R = TypeVar("R")

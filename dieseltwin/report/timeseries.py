@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from dieseltwin.report import captions, quantities, style
 from dieseltwin.report.results import MethodResult, Results
+from dieseltwin.report.segment_axis import WIDTH_IN
 from dieseltwin.report.statistics import autocorrelation, band, odd_channels, residuals
 
 STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k")
 FLOWS = ("w_egr_kg_s", "w_c_kg_s", "w_t_kg_s", "w_ei_kg_s", "t_em_k", "t_e_k")
 EMPIRICAL = ("eta_vol", "f_egr", "f_vgt_pi_t", "eta_tm", "eta_c", "phi_c")
-WIDTH_IN = 11.0
 ACF_LAG_S = 4.0  # lags shown: several times the turbocharger's share of a sample, far below a segment
 LEAST_LIMIT_PCT = 0.05  # errors below this are rounding
 OUTLIER_FACTOR, OUTLIER_LEAST_PCT = (
@@ -134,15 +134,7 @@ def _shade_blind(axes: Axes, results: Results) -> None:
         if not all(e.identifiable for e in s.parameters.values())
     }
     for first, last in blind:
-        axes.axvspan(
-            first / 60,
-            last / 60,
-            facecolor=style.NOT_IDENTIFIABLE,
-            edgecolor="#cfcfcf",
-            hatch="///",
-            linewidth=0,
-            zorder=0,
-        )
+        axes.axvspan(first / 60, last / 60, **style.BLIND, zorder=0)
 
 
 def _draw_error(axes: Axes, results: Results, column: str) -> None:
@@ -327,7 +319,7 @@ def residual_figure(results: Results, method: MethodResult) -> style.ReportFigur
         Line2D([], [], color=style.BAND_OF_TRUTH, linewidth=8, label="±2 σ; 95 % range of white noise"),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
-    slug = "".join(c if c.isalnum() else "_" for c in method.method)
+    slug = style.slug(method.method)
     title = f"Residuals of {look.label}"
     return style.ReportFigure(f"residuals_{slug}", title, _verdict(look.label, found), figure, kind="png")
 

@@ -16,8 +16,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from dieseltwin.report import captions, quantities, style
 from dieseltwin.report.printed import PRINTED_BODIES, PRINTED_OPERATORS_TEST, PRINTED_OPERATORS_TRAINING
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results, number
+from dieseltwin.report.segment_axis import WIDTH_IN
 
-WIDTH_IN = 11.0
 LOSS_PREFIX = "loss"
 TOTAL = ("loss", "loss_total")
 SVG_MAX_SEGMENTS = 8  # more lines make an SVG heavier than a picture
@@ -115,7 +115,7 @@ def convergence(results: Results, method: MethodResult) -> style.ReportFigure | 
         handles.append(Line2D([], [], color=style.TRUTH, linestyle="--", label="truth"))
     if unknowns:
         figure.legend(handles=handles, loc="outside lower center", ncols=min(8, len(handles)))
-    slug = "".join(c if c.isalnum() else "_" for c in method.method)
+    slug = style.slug(method.method)
     title = f"Convergence of {style.method_style(method.method).label}"
     kind = "svg" if len(segments) <= SVG_MAX_SEGMENTS else "png"
     return style.ReportFigure(f"convergence_{slug}", title, captions.CONVERGENCE, figure, kind)

@@ -183,15 +183,7 @@ def violins(results: Results, *, close: bool = False) -> style.ReportFigure:
                     )
                 _draw_slot(axes, method, index, parameter, reference, place + offset, half, violin)
         for place, bound in flagged.items():
-            axes.axvspan(
-                place - 0.5,
-                place + 0.5,
-                facecolor=style.NOT_IDENTIFIABLE,
-                edgecolor="#cfcfcf",
-                hatch="///",
-                linewidth=0,
-                zorder=0.5,
-            )
+            axes.axvspan(place - 0.5, place + 0.5, **style.BLIND, zorder=0.5)
             size = f"\nbound {100 * bound:.0f} %" if math.isfinite(bound) else ""
             axes.text(
                 place,
@@ -213,14 +205,7 @@ def violins(results: Results, *, close: bool = False) -> style.ReportFigure:
         Patch(facecolor=style.BAND_OF_TRUTH, edgecolor=style.MEASURED, linestyle=":", label="±7.5 %")
     )
     if any(not s.parameters[p].identifiable for m in results.methods for s in m.segments for p in PARAMETERS):
-        handles.append(
-            Patch(
-                facecolor=style.NOT_IDENTIFIABLE,
-                edgecolor="#cfcfcf",
-                hatch="///",
-                label="not identifiable here",
-            )
-        )
+        handles.append(Patch(**style.BLIND, label="not identifiable here"))
     columns = style.legend_columns([str(handle.get_label()) for handle in handles], WIDTH_IN)
     figure.legend(handles=handles, loc="outside upper center", ncols=columns)
     dots = sum(len(method.runs) for method in results.methods) // len(PARAMETERS)
