@@ -29,7 +29,8 @@ def promote(profile: str) -> bool:
     champion = steps.champion()
     before = None
     if champion is not None:
-        before = steps.figures_if_readable(steps.validate.submit(recording=recording, networks=champion.artifact))
+        pending = steps.validate.submit(recording=recording, networks=champion.artifact)
+        before = steps.figures_unless_unreadable(pending)
     return steps.promote(models, figures, before, settings).promoted
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from tasks.failures import StepFailed, WorkerKilled
+from tasks.failures import StepFailed
 from tasks.registry import CHAMPION, Decision, Registry, Version, decide
 from tasks.run_context import Pending, current, step
 from tasks.store import Artifact
@@ -33,6 +33,21 @@ def validation_driving(
     write_recording(recording, out / RECORDING)
 
 
+class UnreadableNetworks(ValueError):
+    """A file of networks that today's code cannot read."""
+
+
+def _loaded(load: Callable[[Path], Any], path: Path) -> Any:
+    """``load(path)``. Raises ``UnreadableNetworks`` for a file that this code cannot read, whatever it stumbled over;
+    a machine that fails (disk, memory) says nothing about the file and stays what it is."""
+    try:
+        return load(path)
+    except Exception as error:
+        if any(isinstance(found, OSError | MemoryError) for found in (error, error.__cause__)):
+            raise
+        raise UnreadableNetworks(f"{path.name}: {error}") from error
+
+
 @step("network-validation", "validation of the networks", expected_s=15.0)
 def validate(out: Path, progress: Any, *, recording: Path, networks: Path) -> None:
     """``validation.json``: relative L2 error [%] of every map, operator and body on the recording."""
@@ -49,12 +64,12 @@ def validate(out: Path, progress: Any, *, recording: Path, networks: Path) -> No
     for path in sorted(networks.glob("*.pt")):
         name, _, kind = path.stem.partition("_")
         if name == "maps":
-            table = EmpiricalMaps.load(path).error_table({"validation": frame}).set_index("map")["l2_rel"]
+            table = _loaded(EmpiricalMaps.load, path).error_table({"validation": frame}).set_index("map")["l2_rel"]
             found = {str(key): 100.0 * float(value) for key, value in table.items()}
         elif name == "operators":
-            found = ActuatorOperators.load(path).errors(frame)
+            found = _loaded(ActuatorOperators.load, path).errors(frame)
         else:
-            found = Bodies.load(path).errors([frame], "linear")
+            found = _loaded(Bodies.load, path).errors([frame], "linear")
         figures |= {f"{name}/{kind}/{key}" if kind else f"{name}/{key}": value for key, value in found.items()}
     (out / FIGURES).write_text(json.dumps(figures, indent=1, sort_keys=True, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -75,13 +90,17 @@ def figures_of(pending: Pending) -> dict[str, float]:
     return figures
 
 
-def figures_if_readable(pending: Pending) -> dict[str, float] | None:
-    """The same of the champion; None where today's code can't read its files."""
+def figures_unless_unreadable(pending: Pending) -> dict[str, float] | None:
+    """The same of the champion; None where today's code cannot read its files, which ends its use.
+
+    Raises ``StepFailed`` where the validation failed for another reason (a full disk, no memory): without figures there
+    is no comparison, and without a comparison no promotion.
+    """
     try:
         return figures_of(pending)
-    except WorkerKilled:
-        raise
-    except StepFailed:
+    except StepFailed as error:
+        if f"{UnreadableNetworks.__module__}.{UnreadableNetworks.__qualname__}" not in error.kinds:
+            raise
         return None
 
 

@@ -117,14 +117,13 @@ class Registry:
         return client
 
     def version(self, alias: str) -> Version | None:
-        """The version of an alias; None where there is none or where its files are gone or changed."""
-        from mlflow.exceptions import MlflowException
+        """The version of an alias; None where nothing carries it or where its files are gone or changed.
 
-        try:
-            found = self.client.get_model_version_by_alias(NAME, alias)
-        except MlflowException:
-            return None
-        return self._checked(found)
+        Raises ``MlflowException`` where the registry cannot be read: that is no answer.
+        """
+        client = self.client
+        number = client.get_registered_model(NAME).aliases.get(alias)
+        return None if number is None else self._checked(client.get_model_version(NAME, str(number)))
 
     def register(self, models: Artifact, experiment_id: str, tags: Mapping[str, str]) -> Version:
         """The version of these networks, made if it is new; its files are copied beside MLflow's other artifacts."""

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import inspect
 import json
 import os
 import subprocess
@@ -189,13 +188,15 @@ class Pending:
     future: Any
     context: RunContext
     cached: bool
+    told: list[str] = field(default_factory=list, repr=False, compare=False)
 
     def result(self) -> Artifact:
-        """Wait; returns path and hash, checked. Raises :class:`StepFailed`."""
+        """Wait; returns path and hash, checked; asked again it says nothing again. Raises :class:`StepFailed`."""
         artifact = Artifact.from_dict(self.future.result(), self.context.workspace.root)
         name, title = self.step.instance(self.parameters), self.step.title(self.parameters)
         if self.cached:
-            if not self.step.many:
+            if not self.step.many and not self.told:
+                self.told.append(title)
                 self.context.display.cached(title)
         elif name not in self.context.timings:  # computed by a cluster's worker
             self.context.timings[name] = seconds_of(artifact)
@@ -370,11 +371,11 @@ def _talk(
 def _failed(step: Step, context: RunContext, log: Path, failure: Mapping[str, Any], status: int) -> StepFailed:
     where = context.workspace.relative(log)
     if f"{context.library}.errors.InputError" in failure.get("kind", ()):
-        return StepFailed(failure["error"], exit_code=2)
+        return StepFailed(failure["error"], exit_code=2, kinds=failure["kind"])
     if failure:
         kind = failure["kind"][0].removeprefix("builtins.")
         first = str(failure["error"]).splitlines()[0]
-        return StepFailed(f"{step.name}: {kind}: {first} (traceback in {where})")
+        return StepFailed(f"{step.name}: {kind}: {first} (traceback in {where})", kinds=failure["kind"])
     tail = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_LOG_TAIL_LINES:]
     last = tail[-1] if tail else "no output"
     kind = WorkerKilled if status < 0 and not _stopping else StepFailed
@@ -392,8 +393,3 @@ def seed_for(seed: int, *names: str) -> int:
     """A seed of its own for each named purpose, derived from the run's seed."""
     text = "/".join((str(seed), *names))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
-
-
-def signature_of(step: Step) -> list[str]:
-    """Names of the arguments that the step's function takes, without ``out`` and ``progress``."""
-    return [name for name in inspect.signature(step.function).parameters if name not in ("out", "progress")]

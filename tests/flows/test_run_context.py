@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -103,6 +104,8 @@ def test_a_failed_step_says_why_in_one_line_and_stores_nothing(context: RunConte
     ) as failed:
         toy_steps.fail(user=False)
     assert failed.value.exit_code == 1
+    passed_on = pickle.loads(pickle.dumps(failed.value))  # a cluster's worker sends it
+    assert passed_on.kinds == failed.value.kinds and passed_on.kinds[0] == "builtins.ValueError"
     with pytest.raises(StepFailed, match="wrong column") as wrong:
         toy_steps.fail(user=True)
     assert wrong.value.exit_code == 2
