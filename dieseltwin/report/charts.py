@@ -12,7 +12,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogLocator
 
 from dieseltwin.report import captions, quantities, style
-from dieseltwin.report.printed import PRINTED_SECONDS
+from dieseltwin.report.evaluation_printed import mean_seconds
 from dieseltwin.report.results import PARAMETERS, Results
 from dieseltwin.report.segment_axis import MOST_NAMES, WIDTH_IN, method_handles, offsets_of, segment_axis
 from dieseltwin.report.statistics import error_over_bound, relative_bound, std_over_bound
@@ -184,7 +184,7 @@ def run_times(results: Results) -> style.ReportFigure:
         count = method.number_of_runs * len(method.segments)
         rows.append((look.label, seconds, look.colour, f"{seconds:.3g} s per run, {count} runs"))
     printed = [
-        (f"paper: {name}", s, style.PAPER, f"{s:.0f} s per run") for name, s in PRINTED_SECONDS.items()
+        (f"paper: {name}", s, style.PAPER, f"{s:.0f} s per run") for name, s in mean_seconds().items()
     ]
     figure = Figure(figsize=(WIDTH_IN, 0.5 * (len(rows) + len(printed)) + 1.4))
     axes = figure.subplots()

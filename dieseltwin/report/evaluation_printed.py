@@ -1,4 +1,4 @@
-"""What the paper prints, by table and row: the one place that the evaluation takes printed values from.
+"""What the paper prints, by table and row: the one place that figures and tables take printed values from.
 
 Source: Nath, Kumar, Smith, Karniadakis, "A Digital Twin for Diesel Engines". Table ids are the LaTeX labels of the
 paper; a row id is the case and the minute, or the output. Nothing here enters a computation of ours.
@@ -110,6 +110,16 @@ TIMES: Mapping[tuple[str, str], PrintedTime] = {
 }
 """Table `RUN_TIMES`: (our name of the method, minute) -> printed seconds."""
 
+
+def mean_seconds() -> dict[str, float]:
+    """Method, as the paper calls it -> seconds a run, noisy data, mean over the minutes."""
+    names = {"few-shot-adam": "few-shot transfer", "multi-stage": "multi-stage transfer", "baseline": "baseline PINN"}
+    found: dict[str, list[float]] = {name: [] for name in names.values()}
+    for (method, _), time in TIMES.items():
+        found[names[method]].append(time.noisy_301[0])
+    return {name: sum(seconds) / len(seconds) for name, seconds in found.items()}
+
+
 OPERATOR_ERRORS: Mapping[tuple[str, str, str], Cell] = {
     ("clean", "u_egr1", "train"): (0.64, 0.04),
     ("clean", "u_egr1", "test"): (2.69, 0.49),
@@ -125,6 +135,14 @@ OPERATOR_ERRORS: Mapping[tuple[str, str, str], Cell] = {
     ("noisy", "u_vgt", "test"): (2.62, 0.13),
 }
 """Table `OPERATORS`: (labels, output, recording) -> relative L2 error [%], mean and std of six trainings."""
+
+
+def operator_errors(recording: str) -> dict[str, Cell]:
+    """Output -> error [%] of operators trained on clean labels; `recording` is "train" or "test"."""
+    return {
+        output: cell for (labels, output, on), cell in OPERATOR_ERRORS.items() if (labels, on) == ("clean", recording)
+    }
+
 
 BODY_ERRORS: Mapping[str, Cell] = {
     "p_em": (1.478, 0.135),

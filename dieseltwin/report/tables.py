@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from dieseltwin.report import evaluation_printed as printed
 from dieseltwin.report import quantities, style
-from dieseltwin.report.printed import PRINTED_FEW_SHOT_NOISY
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results, SegmentResult
 from dieseltwin.report.statistics import (
     agree,
@@ -101,8 +101,10 @@ def paper_table(results: Results) -> pd.DataFrame:
     the segments are not the paper's five minutes.
     """
     rows: list[dict[str, object]] = []
-    for minute, printed in PRINTED_FEW_SHOT_NOISY.items():
-        for (mean, std), parameter in zip(printed, PARAMETERS, strict=True):
+    cells = printed.PARAMETER_TABLES[printed.FEW_SHOT]["noisy-301"]
+    minutes = [minute.replace("-", "–") for minute in printed.MINUTES]  # as results write them
+    for minute, row_of in zip(minutes, cells, strict=True):
+        for (mean, std), parameter in zip(row_of, PARAMETERS, strict=True):
             truth = results.true_value(parameter)
             places = [
                 next((i for i, s in enumerate(m.segments) if s.minutes == minute), None)

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from dieseltwin.report import captions, quantities, style
-from dieseltwin.report.printed import PRINTED_BODIES, PRINTED_OPERATORS_TEST, PRINTED_OPERATORS_TRAINING
+from dieseltwin.report.evaluation_printed import BODY_ERRORS, operator_errors
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results, number
 from dieseltwin.report.segment_axis import WIDTH_IN
 
@@ -252,10 +252,10 @@ def _place(order: Sequence[str]) -> Callable[[str], tuple[int, str]]:
 @style.styled
 def pretraining(results: Results) -> style.ReportFigure | None:
     """Errors of operators, bodies and maps beside the paper's printed numbers. None where nothing was pretrained."""
-    operators = [("paper, training", PRINTED_OPERATORS_TRAINING), ("paper, test", PRINTED_OPERATORS_TEST)]
+    operators = [("paper, training", operator_errors("train")), ("paper, test", operator_errors("test"))]
     groups: dict[str, tuple[str, Printed]] = {
         "operators": ("Actuator operators (DeepONets)", operators),
-        "bodies": ("Multi-head bodies", [("paper, training", PRINTED_BODIES)]),
+        "bodies": ("Multi-head bodies", [("paper, training", BODY_ERRORS)]),
         "maps": ("Empirical maps (the paper prints no error)", []),
     }
     present = [(key, *_series(results.pretraining[key])) for key in groups if results.pretraining.get(key)]

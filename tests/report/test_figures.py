@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 
 from dieseltwin.report import Results, quantities
 from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map, run_times
-from dieseltwin.report.printed import PRINTED_BODIES
+from dieseltwin.report.evaluation_printed import BODY_ERRORS
 from dieseltwin.report.results import PARAMETERS, method_from_document
 from dieseltwin.report.style import METHODS, TRUTH, ReportFigure, method_style
 from dieseltwin.report.timeseries import RESIDUAL_LIMIT, states, trajectories
@@ -227,7 +227,7 @@ def test_pretraining_beside_the_paper_in_a_fixed_order(results: Results) -> None
     legend = [t.get_text() for t in bodies.get_legend().get_texts()]
     assert legend.count("POD floor") == 1 and "paper, training" in legend
     bars = sorted(float(bar.get_width()) for bar in bodies.patches)
-    assert bars == sorted(mean for mean, _ in PRINTED_BODIES.values())
+    assert bars == sorted(mean for mean, _ in BODY_ERRORS.values())
     assert {t.get_text() for t in maps.get_legend().get_texts()} == {"as printed", "improved"}
     marks = next(line for line in bodies.lines if line.get_label() == "conditioned, training")
     assert sorted(marks.get_xdata()) == sorted(
