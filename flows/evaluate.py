@@ -70,14 +70,16 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
         field=field,
         common=common,
         settings=classical,
-        what=plans[0].what,
         about={**about(settings, field), "commands": "python -m flows.evaluate"},
         run_times=[*times, *_times([common])],
         **found,
     ).result()
     results = publish(
         root / name,
-        {"": common.path, **{f"ensembles/{plan.slug}": assembled[plan.slug].result().path for plan in plans}},
+        {
+            "": common.path,
+            **{f"ensembles/{plan.slug}": part.path for plan, part in zip(plans, found.values(), strict=True)},
+        },
     )
     publish(context.workspace.reports / name, {"": page.path})
     records.evaluated(plans, found, common, page, {"field recordings": field, "models": models}, settings)

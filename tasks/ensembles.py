@@ -73,6 +73,14 @@ def _config(settings: dict[str, Any], what: dict[str, Any]) -> Any:
     return config.model_copy(update={"start": StartConfig(**{**config.start.model_dump(), "at": what["start"]})})
 
 
+def _with_x_r(printed: Any, what: dict[str, Any]) -> Any:
+    """Settings with the unit of the residual of x_r that the ensemble names, their own where it names none."""
+    from dataclasses import replace
+
+    unit = what["scale_x_r"]
+    return printed if unit is None else replace(printed, scales=replace(printed.scales, x_r=unit))
+
+
 def _networks(bodies: Path | None, maps: Path | None, operators: Path | None) -> dict[str, Any]:
     from dieseltwin.surrogates.bodies import Bodies
     from dieseltwin.surrogates.empirical import EmpiricalMaps
@@ -117,7 +125,6 @@ def baseline(
 ) -> None:
     """The first segment from scratch; its networks are the source models of multi-stage (``sources.npz``)."""
     import time
-    from dataclasses import replace
 
     import numpy as np
 
@@ -125,8 +132,7 @@ def baseline(
     from dieseltwin.identification.pinn_training import estimates_of, make_lanes, settings_from, train_lanes
 
     problems = problems_for(field, settings, what, what["members"])
-    printed = settings_from(_config(settings, what), "baseline", SETTINGS)
-    chosen = replace(printed, scales=replace(printed.scales, x_r=what["scale_x_r"] or printed.scales.x_r))
+    chosen = _with_x_r(settings_from(_config(settings, what), "baseline", SETTINGS), what)
     given = _networks(None, maps, operators)
     began = time.perf_counter()
     lanes = make_lanes(problems, [0], what["runs"], what["seed"], chosen, what["first"])
@@ -210,13 +216,8 @@ def few_shot_adam(
     from dieseltwin.identification.fewshot_program import AdamSettings
 
     problems = problems_for(field, settings, what, what["members"])
-    printed = AdamSettings.from_config(_config(settings, what))
-    chosen = replace(
-        printed,
-        held_out_share=what["held_out_share"],
-        weight_share=what["weight_share"],
-        scales=replace(printed.scales, x_r=what["scale_x_r"] or printed.scales.x_r),
-    )
+    printed = _with_x_r(AdamSettings.from_config(_config(settings, what)), what)
+    chosen = replace(printed, held_out_share=what["held_out_share"], weight_share=what["weight_share"])
     given = _networks(bodies, maps, operators)
     began = time.perf_counter()
     estimates = estimate(problems, what["runs"], what["seed"], config=chosen, first_run=what["first"], **given)

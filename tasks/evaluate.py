@@ -42,7 +42,7 @@ def ensemble(
 
     from dieseltwin.atomic import write_json
     from dieseltwin.engine import HEALTH
-    from dieseltwin.identification.bound import cramer_rao
+    from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
     from dieseltwin.identification.curves import curves_table
     from dieseltwin.identification.ensemble import at_last_epoch, load_estimates, member_table, merged, without_diverged
     from dieseltwin.identification.result import Identification
@@ -55,11 +55,12 @@ def ensemble(
         times = json.loads((parts[name] / RUNTIME).read_text(encoding="utf-8"))
         loaded.append(load_estimates(parts[name] / ESTIMATES, times["seconds_per_run"]))
         seconds += times["seconds"]
-    estimates = [merged(of_segment) for of_segment in zip(*loaded, strict=True)]
+    starts = {round(problem.t0_s, 6): problem for problem in problems}
+    problems = [starts[round(estimate.t0_s, 6)] for estimate in loaded[0]]
+    batches = zip(*loaded, strict=True)
+    estimates = [merged(of_segment, problem) for of_segment, problem in zip(batches, problems, strict=True)]
     if last_epoch:
         estimates = [at_last_epoch(estimate) for estimate in estimates]
-    starts = {round(problem.t0_s, 6): problem for problem in problems}
-    problems = [starts[round(estimate.t0_s, 6)] for estimate in estimates]
     truth = problems[0].truth
     true = np.array([truth[name] for name in HEALTH])
     bounds = [cramer_rao([problem], true, problem.true_initial[:3])[0].relative for problem in problems]
@@ -69,16 +70,15 @@ def ensemble(
     usable = [without_diverged(estimate, true, bound) for estimate, bound in zip(estimates, bounds, strict=True)]
     known = [i for i, estimate in enumerate(usable) if estimate is not None]
     kept = tuple(estimate for estimate in usable if estimate is not None)
-    found = Identification(
-        method, kept, tuple(problems[i] for i in known), what["seed"], seconds,
-        float(settings["identify"]["identifiable_bound_rel"]),
-    )  # fmt: skip
+    solved = tuple(problems[i] for i in known)
+    found = Identification(method, kept, solved, what["seed"], seconds, IDENTIFIABLE_BELOW)
     runtime = {"seconds": seconds, "seconds_per_run": [estimate.seconds_per_run for estimate in estimates]}
     if known:
         write_json(out / "identification.json", found.to_json())
         found.states.to_parquet(out / "states.parquet", index=False)
         curves = curves_table(found)
         if curves is not None:
+            curves = curves.dropna(subset=["value"])  # members that diverged
             curves["segment"] = [known[i] for i in curves["segment"]]
             curves.to_parquet(out / "curves.parquet", index=False)
         runtime = {**found.runtime(), **runtime}
@@ -162,12 +162,14 @@ def page(
     field: Path,
     common: Path,
     settings: dict[str, Any],
-    what: dict[str, Any],
     about: dict[str, Any],
     run_times: list[str],
     **parts: Path,
 ) -> None:
-    """``evaluation.html`` and ``figures/``: tables beside the paper's, and its figures case by case."""
+    """``evaluation.html`` and ``figures/``: tables beside the paper's, and its figures case by case.
+
+    The readings shown are those of a case's first member, whose noise its ``ensemble.json`` names.
+    """
     import json
 
     import pandas as pd
@@ -187,7 +189,7 @@ def page(
                 continue
             case = folder / note["case"]
             if not case.exists():
-                problems = problems_for(field, settings, {**what, "case": note["case"]}, 1)
+                problems = problems_for(field, settings, note, 1)
                 write_report_inputs(case, problems, truth_states=clean, about=about)
             (case / note["method"]).symlink_to(parts[name].resolve(), target_is_directory=True)
         for case in sorted(path for path in folder.iterdir() if path.is_dir()):

@@ -28,7 +28,6 @@ VIEW = view(
     ["method", "case", "variant", "members", "epochs"],
     f"tags.level = '{_WHOLE}'",  # without the members, which fill a page of their own
 )
-_IDENTIFIABLE = 0.25
 
 
 def evaluated(
@@ -74,9 +73,11 @@ def evaluated(
 def _ensemble(plan: Plan, artifact: Artifact, tags: Mapping[str, str], datasets: Mapping[str, str]) -> Record:
     import pandas as pd
 
+    from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
+
     members = pd.read_parquet(artifact.path / "members.parquet")
     runtime = json.loads((artifact.path / RUNTIME).read_text(encoding="utf-8"))
-    known = members[(members["bound"] <= _IDENTIFIABLE) & ~members["diverged"]]
+    known = members[(members["bound"] <= IDENTIFIABLE_BELOW) & ~members["diverged"]]
     per_cell = known.groupby(["parameter", "segment"])["ratio"]
     rmse = ((per_cell.mean() - 1.0) ** 2 + per_cell.std().fillna(0.0) ** 2) ** 0.5
     metrics: dict[str, float | None] = {

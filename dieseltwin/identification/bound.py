@@ -102,6 +102,14 @@ def cautious_bound(
     ]
 
 
+def nominal_bound(problem: SegmentProblem, states: Array) -> Bound:
+    """Bound at the nominal values and where the pooled states (n, 5) of an estimate begin [Pa, Pa, rad/s, -, K].
+
+    For methods that can end far off: a wrong estimate must not vouch for its own bound.
+    """
+    return cramer_rao([problem], problem.parameters.health(), states[0, :3])[0]
+
+
 def bound_from_fisher(fisher: Array, health: ArrayLike) -> Bound:
     """Turn an information matrix of logarithms into a bound.
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.engine import HEALTH, MEASURED
 from dieseltwin.errors import InputError
-from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, nominal_bound
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 
@@ -135,17 +135,32 @@ def load_estimates(path: Path, seconds_per_run: Sequence[float]) -> list[Segment
     return made
 
 
-def merged(parts: Sequence[SegmentEstimate]) -> SegmentEstimate:
-    """One estimate of a segment from those of its batches, in the order of their members."""
+def merged(parts: Sequence[SegmentEstimate], problem: SegmentProblem) -> SegmentEstimate:
+    """One estimate of a segment from those of its batches, in the order of their members.
+
+    The same as of one batch with all members, but for rounding. The methods that run in batches state the bound where
+    their pooled states begin, which each batch has of its own: it is stated anew for the states of all members.
+
+    Args:
+        parts: estimates of the batches.
+        problem: the segment.
+
+    Returns:
+        The estimate of all members; a single batch as it is.
+    """
     if len(parts) == 1:
         return parts[0]
 
-    def joined(name: str) -> Any:
-        values = [getattr(part, name) for part in parts]
+    def joined(name: str, of: Sequence[SegmentEstimate] = parts) -> Any:
+        values = [getattr(part, name) for part in of]
         return None if any(v is None for v in values) else np.concatenate(values)
 
-    weights = np.array([part.used.sum() for part in parts], dtype=np.float64)
-    runs = np.array([part.runs for part in parts], dtype=np.float64)
+    runs = np.array([part.runs for part in parts])
+    together = replace(parts[0], parameters=joined("parameters"), converged=joined("converged"))
+    used = np.array([of.sum() for of in np.split(together.used, np.cumsum(runs)[:-1])])
+    kept = [part for part, count in zip(parts, used, strict=True) if count]
+    states = np.average([part.states for part in kept], axis=0, weights=used[used > 0])
+    bound = nominal_bound(problem, states)
     curves = {}
     for name, first in parts[0].curves.items():
         values = [np.asarray(part.curves[name]) for part in parts]
@@ -154,11 +169,12 @@ def merged(parts: Sequence[SegmentEstimate]) -> SegmentEstimate:
         else:  # one curve for all runs of a batch: epochs, or a mean over runs
             curves[name] = first if name == "epoch" else np.average(values, axis=0, weights=runs)
     return replace(
-        parts[0],
-        **{name: joined(name) for name in ("parameters", "std", "interval_90", "converged", "chi2_per_sample")},
-        state_samples=joined("state_samples"),
-        parameter_samples=joined("parameter_samples"),
-        states=np.average([part.states for part in parts], axis=0, weights=weights),
+        together,
+        **{name: joined(name) for name in ("std", "interval_90", "chi2_per_sample")},
+        **{name: joined(name, kept) for name in ("state_samples", "parameter_samples")},
+        states=states,
+        bound=bound.absolute,
+        identifiable=bound.identifiable(),
         seconds_per_run=float(np.average([part.seconds_per_run for part in parts], weights=runs)),
         curves=curves,
     )
@@ -188,15 +204,22 @@ def diverged(
 def without_diverged(
     estimate: SegmentEstimate, truth: NDArray[np.float64], bound: NDArray[np.float64]
 ) -> SegmentEstimate | None:
-    """The estimate of the members that have a value, for bands and pooled values; None where no member has."""
+    """The estimate with NaN for members that diverged, for bands and pooled values; None where no member has a value.
+
+    The number of members stays: member r of one segment is member r of the others.
+    """
     keep = ~diverged(estimate.parameters, truth, bound)
     if not keep.any():
         return None
     if keep.all():
         return estimate
+
+    def blank(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(keep.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
+
     chi2 = estimate.chi2_per_sample
     curves = {
-        name: values[:, keep] if values.ndim == 2 and values.shape[1] == len(keep) else values
+        name: np.where(keep, values, np.nan) if values.ndim == 2 and values.shape[1] == len(keep) else values
         for name, values in estimate.curves.items()
     }
     samples, states = estimate.parameter_samples, estimate.state_samples
@@ -205,11 +228,11 @@ def without_diverged(
         samples, states = (samples[whole], states[whole]) if whole.any() else (None, None)
     return replace(
         estimate,
-        parameters=estimate.parameters[keep],
-        std=estimate.std[keep],
-        interval_90=estimate.interval_90[keep],
-        converged=estimate.converged[keep],
-        chi2_per_sample=None if chi2 is None else chi2[keep],
+        parameters=blank(estimate.parameters),
+        std=blank(estimate.std),
+        interval_90=blank(estimate.interval_90),
+        converged=estimate.converged & keep,
+        chi2_per_sample=None if chi2 is None else blank(chi2),
         curves=curves,
         parameter_samples=samples,
         state_samples=states,

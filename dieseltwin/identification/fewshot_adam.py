@@ -29,7 +29,7 @@ from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, actuate
 from dieseltwin.identification.averaging import TailMean
-from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.bound import nominal_bound
 from dieseltwin.identification.compiled_loss import gradient_function
 from dieseltwin.identification.fewshot_program import AdamSettings, Lane, draw_lane, make_program, start_values
 from dieseltwin.identification.losses import Weights
@@ -243,8 +243,7 @@ def estimate_of(
     still = finite & ((np.abs(final / earlier - 1.0) <= STILL_BELOW).all(axis=1) | (chosen < points - 1))
     used = still if still.any() else (finite if finite.any() else np.ones_like(finite))
     pooled_states = states[used].mean(axis=0)
-    # At the nominal values: these methods can end far off, and a wrong estimate must not vouch for its own bound.
-    bound = cramer_rao([problem], problem.parameters.health(), pooled_states[0, :3])[0]
+    bound = nominal_bound(problem, pooled_states)
     nothing = np.full(final.shape, np.nan)
     return SegmentEstimate(
         t0_s=problem.t0_s, t1_s=problem.t1_s, time_s=problem.time_s, parameters=final, std=nothing,

@@ -67,7 +67,7 @@ class SegmentEstimate:
     Attributes:
         t0_s, t1_s: segment [s].
         time_s: (n,) sample times [s].
-        parameters: (R, 4) estimates in the order of `HEALTH` [m2, m2, -, W/(m2 K)].
+        parameters: (R, 4) estimates in the order of `HEALTH` [m2, m2, -, W/(m2 K)]; NaN for a run without a usable one.
         std: (R, 4) standard deviation that each run claims; NaN where a method has none (Adam: spread of
             members).
         interval_90: (R, 4, 2) interval that each run claims; NaN where a method has none.
@@ -109,9 +109,12 @@ class SegmentEstimate:
 
     @property
     def used(self) -> NDArray[np.bool_]:
-        """(R,) runs behind the summary: the converged ones, all if none converged."""
+        """(R,) runs behind the summary: the converged ones; if none converged all with a value, all if none has one."""
         converged = np.asarray(self.converged, dtype=bool)
-        return converged if converged.any() else np.ones_like(converged)
+        if converged.any():
+            return converged
+        finite = np.isfinite(self.parameters).all(axis=1)
+        return finite if finite.any() else np.ones_like(converged)
 
     @property
     def trusted(self) -> bool:
@@ -181,16 +184,18 @@ class Identification:
         return {name: _pool([s[name] for s in summaries], self.threshold) for name in HEALTH}
 
     def run_values(self) -> Array:
-        """Pooled value of each run and parameter, NaN where no segment is identifiable.
+        """Pooled value of each run and parameter over the segments where it has one, NaN where none is identifiable.
 
         Returns:
             (R, 4) values [m2, m2, -, W/(m2 K)].
         """
         values = np.stack([s.parameters for s in self.segments])
         weight = np.stack([np.where(s.identifiable, (s.bound / s.centre) ** -2.0, 0.0) for s in self.segments])
-        total = weight.sum(axis=0)
-        mean = (weight[:, None, :] * np.log(values)).sum(axis=0) / np.where(total > 0.0, total, np.nan)
-        return np.exp(mean)
+        known = np.isfinite(values)
+        weights = np.where(known, weight[:, None, :], 0.0)
+        total = weights.sum(axis=0)
+        logs = np.log(np.where(known, values, 1.0))
+        return np.exp((weights * logs).sum(axis=0) / np.where(total > 0.0, total, np.nan))
 
     def to_json(self) -> dict[str, Any]:
         """Content of `identification.json`: strict JSON, SI units, no times of day and no run times."""

@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from dieseltwin.errors import InputError
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.report import evaluation_printed as printed
 
 BOUND_SCORED = 0.10
 """Relative bound below which a cell is scored (issue: "cells with a bound below 10 %")."""
-IDENTIFIABLE = 0.25
-"""Relative bound up to which a cell counts as identifiable (PROTOCOL.md, Bound)."""
 CONFIDENCE = 0.95
 """Of the bootstrap intervals."""
 CELL = ["case", "minute", "parameter"]
@@ -139,7 +138,7 @@ def bound_class(bound: float) -> str:
     """Whether a cell with that relative bound is scored, only identifiable, or neither."""
     if bound < BOUND_SCORED:
         return "scored"
-    return "identifiable" if bound <= IDENTIFIABLE else "not identifiable"
+    return "identifiable" if bound <= IDENTIFIABLE_BELOW else "not identifiable"
 
 
 def beside_paper(table: pd.DataFrame) -> pd.DataFrame:
@@ -302,7 +301,7 @@ def calibration(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         if e.case != "noisy-301":
             continue
         for parameter, part in e.members.groupby("parameter", sort=True):
-            usable = part[~part["diverged"] & (part["bound"] <= IDENTIFIABLE)]
+            usable = part[~part["diverged"] & (part["bound"] <= IDENTIFIABLE_BELOW)]
             stated = usable[np.isfinite(usable["std"]) & usable["identifiable"]]
             own = len(stated) > 0
             if own:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from numpy.typing import NDArray
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.identification import SegmentProblem
+from dieseltwin.identification import SegmentEstimate, SegmentProblem
+from dieseltwin.identification.bound import nominal_bound
 from dieseltwin.identification.ensemble import (
     CASES,
     case_problems,
@@ -60,14 +64,91 @@ def test_batches_give_what_the_whole_gives(clean: list[SegmentProblem], tmp_path
         made = estimate(noisy, runs, 11, config=SHORT, first_run=first)
         save_estimates(tmp_path / f"{first}.npz", made)
         parts.append(load_estimates(tmp_path / f"{first}.npz", [e.seconds_per_run for e in made]))
-    together = [merged(of_segment) for of_segment in zip(*parts, strict=True)]
+    together = [
+        merged(of_segment, problem) for of_segment, problem in zip(zip(*parts, strict=True), noisy, strict=True)
+    ]
     for ours, one in zip(together, whole, strict=True):
         np.testing.assert_allclose(ours.parameters, one.parameters, rtol=1e-4)
         assert ours.curves["loss"].shape == one.curves["loss"].shape
         assert ours.method == one.method and ours.t0_s == one.t0_s
+        np.testing.assert_allclose(ours.bound, one.bound, rtol=1e-4)
+        np.testing.assert_array_equal(ours.identifiable, one.identifiable)
     again = tmp_path / "again.npz"
     save_estimates(again, [replace(e, seconds_per_run=99.0) for e in parts[0]])
     assert again.read_bytes() == (tmp_path / "0.npz").read_bytes()  # run times are no part of a result
+
+
+def members_of(problem: SegmentProblem, initial: NDArray[np.float64], converged: NDArray[np.bool_]) -> SegmentEstimate:
+    """What a method of the paper's kind says of R runs whose states begin at `initial` (R, 5)."""
+    nothing = np.full((len(initial), 4), np.nan)
+    finite = np.isfinite(initial).all(axis=1)
+    used = converged if converged.any() else (finite if finite.any() else ~finite)
+    states = np.tile(initial[:, None], (1, len(problem.time_s), 1))
+    bound = nominal_bound(problem, states[used].mean(axis=0))
+    values = np.where(finite[:, None], we2011.FIELD.health(), np.nan)
+    return SegmentEstimate(
+        problem.t0_s, problem.t1_s, problem.time_s, values, nothing, np.stack([nothing, nothing], -1),
+        states[used].mean(axis=0), bound.absolute, bound.identifiable(), converged, 0.1, "few-shot-adam",
+        state_samples=states[used], parameter_samples=values[used],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("converged", [[True, True, True], [True, False, False], [False, False, False]])
+def test_bound_and_states_dont_depend_on_the_batches(clean: list[SegmentProblem], converged: list[bool]) -> None:
+    problem = clean[0]
+    assert problem.true_initial is not None
+    initial = np.asarray(problem.true_initial) * np.array([[1.0], [1.1], [1.3]])
+    initial[2] = initial[2] if converged[2] else np.nan
+    still = np.array(converged)
+    whole = members_of(problem, initial, still)
+    first = members_of(problem, initial[:2], still[:2])
+    if still.all():  # each batch has a bound of its own
+        assert np.abs(first.bound / whole.bound - 1.0).max() > 1e-3
+    rest = [members_of(problem, initial[i : i + 1], still[i : i + 1]) for i in (1, 2)]
+    alone = members_of(problem, initial[:1], still[:1])
+    for parts in ([first, rest[1]], [alone, *rest]):
+        ours = merged(parts, problem)
+        np.testing.assert_allclose(ours.states, whole.states, rtol=1e-12)
+        np.testing.assert_allclose(ours.bound, whole.bound, rtol=1e-9)
+        np.testing.assert_array_equal(ours.state_samples, whole.state_samples)
+        np.testing.assert_array_equal(ours.converged, still)
+
+
+@pytest.mark.filterwarnings("error")
+def test_one_diverged_member_leaves_an_ensemble_that_can_be_written(
+    clean: list[SegmentProblem], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tasks import ensembles, evaluate
+
+    made = [members_of(p, np.tile(p.true_initial, (3, 1)), np.ones(3, dtype=bool)) for p in clean]
+    values = made[1].parameters.copy()
+    values[1] = np.nan
+    values[2, 0] *= 100.0
+    curve = np.tile(np.log(2.0 + np.arange(4.0))[:, None], (1, 3))
+    made[1] = replace(
+        made[1], parameters=values, parameter_samples=values, curves={"epoch": np.arange(4.0), "loss": curve}
+    )
+    batch = tmp_path / "batch"
+    batch.mkdir()
+    ensembles._write(batch, made, 1.0)
+    monkeypatch.setattr(ensembles, "problems_for", lambda *_: clean)
+    what = {"case": "clean-301", "members": 3, "seed": 5, "noise_seed": 6, "channels": None}
+    evaluate.ensemble.function(
+        tmp_path, None, field=tmp_path, settings={}, what=what, method="few-shot-adam", variant="", epochs=3,
+        last_epoch=False, kind="", run_times=[], part_0000=batch,
+    )  # fmt: skip
+    document = json.loads((tmp_path / "identification.json").read_text(encoding="utf-8"))
+    assert [run["segments"][1]["parameters"]["eta_sc"]["value"] is None for run in document["runs"]] == [
+        False,
+        True,
+        True,
+    ]
+    assert [run["converged"] for run in document["runs"]] == [True, False, False]
+    # the first segment still says something of every member
+    assert all(run["parameters"]["A_vgtmax"] is not None for run in document["runs"])
+    table = pd.read_parquet(tmp_path / "members.parquet")
+    assert table.groupby("segment")["member"].nunique().tolist() == [3, 3] and table["diverged"].sum() == 8
+    assert pd.read_parquet(tmp_path / "curves.parquet")["run"].unique().tolist() == [0]
 
 
 def test_diverged_members_are_kept_in_the_table_and_left_out_of_the_bands(clean: list[SegmentProblem]) -> None:
@@ -85,7 +166,10 @@ def test_diverged_members_are_kept_in_the_table_and_left_out_of_the_bands(clean:
     table = member_table([broken], names, [bound], 5)
     assert len(table) == 3 * 4 and table["diverged"].sum() == 8 and (table["seed"] == 5).all()
     kept = without_diverged(broken, truth, bound)
-    assert kept is not None and kept.runs == 1 and kept.curves["loss"].shape[1] == 1
+    assert kept is not None and kept.runs == 3 and not kept.converged[1:].any()
+    assert np.isnan(kept.parameters[1:]).all() and np.isnan(kept.curves["loss"][:, 1:]).all()
+    np.testing.assert_array_equal(kept.parameters[0], made.parameters[0])
+    np.testing.assert_array_equal(kept.curves["loss"][:, 0], made.curves["loss"][:, 0])
     assert without_diverged(replace(made, parameters=np.full_like(values, np.nan)), truth, bound) is None
 
 

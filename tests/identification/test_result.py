@@ -113,3 +113,20 @@ def test_a_segment_without_a_converged_run_is_not_pooled() -> None:
     assert pooled.mean == pytest.approx(7e-4)
     members = replace(segment(0.01, claims=False), converged=np.zeros(3, dtype=bool))
     assert members.summary()["A_vgtmax"].identifiable  # Adam ends with its epochs, not with convergence
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_run_without_a_value_in_one_segment_has_that_of_the_others() -> None:
+    some, all_ = segment(0.01, 0.02), segment(0.01)
+    values = some.parameters.copy()
+    values[1] = np.nan
+    converged = np.array([True, False, True])
+    found = whole(all_, replace(some, parameters=values, converged=converged))
+    runs = found.run_values()
+    np.testing.assert_allclose(runs[1], TRUE)
+    np.testing.assert_allclose(runs[[0, 2]], np.tile(TRUE * np.sqrt(1.02), (2, 1)), rtol=1e-3)
+    document = found.to_json()
+    assert document["runs"][1]["segments"][1]["parameters"]["h_tot"]["value"] is None
+    assert document["segments"][1]["parameters"]["h_tot"]["mean"] == pytest.approx(1.02 * TRUE[3])
+    none = replace(some, parameters=values, converged=np.zeros(3, dtype=bool))
+    assert none.used.tolist() == [True, False, True]
