@@ -14,6 +14,7 @@ from typing import Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from dieseltwin.config_discovery import DiscoverConfig, PromotionConfig, ProofConfig
+from dieseltwin.config_evaluation import EvaluationConfig
 from dieseltwin.config_maps import MapsConfig, Widths
 from dieseltwin.strict import StrictModel, overridden, read_profile, validate
 
@@ -264,10 +265,8 @@ class IdentifyConfig(StrictModel):
     """What the estimators share, and their own settings."""
 
     segment_s: PositiveFloat
-    history_s: NonNegativeFloat
     runs: PositiveInt
     identifiable_bound_rel: PositiveFloat
-    interval: PositiveFloat = Field(lt=1.0, description="probability of the reported interval")
     minutes: PositiveFloat = Field(description="how much of Case-V is identified, from its start [min]")
     start: StartConfig
     classical: ClassicalConfig
@@ -277,46 +276,10 @@ class IdentifyConfig(StrictModel):
     multi_stage: PinnConfig
 
 
-class EvaluateConfig(StrictModel):
-    """Ensembles behind tables and coverage."""
-
-    noise_draws: PositiveInt
-    coverage_runs: PositiveInt
-
-
-class VariantConfig(StrictModel):
-    """Further ensembles: a method with something changed."""
-
-    name: str
-    method: Literal["classical", "few-shot-newton", "few-shot-adam", "baseline", "multi-stage"]
-    cases: tuple[Literal["clean-151", "clean-301", "noisy-301"], ...] = ("noisy-301",)
-    last_epoch: bool = Field(
-        default=False, description="the method's own runs, read at the last epoch; nothing is trained anew"
-    )
-    channels: tuple[str, ...] | None = Field(default=None, description="sensors that are read; none = all five")
-    held_out_share: NonNegativeFloat = Field(default=0.0, lt=1.0, description="readings no loss sees: early stopping")
-    weight_share: PositiveFloat = Field(default=1.0, description="factor on the paper's starting weights")
-    scale_x_r: PositiveFloat | None = Field(default=None, description="unit of the residual of x_r; none: its own")
-    start: Literal["lab", "truth"] = "lab"
-    members: PositiveInt
-
-
-class EvaluationConfig(StrictModel):
-    """The paper's tables: ensembles of every method on every case, and repeated trainings of the learned parts."""
-
-    cases: tuple[Literal["clean-151", "clean-301", "noisy-301"], ...] = Field(min_length=1)
-    members: dict[Literal["baseline", "multi-stage", "few-shot-adam", "few-shot-newton", "classical"], PositiveInt]
-    members_per_batch: PositiveInt = Field(description="runs of one tensor program and of one cached step")
-    trainings: PositiveInt = Field(description="repeated trainings of the operators and bodies")
-    bootstrap: PositiveInt = Field(description="resamplings of the members behind the intervals of ratios")
-    variants: tuple[VariantConfig, ...] = ()
-
-
 class ReportConfig(StrictModel):
     """Figures of the report."""
 
     dpi: PositiveInt
-    picture_s: PositiveFloat = Field(description="length of driving shown in the pictures of the sets [s]")
 
 
 class Params(StrictModel):
@@ -329,7 +292,6 @@ class Params(StrictModel):
     noise: NoiseConfig
     pretrain: PretrainConfig
     identify: IdentifyConfig
-    evaluate: EvaluateConfig
     evaluation: EvaluationConfig
     promotion: PromotionConfig
     discover: DiscoverConfig

@@ -78,7 +78,7 @@ def _plan(settings: Mapping[str, Any], method: str, case: str, variant: str, cha
         "noise_seed": seed_for(settings["seed"], f"evaluation noise {case}"),
         # A variant keeps the seed of what it is a variant of: nothing but the change differs.
         "seed": seed_for(settings["seed"], f"evaluation {method} {case}"),
-        "start": changed.get("start", settings["identify"]["start"]["at"]),
+        "start": changed.get("start") or settings["identify"]["start"]["at"],
         "channels": changed.get("channels"),
         "held_out_share": changed.get("held_out_share", 0.0),
         "weight_share": changed.get("weight_share", 1.0),

@@ -134,7 +134,7 @@ def test_a_new_field_of_the_report_leaves_pretraining_alone(library: Path) -> No
     (library / "dieseltwin").unlink()
     shutil.copytree(PROJECT / "dieseltwin", library / "dieseltwin", ignore=shutil.ignore_patterns("__pycache__"))
     config = library / "dieseltwin" / "config.py"
-    config.write_text(config.read_text().replace("    picture_s:", "    another: int = 3\n    picture_s:"))
+    config.write_text(config.read_text().replace("    dpi:", "    another: int = 3\n    dpi:"))
     assert "another: int" in config.read_text()
     after = pretrain.bodies.code(RunContext(Workspace(library), Display(library / "x"), library_root=library)).digest
     assert after == before

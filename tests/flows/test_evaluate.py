@@ -29,7 +29,7 @@ EVALUATION = {
     "bootstrap": 50,
     "variants": [
         {"name": "early stopping", "method": "few-shot-adam", "held_out_share": 0.1, "members": 2},
-        {"name": "last epoch", "method": "multi-stage", "last_epoch": True, "members": 2},
+        {"name": "last epoch", "method": "multi-stage", "last_epoch": True},
         {"name": "three sensors", "method": "classical", "members": 2,
          "channels": ["p_im_pa", "p_em_pa", "omega_t_rad_s"]},
     ],
