@@ -26,7 +26,13 @@ import torch
 from dieseltwin.config import load_params
 from dieseltwin.datasets import laboratory_parameters
 from dieseltwin.engine import HEALTH, MEASURED
-from dieseltwin.identification import PAPER_CHANNELS, NoiseLevels, identify_segments, problems_from_recording
+from dieseltwin.identification import (
+    METHODS,
+    PAPER_CHANNELS,
+    NoiseLevels,
+    identify_segments,
+    problems_from_recording,
+)
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.ensemble import CASES, case_problems, member_table
 from dieseltwin.recordings import read_recording
@@ -37,6 +43,7 @@ from dieseltwin.surrogates.operators import ActuatorOperators
 
 SECTIONS = ("adam", "baseline", "multi_stage")
 LEARNED = ("few-shot-adam", "baseline", "multi-stage")
+"""Methods that run with what `--models` holds; the others have exact formulae and bodies of their own."""
 STATES = ["p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k"]
 
 
@@ -69,12 +76,14 @@ def main() -> None:
     """Run the ensembles and print scores, cells and calibration."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--methods", nargs="+", default=["classical", "few-shot-newton"])
-    parser.add_argument("--cases", nargs="+", default=list(CASES))
+    parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=["classical", "few-shot-newton"])
+    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--members", type=int, default=30)
     parser.add_argument("--channels", nargs="+", default=None, help="sensors; all five without it")
     parser.add_argument("--profile", default="quick", help="whose epochs and settings")
-    parser.add_argument("--models", type=Path, default=None, help="folder of trained networks, for the Adam methods")
+    parser.add_argument(
+        "--models", type=Path, default=None, help=f"folder of trained networks, for {', '.join(LEARNED)}"
+    )
     parser.add_argument("--leave-out", nargs="+", default=[], help="of bodies, maps, operators")
     parser.add_argument("--scale-x-r", type=float, default=None, help="unit of the residual of x_r")
     parser.add_argument("--average-share", type=float, default=None, help="of the epochs; 0 is the last epoch")
@@ -82,6 +91,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--recording", type=Path, default=Path("data/field/case_v_clean.parquet"))
     arguments = parser.parse_args()
+    if arguments.models is not None and not set(arguments.methods) & set(LEARNED):
+        parser.error(
+            f"--models: none of {', '.join(arguments.methods)} uses it; name {' or '.join(LEARNED)}, or leave it out"
+        )
 
     params = load_params(None, arguments.profile)
     clean = clean_problems(arguments.recording, params)

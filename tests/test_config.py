@@ -9,6 +9,7 @@ import yaml
 from pydantic import ValidationError
 
 from dieseltwin.config import Params, default_params_path, load_params, params_sha256
+from dieseltwin.config_evaluation import EvaluationConfig
 from dieseltwin.errors import InputError
 from dieseltwin.strict import did_you_mean, read_mapping
 
@@ -128,6 +129,73 @@ def test_a_profile_replaces_single_values_only(tmp_path: Path, text: str) -> Non
     path = changed(tmp_path, text, "  paper: {}", "  paper: {noise: {p_im_rel: 0.07}}")
     noise = load_params(path, "paper").noise
     assert noise.p_im_rel == 0.07 and noise.p_em_rel == 0.03
+
+
+FEW = "{name: few, members: 4, "
+
+
+@pytest.mark.parametrize(
+    ("variant", "words"),
+    [
+        (FEW + "method: multi-stage, scale_x_r: 1.0}", ["scale_x_r", "got 1.0", "few-shot-adam or baseline"]),
+        (FEW + "method: multi-stage, held_out_share: 0.1}", ["held_out_share", "multi-stage ignores it"]),
+        (FEW + "method: multi-stage, start: truth}", ["start", "multi-stage ignores it"]),
+        (FEW + "method: baseline, weight_share: 0.1}", ["weight_share", "with few-shot-adam"]),
+        (FEW + "method: baseline, held_out_share: 0.1}", ["held_out_share", "with few-shot-adam"]),
+        (FEW + "method: few-shot-newton, scale_x_r: 1.0}", ["scale_x_r", "few-shot-newton ignores it"]),
+        (FEW + "method: classical, weight_share: 2.0}", ["weight_share", "classical ignores it"]),
+        ("{name: few, method: classical}", ["members", "add this key"]),
+        ("{name: few, method: classical, last_epoch: true}", ["last_epoch", "few-shot-adam, multi-stage, baseline"]),
+        (FEW + "method: baseline, last_epoch: true}", ["members", "beside last_epoch", "leave it out"]),
+        (
+            "{name: few, method: few-shot-adam, last_epoch: true, start: lab, scale_x_r: 0.1}",
+            ["scale_x_r, start", "beside last_epoch"],
+        ),
+        ("{name: few, method: multi-stage, members: 31}", ["31 members", "at most the 30 of baseline"]),
+        ("{name: '', method: classical, members: 4}", ["name", "at least 1 character"]),
+    ],
+)
+def test_a_variant_with_settings_that_its_method_ignores_is_refused(
+    tmp_path: Path, text: str, variant: str, words: list[str]
+) -> None:
+    wanted = "    - {name: early stopping, method: few-shot-adam, held_out_share: 0.1, members: 30}"
+    message = refusal(changed(tmp_path, text, wanted, f"    - {variant}"), "paper")
+    assert "evaluation.variants" in message and all(word in message for word in words), message
+
+
+def evaluation_refusal(project_root: Path, **changes: object) -> str:
+    settings = load_params(project_root / "params.yaml", "paper").evaluation.model_dump()
+    with pytest.raises(InputError) as error:
+        EvaluationConfig.model_validate({**settings, **changes})
+    return str(error.value)
+
+
+def test_equal_names_of_variants_are_refused(project_root: Path) -> None:
+    one = {"name": "three sensors", "method": "classical", "members": 3}
+    again = {**one, "name": "three_sensors"}  # the same folder
+    assert "twice for noisy-301" in evaluation_refusal(project_root, variants=[one, again])
+    assert "evaluation.cases" in evaluation_refusal(project_root, cases=["noisy-301", "noisy-301"])
+    other = [one, {**one, "method": "few-shot-newton"}, {**one, "cases": ["clean-301"]}]
+    settings = load_params(project_root / "params.yaml", "paper").evaluation.model_dump()
+    assert len(EvaluationConfig.model_validate({**settings, "variants": other}).variants) == 3
+
+
+def test_multi_stage_needs_a_source_model_for_each_member(project_root: Path) -> None:
+    message = evaluation_refusal(project_root, members={"multi-stage": 4, "classical": 3}, variants=[])
+    assert "evaluation.members: multi-stage" in message and "add evaluation.members: baseline" in message
+    message = evaluation_refusal(project_root, members={"multi-stage": 4, "baseline": 3}, variants=[])
+    assert "got 4 members" in message and "at most the 3 of baseline" in message
+    read = {"name": "last epoch", "method": "few-shot-adam", "last_epoch": True}
+    message = evaluation_refusal(project_root, members={"classical": 3}, variants=[read])
+    assert "last_epoch" in message and "add the method to evaluation.members" in message
+
+
+def test_the_protocols_rule_for_identifiable_stands_in_the_settings_too(project_root: Path) -> None:
+    from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
+
+    for profile in ("quick", "paper", "tiny"):
+        settings = load_params(project_root / "params.yaml", profile)
+        assert settings.identify.identifiable_bound_rel == IDENTIFIABLE_BELOW
 
 
 def test_params_of_the_working_folder_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, project_root: Path) -> None:

@@ -94,6 +94,78 @@ def test_one_ensemble_can_be_run_alone_and_multi_stage_brings_what_it_starts_fro
         ensembles_of(settings, ["classical"])
 
 
+def test_the_figures_show_readings_that_a_member_saw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dieseltwin import report
+    from dieseltwin.config import load_params
+    from dieseltwin.report import evaluation_page
+    from tasks import ensembles, evaluate, identify
+    from tasks.evaluation_plan import ensembles_of
+
+    settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")
+    plans = [plan for plan in ensembles_of(settings) if plan.method == "classical" and not plan.variant]
+    parts = {}
+    for plan in plans:
+        folder = tmp_path / plan.slug
+        folder.mkdir()
+        note = {"method": plan.method, "variant": "", **plan.what}
+        (folder / "ensemble.json").write_text(json.dumps({k: v for k, v in note.items() if v is not None}))
+        (folder / "identification.json").write_text("{}")
+        parts[plan.slug] = folder
+    (tmp_path / "runtime.json").write_text('{"run_times": []}')
+    seen = {}
+
+    def fake_problems(field: Path, settings: dict, what: dict, members: int) -> list:
+        seen[what["case"]] = (what["noise_seed"], what.get("channels"))
+        return []
+
+    monkeypatch.setattr(identify, "problems_of", lambda *_: ([], None))
+    monkeypatch.setattr(ensembles, "problems_for", fake_problems)
+    monkeypatch.setattr(report, "write_report_inputs", lambda folder, *_, **__: folder.mkdir())
+    monkeypatch.setattr(report, "load_results", lambda folder: None)
+    monkeypatch.setattr(evaluation_page, "build_page", lambda *_, **__: None)
+    evaluate.page.function(
+        tmp_path, None, field=tmp_path, common=tmp_path, settings={}, about={}, run_times=[], **parts
+    )  # fmt: skip
+    assert seen == {plan.case: (plan.what["noise_seed"], None) for plan in plans}
+    assert len({seed for seed, _ in seen.values()}) == 3
+
+
+def test_what_is_already_computed_is_said_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from types import SimpleNamespace
+
+    from tasks.ensembles import classical
+    from tasks.store import Artifact
+
+    context = new_context(tmp_path)
+    said: list[str] = []
+    monkeypatch.setattr(context.display, "cached", said.append)
+    monkeypatch.setattr(Artifact, "from_dict", lambda *_: "artifact")
+    future = SimpleNamespace(result=dict)
+    pending = run_context.Pending(classical, {"kind": "x"}, future, context, cached=True)
+    assert [pending.result(), pending.result()] == ["artifact", "artifact"]
+    assert len(said) == 1
+    run_context.use(None)
+
+
+@pytest.mark.parametrize("unit", [None, 0.5])
+def test_the_unit_of_x_r_is_changed_where_an_ensemble_names_one(unit: float | None) -> None:
+    from dieseltwin.identification.baseline import SETTINGS
+    from dieseltwin.identification.fewshot_program import AdamSettings
+    from tasks.ensembles import _with_x_r
+
+    for printed in (SETTINGS, AdamSettings()):
+        assert _with_x_r(printed, {"scale_x_r": unit}).scales.x_r == (unit or printed.scales.x_r)
+
+
+def test_a_variant_starts_where_its_method_starts() -> None:
+    from dieseltwin.config import load_params
+    from tasks.evaluation_plan import ensembles_of
+
+    settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")
+    settings["identify"]["start"]["at"] = "truth"
+    assert {plan.what["start"] for plan in ensembles_of(settings)} == {"truth"}
+
+
 @pytest.mark.flow
 def test_tables_page_and_records_come_out_and_a_second_run_computes_nothing(tmp_path: Path, prefect: None) -> None:
     from flows.evaluate import evaluate

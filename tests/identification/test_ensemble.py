@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.identification import SegmentEstimate, SegmentProblem
+from dieseltwin.identification import METHODS, SegmentEstimate, SegmentProblem
 from dieseltwin.identification.bound import nominal_bound
 from dieseltwin.identification.ensemble import (
     CASES,
@@ -189,3 +191,31 @@ def test_the_unit_of_x_r_changes_only_its_own_term(clean: list[SegmentProblem]) 
     held = estimate(problems, 1, 3, config=replace(SHORT, scales=replace(SHORT.scales, x_r=0.03)))[0]
     assert held.curves["loss"][0] > printed.curves["loss"][0]  # the same start, a dearer residual
     np.testing.assert_array_equal(held.curves["A_egrmax"][0], printed.curves["A_egrmax"][0])
+
+
+def test_the_benchmark_gives_the_learned_parts_to_every_method_that_uses_them(
+    clean: list[SegmentProblem], project_root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    spec = importlib.util.spec_from_file_location("benchmark", project_root / "benchmarks" / "evaluation.py")
+    assert spec is not None and spec.loader is not None
+    benchmark = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(benchmark)
+    given = {}
+
+    def fake(problems: list[SegmentProblem], method: str, *_: object, config: object, **learned: object) -> object:
+        given[method] = learned
+        bodies = [members_of(p, np.tile(p.true_initial, (2, 1)), np.ones(2, dtype=bool)) for p in problems]
+        return SimpleNamespace(segments=bodies)
+
+    monkeypatch.setattr(benchmark, "clean_problems", lambda *_: clean)
+    monkeypatch.setattr(benchmark, "networks", lambda *_: {"maps": "learned"})
+    monkeypatch.setattr(benchmark, "identify_segments", fake)
+    command = ["evaluation.py", "--members", "2", "--cases", "noisy-301", "--models", "models", "--methods"]
+    monkeypatch.setattr("sys.argv", [*command, *METHODS])
+    benchmark.main()
+    assert {method for method, learned in given.items() if learned} == {"few-shot-adam", "baseline", "multi-stage"}
+    for wrong in (["multi_stage"], ["classical"]):
+        monkeypatch.setattr("sys.argv", [*command, *wrong])
+        with pytest.raises(SystemExit):
+            benchmark.main()
+    assert "multi-stage" in capsys.readouterr().err
