@@ -154,7 +154,7 @@ def _linked(parts: dict[str, Path]) -> Iterator[Path]:
         yield Path(temporary)
 
 
-@step("evaluation-page", "page of the evaluation", expected_s=60.0, data_files=("dieseltwin/report/templates",))
+@step("evaluation-page", "page of the evaluation", expected_s=60.0)
 def page(
     out: Path,
     progress: Any,

@@ -44,9 +44,7 @@ def benchmark(
 
 
 @step("case", "discovery", expected_s=60.0, many=True)
-def case(
-    out: Path, progress: Any, *, recording: Path, kind: str, withhold: list[str], tier: str
-) -> None:
+def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list[str], tier: str) -> None:
     """What ``challenge run`` writes of one case (``kind``): discrepancy.json, engine.yaml, ... or failed.json."""
     import json
     from contextlib import chdir

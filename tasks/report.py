@@ -95,7 +95,7 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-@step("report", "report", expected_s=20.0, data_files=("dieseltwin/report/templates",))
+@step("report", "report", expected_s=20.0)
 def report(
     out: Path,
     progress: Any,

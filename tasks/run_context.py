@@ -3,7 +3,8 @@
 A step's key is the hash of
   * the content hashes of the files it is given (never their names, never arrays),
   * its plain parameters (its section of params.yaml, seeds),
-  * the code of its own function and of the library modules that it really imports (:mod:`tasks.sources`),
+  * the code of its own function and of the library modules that it really imports (:mod:`tasks.sources`), and the files
+    that those open in the library,
   * the versions of the packages those modules import.
 
 Results lie in ``.cache/<step>/<key>/`` (:mod:`tasks.store`); Prefect's own cache holds the path and the hash alone,
@@ -113,7 +114,6 @@ class Step:
     label: str
     function: Callable[..., None]
     expected_s: float = 5.0
-    data_files: tuple[str, ...] = ()
     entries: tuple[str, ...] = ()
     many: bool = False
 
@@ -142,7 +142,6 @@ class Step:
             "step": self.name,
             "code": self.code(context).digest,
             "inputs": {name: artifact.sha256 for name, artifact in inputs.items()},
-            "data": {name: Artifact.of(context.library_root / name).sha256 for name in self.data_files},
             "parameters": parameters,
         }
         text = json.dumps(parts, sort_keys=True, allow_nan=False)
@@ -217,19 +216,17 @@ def step(
     label: str,
     *,
     expected_s: float = 5.0,
-    data_files: tuple[str, ...] = (),
     entries: tuple[str, ...] = (),
     many: bool = False,
 ) -> Callable[[Callable[..., None]], Step]:
     """Make a step of a function, see :class:`Step`.
 
-    ``data_files``: files or folders of the library (relative to the project) that it reads; ``entries``: library
-    modules that stand for the packages they lie in, where a package's registry would take in too much; ``many``: it
-    runs hundreds of times in a flow, so that results from the cache aren't listed.
+    ``entries``: library modules that stand for the packages they lie in, where a package's registry would take in too
+    much; ``many``: it runs hundreds of times in a flow, so that results from the cache aren't listed.
     """
 
     def decorate(function: Callable[..., None]) -> Step:
-        made = Step(name, label, function, expected_s, data_files, entries, many)
+        made = Step(name, label, function, expected_s, entries, many)
         if name in STEPS and STEPS[name].function.__qualname__ != function.__qualname__:
             raise ValueError(f"two steps named {name!r}")
         STEPS[name] = made
@@ -266,6 +263,7 @@ def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], par
         "parameters": dict(parameters),
         "modules": dict(sorted(step.code(context).modules.items())),
         "packages": dict(step.code(context).packages),
+        "data": dict(step.code(context).data),
     }
     name, title = step.instance(parameters), step.title(parameters)
     context.display.start(name, step.expected_s, title)

@@ -36,7 +36,7 @@ def _settings(**sections: dict[str, Any]) -> Any:
     return SimpleNamespace(**{name: models[name](**section) for name, section in sections.items()})
 
 
-@step("driving-sets", "driving: Set-I to Set-IV", expected_s=30.0, data_files=("dieseltwin/data",))
+@step("driving-sets", "driving: Set-I to Set-IV", expected_s=30.0)
 def driving_sets(out: Path, progress: Any, *, driving: dict[str, Any], engine: dict[str, Any]) -> None:
     """``set_i.parquet`` ...: the inputs of every set; ``response/``: what the engine did while they were made."""
     from dieseltwin.datasets import drive_set, laboratory_parameters

@@ -4,6 +4,9 @@ Prefect's ``TASK_SOURCE`` sees only the task's own text, so a changed helper ret
 library throws hours of pretraining away for a new colour in the report. Here the digest covers exactly the modules of
 ``dieseltwin`` that a step's entry modules import, directly or through others, inside functions too.
 
+Files of the library that are no code (driving schedules, templates of a page) count for whom imports a module that
+opens them: :mod:`tasks.library_files` tells which.
+
 What counts is a module's code, not its text: comments, docstrings and layout are left out of the digest. Of the
 settings' module, which every other imports, only the models that are really imported count: a new field for the report
 doesn't run the pretraining again.
@@ -18,11 +21,14 @@ import inspect
 import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+from tasks.library_files import folders_read
+from tasks.store import content_hash
 
 LIBRARY = "dieseltwin"
 
@@ -40,20 +46,23 @@ class Sources:
     """The code a result rests on.
 
     ``modules``: module name -> sha256 of its code; ``packages``: distribution of another project -> its version;
-    ``python``: ``major.minor`` of the interpreter.
+    ``python``: ``major.minor`` of the interpreter; ``data``: folder of the library (relative to the project) whose
+    files the modules read -> sha256 of its contents.
     """
 
     modules: Mapping[str, str]
     packages: Mapping[str, str]
     python: str
+    data: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def digest(self) -> str:
-        """One sha256 over modules, versions and interpreter."""
+        """One sha256 over modules, versions, interpreter and data."""
         text = "\n".join(
             [self.python]
             + [f"{name} {code}" for name, code in sorted(self.modules.items())]
             + [f"{name}=={version}" for name, version in sorted(self.packages.items())]
+            + [f"{name}/ {contents}" for name, contents in sorted(self.data.items())]
         )
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -66,6 +75,7 @@ class LibrarySources:
 
     def __init__(self, root: Path, package: str = LIBRARY) -> None:
         self.package = package
+        self._root = root
         self._files = {
             _module_name(path.relative_to(root)): path
             for path in sorted((root / package).rglob("*.py"))
@@ -74,6 +84,7 @@ class LibrarySources:
         self._trees: dict[str, ast.Module] = {}
         self._imported: dict[tuple[str, frozenset[str]], dict[str, set[str]]] = {}
         self._digests: dict[tuple[str, frozenset[str]], str] = {}
+        self._data: dict[str, dict[str, str]] = {}
 
     @property
     def modules(self) -> frozenset[str]:
@@ -118,8 +129,16 @@ class LibrarySources:
                 if statements:
                     modules[name] = _code_digest(ast.Module(body=statements, type_ignores=[]))
         modules |= dict(own_code or {})
+        data = {folder: digest for name in inside for folder, digest in self._data_of(name).items()}
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
-        return Sources(modules=modules, packages=_versions(frozenset(outside)), python=version)
+        return Sources(modules=modules, packages=_versions(frozenset(outside)), python=version, data=data)
+
+    def _data_of(self, name: str) -> dict[str, str]:
+        """Folders that the module reads, with the hashes of their contents."""
+        if name not in self._data:
+            folders = folders_read(self._tree(name), self._files[name], self._root)
+            self._data[name] = {folder: content_hash(self._root / folder) for folder in sorted(folders)}
+        return self._data[name]
 
     def _is_sliced(self, name: str, imported: Collection[str]) -> bool:
         """Whether only the imported names of that module count."""
@@ -244,25 +263,37 @@ def _task_functions(body: ast.Module) -> list[Callable[..., Any]]:
 
 def _used_definitions(source: ast.Module, wanted: set[str]) -> list[ast.stmt]:
     """The module's functions, classes and constants that ``wanted`` names and what those use; and what else it runs."""
-    definitions: dict[str, ast.stmt] = {}
+    definitions: dict[str, list[ast.stmt]] = {}
+    others = []
     for statement in source.body:
-        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-            definitions[statement.name] = statement
-        elif isinstance(statement, ast.Assign | ast.AnnAssign):
-            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-            definitions |= {target.id: statement for target in targets if isinstance(target, ast.Name)}
-    used: dict[str, ast.stmt] = {}
+        names = _names_defined(statement)
+        for name in names:
+            definitions.setdefault(name, []).append(statement)
+        if not names and not _is_inert(statement):
+            others.append(statement)
+    used: dict[str, list[ast.stmt]] = {}
     todo = list(wanted)
     while todo:
         name = todo.pop()
         if name in used or name not in definitions:
             continue
         used[name] = definitions[name]
-        running = _Running().visit(ast.parse(ast.unparse(definitions[name])))
-        todo += [node.id for node in ast.walk(running) if isinstance(node, ast.Name)]
-    plain = ast.FunctionDef | ast.ClassDef | ast.Assign | ast.AnnAssign
-    others = [node for node in source.body if not isinstance(node, plain) and not _is_inert(node)]
-    return [_undecorated(used[name]) for name in sorted(used)] + others
+        for statement in definitions[name]:
+            running = _Running().visit(ast.parse(ast.unparse(statement)))
+            todo += [node.id for node in ast.walk(running) if isinstance(node, ast.Name)]
+    statements = {id(statement): statement for name in sorted(used) for statement in used[name]}
+    return [_undecorated(statement) for statement in statements.values()] + others
+
+
+def _names_defined(statement: ast.stmt) -> list[str]:
+    """Names that a definition or an assignment gives (``A, B = 1, 2`` gives two); none for all other statements."""
+    if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+        return [statement.name]
+    if not isinstance(statement, ast.Assign | ast.AnnAssign):
+        return []
+    targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+    stored = [node for target in targets for node in ast.walk(target)]
+    return [node.id for node in stored if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
 
 
 def _undecorated(node: ast.stmt) -> ast.stmt:
