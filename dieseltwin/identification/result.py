@@ -113,7 +113,7 @@ class SegmentEstimate:
         converged = np.asarray(self.converged, dtype=bool)
         if converged.any():
             return converged
-        finite = np.isfinite(self.parameters).all(axis=1)
+        finite = np.asarray(np.isfinite(self.parameters).all(axis=1))
         return finite if finite.any() else np.ones_like(converged)
 
     @property
