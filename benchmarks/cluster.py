@@ -49,7 +49,7 @@ def run(where: str, root: Path, members: int, *, kill: bool = False) -> tuple[st
     from tasks import ensembles, run_context
     from tasks.cluster import task_runner
     from tasks.publish import published
-    from tasks.settings import load_settings
+    from tasks.settings import load_settings, own_settings
 
     run_context.use(None)
     run_context.current().display.console.quiet = True
@@ -65,7 +65,7 @@ def run(where: str, root: Path, members: int, *, kill: bool = False) -> tuple[st
                     "case": case, "members": members, "noise_seed": 1, "seed": 2, "start": "lab", "channels": channels,
                     "held_out_share": 0.0, "weight_share": 1.0, "scale_x_r": None, "first": 0, "runs": members,
                 }  # fmt: skip
-                own = ensembles.own_settings(settings, "classical")
+                own = own_settings(settings, "classical")
                 pending.append(
                     ensembles.classical.submit(field=field, settings=own, what=what, kind=f"{case}-{name}")
                 )

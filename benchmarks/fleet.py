@@ -113,9 +113,9 @@ def measured(costs: Costs) -> Costs:
     sys.path.insert(0, str(ROOT))
     from dieseltwin.identification import identify_segments
     from tasks import identify as methods
-    from tasks.settings import load_settings
+    from tasks.settings import load_settings, own_settings
 
-    own = methods.own_settings(load_settings("quick"), "classical")
+    own = own_settings(load_settings("quick"), "classical")
     own["identify"]["minutes"] = 20.0
     problems, _ = methods.problems_of(ROOT / "data" / "field", own)
     config = methods._config(own)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -327,7 +328,8 @@ def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) 
     return validate(Params, {**settings, "profile": profile}, f"{path}: profile {profile}")
 
 
-def params_sha256(params: Params) -> str:
-    """SHA-256 (hex) of the settings as canonical JSON."""
-    canonical = json.dumps(params.model_dump(mode="json"), sort_keys=True, separators=(",", ":"), allow_nan=False)
+def params_sha256(params: Params | Mapping[str, object]) -> str:
+    """SHA-256 (hex) of the settings, or of plain sections of them, as canonical JSON."""
+    plain = params.model_dump(mode="json") if isinstance(params, Params) else dict(params)
+    canonical = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()

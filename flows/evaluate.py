@@ -16,11 +16,14 @@ from tasks.evaluation_plan import Plan, ensembles_of
 from tasks.launch import run_alone
 from tasks.publish import publish, published
 from tasks.run_context import Pending, current, seed_for
-from tasks.settings import about, load_settings
+from tasks.settings import about, load_settings, own_settings
 from tasks.store import RUNTIME, Artifact, content_hash
 
 LABELS = {"clean": 0.0, "noisy": 1.0}
 """Label noise of the operators' trainings, in units of ``noise.label_rel``."""
+
+READ = ("seed", "engine", "noise", "identify", "pretrain", "evaluation")
+"""Sections of params.yaml that the tables rest on."""
 
 
 @flow(name="evaluate", description=__doc__, task_runner=task_runner())
@@ -45,7 +48,7 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
         parts = {f"part_{first:04d}": waiting.result() for first, waiting in pending[plan.trained_as].items()}
         assembled[plan.slug] = after.ensemble.submit(
             field=field,
-            settings=steps.own_settings(settings, plan.method),
+            settings=own_settings(settings, plan.method),
             what=plan.what,
             method=plan.method,
             variant=plan.variant,
@@ -57,7 +60,7 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
         )
     found = {f"ensemble_{i:03d}": assembled[plan.slug].result() for i, plan in enumerate(plans)}
     times = _times(list(found.values()))
-    classical = steps.own_settings(settings, "classical")
+    classical = own_settings(settings, "classical")
     common = after.tables.submit(
         errors=models / "errors",
         bootstrap=settings["evaluation"]["bootstrap"],
@@ -70,7 +73,7 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
         field=field,
         common=common,
         settings=classical,
-        about={**about(settings, field), "commands": "python -m flows.evaluate"},
+        about={**about(settings, field, READ), "commands": "python -m flows.evaluate"},
         run_times=[*times, *_times([common])],
         **found,
     ).result()
@@ -116,7 +119,7 @@ def _submit_ensembles(
     def batch(plan: Plan, first: int, runs: int) -> dict[str, Any]:
         return {
             "field": field,
-            "settings": steps.own_settings(settings, plan.method),
+            "settings": own_settings(settings, plan.method),
             "what": {**plan.what, "first": first, "runs": runs},
             "kind": f"{plan.slug}-m{first:03d}",
         }

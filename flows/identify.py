@@ -13,7 +13,7 @@ from tasks import report as steps
 from tasks.launch import run_alone
 from tasks.publish import publish, published
 from tasks.run_context import WORKERS, current, seed_for
-from tasks.settings import about, load_settings
+from tasks.settings import about, load_settings, own_settings
 
 
 @flow(name="identify", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
@@ -31,14 +31,14 @@ def identify(profile: str) -> str:
     found = {
         "classical": methods.classical.submit(
             field=field,
-            settings=methods.own_settings(settings, "classical"),
+            settings=own_settings(settings, "classical"),
             runs=config["runs"],
             seed=seed_for(settings["seed"], "classical"),
         ).result(),
         "few-shot-newton": methods.newton.submit(
             field=field,
             bodies=models / "bodies_conditioned.pt",
-            settings=methods.own_settings(settings, "newton"),
+            settings=own_settings(settings, "few-shot-newton"),
             runs=config["runs"],
             seed=seed_for(settings["seed"], "newton"),
         ).result(),
@@ -47,7 +47,7 @@ def identify(profile: str) -> str:
             bodies=models / "bodies_paper.pt",
             maps=models / "maps_paper.pt",
             operators=models / "operators.pt",
-            settings=methods.own_settings(settings, "adam"),
+            settings=own_settings(settings, "few-shot-adam"),
             runs=config["adam"]["members"],
             seed=seed_for(settings["seed"], "adam"),
         ).result(),
@@ -58,8 +58,8 @@ def identify(profile: str) -> str:
         **by_name,
         field=field,
         errors=models / "errors",
-        settings=methods.own_settings(settings, "classical"),
-        about=about(settings, field),
+        settings=own_settings(settings, "classical"),
+        about=about(settings, field, ("seed", "engine", "noise", "identify")),
     ).result()
     page = steps.report.submit(
         **by_name, common=common, pictures=pending.result(), run_times=steps.run_times(found)

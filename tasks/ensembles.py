@@ -12,23 +12,8 @@ from typing import Any
 from tasks.run_context import step
 from tasks.store import RUNTIME
 
-SECTIONS = {
-    "baseline": "baseline",
-    "multi-stage": "multi_stage",
-    "few-shot-adam": "adam",
-    "few-shot-newton": "newton",
-    "classical": "classical",
-}
-"""Method -> its section of ``identify``; only that one is part of a step's key."""
 ESTIMATES = "estimates.npz"
 SOURCES = "sources.npz"
-
-
-def own_settings(settings: dict[str, Any], method: str) -> dict[str, Any]:
-    """What one method reads: the shared part of ``identify`` and its own section, the engine and the noise."""
-    others = set(SECTIONS.values()) - {SECTIONS[method]} | {"runs"}
-    shared = {name: value for name, value in settings["identify"].items() if name not in others}
-    return {"identify": shared, "engine": settings["engine"], "noise": settings["noise"]}
 
 
 def _clean_problems(field: Path, settings: dict[str, Any]) -> list[Any]:

@@ -14,13 +14,6 @@ from tasks.run_context import step
 # in ``entries``.
 
 
-def own_settings(settings: dict[str, Any], section: str) -> dict[str, Any]:
-    """What one method reads: the shared part of ``identify`` and its own section, the engine and the noise."""
-    others = {"classical", "newton", "adam"} - {section}
-    shared = {name: value for name, value in settings["identify"].items() if name not in others}
-    return {"identify": shared, "engine": settings["engine"], "noise": settings["noise"]}
-
-
 def _config(settings: dict[str, Any]) -> Any:
     """``IdentifyConfig`` without the sections of the other methods."""
     from pydantic import TypeAdapter

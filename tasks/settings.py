@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from tasks.run_context import StepFailed, current
 from tasks.store import Artifact
 
 DEFAULT_PROFILE = "quick"
+
+_SECTIONS = {
+    "baseline": "baseline",
+    "multi-stage": "multi_stage",
+    "few-shot-adam": "adam",
+    "few-shot-newton": "newton",
+    "classical": "classical",
+}
+"""Method -> its section of ``identify``; only that one is part of a step's key."""
 
 
 def load_settings(profile: str) -> dict[str, Any]:
@@ -27,18 +34,31 @@ def load_settings(profile: str) -> dict[str, Any]:
     return plain
 
 
-def about(settings: Mapping[str, Any], recording: Artifact) -> dict[str, Any]:
-    """What the report says about where its numbers come from; nothing that differs between two equal runs."""
-    from dieseltwin import __version__
+def own_settings(settings: Mapping[str, Any], method: str) -> dict[str, Any]:
+    """What one method reads: the shared part of ``identify`` and its own section, the engine and the noise.
 
-    canonical = json.dumps(settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    How many runs there are is an argument of its own. Raises ``KeyError`` for an unknown method.
+    """
+    others = set(_SECTIONS.values()) - {_SECTIONS[method]} | {"runs"}
+    shared = {name: value for name, value in settings["identify"].items() if name not in others}
+    return {"identify": shared, "engine": settings["engine"], "noise": settings["noise"]}
+
+
+def about(settings: Mapping[str, Any], recording: Artifact, sections: Iterable[str]) -> dict[str, Any]:
+    """What the report says about where its numbers come from; nothing that differs between two equal runs.
+
+    ``sections``: those of params.yaml that the numbers rest on; only they are part of the hash that is shown.
+    """
+    from dieseltwin import __version__
+    from dieseltwin.config import params_sha256
+
     return {
         "title": "Health of a heavy-duty diesel from noisy driving",
         "recording": "Case-V, field parameters, noisy (simulated)",
         "sha256": recording.sha256,
         "profile": settings["profile"],
         "seed": settings["seed"],
-        "params_sha256": hashlib.sha256(canonical.encode()).hexdigest(),
+        "params_sha256": params_sha256({name: settings[name] for name in sections}),
         "code_version": __version__,
         "methods": {
             "classical": "exact formulae, nothing learned",
