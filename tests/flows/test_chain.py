@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
@@ -12,6 +13,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -186,21 +188,71 @@ def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(finished: tuple[Path, 
     assert content_hash(tmp_path / "models") == undisturbed
 
 
-def test_a_stage_depends_on_every_module_that_its_steps_rest_on() -> None:
-    stages = yaml.safe_load((PROJECT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]
+def dvc_stages() -> dict[str, dict[str, Any]]:
+    stages: dict[str, dict[str, Any]] = yaml.safe_load((PROJECT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]
+    return stages
+
+
+def file_of(module: str) -> str:
+    path = module.replace(".", "/")
+    return f"{path}.py" if (PROJECT / f"{path}.py").exists() else f"{path}/__init__.py"
+
+
+def test_a_stage_depends_on_every_module_and_file_that_its_steps_rest_on() -> None:
     context = RunContext(Workspace(PROJECT), Display(PROJECT / "unused"))
     for stage, steps in STAGES.items():
-        covered = tuple(dep for dep in stages[stage]["deps"] if dep.endswith(".py"))
-        folders = tuple(f"{dep}/" for dep in stages[stage]["deps"] if not dep.endswith(".py"))
+        deps = dvc_stages()[stage]["deps"]
+        folders = tuple(f"{dep}/" for dep in deps if not dep.endswith(".py"))
+        rests_on = {f"tasks/{stage}.py", f"flows/{stage}.py"}
         for step in steps:
-            for module in step.code(context).modules:
-                if not module.startswith("dieseltwin"):
-                    continue
-                path = module.replace(".", "/")
-                files = [f"{path}.py"] if (PROJECT / f"{path}.py").exists() else [f"{path}/__init__.py"]
-                assert files[0] in covered or files[0].startswith(folders), f"{stage}: {files[0]} isn't among the deps"
-        assert f"tasks/{stage}.py" in covered and f"flows/{stage}.py" in covered
-        assert all((PROJECT / dep).exists() for dep in covered)
+            code = step.code(context)
+            rests_on |= {file_of(module) for module in code.modules if module.startswith("dieseltwin")}
+            rests_on |= {file_of(step.function.__module__), *(f"{folder}/" for folder in code.data)}
+        missing = sorted(file for file in rests_on if file not in deps and not file.startswith(folders))
+        assert not missing, f"{stage}: not among the deps: {missing}"
+        made = {out for other in dvc_stages().values() for out in other["outs"]}
+        assert all((PROJECT / dep).exists() for dep in deps if dep not in made)
+
+
+# What only the pictures in reports/ read, which are no outs of the stage.
+ONLY_SHOWN = {"simulate": {"report"}, "identify": {"driving", "report"}}
+
+
+def sections_read(flow: str) -> set[tuple[str, ...]]:
+    """Paths in the settings that the text of a flow reads: ``settings["a"]["b"]`` is (a, b)."""
+    calls = {"about": ("seed", "profile"), "own_settings": ("identify", "engine", "noise")}
+    found: set[tuple[str, ...]] = set()
+
+    def visit(node: ast.AST, behind: tuple[str, ...] = ()) -> None:
+        if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
+            visit(node.value, (str(node.slice.value), *behind))
+            return
+        if isinstance(node, ast.Name) and node.id == "settings" and behind:
+            found.add(behind)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in calls:
+            found.update((section,) for section in calls[node.func.id])
+            if node.func.id == "about":
+                found.update((section,) for section in ast.literal_eval(node.args[2]))
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    visit(ast.parse((PROJECT / "flows" / f"{flow}.py").read_text(encoding="utf-8")))
+    return found - {("profile",)}
+
+
+def test_a_stage_declares_every_setting_that_its_flow_reads_in_common_and_in_its_profile() -> None:
+    for stage in STAGES:
+        declared = {str(name) for name in dvc_stages()[stage]["params"]}
+        profile = re.search(r"--profile (\S+)", dvc_stages()[stage]["cmd"])
+        assert profile is not None
+        whole = f"profiles.{profile.group(1)}"
+        read = {path for path in sections_read(stage) if path[0] not in ONLY_SHOWN.get(stage, ())}
+        assert read, stage
+        for path in read:
+            parents = {".".join(path[:depth]) for depth in range(1, len(path) + 1)}
+            assert parents & declared, f"{stage}: {'.'.join(path)} isn't among the params"
+            replaced = {whole, *(f"{whole}.{name}" for name in parents)}
+            assert replaced & declared, f"{stage}: {'.'.join(path)} of the profile isn't among the params"
 
 
 def test_flows_hold_order_only() -> None:
