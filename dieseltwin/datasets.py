@@ -34,7 +34,6 @@ from dieseltwin.strict import unknown_name
 INPUT_NAMES = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 LAB_CASES = ("case_i", "case_ii", "case_iii", "case_iv", "case_vi", "case_vii")
 FIELD_CASE = "case_v"
-NOISE_NAMES = ("p_im", "p_em", "omega_t", "w_egr", "t_em", "w_c")
 
 JOINT_S = 4.0  # passage between blocks of driving: the longest ramp of the random driving
 # Set-II is arranged around the only long idle in the second half of the WHTC, seconds 1146-1195

@@ -27,7 +27,6 @@ from dieseltwin.strict import listed
 STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em_k")
 """Measured quantities of a point that the balances join, in the order of every array that holds them."""
 
-EXTRA = ("t_im_k", "t_c_k", "p_es_pa", "p_bc_pa", "torque_nm", "u_flap_pct", "w_f_kg_s")
 LEAST = 1e-6  # kg/s (and any other unit): the flow through a shut valve, so that logarithms exist
 WINDOW_S = 10.0  # a quasi-steady window lasts this long,
 SPEED_RIPPLE = 0.01  # and its speed [-], fuel [-] and positions [%] vary by no more (standard deviation)

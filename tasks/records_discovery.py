@@ -11,7 +11,7 @@ from tasks.run_context import seconds_of
 from tasks.store import RUNTIME, Artifact
 from tasks.tracking import Record, flat
 
-_DOCUMENT, _FAILED = "discrepancy.json", "failed.json"
+_DOCUMENT = "discrepancy.json"
 _TIMES = {"seconds", "peak_rss_mib"}
 
 

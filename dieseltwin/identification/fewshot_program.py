@@ -96,7 +96,6 @@ class AdamSettings:
         rates = ("rate_heads", "rate_unknowns", "rate_weights", "late_rates", "late_from_epoch")
         names = ("epochs", "weights_until_epoch", *rates, "fresh_dropout", "average_share")
         given = {name: getattr(own, name) for name in names}
-        given |= {name: getattr(own, name) for name in ("held_out_share", "weight_share") if hasattr(own, name)}
         scales = Scales(T_1=own.scale_t_1_k, T_em=own.scale_t_em_k, rate=own.scale_rates, x_r=own.scale_x_r)
         return cls(weight_start=dict(own.weight_start), scales=scales, **given, **common)
 

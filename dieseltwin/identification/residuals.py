@@ -19,9 +19,6 @@ from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.identification.term_model import TermModel
 
 N_HEALTH = len(HEALTH)
-N_POINT = 3 + N_HEALTH
-"""Quantities that a point's derivatives are taken with respect to: p_im, p_em, omega_t and four
-log-parameters."""
 
 X_R_START, T_1_START = 0.03, 310.0
 """Start of the cylinder's fixed point (NOTES), x_r [-] and T_1 [K]."""
