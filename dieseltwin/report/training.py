@@ -252,7 +252,7 @@ def _place(order: Sequence[str]) -> Callable[[str], tuple[int, str]]:
 @style.styled
 def pretraining(results: Results) -> style.ReportFigure | None:
     """Errors of operators, bodies and maps beside the paper's printed numbers. None where nothing was pretrained."""
-    operators = [("paper, training", operator_errors("train")), ("paper, test", operator_errors("test"))]
+    operators: Printed = [("paper, training", operator_errors("train")), ("paper, test", operator_errors("test"))]
     groups: dict[str, tuple[str, Printed]] = {
         "operators": ("Actuator operators (DeepONets)", operators),
         "bodies": ("Multi-head bodies", [("paper, training", BODY_ERRORS)]),
