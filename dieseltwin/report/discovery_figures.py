@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
 from dieseltwin.discovery.curves import Candidate, Curves, Discovery
+from dieseltwin.discovery.document import NONE_OF_THESE
 from dieseltwin.discovery.explain import EQUIVALENT
 from dieseltwin.discovery.twin import Array
 from dieseltwin.report import discovery_captions as captions
@@ -200,9 +201,16 @@ def law_curves(found: Discovery) -> style.ReportFigure | None:
                       markersize=4.5, linewidth=1.0, label="freed in bins")  # fmt: skip
         axes.axhline(0.0, color="#777777", linewidth=0.8)
         axes.set_xlabel(_axis(law["x_name"]))
-        axes.set_ylabel(f"{law['name']} [{unit or '–'}]")
+        axes.set_ylabel(f"{_quantity(found, law['name'])} [{unit or '–'}]")
         axes.legend(loc="best")
     return style.ReportFigure("law", "The found law", captions.LAW, figure)
+
+
+def _quantity(found: Discovery, name: str) -> str:
+    """What a law's curve is: the effect, or, of a law without a name, what stands before its formula."""
+    said = next((e.law for e in found.document.effects if e.name == name == NONE_OF_THESE and e.law), "")
+    quantity, colon, _ = said.partition(":")
+    return quantity if colon else name
 
 
 def _axis(name: str) -> str:

@@ -101,6 +101,17 @@ def test_healthy_page_has_no_law_no_candidates_and_no_alarm(healthy: Discovery, 
     assert 'id="minimum_detectable"' in text
 
 
+@pytest.mark.parametrize(
+    ("law", "label"),
+    [("added to intake_balance: -0.007 kg/s p_im/p_amb", "added to intake_balance"), ("no colon", "none_of_these")],
+)
+def test_a_law_without_a_name_is_drawn_as_what_it_changes(leak: Discovery, law: str, label: str) -> None:
+    document = synthetic.document(effects=[{**synthetic.UNNAMED, "law": law}])
+    curves = replace(leak.curves, laws=[{**leak.curves.laws[0], "name": "none_of_these", "unit": "kg/s"}])
+    figure = discovery_figures.law_curves(replace(leak, document=document, curves=curves))
+    assert figure is not None and figure.figure.axes[0].get_ylabel() == f"{label} [kg/s]"
+
+
 def test_channels_that_stay_loud_are_named(leak: Discovery) -> None:
     assert left_over(leak) == ""
     rmse = {**leak.document.fit.rmse_after, "omega_t_rad_s": 2.0 * synthetic.SIGMA[2]}
