@@ -26,7 +26,8 @@ def evaluate(make, path, window_s, held_window_s, floor, fitted_rows=None, **opt
     """Story of the earlier half, and the later half as measured, before, with names, with names and law."""
     whole = make(path)
     n = len(whole.time_s)
-    story = discover_stepwise(whole.windowed(window_s, slice(0, n // 2)), floor=floor, **options)
+    earlier = whole.windowed(window_s, slice(0, n // 2))
+    story = discover_stepwise(earlier, floor=floor, judged_window_s=held_window_s, **options)
     held = whole.windowed(held_window_s, slice(n // 2, n))
     whitening = metric_of(held, floor)
     runs = {"before": free_run(held, replace(story.before, local=held.first_local()), whitening, fitted_rows)}

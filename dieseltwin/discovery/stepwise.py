@@ -59,6 +59,7 @@ class Story:
         steps: in the order of their worth.
         law: of what remained, or None.
         magnitudes: effect -> (magnitude, standard deviation scaled to the misfit) [unit].
+        unresolved: sites of laws that explain what remained alike, where none of them was kept.
     """
 
     before: Fit
@@ -66,6 +67,7 @@ class Story:
     steps: tuple[Step, ...]
     law: law_search.Law | None
     magnitudes: dict[str, tuple[float, float]]
+    unresolved: tuple[str, ...] = ()
 
     def sentences(self) -> list[str]:
         """For people."""
@@ -77,7 +79,10 @@ class Story:
             out.append(f"{step.name} at {step.site}: {step.law}; {size}; worth {step.worth:.0f}{apart}")
         if self.law is not None:
             out.append(f"none of the catalogue, at {self.law.site}: {self.law.text}")
-        return out or ["nothing is left out that this recording could show"]
+        if self.unresolved:
+            places = " or ".join(self.unresolved)
+            out.append(f"something more, at {places}: laws were found, but none that this recording bears out")
+        return out or ["nothing that a name or a law explains on this recording"]
 
 
 def metric_of(twin: Twin, floor: float | None = None) -> Whitening:
@@ -93,6 +98,7 @@ def discover_stepwise(
     law: bool = True,
     floor: float | None = None,
     options: law_search.Options | None = None,
+    judged_window_s: float | None = None,
 ) -> Story:
     """Names of what a twin left out, one by one, and a law for the rest.
 
@@ -104,6 +110,8 @@ def discover_stepwise(
             recording tells its site, and where it lowers the error on windows that it wasn't fitted to.
         floor: smallest noise of a reading.
         options: of the law search; by default everywhere but at sensors, where any misfit can be explained.
+        judged_window_s: length of the runs that a law must hold in [s]; None for one run over all of it. Twins that
+            integrate without a restoring force drift in long runs, whatever the law.
     """
     whitening = metric_of(twin, floor)
     here = law_search.null_fit(twin, whitening)
@@ -130,18 +138,23 @@ def discover_stepwise(
         rivals = tuple(other for other_value, other, _ in trials[1:] if value - other_value < _RIVALS)
         hypothesis = twin.hypotheses[name]
         steps.append(Step(name, hypothesis.site, hypothesis.law, hypothesis.unit, value, rivals))
-    found = None
+    found: law_search.Law | None = None
+    unresolved: tuple[str, ...] = ()
     if law and len(steps) < most:
         inside = tuple(p.name for p in twin.points if not p.site.startswith("sensor:"))
         chosen = options or law_search.Options(points=inside, unknown_misfit=True)
         found = law_search.search(twin, here, None, chosen).law
-        if found is not None and any(rival.site != found.site for rival in found.rivals):
+        if found is not None:
+            unresolved = tuple(dict.fromkeys([found.site, *(rival.site for rival in found.rivals)]))
+        if len(unresolved) > 1:
             found = None  # where it belongs isn't resolved: such laws have no meaning beyond what they were fitted to
         if found is not None:
             extended = cast(Twin, LawTwin(twin, found.placed))
             extra = [p.value for p in extended.parameters[len(twin.parameters) :]]
             fit = replace(here.fit, parameters=np.append(found.parameters, extra), local=found.local)
-            if not _holds(twin, whitening, twin, here.fit, extended, fit, _GAIN_OF_LAW):
+            if _holds(twin, whitening, twin, here.fit, extended, fit, _GAIN_OF_LAW, judged_window_s):
+                unresolved = ()
+            else:
                 found = None
     scale = np.sqrt(max(here.fit.objective / independent(here.residual, twin.starts, len(twin.states)), 1.0))
     stds = here.fit.std[len(twin.parameters) :]
@@ -149,7 +162,7 @@ def discover_stepwise(
         name: (float(value), float(scale * std))
         for name, value, std in zip(here.fit.candidate.names, here.fit.magnitudes, stds, strict=True)
     }
-    return Story(before, here.fit, tuple(steps), found, magnitudes)
+    return Story(before, here.fit, tuple(steps), found, magnitudes, unresolved)
 
 
 def metric_like(whitening: Whitening, from_row: int) -> Whitening:
@@ -178,8 +191,9 @@ def _with(twin: Twin, whitening: Whitening, here: Linearisation, name: str) -> L
 
 
 def _holds(
-    twin: Twin, whitening: Whitening, plain: Twin, without: Fit, extended: Twin, fit: Fit, allowed: float
-) -> bool:
+    twin: Twin, whitening: Whitening, plain: Twin, without: Fit, extended: Twin, fit: Fit, allowed: float,
+    judged_window_s: float | None = None,
+) -> bool:  # fmt: skip
     """Fitted to the first windows only, the addition doesn't raise the error in the last ones beyond `allowed`."""
     windows = len(twin.starts)
     first = round((1.0 - _CHECKED) * windows)
@@ -190,8 +204,8 @@ def _holds(
     weights[from_row:] = 0.0
     early = replace(whitening, scale=weights)
     later, rest = twin, whitening
-    if allowed < 1.0 and hasattr(twin, "windowed"):  # one run over all of it: many short ones forgive too much
-        later = twin.windowed(None, slice(from_row, None))
+    if allowed < 1.0 and hasattr(twin, "windowed"):  # long runs: many short ones forgive too much
+        later = twin.windowed(judged_window_s, slice(from_row, None))
         rest = metric_like(whitening, from_row)
         from_row = 0
     errors = []
