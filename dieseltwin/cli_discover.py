@@ -22,6 +22,7 @@ from dieseltwin.cli_petrol import is_petrol_engine, run_discover_petrol
 from dieseltwin.discovery.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.curves import Discovery
 from dieseltwin.discovery.document import FILE_NAME
+from dieseltwin.discovery.engine_twin import MAP_TOLERANCE
 from dieseltwin.discovery.explain import DETAILS, check_name, details_of, explain, load_details, plain
 from dieseltwin.engine import HEALTH, EngineParameters, load_engine, we2011
 from dieseltwin.engine.effects import EFFECTS
@@ -30,7 +31,6 @@ from dieseltwin.recordings import Recording, read_recording
 from dieseltwin.steady_points import has_time
 from dieseltwin.strict import refuse_options, unknown_name
 
-MAP_TOLERANCE = 0.003  # rms [-], where none is named
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
 OWNED = ("figures", "report.html", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
 

@@ -39,9 +39,14 @@ class VariantConfig(StrictModel):
     start: Literal["lab", "truth"] | None = Field(default=None, description="none: identify.start.at")
     members: PositiveInt | None = Field(default=None, description="none with last_epoch: those of the method's own")
 
+    @property
+    def where(self) -> str:
+        """How messages name it."""
+        return f"evaluation.variants: {self.name!r} of {self.method}"
+
     @model_validator(mode="after")
     def _nothing_ignored(self) -> VariantConfig:
-        where = f"evaluation.variants: {self.name!r} of {self.method}"
+        where = self.where
         changed = [name for name, value in self if value != type(self).model_fields[name].default]
         if self.last_epoch:
             if self.method not in WITH_EPOCHS:
@@ -78,7 +83,7 @@ class EvaluationConfig(StrictModel):
         self._refuse_equal_names()
         sources = self.members.get("baseline", 0)
         own = {f"evaluation.members: {method}": (method, count) for method, count in self.members.items()}
-        varied = {f"evaluation.variants: {v.name!r} of {v.method}": (v.method, v.members or 0) for v in self.variants}
+        varied = {v.where: (v.method, v.members or 0) for v in self.variants}
         for where, (method, count) in {**own, **varied}.items():
             if method == "multi-stage" and (not sources or count > sources):
                 raise InputError(
@@ -89,7 +94,7 @@ class EvaluationConfig(StrictModel):
         for variant in self.variants:
             if variant.last_epoch and variant.method not in self.members:
                 raise InputError(
-                    f"evaluation.variants: {variant.name!r} of {variant.method}: last_epoch", "true",
+                    f"{variant.where}: last_epoch", "true",
                     ", ".join(self.members), "add the method to evaluation.members: its own runs are read",
                 )  # fmt: skip
         return self
@@ -104,7 +109,7 @@ class EvaluationConfig(StrictModel):
                 key = (variant.method, case, variant.name.replace(" ", "_"))
                 if key in seen:
                     raise InputError(
-                        f"evaluation.variants: {variant.name!r} of {variant.method}", f"twice for {case}",
+                        variant.where, f"twice for {case}",
                         "one name, once for a method and case", "give it another name",
                     )  # fmt: skip
                 seen.add(key)

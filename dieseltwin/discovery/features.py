@@ -88,8 +88,8 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                 found += [replace(f, effect=effect) for f in _of_form(index, text, form, point.site, variables)]
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(twin.channels):
+        site = f"sensor:{name}"
         for text in ("offset", "gain"):
-            site = f"sensor:{name}"
             same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{text}"))
             found.append(Feature(None, text, ones, site, j, effect=next(same, None)))
     return found

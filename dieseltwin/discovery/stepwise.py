@@ -138,31 +138,28 @@ def discover_stepwise(
         rivals = tuple(other for other_value, other, _ in trials[1:] if value - other_value < _RIVALS)
         hypothesis = twin.hypotheses[name]
         steps.append(Step(name, hypothesis.site, hypothesis.law, hypothesis.unit, value, rivals))
-    found: law_search.Law | None = None
-    unresolved: tuple[str, ...] = ()
+    kept: law_search.Law | None = None
+    sites: tuple[str, ...] = ()
     if law and len(steps) < most:
         inside = tuple(p.name for p in twin.points if not p.site.startswith("sensor:"))
         chosen = options or law_search.Options(points=inside, unknown_misfit=True)
         found = law_search.search(twin, here, None, chosen).law
         if found is not None:
-            unresolved = tuple(dict.fromkeys([found.site, *(rival.site for rival in found.rivals)]))
-        if len(unresolved) > 1:
-            found = None  # where it belongs isn't resolved: such laws have no meaning beyond what they were fitted to
-        if found is not None:
+            sites = tuple(dict.fromkeys([found.site, *(rival.site for rival in found.rivals)]))
+        # Laws at several sites aren't resolved: they have no meaning beyond what they were fitted to.
+        if found is not None and len(sites) == 1:
             extended = cast(Twin, LawTwin(twin, found.placed))
             extra = [p.value for p in extended.parameters[len(twin.parameters) :]]
             fit = replace(here.fit, parameters=np.append(found.parameters, extra), local=found.local)
             if _holds(twin, whitening, twin, here.fit, extended, fit, _GAIN_OF_LAW, judged_window_s):
-                unresolved = ()
-            else:
-                found = None
+                kept = found
     scale = np.sqrt(max(here.fit.objective / independent(here.residual, twin.starts, len(twin.states)), 1.0))
     stds = here.fit.std[len(twin.parameters) :]
     magnitudes = {
         name: (float(value), float(scale * std))
         for name, value, std in zip(here.fit.candidate.names, here.fit.magnitudes, stds, strict=True)
     }
-    return Story(before, here.fit, tuple(steps), found, magnitudes, unresolved)
+    return Story(before, here.fit, tuple(steps), kept, magnitudes, () if kept is not None else sites)
 
 
 def metric_like(whitening: Whitening, from_row: int) -> Whitening:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, bind, constants
 from dieseltwin.identification.fused_maps import Dropout, fused_replacements
-from dieseltwin.identification.heads import body_basis
+from dieseltwin.identification.heads import SCALES, body_basis
 from dieseltwin.identification.losses import (
     PAPER_WEIGHTS,
     Loss,
@@ -38,7 +38,6 @@ from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
 BODIES = ("pressures", "pressures", "omega_t", "x_r", "T_1")
 """Body of p_im, p_em, omega_t, x_r, T_1; the first three are also differentiated."""
-_OUTPUT_SCALES = tuple(TRANSFORMS[name].scale for name in ("p_im_pa", "p_em_pa", "omega_t_rad_s"))
 _T_1 = TRANSFORMS["t_1_k"]
 
 
@@ -176,7 +175,7 @@ class Program:
 
     def _states(self, points: Sequence[Tensor]) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         outputs, rates = [], []
-        for value, rate, factor in zip(points[:3], points[5:], _OUTPUT_SCALES, strict=True):
+        for value, rate, factor in zip(points[:3], points[5:], SCALES, strict=True):
             outputs.append(factor * torch.nn.functional.softplus(value))
             rates.append(factor * torch.sigmoid(value) * rate)
         x_r = torch.sigmoid(points[3])
