@@ -22,7 +22,7 @@ from dieseltwin.engine import we2011
 from dieseltwin.engine.inputs import Inputs
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.simulate import simulate
-from dieseltwin.steady_points import STATES, SteadyPoints, points
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints, points
 
 HOLD_S = 40.0
 SETTLED = 0.001  # relative change of the turbo speed over the last tenth of the hold

@@ -19,8 +19,6 @@ from typing import Any
 import numpy as np
 from identification import benchmark_problems
 
-from dieseltwin.config import Params, load_params
-from dieseltwin.datasets import make_validation
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, simulate, we2011
 from dieseltwin.identification import (
     IDENTIFIABLE_BELOW,
@@ -31,7 +29,9 @@ from dieseltwin.identification import (
     problems_from_recording,
 )
 from dieseltwin.identification.bound import cramer_rao
-from dieseltwin.recordings import recording
+from dieseltwin.recordings.datasets import make_validation
+from dieseltwin.recordings.reader import recording
+from dieseltwin.settings.params import Params, load_params
 
 CLEARLY_IDENTIFIABLE = 0.10
 """Relative bound below which a segment must not be flagged (PROTOCOL.md, Bound)."""
@@ -123,7 +123,7 @@ def main() -> None:
     parser.add_argument("--profile", default="quick")
     arguments = parser.parse_args()
 
-    from dieseltwin.cli_identify import load_networks
+    from dieseltwin.cli.identify import load_networks
 
     params = load_params(None, arguments.profile)
     for method in arguments.methods:

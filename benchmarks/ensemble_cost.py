@@ -18,9 +18,9 @@ from typing import Any
 
 import torch
 
-from dieseltwin.config import load_params
 from dieseltwin.identification import identify_segments
 from dieseltwin.identification.ensemble import case_problems
+from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.bodies import Bodies
 from evaluation import clean_problems
 

@@ -23,8 +23,6 @@ import numpy as np
 import pandas as pd
 import torch
 
-from dieseltwin.config import load_params
-from dieseltwin.datasets import laboratory_parameters
 from dieseltwin.engine import HEALTH, MEASURED
 from dieseltwin.identification import (
     METHODS,
@@ -35,8 +33,10 @@ from dieseltwin.identification import (
 )
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.ensemble import CASES, case_problems, member_table
-from dieseltwin.recordings import read_recording
+from dieseltwin.recordings.datasets import laboratory_parameters
+from dieseltwin.recordings.reader import read_recording
 from dieseltwin.report import evaluation
+from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.bodies import Bodies
 from dieseltwin.surrogates.empirical import EmpiricalMaps
 from dieseltwin.surrogates.operators import ActuatorOperators

@@ -22,11 +22,11 @@ import numpy as np
 import torch
 from identification import benchmark_problems
 
-from dieseltwin.config import load_params
 from dieseltwin.engine import HEALTH, actuate, we2011
 from dieseltwin.identification import identify_segments
 from dieseltwin.identification.fewshot_adam import train
 from dieseltwin.identification.fewshot_program import AdamSettings, draw_lane
+from dieseltwin.settings.params import load_params
 
 PAPER_NOISY = (
     ((0.9699, 0.0653), (1.0190, 0.0056), (0.9913, 0.0094), (0.9568, 0.0379)),
@@ -40,7 +40,7 @@ PAPER_NOISY = (
 
 def networks(models: Path | None, maps: str) -> dict[str, Any]:
     """Trained bodies and operators (with `models`), and learned maps."""
-    from dieseltwin.cli_identify import load_networks
+    from dieseltwin.cli.identify import load_networks
 
     return load_networks(models, "few-shot-adam", maps) if models is not None else {}
 

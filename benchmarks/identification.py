@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.config import load_params
-from dieseltwin.datasets import benchmark_segments
 from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.identification import PAPER_CHANNELS, Identification, NoiseLevels, identify_segments
 from dieseltwin.identification.bound import Bound, cramer_rao
 from dieseltwin.identification.problem import SegmentProblem, problem_from_segment
+from dieseltwin.recordings.datasets import benchmark_segments
+from dieseltwin.settings.params import load_params
 
 TRACE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
 START_STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k")
@@ -110,7 +110,7 @@ def main() -> None:
     parser.add_argument("--profile", default="quick")
     arguments = parser.parse_args()
 
-    from dieseltwin.cli_identify import load_networks
+    from dieseltwin.cli.identify import load_networks
 
     params = load_params(None, arguments.profile)
     problems, bounds = benchmark_problems(arguments.draws, arguments.seed)

@@ -35,7 +35,6 @@ import torch
 from identification import benchmark_problems
 from torch import Tensor
 
-from dieseltwin.config import load_params
 from dieseltwin.engine import actuate, bind
 from dieseltwin.identification import (
     baseline,
@@ -50,6 +49,7 @@ from dieseltwin.identification.pinn_networks import N_STATES, StateNetworks
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.residuals import HEALTH, physics_residuals
 from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.settings.params import load_params
 
 PAPER_MS = {"few-shot": 4.3, "multi-stage": 6.7, "baseline": 6.6}
 """Milliseconds an epoch of the paper, from its table of computational times (clean data)."""
@@ -260,7 +260,7 @@ def measure(
 
 def second_order_s(method: str, models: Path | None, kind: str, draws: int) -> float:
     """CPU seconds a run of a second-order method on the benchmark driving, compiled beforehand; the best of three."""
-    from dieseltwin.cli_identify import load_networks
+    from dieseltwin.cli.identify import load_networks
 
     given = load_networks(models, method, "improved" if kind == "learned" else "exact")
     problems, _ = benchmark_problems(draws, SEED)

@@ -2,6 +2,6 @@
 
 import sys
 
-from dieseltwin.cli import main
+from dieseltwin.cli.app import main
 
 sys.exit(main())

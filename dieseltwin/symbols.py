@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dieseltwin.strict import unknown_name
+from dieseltwin.settings.strict import unknown_name
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dieseltwin.discovery.stepwise import discover_stepwise, free_run, metric_of, repaired
+from dieseltwin.discovery.search.stepwise import discover_stepwise, free_run, metric_of, repaired
 
 
 def find(relative):

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from _show import show
 
-from dieseltwin.discovery.simple_twin import Model, SimpleTwin
-from dieseltwin.discovery.twin import Hypothesis, Parameter, Point
+from dieseltwin.discovery.twins.interface import Hypothesis, Parameter, Point
+from dieseltwin.discovery.twins.simple import Model, SimpleTwin
 
 RIM_V = 10.0  # level of the rim: the sensor's range ends there
 DATA = Path("cascaded_tanks") / "estimation.csv"

@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dieseltwin.cli import main as command_line
-from dieseltwin.discovery.challenge.cases import HEALTH_SPREAD, MAP_RMS, MapErrors, SensorSet, draw_driving
-from dieseltwin.discovery.challenge.plant import run_plant
-from dieseltwin.discovery.challenge.plant_effects import Fault
-from dieseltwin.discovery.challenge.sensors import read
-from dieseltwin.discovery.document import load_discrepancy
+from dieseltwin.challenge.cases import HEALTH_SPREAD, MAP_RMS, MapErrors, SensorSet, draw_driving
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.plant_effects import Fault
+from dieseltwin.challenge.sensors import read
+from dieseltwin.cli.app import main as command_line
+from dieseltwin.discovery.verdict.document import load_discrepancy
 from dieseltwin.engine import we2011
-from dieseltwin.recordings import write_recording
+from dieseltwin.recordings.reader import write_recording
 
 SEED = 20261121
 DURATION_S = 600.0

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from _show import show
 
-from dieseltwin.discovery.simple_twin import Model, SimpleTwin
-from dieseltwin.discovery.twin import Hypothesis, Parameter, Point
+from dieseltwin.discovery.twins.interface import Hypothesis, Parameter, Point
+from dieseltwin.discovery.twins.simple import Model, SimpleTwin
 
 KEEP = 5
 SLOW = 1e-3  # m/s: width of the smoothed sign

@@ -37,7 +37,7 @@ def discover(
     import tempfile
     from contextlib import chdir
 
-    from dieseltwin.cli_discover import run_discover
+    from dieseltwin.cli.discover import run_discover
 
     source, engine = recording.resolve(), engine.resolve() if engine is not None else None
     with tempfile.TemporaryDirectory() as folder:

@@ -22,9 +22,9 @@ def _clean_problems(field: Path, settings: dict[str, Any]) -> list[Any]:
 
     import numpy as np
 
-    from dieseltwin.config import NoiseConfig
-    from dieseltwin.datasets import MEASURED
     from dieseltwin.identification.problem import NoiseLevels
+    from dieseltwin.recordings.datasets import MEASURED
+    from dieseltwin.settings.params import NoiseConfig
     from tasks.identify import problems_of
 
     known, clean = problems_of(field, settings)
@@ -51,7 +51,7 @@ def problems_for(field: Path, settings: dict[str, Any], what: dict[str, Any], me
 
 def _config(settings: dict[str, Any], what: dict[str, Any]) -> Any:
     """``IdentifyConfig`` with the start of this ensemble."""
-    from dieseltwin.config import StartConfig
+    from dieseltwin.settings.params import StartConfig
     from tasks.identify import _config as read
 
     config = read(settings)
@@ -279,8 +279,8 @@ def operators_training(
     import numpy as np
     import pandas as pd
 
-    from dieseltwin.config import EngineConfig, OperatorsConfig
-    from dieseltwin.datasets import laboratory_parameters
+    from dieseltwin.recordings.datasets import laboratory_parameters
+    from dieseltwin.settings.params import EngineConfig, OperatorsConfig
     from dieseltwin.surrogates.operators import OPERATORS, TRAINING_CASES, train_operators
     from tasks.pretrain import _cases, _symbol
 
@@ -301,7 +301,7 @@ def bodies_training(out: Path, progress: Any, *, lab: Path, config: dict[str, An
     """``errors.json`` of one training of the bodies as printed: training errors."""
     import json
 
-    from dieseltwin.config import BodiesConfig
+    from dieseltwin.settings.params import BodiesConfig
     from dieseltwin.surrogates.bodies import BODIES, train_bodies
     from tasks.pretrain import _cases, _symbol
 

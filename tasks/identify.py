@@ -18,7 +18,7 @@ def _config(settings: dict[str, Any]) -> Any:
     """``IdentifyConfig`` without the sections of the other methods."""
     from pydantic import TypeAdapter
 
-    from dieseltwin.config import IdentifyConfig
+    from dieseltwin.settings.params import IdentifyConfig
 
     fields = {
         name: TypeAdapter[Any](IdentifyConfig.model_fields[name].annotation).validate_python(value)  # type: ignore[arg-type]
@@ -34,10 +34,10 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     import numpy as np
     import pandas as pd
 
-    from dieseltwin.config import EngineConfig, NoiseConfig
-    from dieseltwin.datasets import HEALTH, MEASURED, laboratory_parameters
     from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, problems_from_recording
-    from dieseltwin.recordings import read_recording
+    from dieseltwin.recordings.datasets import HEALTH, MEASURED, laboratory_parameters
+    from dieseltwin.recordings.reader import read_recording
+    from dieseltwin.settings.params import EngineConfig, NoiseConfig
 
     config = _config(settings)
     parameters = laboratory_parameters(EngineConfig(**settings["engine"]))

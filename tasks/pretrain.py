@@ -70,9 +70,9 @@ def eta_tm_labels(out: Path, progress: Any, *, sets: Path, driving: dict[str, An
 
     import pandas as pd
 
-    from dieseltwin.config import DrivingConfig, EngineConfig
-    from dieseltwin.datasets import make_case
-    from dieseltwin.recordings import write_recording
+    from dieseltwin.recordings.datasets import make_case
+    from dieseltwin.recordings.reader import write_recording
+    from dieseltwin.settings.params import DrivingConfig, EngineConfig
 
     settings: Any = SimpleNamespace(driving=DrivingConfig(**driving), engine=EngineConfig(**engine))
     for done, name in enumerate(_FINE_CASES, start=1):
@@ -97,9 +97,9 @@ def maps(
     seed: int,
 ) -> None:
     """``maps.pt``, one kind of the six maps."""
-    from dieseltwin.config import EngineConfig
-    from dieseltwin.config_maps import MapsConfig
-    from dieseltwin.datasets import laboratory_parameters
+    from dieseltwin.recordings.datasets import laboratory_parameters
+    from dieseltwin.settings.maps import MapsConfig
+    from dieseltwin.settings.params import EngineConfig
     from dieseltwin.surrogates.empirical_training import train_maps
 
     cases, unseen = _cases(lab), _cases(field)
@@ -137,8 +137,8 @@ def operators(
     import numpy as np
     import pandas as pd
 
-    from dieseltwin.config import EngineConfig, OperatorsConfig
-    from dieseltwin.datasets import laboratory_parameters
+    from dieseltwin.recordings.datasets import laboratory_parameters
+    from dieseltwin.settings.params import EngineConfig, OperatorsConfig
     from dieseltwin.surrogates.operators import OPERATORS, TRAINING_CASES, train_operators
 
     cases = _cases(lab)
@@ -193,7 +193,7 @@ def bodies(
     import numpy as np
     import pandas as pd
 
-    from dieseltwin.config import BodiesConfig
+    from dieseltwin.settings.params import BodiesConfig
     from dieseltwin.surrogates.bodies import BODIES, TRAINING_CASES, pod_floor, train_bodies
 
     cases = _cases(lab)

@@ -24,9 +24,9 @@ def validation_driving(
     """``validation.parquet``: a clean recording of random driving, health values of its own; not Case-V."""
     from types import SimpleNamespace
 
-    from dieseltwin.config import DrivingConfig, EngineConfig
-    from dieseltwin.datasets import make_validation
-    from dieseltwin.recordings import write_recording
+    from dieseltwin.recordings.datasets import make_validation
+    from dieseltwin.recordings.reader import write_recording
+    from dieseltwin.settings.params import DrivingConfig, EngineConfig
 
     settings: Any = SimpleNamespace(driving=DrivingConfig(**driving), engine=EngineConfig(**engine))
     recording, _ = make_validation(seed, settings, duration_s=60.0 * minutes)

@@ -29,7 +29,7 @@ def benchmark(
     out: Path, progress: Any, *, cases: int, seed: int, tier: str, sensors: int, duration_s: float, jobs: int
 ) -> None:
     """``benchmark/``: ``case_0001/recording.csv`` ..., ``manifest.json`` with the salted hashes, ``sealed/``."""
-    from dieseltwin.discovery.challenge.make import make_challenge
+    from dieseltwin.challenge.make import make_challenge
 
     make_challenge(
         out / _BENCHMARK,
@@ -49,9 +49,9 @@ def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list
     import json
     from contextlib import chdir
 
-    from dieseltwin.discovery.challenge.cases import MAP_RMS
-    from dieseltwin.discovery.challenge.run import FAILED, RESULTS, run_case
-    from dieseltwin.discovery.challenge.seal import file_sha256
+    from dieseltwin.challenge.cases import MAP_RMS
+    from dieseltwin.challenge.run import FAILED, RESULTS, run_case
+    from dieseltwin.challenge.seal import file_sha256
 
     entry = {
         "case": kind,
@@ -78,10 +78,10 @@ def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list
 @step("opened", "seal opened, oracle", expected_s=30.0, many=True)
 def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str) -> None:
     """``scored.json`` of one case: held-out scores before and after, the oracle's, separability, the law's error."""
-    from dieseltwin.discovery.challenge.cases import MAP_RMS
-    from dieseltwin.discovery.challenge.records import Scoring, case_row
-    from dieseltwin.discovery.challenge.run import RESULTS, read_manifest
-    from dieseltwin.discovery.challenge.score import verified_answers
+    from dieseltwin.challenge.cases import MAP_RMS
+    from dieseltwin.challenge.records import Scoring, case_row
+    from dieseltwin.challenge.run import RESULTS, read_manifest
+    from dieseltwin.challenge.score import verified_answers
 
     _one_thread()
     with _laid_out(benchmark, {f"{RESULTS}/{kind}": [result]}) as folder:
@@ -100,7 +100,7 @@ _SCORED = "scored.json"
 @step("baseline-bands", "bands of the baselines", expected_s=150.0)
 def bands(out: Path, progress: Any, *, benchmark: Path, jobs: int) -> None:
     """``baselines/bands.json``: what healthy machines reach; the baselines alarm beyond it."""
-    from dieseltwin.discovery.challenge.baselines import write_bands
+    from dieseltwin.challenge.baselines import write_bands
 
     with _laid_out(benchmark, {}) as folder:
         path = write_bands(folder, jobs=jobs, progress=lambda done, of, _note: progress(done, of))
@@ -112,7 +112,7 @@ def baseline(out: Path, progress: Any, *, benchmark: Path, bands: Path, kind: st
     """What ``challenge baselines`` writes of one case, as it lies below the benchmark's folder."""
     import shutil
 
-    from dieseltwin.discovery.challenge.baselines import run_baselines
+    from dieseltwin.challenge.baselines import run_baselines
 
     _one_thread()
     with _laid_out(benchmark, {BASELINES_FOLDER: [bands / BASELINES_FOLDER]}) as folder:
@@ -134,8 +134,8 @@ def score(out: Path, progress: Any, *, benchmark: Path, **parts: Path) -> None:
 
     import pandas as pd
 
-    from dieseltwin.discovery.challenge.run import RESULTS
-    from dieseltwin.discovery.challenge.score import score_challenge, write_score
+    from dieseltwin.challenge.run import RESULTS
+    from dieseltwin.challenge.score import score_challenge, write_score
 
     placed: dict[str, list[Path]] = {}
     for name, path in parts.items():

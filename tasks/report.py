@@ -23,8 +23,8 @@ def driving_pictures(out: Path, progress: Any, *, sets: Path, driving: dict[str,
     """``set_i.png`` ...: what each set looks like."""
     import pandas as pd
 
-    from dieseltwin.config import EcuConfig
     from dieseltwin.report.driving import set_figure
+    from dieseltwin.settings.params import EcuConfig
 
     ecu = EcuConfig(**driving["ecu"])
     paths = sorted((sets / "response").glob("*.parquet"))

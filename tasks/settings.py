@@ -23,8 +23,8 @@ _SECTIONS = {
 def load_settings(profile: str) -> dict[str, Any]:
     """Validated settings of a profile, as plain JSON values. Raises ``StepFailed`` (exit status 2) with the reader's
     one-line message."""
-    from dieseltwin.config import load_params
     from dieseltwin.errors import InputError
+    from dieseltwin.settings.params import load_params
 
     try:
         params = load_params(current().workspace.params, profile)
@@ -50,7 +50,7 @@ def about(settings: Mapping[str, Any], recording: Artifact, sections: Iterable[s
     ``sections``: those of params.yaml that the numbers rest on; only they are part of the hash that is shown.
     """
     from dieseltwin import __version__
-    from dieseltwin.config import params_sha256
+    from dieseltwin.settings.params import params_sha256
 
     return {
         "title": "Health of a heavy-duty diesel from noisy driving",

@@ -30,7 +30,7 @@ def _settings(**sections: dict[str, Any]) -> Any:
     """The sections as their validated models, under the names that ``Params`` gives them."""
     from types import SimpleNamespace
 
-    from dieseltwin.config import DrivingConfig, EngineConfig, NoiseConfig
+    from dieseltwin.settings.params import DrivingConfig, EngineConfig, NoiseConfig
 
     models = {"driving": DrivingConfig, "engine": EngineConfig, "noise": NoiseConfig}
     return SimpleNamespace(**{name: models[name](**section) for name, section in sections.items()})
@@ -39,8 +39,8 @@ def _settings(**sections: dict[str, Any]) -> Any:
 @step("driving-sets", "driving: Set-I to Set-IV", expected_s=30.0)
 def driving_sets(out: Path, progress: Any, *, driving: dict[str, Any], engine: dict[str, Any]) -> None:
     """``set_i.parquet`` ...: the inputs of every set; ``response/``: what the engine did while they were made."""
-    from dieseltwin.datasets import drive_set, laboratory_parameters
-    from dieseltwin.recordings import write_recording
+    from dieseltwin.recordings.datasets import drive_set, laboratory_parameters
+    from dieseltwin.recordings.reader import write_recording
 
     settings = _settings(driving=driving, engine=engine)
     durations = {name: config.duration_s for name, config in settings.driving.sets.items()}
@@ -61,8 +61,8 @@ def case_recordings(
     """``lab/case_*.parquet`` and, for the field engine, ``field/case_v_clean.parquet`` (with truth), ``..._noisy``."""
     import pandas as pd
 
-    from dieseltwin.datasets import HEALTH, add_noise, case_parameters, make_case
-    from dieseltwin.recordings import write_recording
+    from dieseltwin.recordings.datasets import HEALTH, add_noise, case_parameters, make_case
+    from dieseltwin.recordings.reader import write_recording
 
     settings = _settings(driving=driving, engine=engine, noise=noise)
     for folder in ("lab", "field"):

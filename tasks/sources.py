@@ -33,7 +33,7 @@ from tasks.store import content_hash
 LIBRARY = "dieseltwin"
 
 # Modules of declarations: of these only the imported names and what they use count.
-_DECLARATIONS = frozenset({"config", "config_discovery", "symbols"})
+_DECLARATIONS = frozenset({"settings.params", "settings.discovery", "symbols"})
 
 _WHOLE = "*"
 

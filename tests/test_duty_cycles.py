@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dieseltwin.config import DrivingConfig, load_params
 from dieseltwin.duty_cycles import (
     FULL_LOAD_SPEED_RPM,
     FULL_LOAD_TORQUE_NM,
@@ -28,6 +27,7 @@ from dieseltwin.duty_cycles import (
 )
 from dieseltwin.engine import Inputs, actuate, bind, constants, parameter_batch, simulate, simulate_states, we2011
 from dieseltwin.errors import InputError, NotConvergedError
+from dieseltwin.settings.params import DrivingConfig, load_params
 
 LAB = we2011.PARAMETERS
 

@@ -16,8 +16,8 @@ from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.steady_model import EXTRA_ROWS, ROWS, SteadyModel
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
-from dieseltwin.steady_points import SteadyPoints
-from dieseltwin.strict import read_mapping, unknown_name
+from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.settings.strict import read_mapping, unknown_name
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
-from dieseltwin.steady_points import STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
 Array = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from dieseltwin.calibration.likelihood import NOISE, STEEPEST
 from dieseltwin.calibration.steady_model import IMPLIED, SteadyModel
-from dieseltwin.channels import INPUTS
-from dieseltwin.steady_points import STATES, SteadyPoints
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from dieseltwin.calibration.coefficients import Coefficient
 from dieseltwin.calibration.steady_model import SteadyModel
-from dieseltwin.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import SteadyPoints
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from dieseltwin.calibration.coefficients import (
 from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.steady_model import ROWS, WORK_ROW, SteadyModel
 from dieseltwin.engine.parameters import EngineParameters
-from dieseltwin.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import SteadyPoints
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.parameters import CONSTANT_NAMES, EngineParameters, parameter_batch
-from dieseltwin.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import SteadyPoints
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 from dieseltwin import __version__
 from dieseltwin.calibration.repair import Candidate, Repair
 from dieseltwin.calibration.steady_model import FLAP_REFERENCE, ROWS, T_REFERENCE
-from dieseltwin.discovery.document import (
+from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Alternative,
     Discrepancy,
@@ -20,7 +20,7 @@ from dieseltwin.discovery.document import (
     RecordingInfo,
 )
 from dieseltwin.engine.parameters import HEALTH
-from dieseltwin.steady_points import STATES
+from dieseltwin.recordings.steady_points import STATES
 
 _PLAIN = {
     "exhaust_flap": "the exhaust behind the turbine is throttled by the flap",

@@ -6,39 +6,17 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from dieseltwin.discovery import search
-from dieseltwin.discovery.assemble import assemble
-from dieseltwin.discovery.curves import Discovery
-from dieseltwin.discovery.engine_twin import MAP_TOLERANCE, EngineTwin
-from dieseltwin.discovery.fit import Linearisation, first_fit
-from dieseltwin.discovery.metric import Whitening
-from dieseltwin.discovery.noise import estimate_noise
-from dieseltwin.discovery.score import effect_responses, minimum_detectable, score, secant_sizes
+from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.score import effect_responses, minimum_detectable, score, secant_sizes
+from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.verdict.assemble import assemble
+from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.engine import EngineParameters
-from dieseltwin.recordings import Recording
-
-
-@dataclass(frozen=True)
-class Options:
-    """What a user may choose.
-
-    Attributes:
-        sensors: columns to use, None for all that there are.
-        withhold: effects to keep out of the catalogue.
-        map_tolerance: standard deviation of the maps' smooth relative errors [-].
-        seed: of everything random.
-        law_search: look for a law where no name fits.
-    """
-
-    sensors: tuple[str, ...] | None = None
-    withhold: tuple[str, ...] = ()
-    map_tolerance: float = MAP_TOLERANCE
-    seed: int = 0
-    law_search: bool = True
-
-    def settings(self) -> search.Settings:
-        """For the search."""
-        return search.Settings(withhold=self.withhold, seed=self.seed)
+from dieseltwin.recordings.noise import estimate_noise
+from dieseltwin.recordings.reader import Recording
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ import numpy as np
 import pandas as pd
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from dieseltwin.config import DrivingConfig, EcuConfig
 from dieseltwin.duty_cycles.ecu import idle_weight, positions
 from dieseltwin.duty_cycles.random_driving import slow_dither
 from dieseltwin.duty_cycles.schedules import Demand
 from dieseltwin.engine import EngineParameters, Inputs, bind, constants, simulate
 from dieseltwin.errors import NotConvergedError
+from dieseltwin.settings.params import DrivingConfig, EcuConfig
 
 Modified = Literal["none", "u_egr", "u_vgt"]
 

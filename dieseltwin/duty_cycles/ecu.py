@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import lfilter
 
-from dieseltwin.config import EcuConfig
+from dieseltwin.settings.params import EcuConfig
 
 _SPEED_RPM = (600.0, 1000.0, 1300.0, 1600.0, 1900.0)
 _FUEL_MG = (0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0, 210.0, 250.0)

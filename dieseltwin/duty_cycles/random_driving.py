@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from dieseltwin.config import RandomDrivingConfig
 from dieseltwin.duty_cycles.schedules import Demand, full_load_torque
+from dieseltwin.settings.params import RandomDrivingConfig
 
 MINIMUM_STEP_S = 0.2  # random driving is drawn on this grid, so that a coarser step is the same driving with fewer rows
 

@@ -9,8 +9,8 @@ from importlib import resources
 import numpy as np
 import pandas as pd
 
-from dieseltwin.config import SpeedMapConfig
-from dieseltwin.strict import unknown_name
+from dieseltwin.settings.params import SpeedMapConfig
+from dieseltwin.settings.strict import unknown_name
 
 SCHEDULES = ("whtc", "whsc")
 

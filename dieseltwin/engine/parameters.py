@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
-from dieseltwin.strict import read_mapping
+from dieseltwin.settings.strict import read_mapping
 
 HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 """The four health parameters, in the order of every array that holds them."""

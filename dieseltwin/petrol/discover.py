@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from dieseltwin import __version__
-from dieseltwin.discovery.document import (
+from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Alternative,
     Discrepancy,

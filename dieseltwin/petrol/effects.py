@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dieseltwin.discovery.twin import Hypothesis
+from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.petrol.components import nozzle_flow, signed_leak
 from dieseltwin.petrol.recording import Signals
 

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from dieseltwin.atomic import write_text
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.recording import Geometry
-from dieseltwin.strict import StrictModel, read_mapping, validate
+from dieseltwin.settings.strict import StrictModel, read_mapping, validate
 
 Array = NDArray[np.float64]
 KIND = "petrol"

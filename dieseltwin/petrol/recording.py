@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.components import displaced_flow, nozzle_flow, storage_flow
-from dieseltwin.strict import listed
+from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
 

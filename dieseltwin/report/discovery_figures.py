@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from dieseltwin.discovery.curves import Candidate, Curves, Discovery
-from dieseltwin.discovery.document import NONE_OF_THESE
-from dieseltwin.discovery.explain import EQUIVALENT
-from dieseltwin.discovery.twin import Array
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.verdict.curves import Candidate, Curves, Discovery
+from dieseltwin.discovery.verdict.document import NONE_OF_THESE
+from dieseltwin.discovery.verdict.explain import EQUIVALENT
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import clock, display_unit, magnitude_words, unit_of

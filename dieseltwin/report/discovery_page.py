@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dieseltwin.atomic import write_bytes, write_text
-from dieseltwin.discovery.curves import Discovery
+from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.report import discovery_figures, discovery_residuals, quantities, style
 from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words, unit_of
 from dieseltwin.report.style import ReportFigure

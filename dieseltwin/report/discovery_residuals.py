@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from dieseltwin.discovery.curves import Curves, Discovery
-from dieseltwin.discovery.noise import estimate_noise
-from dieseltwin.discovery.twin import Array
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.verdict.curves import Curves, Discovery
+from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_figures import AFTER, BEFORE, MAPS, cell_means, edges_of

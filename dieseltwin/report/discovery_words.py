@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from dieseltwin.discovery.document import Discrepancy, FoundEffect, FoundRegion, HealthValue
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect, FoundRegion, HealthValue
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.report import quantities
 

@@ -14,9 +14,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dieseltwin.config import EcuConfig
 from dieseltwin.duty_cycles import full_load_torque
 from dieseltwin.report.style import ReportFigure, note, styled
+from dieseltwin.settings.params import EcuConfig
 from dieseltwin.symbols import label
 
 SPEED, FUEL = "#0072B2", "#D55E00"

@@ -26,9 +26,9 @@ import pandas as pd
 import torch
 from numpy.typing import ArrayLike
 
-from dieseltwin.config import BodiesConfig
 from dieseltwin.errors import InputError
 from dieseltwin.networks import MultiHead, load_state, network_from_spec, save_state
+from dieseltwin.settings.params import BodiesConfig
 from dieseltwin.surrogates.body_training import (
     WINDOW_ROWS,
     WINDOW_S,

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dieseltwin.config import BodiesConditionedConfig, BodiesPaperConfig
 from dieseltwin.networks import MultiHead
+from dieseltwin.settings.params import BodiesConditionedConfig, BodiesPaperConfig
 from dieseltwin.surrogates.output_transforms import TRANSFORMS, Floats
 
 WINDOW_S = 60.0  # paper

@@ -21,7 +21,7 @@ from dieseltwin.engine.binding import MAPS
 from dieseltwin.engine.parameters import constants
 from dieseltwin.errors import InputError
 from dieseltwin.networks import MLP, load_state, network_from_spec, save_state
-from dieseltwin.strict import unknown_name
+from dieseltwin.settings.strict import unknown_name
 from dieseltwin.surrogates.empirical_forms import Kind, backend_globals, bound_forms
 from dieseltwin.surrogates.map_layers import Layer, closed_form, network, numpy_network
 

@@ -15,11 +15,11 @@ import numpy as np
 import pandas as pd
 import torch
 
-from dieseltwin.config_maps import ImprovedMapsConfig, MapsConfig, PaperMapsConfig
 from dieseltwin.engine import MAPS, EngineParameters, constants, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.networks import MLP
-from dieseltwin.strict import unknown_name
+from dieseltwin.settings.maps import ImprovedMapsConfig, MapsConfig, PaperMapsConfig
+from dieseltwin.settings.strict import unknown_name
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, MapNetwork, map_arguments
 from dieseltwin.surrogates.empirical_forms import (
     ETA_TM_CAP,

@@ -23,10 +23,10 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from dieseltwin.config import OperatorConfig, OperatorsConfig
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.errors import InputError
 from dieseltwin.networks import CausalityDeepONet, load_state, network_from_spec, save_state, soft_clip, soft_clip_slope
+from dieseltwin.settings.params import OperatorConfig, OperatorsConfig
 
 OPERATORS: Mapping[str, tuple[str, ...]] = {"egr": ("u_egr1_pct", "u_egr2_pct"), "vgt": ("u_vgt_act_pct",)}
 """Label columns of D1 and D2."""

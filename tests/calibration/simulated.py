@@ -6,10 +6,10 @@ import numpy as np
 
 from dieseltwin.calibration.coefficients import TERMS, with_scalars
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
-from dieseltwin.discovery.steady_twin import settle
+from dieseltwin.calibration.steady_twin import settle
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
-from dieseltwin.steady_points import STATES, SteadyPoints, points
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints, points
 
 GEOMETRY = we2011.PARAMETERS.replace(V_d=0.0108, r_c=17.5, R_c=0.0368, R_t=0.0368)
 TRUTH = with_scalars(GEOMETRY, {

@@ -12,7 +12,7 @@ from dieseltwin.calibration.calibrate import calibrate, read_geometry
 from dieseltwin.calibration.checks import actuators, check_points, egr_shut
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
-from dieseltwin.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import SteadyPoints
 from tests.calibration.simulated import GEOMETRY, made_points
 
 

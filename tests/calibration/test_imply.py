@@ -16,12 +16,12 @@ from dieseltwin.calibration.repair import Repair, repair
 from dieseltwin.calibration.saved import answerer_of, load_answerer, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.calibration.verdict import document, sentence
-from dieseltwin.channels import INPUTS
-from dieseltwin.cli_calibrate import run_imply
+from dieseltwin.cli.calibrate import run_imply
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report.calibration import calibration_report, repair_report
-from dieseltwin.steady_points import STATES, SteadyPoints
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 FLAP = {"k_back_pressure": 8e4, "flap_0": -6.3, "flap_1": 2.0, "flap_2": 0.3}

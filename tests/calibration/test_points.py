@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from dieseltwin.errors import InputError
-from dieseltwin.steady_points import STATES, SteadyPoints, has_time, quasi_steady, read_points
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints, has_time, quasi_steady, read_points
 from tests.calibration.simulated import made_points
 
 

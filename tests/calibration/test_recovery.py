@@ -13,11 +13,11 @@ from dieseltwin.calibration.calibrate import Calibration, calibrate, read_geomet
 from dieseltwin.calibration.coefficients import scalar
 from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.saved import calibration_sidecar, write_calibration
-from dieseltwin.discovery.steady_twin import SteadyTwin
-from dieseltwin.discovery.twin import Twin, single
+from dieseltwin.calibration.steady_twin import SteadyTwin
+from dieseltwin.discovery.twins.interface import Twin, single
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import load_engine
-from dieseltwin.steady_points import read_points
+from dieseltwin.recordings.steady_points import read_points
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dieseltwin.discovery.twin import Hypothesis, Lanes, Parameter, Point
+from dieseltwin.discovery.twins.interface import Hypothesis, Lanes, Parameter, Point
 
 STEP_S = 0.2
 

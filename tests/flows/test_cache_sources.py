@@ -81,13 +81,15 @@ def test_a_steps_own_code_is_its_function_and_what_that_uses() -> None:
 
 
 def test_of_the_settings_only_the_imported_models_count(library: Path) -> None:
-    config = library / "toylib" / "config.py"
+    (library / "toylib" / "settings").mkdir()
+    (library / "toylib" / "settings" / "__init__.py").write_text("")
+    config = library / "toylib" / "settings" / "params.py"
     config.write_text(
         "SIZE = 3\n\nclass Shared:\n    n = SIZE\n\nclass Maps(Shared):\n    a = 1\n\nclass Report:\n    b = 1\n"
     )
     user = library / "toylib" / "user.py"
     user.write_text(
-        "from __future__ import annotations\nfrom .config import Maps, Report\n\ndef f(r: Report):\n    return Maps\n"
+        "from __future__ import annotations\nfrom .settings.params import Maps, Report\n\ndef f(r: Report):\n    return Maps\n"
     )
     before, text = digest(library, "toylib.user"), config.read_text()
     config.write_text(text.replace("b = 1", "b = 2"))
@@ -98,15 +100,17 @@ def test_of_the_settings_only_the_imported_models_count(library: Path) -> None:
 
 
 def test_a_section_in_a_module_of_its_own_counts_for_whom_imports_it(library: Path) -> None:
-    (library / "toylib" / "config.py").write_text(
-        "from .config_discovery import Proof\n\nclass Maps:\n    a = 1\n\n"
+    (library / "toylib" / "settings").mkdir()
+    (library / "toylib" / "settings" / "__init__.py").write_text("")
+    (library / "toylib" / "settings" / "params.py").write_text(
+        "from .discovery import Proof\n\nclass Maps:\n    a = 1\n\n"
         "class Params:\n    proof: Proof\n    maps: Maps\n"
     )
-    section = library / "toylib" / "config_discovery.py"
+    section = library / "toylib" / "settings" / "discovery.py"
     section.write_text("class Proof:\n    n = 1\n")
-    (library / "toylib" / "maps.py").write_text("from .config import Maps\n\ndef f():\n    return Maps\n")
+    (library / "toylib" / "maps.py").write_text("from .settings.params import Maps\n\ndef f():\n    return Maps\n")
     (library / "toylib" / "all.py").write_text(
-        "from .config import Maps\nfrom .maps import f\nfrom .config import Params\n\n"
+        "from .settings.params import Maps\nfrom .maps import f\nfrom .settings.params import Params\n\n"
         "def g():\n    return Params, Maps, f\n"
     )
     before = digest(library, "toylib.maps"), digest(library, "toylib.all")
@@ -124,7 +128,7 @@ def test_imports_for_type_checkers_do_not_count(library: Path) -> None:
 
 def test_a_steps_entry_stands_for_its_package_and_its_other_imports_stay(library: Path) -> None:
     modules = identify.classical.code(RunContext(Workspace(library), Display(library / "x"))).modules
-    assert "dieseltwin.identification.classical" in modules and "dieseltwin.recordings" in modules
+    assert "dieseltwin.identification.classical" in modules and "dieseltwin.recordings.reader" in modules
     assert "dieseltwin.identification.fewshot_newton" not in modules
 
 
@@ -133,7 +137,7 @@ def test_a_new_field_of_the_report_leaves_pretraining_alone(library: Path) -> No
     before = pretrain.bodies.code(RunContext(Workspace(library), Display(library / "x"), library_root=library)).digest
     (library / "dieseltwin").unlink()
     shutil.copytree(PROJECT / "dieseltwin", library / "dieseltwin", ignore=shutil.ignore_patterns("__pycache__"))
-    config = library / "dieseltwin" / "config.py"
+    config = library / "dieseltwin" / "settings" / "params.py"
     config.write_text(config.read_text().replace("    dpi:", "    another: int = 3\n    dpi:"))
     assert "another: int" in config.read_text()
     after = pretrain.bodies.code(RunContext(Workspace(library), Display(library / "x"), library_root=library)).digest
@@ -142,6 +146,6 @@ def test_a_new_field_of_the_report_leaves_pretraining_alone(library: Path) -> No
 
 def test_the_engine_does_not_rest_on_the_report() -> None:
     sources = LibrarySources(PROJECT)
-    modules = sources.collect(["dieseltwin.config"]).modules
-    assert "dieseltwin.config" in modules
+    modules = sources.collect(["dieseltwin.settings.params"]).modules
+    assert "dieseltwin.settings.params" in modules
     assert not any(name.startswith(("dieseltwin.report", "dieseltwin.identification")) for name in modules)

@@ -93,7 +93,7 @@ def test_the_chains_own_machine_and_a_list_of_recordings(
 
 def test_the_concealed_machine_has_a_fault_worth_finding(faked_discovery: Callable[[], RunContext]) -> None:
     """The example of the chain: single, catalogued, three tolerances or more."""
-    from dieseltwin.config import load_params
+    from dieseltwin.settings.params import load_params
 
     config = load_params(profile="quick")
     made = prove.benchmark(

@@ -59,7 +59,7 @@ def new_context(root: Path) -> RunContext:
 
 
 def test_the_plan_gives_every_method_the_same_noise_and_variants_the_seed_of_their_method() -> None:
-    from dieseltwin.config import load_params
+    from dieseltwin.settings.params import load_params
     from tasks.evaluation_plan import ensembles_of
 
     settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")
@@ -83,8 +83,8 @@ def test_the_plan_gives_every_method_the_same_noise_and_variants_the_seed_of_the
 
 
 def test_one_ensemble_can_be_run_alone_and_multi_stage_brings_what_it_starts_from() -> None:
-    from dieseltwin.config import load_params
     from dieseltwin.errors import InputError
+    from dieseltwin.settings.params import load_params
     from tasks.evaluation_plan import ensembles_of
 
     settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")
@@ -96,8 +96,8 @@ def test_one_ensemble_can_be_run_alone_and_multi_stage_brings_what_it_starts_fro
 
 def test_the_figures_show_readings_that_a_member_saw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dieseltwin import report
-    from dieseltwin.config import load_params
     from dieseltwin.report import evaluation_page
+    from dieseltwin.settings.params import load_params
     from tasks import ensembles, evaluate, identify
     from tasks.evaluation_plan import ensembles_of
 
@@ -158,7 +158,7 @@ def test_the_unit_of_x_r_is_changed_where_an_ensemble_names_one(unit: float | No
 
 
 def test_a_variant_starts_where_its_method_starts() -> None:
-    from dieseltwin.config import load_params
+    from dieseltwin.settings.params import load_params
     from tasks.evaluation_plan import ensembles_of
 
     settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from dieseltwin.config import load_params
+from dieseltwin.settings.params import load_params
 from tasks.settings import about, own_settings
 from tasks.store import Artifact
 from tasks.workspace import PROJECT

@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from dieseltwin.config import load_params
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, actuate, simulate, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.identification import NoiseLevels, SegmentProblem, baseline, identify_segments, multistage
@@ -19,6 +18,7 @@ from dieseltwin.identification import pinn_training as pinn
 from dieseltwin.identification.fewshot_program import make_program
 from dieseltwin.identification.pinn_networks import StateNetworks
 from dieseltwin.identification.unknowns import to_masked, to_physical
+from dieseltwin.settings.params import load_params
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 RATES = (1e-2, 1e-2, 1e-2)

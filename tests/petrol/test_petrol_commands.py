@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from dieseltwin.cli import main
-from dieseltwin.discovery.document import load_discrepancy
+from dieseltwin.cli.app import main
+from dieseltwin.discovery.verdict.document import load_discrepancy
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import calibrate
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dieseltwin.discovery.document import NONE_OF_THESE
+from dieseltwin.discovery.verdict.document import NONE_OF_THESE
 from dieseltwin.petrol.calibrate import fit_maps, pieces
 from dieseltwin.petrol.discover import discover_petrol
 from dieseltwin.petrol.effects import HYPOTHESES, TOUCHES, undo

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.discovery.curves import Candidate, Curves, Discovery, LawCurve
-from dieseltwin.discovery.document import Discrepancy
+from dieseltwin.discovery.verdict.curves import Candidate, Curves, Discovery, LawCurve
+from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine import we2011
 
 CHANNELS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k")

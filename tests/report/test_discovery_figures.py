@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import synthetic_discovery as synthetic
 
-from dieseltwin.discovery.curves import Discovery
-from dieseltwin.discovery.document import Discrepancy
+from dieseltwin.discovery.verdict.curves import Discovery
+from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.report import discovery_figures, discovery_residuals
 from dieseltwin.report.discovery_page import build_discovery_report, discovery_sections, left_over
 from dieseltwin.report.discovery_words import sentence

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import synthetic_discovery as synthetic
 
-from dieseltwin.discovery.document import Discrepancy
+from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine.effects import EFFECTS, SITES
 from dieseltwin.report.discovery_words import EFFECT_WORDS, magnitude_words, sentence, site_words
 

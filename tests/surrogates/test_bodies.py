@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dieseltwin.config import (
+from dieseltwin.errors import InputError
+from dieseltwin.settings.params import (
     BodiesConditionedConfig,
     BodiesConfig,
     BodiesPaperConfig,
     BodyConfig,
 )
-from dieseltwin.errors import InputError
 from dieseltwin.surrogates.bodies import BODIES, TRANSFORMS, Bodies, minutes, pod_floor, train_bodies
 from dieseltwin.surrogates.body_training import second_moment
 

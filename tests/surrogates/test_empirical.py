@@ -9,10 +9,10 @@ import pytest
 import torch
 from operating_points import laboratory, operating_points
 
-from dieseltwin.config import load_params
-from dieseltwin.config_maps import MapsConfig
 from dieseltwin.engine import MAPS, Inputs, actuate, bind, constants, parameter_batch, we2011
 from dieseltwin.errors import InputError
+from dieseltwin.settings.maps import MapsConfig
+from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
 from dieseltwin.surrogates.empirical_training import _with_a_slope, train_maps
 from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights

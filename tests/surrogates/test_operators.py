@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dieseltwin.config import OperatorConfig, OperatorsConfig
 from dieseltwin.engine import Inputs, we2011
 from dieseltwin.errors import InputError
+from dieseltwin.settings.params import OperatorConfig, OperatorsConfig
 from dieseltwin.surrogates.operators import OPERATORS, ActuatorOperators, train_operators
 
 PARAMETERS = we2011.PARAMETERS

@@ -17,8 +17,8 @@ def _discover(recording: Any, engine: Any, options: Any) -> Any:
 
     import numpy as np
 
-    from dieseltwin.discovery.curves import Curves, Discovery
-    from dieseltwin.discovery.document import Discrepancy
+    from dieseltwin.discovery.verdict.curves import Curves, Discovery
+    from dieseltwin.discovery.verdict.document import Discrepancy
 
     if os.environ.get(CALLS):
         with Path(os.environ[CALLS]).open("a") as file:
@@ -103,7 +103,7 @@ def install() -> None:
     """Replace the two modules."""
     _module("dieseltwin.discovery.discover", discover=_discover, prepare=_prepare, Options=Options)
     _module(
-        "dieseltwin.discovery.scoring",
+        "dieseltwin.challenge.oracle",
         held_out_nll=_held_out_nll,
         fit_oracle=_fit_oracle,
         separability=_separability,

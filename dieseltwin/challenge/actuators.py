@@ -1,0 +1,52 @@
+"""The plant's actuators before the right-hand side: play and dead time of the command, then lags, on the fine grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+
+from dieseltwin.challenge.driving import Driving
+from dieseltwin.challenge.plant_effects import Fault, schedule
+
+
+@numba.njit(cache=True, error_model="numpy")
+def lag(u, step, tau):  # type: ignore[no-untyped-def]
+    """First-order lag of u (n,), settled at its start; u runs straight between its points."""
+    out = np.empty_like(u)
+    out[0] = u[0]
+    ratio = step / tau
+    keep = np.exp(-ratio)
+    ramp = (1.0 - keep) / ratio  # share of the slope's response that is still missing at the step's end
+    for i in range(u.size - 1):
+        out[i + 1] = keep * out[i] + (ramp - keep) * u[i] + (1.0 - ramp) * u[i + 1]
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def play(u, width):  # type: ignore[no-untyped-def]
+    """Play operator of full width `width` (n,) on u (n,): follows only when an end of the gap is pushed."""
+    out = np.empty_like(u)
+    out[0] = u[0]
+    for i in range(1, u.size):
+        half = 0.5 * width[i]
+        out[i] = min(max(out[i - 1], u[i] - half), u[i] + half)
+    return out
+
+
+def fine_command(
+    fine_s: np.ndarray, driving: Driving, actuator: str, dead_time_s: float, faults: Sequence[Fault]
+) -> np.ndarray:
+    """Command behind play and dead time at the fine times [%]; `actuator` is "egr" or "vgt"."""
+    extra = np.zeros(fine_s.size)
+    width = np.zeros(fine_s.size)
+    for fault in faults:
+        if fault.effect == f"{actuator}_dead_time":
+            extra += fault.magnitude * schedule(fault, fine_s, driving)
+        if fault.effect == f"{actuator}_backlash":
+            width += fault.magnitude * schedule(fault, fine_s, driving)
+    command = np.interp(fine_s, driving.time_s, getattr(driving, f"u_{actuator}_pct"))
+    if width.any():
+        command = play(command, width)
+    return np.interp(fine_s - dead_time_s - extra, fine_s, command)

@@ -1,0 +1,85 @@
+"""Write a benchmark: recordings and the manifest in the open, answers and held-out recordings sealed apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dieseltwin import __version__
+from dieseltwin.atomic import atomic_path, check_writable, write_json
+from dieseltwin.challenge.cases import DURATION_S, MAP_RMS, Plan, Tier, build_case, make_plans
+from dieseltwin.challenge.processes import in_processes
+from dieseltwin.challenge.seal import SEALED, file_sha256, new_salt, salted_sha256, write_answers, write_salt
+from dieseltwin.engine import we2011
+from dieseltwin.errors import InputError
+from dieseltwin.settings.strict import unknown_name
+
+MANIFEST = "manifest.json"
+SCHEMA = 1
+_DIGITS = "%.10g"
+
+
+def make_challenge(
+    out: Path, n: int, seed: int, *, tier: Tier = "main", sensors: int = 6, healthy_only: bool = False,
+    duration_s: float = DURATION_S, jobs: int = 1, progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Make a benchmark of n cases in `out`; returns the manifest.
+
+    `out`/case_0001/recording.csv is what the tool sees; `out`/sealed holds answers, salt, the second recording of each
+    machine and its clean signals. The seed stands in the sealed part only.
+
+    Raises:
+        InputError: bad arguments, or a folder that holds a benchmark already.
+    """
+    if tier not in MAP_RMS:
+        raise unknown_name("challenge: --tier", tier, list(MAP_RMS))
+    if (out / MANIFEST).exists() or (out / SEALED).exists():
+        raise InputError(str(out), "a benchmark already", "a new folder", "choose another --out; nothing was written")
+    plans = make_plans(n, seed, sensors=sensors, healthy_only=healthy_only)
+    (out / SEALED).mkdir(parents=True, exist_ok=True)
+    check_writable(out / MANIFEST)
+    salt = new_salt()
+    write_salt(out / SEALED, salt)
+    write = partial(_write_case, out=out, seed=seed, tier=tier, sensors=sensors, duration_s=duration_s, salt=salt)
+    made: dict[int, dict[str, Any]] = {}
+    for k, entry in in_processes(write, plans, jobs):
+        made[k] = entry
+        if progress is not None:
+            progress(len(made), n)
+    entries = [made[k] for k in range(n)]
+    manifest = {
+        "schema": SCHEMA, "code_version": __version__, "n": n, "tier": tier, "sensors": sensors,
+        "duration_s": duration_s, "healthy_only": healthy_only,
+        "seed_sha256": salted_sha256(salt, str(seed).encode()), "cases": entries,
+    }  # fmt: skip
+    write_json(out / MANIFEST, manifest)
+    return manifest
+
+
+def _write_case(
+    plan: Plan, *, out: Path, seed: int, tier: Tier, sensors: int, duration_s: float, salt: bytes
+) -> dict[str, Any]:
+    laboratory: Mapping[str, Any] = we2011.PARAMETERS.model_dump()
+    case = build_case(plan, seed, laboratory, tier=tier, sensors=sensors, duration_s=duration_s)
+    folder, sealed = out / plan.name, out / SEALED
+    folder.mkdir(exist_ok=True)
+    _write_csv(case.recording, folder / "recording.csv")
+    _write_csv(case.held_out, sealed / f"{plan.name}_held_out.csv")
+    with atomic_path(sealed / f"{plan.name}_held_out_clean.parquet") as temporary:
+        pd.DataFrame(case.held_out_clean.columns).to_parquet(temporary, index=False)
+    answers_hash = write_answers(sealed, plan.name, case.answers, salt)
+    return {
+        "case": plan.name, "recording": f"{plan.name}/recording.csv",
+        "recording_sha256": file_sha256(folder / "recording.csv"), "withhold": list(plan.withhold),
+        "answers_salted_sha256": answers_hash,
+        "held_out_salted_sha256": salted_sha256(salt, (sealed / f"{plan.name}_held_out.csv").read_bytes()),
+    }  # fmt: skip
+
+
+def _write_csv(frame: pd.DataFrame, path: Path) -> None:
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        frame.to_csv(file, index=False, lineterminator="\n", float_format=_DIGITS)

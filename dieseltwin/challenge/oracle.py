@@ -1,0 +1,108 @@
+"""What a scorer asks of the tool: held-out likelihood of an engine, the oracle's fit, separability at the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, first_fit, fit_fully, settle_local
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.score import effect_responses, score, secant_sizes
+from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
+from dieseltwin.engine import HEALTH, EngineParameters
+from dieseltwin.engine.effects import Term
+from dieseltwin.recordings.noise import Noise, estimate_noise
+from dieseltwin.recordings.reader import Recording
+
+
+def _settled(twin: EngineTwin, noise: Noise, fit: Fit) -> Linearisation:
+    """Initial states fitted at fixed parameters."""
+    at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), fit)
+    cut = search.split_growing(at)
+    if cut is not None:
+        at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), cut)
+    return settle_local(at, rounds=4)
+
+
+def held_out_nll(engine: EngineParameters, recording: Recording, noise: Noise | None = None) -> float:
+    """Negative log-likelihood per sample of a recording under an engine whose parameters stay as they are.
+
+    Only the turbo speeds at the windows' starts are fitted. The noise is estimated from the recording itself, so that
+    all engines are scored alike.
+
+    Raises:
+        InputError: a recording that can't be used.
+    """
+    twin = EngineTwin(recording, engine)
+    noise = noise or estimate_noise(twin.measured)
+    at = _settled(twin, noise, first_fit(twin))
+    residual = np.nan_to_num(at.residual)
+    whitened = at.metric.without_local(residual[None])[0]
+    logs = at.whitening.log_normaliser(at.whitening.present)
+    return float((0.5 * whitened @ whitened + logs) / twin.time_s.size)
+
+
+def fit_oracle(
+    recording: Recording, engine: EngineParameters, terms: tuple[Term, ...], map_tolerance: float = MAP_TOLERANCE
+) -> EngineParameters:
+    """Health parameters and magnitudes refitted by someone who knows the effects' form, started at the truth.
+
+    Args:
+        recording: the one that the tool saw.
+        engine: with the true health parameters.
+        terms: true effects with onset and region.
+        map_tolerance: standard deviation of the maps' smooth relative errors [-].
+
+    Returns:
+        The engine with the refitted values, terms included.
+    """
+    twin = EngineTwin(recording, engine, map_tolerance=map_tolerance)
+    start_s = float(twin.recording_time_s[0])
+    schedules = {
+        t.effect: t.factor(twin.recording_time_s, start_s, dict(twin.conditions))
+        for t in terms
+        if t.onset_s is not None or t.region is not None
+    }
+    candidate = Candidate(tuple(t.effect for t in terms), schedules)
+    noise = estimate_noise(twin.measured)
+    rough = _settled(twin, noise, first_fit(twin, candidate, [t.magnitude for t in terms]))
+    noise = estimate_noise(twin.measured, explained=rough.simulated)
+    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    nuisance = search.tolerance_responses(twin, rough, search.Settings())
+    at = fit_fully(twin, whitening, rough.fit, nuisance, rounds=6)
+    values = {name: float(value) for name, value in zip(HEALTH, at.fit.parameters, strict=True)}
+    refitted = tuple(
+        t.model_copy(update={"magnitude": float(m)}) for t, m in zip(terms, at.fit.magnitudes, strict=True)
+    )
+    return engine.replace(**values, terms=(*engine.terms, *refitted))
+
+
+def separability(
+    recording: Recording, engine: EngineParameters, term: Term, map_tolerance: float = MAP_TOLERANCE
+) -> dict[str, float]:
+    """D of every other catalogue effect at the truth: what it would leave of the true effect's evidence.
+
+    D = lambda (1 - cos^2), lambda the expected gain of the true effect, cos between the two responses after health
+    parameters, initial states and tolerances are taken out (DISCOVERY.md, step 3).
+    """
+    twin = EngineTwin(recording, engine, map_tolerance=map_tolerance)
+    noise = estimate_noise(twin.measured)
+    rough = _settled(twin, noise, first_fit(twin, Candidate((term.effect,)), [term.magnitude]))
+    noise = estimate_noise(twin.measured, explained=rough.simulated)
+    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    bare = Linearisation(twin, whitening, first_fit(twin))
+    at = Linearisation(twin, whitening, bare.fit, None, search.tolerance_responses(twin, bare, search.Settings()))
+    wanted = secant_sizes(twin, [name for name in twin.hypotheses if name != term.effect])
+    own = [(term.effect, term.magnitude)]
+    items = score(at, [*own, *wanted], effect_responses(twin, at, [*own, *wanted]))
+    truth, others = items[0], items[1:]
+    strength = float(truth.projected @ truth.projected) * term.magnitude**2
+    distances: dict[str, float] = {}
+    for item in others:
+        inner = float(truth.projected @ item.projected)
+        size = float(item.projected @ item.projected) * float(truth.projected @ truth.projected)
+        sided = twin.hypotheses[item.name].limits[0] >= 0.0 and inner * np.sign(term.magnitude) < 0.0
+        cosine2 = 0.0 if size <= 0 or sided else inner * inner / size
+        distances[item.name] = min(distances.get(item.name, np.inf), strength * (1.0 - cosine2))
+    return distances
+

@@ -1,0 +1,283 @@
+"""One row a case: what was true, what was said, and how far apart they are. The metrics only count these rows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.atomic import write_json
+from dieseltwin.challenge.plant_effects import FAMILIES, Fault
+from dieseltwin.challenge.run import FAILED, RESULTS
+from dieseltwin.challenge.seal import SEALED, file_sha256
+from dieseltwin.discovery.verdict.document import FILE_NAME, NONE_OF_THESE, Discrepancy, load_discrepancy
+from dieseltwin.engine import HEALTH, EngineParameters, we2011
+from dieseltwin.engine.effects import Term
+from dieseltwin.engine.parameters import load_engine
+from dieseltwin.recordings.reader import Recording, read_recording
+
+COUNTED_RATIO = 3.0
+"""Detection, sites and names are counted from this magnitude over tolerance on (DISCOVERY.md, "Proof")."""
+
+SEPARABLE_D = 9.0
+
+
+@dataclass(frozen=True)
+class TrueEffect:
+    """One fault: name, site, magnitude and its ratio to the tolerance; `nearest` (name, D) among the other effects
+    of the catalogue at the truth, None where not computed."""
+
+    name: str
+    site: str
+    magnitude: float
+    ratio: float
+    catalogued: bool
+    nearest: tuple[str, float] | None = None
+
+    @property
+    def separable(self) -> bool | None:
+        """Whether every other effect keeps D >= 9; None where not known."""
+        return None if self.nearest is None else self.nearest[1] >= SEPARABLE_D
+
+
+@dataclass(frozen=True)
+class SaidEffect:
+    """One reported effect: name, its set (name and equivalents), magnitude and standard deviation."""
+
+    name: str
+    names: tuple[str, ...]
+    magnitude: float | None
+    std: float | None
+
+
+@dataclass(frozen=True)
+class CaseRow:
+    """Everything that the metrics need of one case.
+
+    Attributes:
+        kind: of the mix; partial: "onset", "region" or None; route: kind of driving.
+        truth: faults; said: reported effects, strongest first; problem: why there is no result, else None.
+        mismatch, p_value, site, sites: of the document (`sites`: with the alternatives).
+        health_true, health_before, health_after: name -> value.
+        nll_before, nll_after, nll_oracle: per sample on the second recording; `samples` of it.
+        oracle_health, oracle_magnitudes: what the oracle estimates, name -> value.
+        law_error: of the found law on unseen driving, relative; None where there is none or it can't be told.
+        oracle_law_error: of the true form with the oracle's magnitude, likewise: what the recording allows.
+        seconds, peak_rss_mib: of the run.
+    """
+
+    case: str
+    kind: str
+    partial: str | None
+    route: str
+    truth: tuple[TrueEffect, ...]
+    withhold: tuple[str, ...]
+    problem: str | None = None
+    mismatch: bool = False
+    p_value: float | None = None
+    site: str | None = None
+    sites: tuple[str, ...] = ()
+    said: tuple[SaidEffect, ...] = ()
+    health_true: Mapping[str, float] = field(default_factory=dict)
+    health_before: Mapping[str, float] = field(default_factory=dict)
+    health_after: Mapping[str, float] = field(default_factory=dict)
+    nll_before: float | None = None
+    nll_after: float | None = None
+    nll_oracle: float | None = None
+    oracle_health: Mapping[str, float] = field(default_factory=dict)
+    oracle_magnitudes: Mapping[str, float] = field(default_factory=dict)
+    samples: int = 0
+    law_error: float | None = None
+    oracle_law_error: float | None = None
+    seconds: float | None = None
+    peak_rss_mib: float | None = None
+
+    @property
+    def ratio(self) -> float:
+        """Largest magnitude over tolerance; 0 for a healthy machine."""
+        return max((effect.ratio for effect in self.truth), default=0.0)
+
+    @property
+    def withheld(self) -> bool:
+        """Whether the tool could not know the effect's name."""
+        return self.kind == "withheld"
+
+    @property
+    def said_none(self) -> bool:
+        """Whether `none_of_these` was reported first."""
+        return bool(self.said) and self.said[0].name == NONE_OF_THESE
+
+    @property
+    def named(self) -> frozenset[str]:
+        """Every reported name, equivalents included."""
+        return frozenset(name for effect in self.said for name in effect.names)
+
+    def document(self) -> dict[str, Any]:
+        """JSON types."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """What the scorer asks of the tool's library; a function that is None leaves its metrics out.
+
+    Attributes:
+        held_out_nll: (engine, recording) -> negative log-likelihood per sample.
+        fit_oracle: (recording, engine, terms) -> engine.
+        separability: (recording, engine, term) -> name -> D.
+        law_error: (result folder, clean held-out signals, fault, true health) -> error of the found law, or None.
+        error_of: (terms, clean held-out signals, fault, true health) -> error of given terms.
+        terms: (faults) -> terms of the engine file.
+    """
+
+    held_out_nll: Callable[[EngineParameters, Recording], float] | None = None
+    fit_oracle: Callable[..., EngineParameters] | None = None
+    separability: Callable[..., Mapping[str, float]] | None = None
+    law_error: Callable[[Path, pd.DataFrame, Fault, Mapping[str, float]], float | None] | None = None
+    error_of: Callable[[Sequence[Any], pd.DataFrame, Fault, Mapping[str, float]], float] | None = None
+    terms: Callable[[Sequence[Fault]], tuple[Any, ...]] | None = None
+
+    @classmethod
+    def of_the_tool(cls, map_tolerance: float) -> Scoring:
+        """The functions of `dieseltwin.challenge.oracle` at the maps' tolerance of a tier, and the law's error of
+        `challenge.laws`."""
+        from dieseltwin.challenge import oracle as scoring
+        from dieseltwin.challenge.laws import error_of, law_error
+
+        return cls(
+            scoring.held_out_nll, partial(scoring.fit_oracle, map_tolerance=map_tolerance),
+            partial(scoring.separability, map_tolerance=map_tolerance), law_error, error_of,
+            engine_terms,
+        )  # fmt: skip
+
+
+def engine_terms(faults: Sequence[Fault]) -> tuple[Any, ...]:
+    """The faults as terms of the tool's engine files."""
+    return tuple(
+        Term(effect=f.effect, magnitude=f.magnitude, onset_s=f.onset_s, region=dict(f.region) if f.region else None)
+        for f in faults
+    )
+
+
+def case_row(folder: Path, answers: Mapping[str, Any], scoring: Scoring) -> CaseRow:
+    """Compare the result of one case with its answers."""
+    name = str(answers["case"])
+    result = folder / RESULTS / name
+    faults = [Fault.of(effect) for effect in answers["effects"]]
+    known: dict[str, Any] = {
+        "case": name, "kind": answers["kind"], "partial": answers["partial"], "route": answers["route"],
+        "truth": tuple(_true_effect(fault) for fault in faults), "withhold": tuple(answers["withhold"]),
+        "health_true": {k: float(v) for k, v in answers["health"].items()},
+    }  # fmt: skip
+    if not (result / FILE_NAME).is_file():
+        problem = "not run"
+        if (result / FAILED).is_file():
+            problem = str(json.loads((result / FAILED).read_text())["error"])
+        return CaseRow(**known, problem=problem)
+    document = load_discrepancy(result)
+    runtime = json.loads((result / "runtime.json").read_text())
+    known |= said(document)
+    known |= {"seconds": runtime["seconds"], "peak_rss_mib": runtime["peak_rss_mib"]}
+    computed = _computed(folder, result, answers, faults, scoring)
+    near = computed.pop("nearest", None)
+    if near is not None:
+        known["truth"] = tuple(replace(effect, nearest=(str(near[0]), float(near[1]))) for effect in known["truth"])
+    return CaseRow(**known, **computed)
+
+
+def said(document: Discrepancy) -> dict[str, Any]:
+    """What a document says, as fields of `CaseRow`."""
+    location = document.location
+    return {
+        "mismatch": document.mismatch, "p_value": document.p_value,
+        "site": None if location is None else location.site,
+        "sites": () if location is None else (location.site, *(a.site for a in location.alternatives)),
+        "said": tuple(SaidEffect(e.name, e.names, e.magnitude, e.std) for e in document.effects),
+        "health_before": {k: v.before for k, v in document.health.items() if k in HEALTH},
+        "health_after": {k: v.value for k, v in document.health.items() if k in HEALTH},
+    }  # fmt: skip
+
+
+def _true_effect(fault: Fault) -> TrueEffect:
+    family = FAMILIES[fault.effect]
+    return TrueEffect(fault.effect, family.site, fault.magnitude, fault.ratio, family.catalogued)
+
+
+def _computed(
+    folder: Path, result: Path, answers: Mapping[str, Any], faults: Sequence[Fault], scoring: Scoring
+) -> dict[str, Any]:
+    """Held-out scores, separability and the law's error; kept beside the result, since they take seconds a case."""
+    cache = result / "scored.json"
+    if cache.is_file():
+        kept = json.loads(cache.read_text())
+        if kept.get("of") == _stamp(result):
+            values = dict(kept["values"])
+            if "law_error" in values and "oracle_law_error" not in values:  # of a scorer that didn't tell it
+                values |= _law_errors(folder, result, answers, faults, scoring, values.get("oracle_magnitudes", {}))
+                write_json(cache, {"of": _stamp(result), "values": values})
+            return values
+    name = str(answers["case"])
+    values = {}
+    recording = read_recording(folder / name / "recording.csv")
+    later = read_recording(folder / SEALED / f"{name}_held_out.csv")
+    catalogued = all(FAMILIES[f.effect].catalogued for f in faults)
+    truth = we2011.PARAMETERS.replace(**{k: float(v) for k, v in answers["health"].items()})
+    if scoring.held_out_nll is not None:
+        values["samples"] = int(later.time_s.size)
+        values["nll_before"] = float(scoring.held_out_nll(_lasting(load_engine(result / "engine_before.yaml")), later))
+        values["nll_after"] = float(scoring.held_out_nll(_lasting(load_engine(result / "engine.yaml")), later))
+        if faults and catalogued and scoring.fit_oracle is not None and scoring.terms is not None:
+            oracle = scoring.fit_oracle(recording, truth, scoring.terms(faults))
+            values["nll_oracle"] = float(scoring.held_out_nll(_lasting(oracle), later))
+            values["oracle_health"] = {name: float(getattr(oracle, name)) for name in HEALTH}
+            values["oracle_magnitudes"] = {
+                term.effect: float(term.magnitude) for term in oracle.terms if isinstance(term, Term)
+            }
+    if scoring.separability is not None and scoring.terms is not None and len(faults) == 1 and catalogued:
+        distances = dict(scoring.separability(recording, truth, scoring.terms(faults)[0]))
+        distances.pop(faults[0].effect, None)
+        for withheld in answers["withhold"]:  # the tool could not take it for a name that it doesn't know
+            distances.pop(withheld, None)
+        if distances:
+            other = min(distances, key=lambda k: distances[k])
+            values["nearest"] = [other, float(distances[other])]
+    values |= _law_errors(folder, result, answers, faults, scoring, values.get("oracle_magnitudes", {}))
+    with_numbers = {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in values.items()}
+    if scoring != Scoring():
+        write_json(cache, {"of": _stamp(result), "values": with_numbers})
+    return with_numbers
+
+
+def _law_errors(
+    folder: Path, result: Path, answers: Mapping[str, Any], faults: Sequence[Fault], scoring: Scoring,
+    oracle: Mapping[str, float],
+) -> dict[str, Any]:  # fmt: skip
+    """Errors of the found law and of the true form with the oracle's magnitude, in withheld cases."""
+    if scoring.law_error is None or answers["kind"] != "withheld":
+        return {}
+    fault, health = faults[0], answers["health"]
+    clean = pd.read_parquet(folder / SEALED / f"{answers['case']}_held_out_clean.parquet")
+    errors = [scoring.law_error(result, clean, fault, health), None]
+    told = oracle.get(fault.effect)
+    if told is not None and scoring.error_of is not None and scoring.terms is not None:
+        errors[1] = scoring.error_of(scoring.terms([replace(fault, magnitude=told)]), clean, fault, health)
+    fine = [None if error is None or not np.isfinite(error) else float(error) for error in errors]
+    return {"law_error": fine[0], "oracle_law_error": fine[1]}
+
+
+def _stamp(result: Path) -> str:
+    return file_sha256(result / FILE_NAME) + file_sha256(result / "engine.yaml")
+
+
+def _lasting(engine: EngineParameters) -> EngineParameters:
+    """The engine on a later recording: what began in the middle of the first is there from the start."""
+    terms = getattr(engine, "terms", ())
+    if not any(getattr(term, "onset_s", None) is not None for term in terms):
+        return engine
+    return engine.model_copy(update={"terms": tuple(t.model_copy(update={"onset_s": None}) for t in terms)})

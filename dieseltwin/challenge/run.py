@@ -1,0 +1,177 @@
+"""Run the tool over a benchmark, case by case; never opens the sealed part."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from dieseltwin.atomic import atomic_folder, write_json, write_text
+from dieseltwin.challenge.cases import MAP_RMS
+from dieseltwin.challenge.make import MANIFEST
+from dieseltwin.challenge.processes import in_processes
+from dieseltwin.challenge.seal import check_file
+from dieseltwin.discovery.verdict.document import FILE_NAME
+from dieseltwin.engine import EngineParameters, we2011
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.reader import read_recording
+from dieseltwin.settings.strict import unknown_name
+
+RESULTS = "results"
+FAILED = "failed.json"
+
+Discover = Callable[..., Any]
+"""(recording, engine, withhold=, map_tolerance=, seed=) -> `curves.Discovery`."""
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The open part of a benchmark.
+
+    Raises:
+        InputError: no benchmark, or not readable.
+    """
+    path = folder / MANIFEST
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError) as error:
+        raise InputError(str(path), error, "the manifest of `challenge make`", "give its folder") from None
+
+
+def the_tool(recording: Any, engine: EngineParameters, **options: Any) -> Any:
+    """`discover` with its defaults but for the options given."""
+    from dieseltwin.discovery.discover import Options, discover
+
+    return discover(recording, engine, Options(**options))
+
+
+def run_challenge(
+    folder: Path, *, only: Sequence[str] = (), limit: int | None = None, jobs: int = 1, retry_failed: bool = True,
+    discover: Discover = the_tool, progress: Callable[[int, int, str], None] | None = None,
+) -> dict[str, int]:  # fmt: skip
+    """Run the tool on every case that has no result yet; a killed run goes on where it was.
+
+    Args:
+        folder: of `make`; only: names of cases; limit: at most so many cases in this call; jobs: processes, one thread
+            each; discover: what to run (`the_tool`).
+
+    Returns:
+        Counts: done (now), failed (now), kept (had a result before), left.
+
+    Raises:
+        InputError: no benchmark, an unknown case, a recording that is not the one that was made.
+    """
+    manifest = read_manifest(folder)
+    entries = {entry["case"]: entry for entry in manifest["cases"]}
+    for name in only:
+        if name not in entries:
+            raise unknown_name("challenge: --only", name, list(entries))
+    wanted = [entries[name] for name in only] if only else list(entries.values())
+    pending = [entry for entry in wanted if not _finished(folder, entry["case"], retry_failed)]
+    kept = len(wanted) - len(pending)
+    now = pending[:limit] if limit is not None else pending
+    work = partial(run_case, folder, map_tolerance=MAP_RMS[manifest["tier"]], discover=discover)
+    failed, done = 0, 0
+
+    def count(name: str, note: str) -> None:
+        nonlocal failed, done
+        done += 1
+        failed += note.startswith("failed")
+        if progress is not None:
+            progress(done, len(now), f"{name} {note}")
+
+    for k, note in in_processes(work, now, jobs):
+        count(now[k]["case"], note)
+    return {"done": done - failed, "failed": failed, "kept": kept, "left": len(pending) - len(now)}
+
+
+def _finished(folder: Path, case: str, retry_failed: bool) -> bool:
+    result = folder / RESULTS / case
+    return (result / FILE_NAME).is_file() or (not retry_failed and (result / FAILED).is_file())
+
+
+def run_case(folder: Path, entry: Mapping[str, Any], *, map_tolerance: float, discover: Discover = the_tool) -> str:
+    """Run the tool on one case and write its result folder whole or not at all; returns a note of what was said."""
+    path = folder / entry["recording"]
+    check_file(path, entry["recording_sha256"])
+    _reset_peak()
+    start = time.perf_counter()
+    try:
+        recording = read_recording(path)
+        found = discover(
+            recording, we2011.PARAMETERS, withhold=tuple(entry["withhold"]), map_tolerance=map_tolerance, seed=0
+        )
+    except Exception as error:  # one case must not end the run; it is listed as a failure by the scorer
+        seconds = time.perf_counter() - start
+        place = error.__traceback__
+        while place is not None and place.tb_next is not None:
+            place = place.tb_next
+        where = f"{Path(place.tb_frame.f_code.co_filename).name}:{place.tb_lineno}" if place is not None else ""
+        with atomic_folder(folder / RESULTS / entry["case"]) as result:
+            write_json(result / FAILED, {"error": f"{type(error).__name__}: {error}", "where": where,
+                                         "seconds": seconds})  # fmt: skip
+        return f"failed after {seconds:.1f} s: {type(error).__name__}: {error} ({where})"
+    seconds = time.perf_counter() - start
+    with atomic_folder(folder / RESULTS / entry["case"]) as result:
+        write_engine(found.engine, result / "engine.yaml")
+        write_engine(found.engine_before, result / "engine_before.yaml")
+        write_json(result / "laws.json", plain(found.curves.laws))
+        write_json(result / "candidates.json", plain(found.curves.candidates))
+        write_json(result / "details.json", plain(found.details))
+        write_json(result / "runtime.json", {
+            "seconds": seconds, "peak_rss_mib": peak_rss_mib(), "duration_s": recording.duration_s,
+            "threads": os.environ.get("DIESELTWIN_THREADS", "all"), "steps": plain(found.runtime),
+        })  # fmt: skip
+        found.document.write(result / FILE_NAME)
+    (folder / RESULTS / entry["case"] / FAILED).unlink(missing_ok=True)
+    names = ", ".join(effect.name for effect in found.document.effects) or "healthy"
+    return f"{seconds:.1f} s: {names}"
+
+
+def write_engine(engine: EngineParameters, path: Path) -> None:
+    """An engine file that `load_engine` reads back: the values that differ from the published set, terms included."""
+    published = we2011.PARAMETERS.model_dump(mode="json")
+    changed = {k: v for k, v in engine.model_dump(mode="json").items() if v != published.get(k)}
+    write_text(path, yaml.safe_dump(changed, sort_keys=False, allow_unicode=True) if changed else "{}\n")
+
+
+def plain(value: Any) -> Any:
+    """JSON types of nested results: arrays as lists, what is not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value if value is None or isinstance(value, str) else str(value)
+
+
+def _reset_peak() -> None:
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return
+
+
+def peak_rss_mib() -> float:
+    """Largest resident memory of this process since the case began (since the process began where not known) [MiB]."""
+    try:
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024.0
+    except OSError:
+        pass
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -1,0 +1,144 @@
+"""Open the seal, check it, and score: `score.json`, `score.md`, `failures.csv`, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dieseltwin.atomic import atomic_folder, write_json, write_text
+from dieseltwin.challenge import metrics
+from dieseltwin.challenge.cases import MAP_RMS
+from dieseltwin.challenge.processes import in_processes
+from dieseltwin.challenge.records import CaseRow, SaidEffect, Scoring, case_row
+from dieseltwin.challenge.run import RESULTS, plain, read_manifest
+from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_salt
+from dieseltwin.challenge.table import extra, lines, markdown
+from dieseltwin.discovery.verdict.document import FILE_NAME
+from dieseltwin.errors import InputError
+
+SCORE = "score"
+OF_A_LINE = ("key", "metric", "value", "pass_at", "aim", "passed", "aimed")
+
+
+@dataclass(frozen=True)
+class Score:
+    """All rows of a benchmark, and those of the baselines on their subset."""
+
+    rows: tuple[CaseRow, ...]
+    baselines: Mapping[str, tuple[CaseRow, ...]]
+    manifest: Mapping[str, Any]
+
+
+def score_challenge(
+    folder: Path, *, scoring: Scoring | None = None, jobs: int = 1, unrun: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Score:  # fmt: skip
+    """Check every hash, compare results with answers.
+
+    Args:
+        folder: of `make` and `run`; scoring: the tool's library (`Scoring.of_the_tool`); jobs: processes;
+        unrun: count cases that were never run as failures; else they are left out.
+
+    Raises:
+        InputError: no benchmark, nothing run, an answer or recording that is not the published one.
+    """
+    manifest = read_manifest(folder)
+    answers = verified_answers(folder, manifest)
+    if not unrun:
+        answers = [a for a in answers if any((folder / RESULTS / a["case"]).glob("*.json"))]
+    if not answers:
+        raise InputError(str(folder), "no results", "results of `challenge run`", "run the tool first")
+    scoring = Scoring.of_the_tool(MAP_RMS[manifest["tier"]]) if scoring is None else scoring
+    found_rows: dict[int, CaseRow] = {}
+    for k, row in in_processes(partial(case_row, folder, scoring=scoring), answers, jobs):
+        found_rows[k] = row
+        if progress is not None:
+            progress(len(found_rows), len(answers))
+    rows = [found_rows[k] for k in range(len(answers))]
+    from dieseltwin.challenge.baselines import baseline_rows
+
+    found = baseline_rows(folder, rows)
+    subset = {row.case for values in found.values() for row in values}
+    baselines: dict[str, tuple[CaseRow, ...]] = {}
+    if found:
+        baselines["tool"] = tuple(row for row in rows if row.case in subset)
+        baselines |= {name: tuple(values) for name, values in found.items()}
+        baselines["oracle"] = tuple(oracle_row(row) for row in baselines["tool"])
+    return Score(tuple(rows), baselines, manifest)
+
+
+def verified_answers(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The answers of all cases, after the published hashes of answers and recordings were checked.
+
+    Raises:
+        InputError: something is missing or was changed.
+    """
+    sealed = folder / SEALED
+    salt = read_salt(sealed)
+    found = []
+    for entry in manifest["cases"]:
+        answers = open_answers(sealed, entry["case"], entry["answers_salted_sha256"])
+        check_file(folder / entry["recording"], entry["recording_sha256"])
+        check_file(sealed / f"{entry['case']}_held_out.csv", entry["held_out_salted_sha256"], salt)
+        if answers["case"] != entry["case"] or answers["withhold"] != entry["withhold"]:
+            raise InputError(f"{folder}: {entry['case']}", "answers of another case or another switch",
+                             "the manifest that was published", "restore manifest.json")
+        found.append(answers)
+    return found
+
+
+def oracle_row(row: CaseRow) -> CaseRow:
+    """The same case answered by a fit that is told the true form of the effect."""
+    said = tuple(SaidEffect(e.name, (e.name,), row.oracle_magnitudes.get(e.name), None) for e in row.truth)
+    return replace(
+        row, said=said, mismatch=bool(row.truth), nll_after=row.nll_oracle,
+        health_after=row.oracle_health, problem=None if row.oracle_health or not row.truth else "no oracle",
+        site=row.truth[0].site if row.truth else None, seconds=None, law_error=None,
+    )  # fmt: skip
+
+
+def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:
+    """Write `folder`/score: score.json, score.md, failures.csv, rows.json and figures; returns the folder."""
+    manifest = score.manifest
+    out = folder / SCORE
+    notes = [
+        f"{len(score.rows)} of {manifest['n']} cases, tier {manifest['tier']}, {manifest['sensors']} sensors, "
+        f"{manifest['duration_s']:g} s each. Seed, answers and second recordings fit the hashes published beforehand."
+    ]
+    document = {
+        "schema": 1, "cases": len(score.rows), "of": manifest["n"], "tier": manifest["tier"],
+        "sensors": manifest["sensors"], "code_version": manifest["code_version"],
+        "lines": [_line(line) for line in lines(score.rows)],
+        "extra": {name: {"hits": s.hits, "of": s.of, "interval": list(s.interval)}
+                  for name, s in extra(score.rows).items()},
+        "baselines": {name: {line.key: _line(line) for line in lines(rows)} for name, rows in score.baselines.items()},
+        "peak_rss_mib": max((row.peak_rss_mib or 0.0 for row in score.rows), default=0.0),
+    }  # fmt: skip
+    found = metrics.failures(score.rows)
+    columns = ["failure", "case", "kind", "route", "ratio", "true", "said", "site", "p_value", "detail"]
+    with atomic_folder(out, owned=("figures",)) as temporary:
+        write_json(temporary / "score.json", plain(document))
+        write_json(temporary / "rows.json", plain([row.document() for row in score.rows]))
+        write_text(temporary / "score.md", markdown("Concealed benchmark", score.rows, score.baselines, notes))
+        table = pd.DataFrame(found, columns=columns)
+        write_text(temporary / "failures.csv", table.to_csv(index=False, lineterminator="\n"))
+        if figures:
+            from dieseltwin.challenge.figures import write_figures
+
+            (temporary / "figures").mkdir()
+            write_figures(score.rows, temporary / "figures")
+    return out
+
+
+def _line(line: Any) -> dict[str, Any]:
+    return {name: getattr(line, name) for name in OF_A_LINE} | {"numbers": dict(line.numbers)}
+
+
+def has_results(folder: Path, cases: Sequence[str]) -> list[str]:
+    """Which of the cases have a result."""
+    return [case for case in cases if (folder / RESULTS / case / FILE_NAME).is_file()]

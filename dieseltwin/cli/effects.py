@@ -1,0 +1,91 @@
+"""`dieseltwin effects`, and the option `--effect NAME=VALUE`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dieseltwin.errors import InputError
+from dieseltwin.settings.strict import unknown_name
+
+if TYPE_CHECKING:
+    from dieseltwin.engine import EngineParameters
+
+EffectOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effect", metavar="NAME=VALUE", help="Add an effect that the engine file leaves out; repeatable. See "
+        "`dieseltwin effects`.",
+    ),
+]  # fmt: skip
+
+HEADINGS = ("name", "law", "unit", "range", "tolerance", "site", "confused with")
+
+
+def show_effects(
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """List the effects that `simulate --effect` and `discover` know."""
+    for line in json_lines() if as_json else table_lines():
+        typer.echo(line)
+
+
+def json_lines() -> Iterator[str]:
+    """The catalogue as strict JSON: a list of objects, every attribute of `engine.effects.Effect`."""
+    from dieseltwin.engine.effects import EFFECTS
+
+    yield json.dumps([asdict(effect) for effect in EFFECTS.values()], indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def table_lines() -> Iterator[str]:
+    """The catalogue as a table, columns of `HEADINGS`."""
+    from dieseltwin.engine.effects import EFFECTS
+
+    rows = [HEADINGS] + [
+        (e.name, e.law, e.unit, f"{e.limits[0]:g} to {e.limits[1]:g}", f"{e.tolerance:g}", e.site,
+         ", ".join(e.confused_with) or "-")
+        for e in EFFECTS.values()
+    ]  # fmt: skip
+    widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def with_effects(parameters: EngineParameters, options: Sequence[str] | None) -> EngineParameters:
+    """The engine with the effects of `--effect NAME=VALUE` added to its terms; an effect it has is replaced.
+
+    Raises:
+        InputError: not NAME=VALUE, an unknown name, a value that is no number or impossible, a name given twice.
+    """
+    from dieseltwin.engine.effects import EFFECTS, Term
+
+    terms = {}
+    for option in options or ():
+        name, separator, text = option.partition("=")
+        name = name.strip()
+        if not separator:
+            raise InputError(f"--effect {option}", "no '='", "NAME=VALUE", "write for instance boost_leak=3e-5")
+        if name not in EFFECTS:
+            raise unknown_name("--effect", name, list(EFFECTS))
+        effect = EFFECTS[name]
+        low, high = effect.limits
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise InputError(
+                f"--effect {name}", repr(text), f"a number from {low:g} to {high:g} {effect.unit}", "correct the value"
+            )
+        if name in terms:
+            raise InputError(f"--effect {name}", "two values", "one", "give each effect once")
+        terms[name] = Term(effect=name, magnitude=value)
+    if not terms:
+        return parameters
+    kept = [term for term in parameters.terms if getattr(term, "effect", None) not in terms]
+    return parameters.replace(terms=[*kept, *terms.values()])

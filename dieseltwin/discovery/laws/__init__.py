@@ -1,0 +1,1 @@
+"""Terms without a name and laws: features, grammar, screening, refits, ranking."""

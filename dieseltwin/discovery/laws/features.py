@@ -1,0 +1,139 @@
+"""Generic terms at every insertion point: what a model could lack that has no name (DISCOVERY.md, steps 2 and 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dieseltwin.discovery.laws.grammar import Factor, Form, Kind, operators, unit_of
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.likelihood.nuisance import signal_responses
+from dieseltwin.discovery.likelihood.score import spread, without_parameters
+from dieseltwin.discovery.twins.interface import Array, Twin
+
+_OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
+_STEP = 0.005  # of a point's scale: small enough to be linear
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A signal of unit mean square at a point, a function of the point's ports alone.
+
+    Attributes:
+        point: index into `Twin.points`; None for a fault of a sensor.
+        text: the function in words.
+        signal: (n,).
+        site: word for the report.
+        channel: of the faulty sensor.
+        form: the same as a law, None for a fault of a sensor.
+        effect: hypothesis that says the same by name, where the twin has one.
+    """
+
+    point: int | None
+    text: str
+    signal: Array
+    site: str
+    channel: int | None = None
+    form: Form | None = None
+    effect: str | None = None
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A feature's linear estimate: coefficient in the point's unit, its std, and its gain.
+
+    Attributes:
+        response: (n, C) of the readings per unit.
+        held: gain without the window that it hangs on most (`score.spread`).
+    """
+
+    feature: Feature
+    coefficient: float
+    std: float
+    gain: float
+    response: Array
+    held: float
+
+
+def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
+    """One constant per point, one proportional to each port, a hole to the surroundings where a balance has a pressure,
+    losses of a shaft; dead time, lag and play of each actuator, which no function of the moment comes near; offset and
+    gain per sensor."""
+    variables = {**twin.variables(fit.lanes()), "time_s": twin.time_s}
+    found = []
+    for index, point in enumerate(twin.points):
+        found.append(Feature(index, "constant", np.ones(twin.time_s.size), point.site, form=Form(point.name)))
+        for port in point.ports:
+            values = np.asarray(variables[port], dtype=np.float64)
+            size = float(np.sqrt(np.mean(values**2)))
+            if size > 0 and np.std(values) > 1e-3 * size:
+                kind: Kind = "power" if values.min() > 0.0 else "signed_power"
+                form = Form(point.name, (Factor(kind, (port,), (size,), 1.0, (unit_of(port, {}),)),))
+                found.append(Feature(index, port, values / size, point.site, form=form))
+            if not point.relative and port.startswith("p_") and "p_amb" in variables:
+                warm = next((name for name in point.ports if name.startswith("T_")), None)
+                found += _of_form(index, f"hole of {port}", _hole(point.name, port, size, warm, variables), point.site,
+                                  variables)  # fmt: skip
+            if point.unit == "W" and port.startswith("omega"):
+                for power in _OF_SPEED:
+                    form = Form(point.name, (Factor("signed_power", (port,), (size,), power, (unit_of(port, {}),)),))
+                    found += _of_form(index, f"{port}^{power:g}", form, point.site, variables)
+        if point.unit == "%" and point.name in variables:
+            for factor in operators(point.name, point.unit, point.relative):
+                form = Form(point.name, (factor,), 1.0)
+                text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
+                effect = getattr(twin, "command_operators", {}).get((factor.kind, point.name))
+                found += [replace(f, effect=effect) for f in _of_form(index, text, form, point.site, variables)]
+    ones = np.ones(twin.time_s.size)
+    for j, name in enumerate(twin.channels):
+        site = f"sensor:{name}"
+        for text in ("offset", "gain"):
+            same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{text}"))
+            found.append(Feature(None, text, ones, site, j, effect=next(same, None)))
+    return found
+
+
+def _hole(point: str, port: str, size: float, warm: str | None, variables: Mapping[str, Array]) -> Form:
+    """A nozzle to the surroundings; its flow falls with the root of the temperature where the point touches one."""
+    if warm is None:
+        return Form(point, (Factor("orifice", (port, "p_amb"), (size, 1.0), 1.0, ("Pa", "Pa")),))
+    typical = float(np.median(variables[warm]))
+    names, units = (port, "p_amb", warm), ("Pa", "Pa", "K")
+    return Form(point, (Factor("orifice", names, (size, 1.0, typical), 1.0, units),))
+
+
+def _of_form(index: int, text: str, form: Form, site: str, variables: Mapping[str, Array]) -> list[Feature]:
+    signal = np.asarray(form.value(variables), dtype=np.float64)
+    size = float(np.sqrt(np.mean(signal**2)))
+    return [Feature(index, text, signal / size, site, form=form)] if size > 0 else []
+
+
+def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Structure]:
+    """Linear gains of all features, strongest first."""
+    if not features:
+        return []
+    twin = at.twin
+    responses = np.zeros((len(features), *at.simulated.shape))
+    inside = [k for k, f in enumerate(features) if f.point is not None]
+    if inside:
+        points = [int(features[k].point) for k in inside]  # type: ignore[arg-type]
+        steps = _STEP * np.array([twin.points[p].scale for p in points])
+        signals = np.stack([features[k].signal for k in inside]) * steps[:, None]
+        responses[inside] = signal_responses(twin, at.fit.lanes(), at.simulated, points, signals)
+        responses[inside] /= steps[:, None, None]
+    for k, feature in enumerate(features):
+        if feature.channel is not None:
+            j = feature.channel
+            responses[k, :, j] = at.simulated[:, j] if feature.text == "gain" else np.mean(at.simulated[:, j])
+    projected = without_parameters(at, at.metric.project(responses))
+    found = []
+    for feature, vector, response in zip(features, projected, responses, strict=True):
+        information = float(vector @ vector)
+        if information > 0:
+            push = float(vector @ at.projected_residual)
+            gain = push * push / information
+            held = gain * spread(at, vector)
+            found.append(Structure(feature, push / information, information**-0.5, gain, response, held))
+    return sorted(found, key=lambda item: -item.gain)

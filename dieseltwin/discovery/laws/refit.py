@@ -1,0 +1,280 @@
+"""Refit of laws by simulation: coefficient, parameters and initial states together, with one linearisation's slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.discovery.laws.ranking import Ranked
+from dieseltwin.discovery.laws.twin import LawTwin, Placed, before, trajectories
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, bounded, prior_precision, within_limits
+from dieseltwin.discovery.likelihood.nuisance import signal_responses
+from dieseltwin.discovery.likelihood.worth import Worth
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+
+_ROUNDS = 8
+_DONE = 0.3  # predicted decrease of the objective that counts as none
+_SLOWED = 0.35  # step after a failed one
+_STEP = 0.005  # of a point's scale, for responses to signals
+_LARGEST = 1e30  # of a slope
+_SHAPE_STEP = 0.02  # relative, for slopes of times and widths
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A law refitted.
+
+    Attributes:
+        ranked: the candidate.
+        twin: with the law at its estimate.
+        fit: of that twin.
+        gain, worth: decrease of -2 log likelihood, and what it counts for.
+    """
+
+    ranked: Ranked
+    twin: LawTwin
+    fit: Fit
+    gain: float
+    worth: float
+
+    @property
+    def score(self) -> float:
+        """Worth less charge."""
+        return self.worth - self.ranked.charge
+
+
+def start_of(at: Linearisation, law: LawTwin) -> Fit:
+    """The linearisation's fit with the law's first values."""
+    extra = np.array([p.value for p in law.parameters[len(law.base.parameters) :]])
+    known = len(law.base.parameters)
+    values = np.concatenate([at.fit.parameters[:known], extra])
+    return Fit(at.fit.candidate, values, at.fit.magnitudes, at.fit.local, np.inf, False)
+
+
+def refit_all_laws(
+    twin: Twin, at: Linearisation, worth: Worth, items: Sequence[Ranked], variables: Mapping[str, Array]
+) -> list[Refit]:
+    """Refits of candidates; all lanes at once where the laws become signals.
+
+    Args:
+        twin: without laws.
+        at: linearisation that gives metric and slopes.
+        worth: of gains.
+        items: what to refit.
+        variables: along the trajectory of `at`.
+    """
+    if not items:
+        return []
+    if hasattr(twin, "simulate_with_laws"):
+        return [_refit_inside(twin, at, worth, item) for item in items]
+    return _refit_as_signals(twin, at, worth, items, variables)
+
+
+class _Slopes:
+    """Columns of one candidate in the metric, and its Newton step."""
+
+    def __init__(self, at: Linearisation, own: Array, parameters: int, precision: Array, nominal: Array) -> None:
+        self.at, self.precision, self.nominal = at, precision, nominal
+        own = np.clip(own, -_LARGEST, _LARGEST)  # a candidate that diverges takes no step
+        self.columns = np.concatenate([at.jacobian[:parameters], own])
+        self.projected = np.concatenate([at.projected[:parameters], at.metric.project(np.nan_to_num(own))])
+        self.covariance = np.linalg.pinv(self.projected @ self.projected.T + np.diag(precision))
+
+    def objective(self, vector: Array, values: Array) -> float:
+        return float(vector @ vector + np.sum(self.precision * (values - self.nominal) ** 2))
+
+    def step(self, vector: Array, values: Array) -> tuple[Array, float]:
+        gradient = self.projected @ vector + self.precision * (self.nominal - values)
+        step = self.covariance @ gradient
+        return step, float(gradient @ step)
+
+    def local(self, twin: Twin, local: Array, residual: Array, change: Array, shrink: float) -> Array:
+        rest = residual - np.tensordot(change / shrink, self.columns, 1)
+        if self.at.nuisance_response is not None:
+            rest = rest - np.tensordot(self.at.metric.nuisance_estimate(rest), self.at.nuisance_response, 1)
+        return bounded(twin, local + shrink * self.at.metric.local_step(rest))
+
+
+def _refit_inside(twin: Twin, at: Linearisation, worth: Worth, item: Ranked) -> Refit:
+    """Chord fit with the law evaluated inside the simulation."""
+    law = LawTwin(twin, item.placed)
+    known, extra = len(twin.parameters), len(law.parameters) - len(twin.parameters)
+    fit = start_of(at, law)
+    lanes = fit.lanes()
+    steps = np.array([1e-3 * p.scale for p in law.parameters[known:]])
+    moved = np.repeat(lanes.parameters, 1 + extra, axis=0)
+    moved[np.arange(1, 1 + extra), known + np.arange(extra)] += steps
+    simulated = law.simulate(
+        replace(
+            lanes,
+            parameters=moved,
+            local=np.repeat(lanes.local, 1 + extra, axis=0),
+            magnitudes={k: np.repeat(v, 1 + extra) for k, v in lanes.magnitudes.items()},
+        )
+    )
+    if not np.all(np.isfinite(simulated)):
+        return Refit(item, law, fit, -np.inf, -np.inf)
+    own = (simulated[1:] - simulated[0]) / steps[:, None, None]
+    nominal = np.array([p.value for p in law.parameters])
+    slopes = _Slopes(at, own, known, prior_precision(law, 0), nominal)
+    lowest = np.where(nominal > 0, 0.05 * nominal, -np.inf)
+    residual = np.nan_to_num(twin.measured - simulated[0])
+    vector = at.metric.project(residual[None])[0]
+    best = replace(fit, objective=slopes.objective(vector, fit.parameters))
+    shrink = 1.0
+    for _ in range(_ROUNDS):
+        step, predicted = slopes.step(vector, best.parameters)
+        if predicted < _DONE:
+            break
+        values = np.maximum(best.parameters + shrink * step, lowest)
+        local = slopes.local(twin, best.local, residual, values - best.parameters, shrink)
+        trial = replace(best, parameters=values, local=local)
+        new = np.nan_to_num(twin.measured - law.simulate(trial.lanes())[0], nan=0.0, posinf=1e6, neginf=-1e6)
+        new_vector = at.metric.project(new[None])[0]
+        value = slopes.objective(new_vector, values)
+        gain = best.objective - value
+        if np.isfinite(value) and gain > 0:
+            best, residual, vector = replace(trial, objective=value), new, new_vector
+            shrink = min(1.0, 2.0 * shrink)
+            if gain < _DONE:
+                break
+        else:
+            shrink *= _SLOWED
+            if shrink < 0.03:
+                break
+    gain = worth.objective - best.objective
+    return Refit(item, law, best, gain, worth(gain))
+
+
+def _term(placed: Placed, variables: Mapping[str, Array], amount: float, n: int) -> Array:
+    """Signal of one term: `amount` is its coefficient, or its shape where the coefficient is fixed."""
+    at = before(variables, placed.form.point)
+    if placed.form.fixed is None:
+        return np.asarray(amount * np.broadcast_to(placed.form.value(at), (n,)))
+    return np.asarray(placed.form.fixed * np.broadcast_to(placed.form.value(at, amount), (n,)))
+
+
+@dataclass
+class _Lane:
+    """One candidate on its way."""
+
+    item: Ranked
+    slopes: _Slopes
+    values: Array  # parameters, then amounts of the terms
+    local: Array
+    variables: Mapping[str, Array]
+    trial: tuple[Array, Array]
+    objective: float = np.inf
+    residual: Array | None = None
+    vector: Array | None = None
+    shrink: float = 1.0
+    active: bool = True
+
+
+def _refit_as_signals(
+    twin: Twin, at: Linearisation, worth: Worth, items: Sequence[Ranked], variables: Mapping[str, Array]
+) -> list[Refit]:
+    """Chord fits of all candidates in step: a round is one simulation of all, whose variables make the next signals."""
+    known, n = len(twin.parameters), len(twin.time_s)
+    base_lanes = at.fit.lanes()
+    firsts = [np.array([_amount(p) for p in item.placed]) for item in items]
+    signals, points, sizes = [], [], []
+    for item, first in zip(items, firsts, strict=True):
+        for placed, amount in zip(item.placed, first, strict=True):
+            scale = _STEP * twin.points[item.index].scale
+            if placed.form.fixed is None:
+                slope = _term(placed, variables, 1.0, n)
+            else:
+                step = _SHAPE_STEP * amount
+                slope = (_term(placed, variables, amount + step, n) - _term(placed, variables, amount, n)) / step
+            size = scale / max(float(np.max(np.abs(slope))), 1e-300)
+            signals.append(slope * size)
+            points.append(item.index)
+            sizes.append(size)
+    responses = signal_responses(at.twin, base_lanes, at.simulated, points, np.stack(signals))
+    responses = responses / np.array(sizes)[:, None, None]
+    precision, nominal = prior_precision(twin, 0), np.array([p.value for p in twin.parameters])
+    lanes, used = [], 0
+    for item, first in zip(items, firsts, strict=True):
+        own = responses[used : used + len(first)]
+        used += len(first)
+        padded = np.append(precision, np.zeros(len(first))), np.append(nominal, first)
+        values = np.append(at.fit.parameters[:known], first)
+        slopes = _Slopes(at, own, known, *padded)
+        lanes.append(_Lane(item, slopes, values, at.fit.local, variables, (values, at.fit.local)))
+    for _ in range(_ROUNDS):
+        active = [lane for lane in lanes if lane.active]
+        if not active:
+            break
+        _advance(twin, at, base_lanes, active, known, n)
+    return [_finished(twin, at, worth, lane, known) for lane in lanes]
+
+
+def _amount(placed: Placed) -> float:
+    return placed.coefficient if placed.form.fixed is None else placed.form.factors[0].shape
+
+
+def _advance(twin: Twin, at: Linearisation, base: Lanes, active: Sequence[_Lane], known: int, n: int) -> None:
+    """One round: simulate all trials, keep what is better, propose the next."""
+    entered = np.zeros((len(active), n))
+    for k, lane in enumerate(active):
+        for placed, amount in zip(lane.item.placed, lane.trial[0][known:], strict=True):
+            entered[k] += np.nan_to_num(_term(placed, lane.variables, float(amount), n))
+    count = len(active)
+    lanes = Lanes(
+        np.stack([lane.trial[0][:known] for lane in active]), np.stack([lane.trial[1] for lane in active]),
+        {name: np.repeat(value, count) for name, value in base.magnitudes.items()}, base.schedules, base.signals,
+        np.array([lane.item.index for lane in active]), entered,
+    )  # fmt: skip
+    readings, variables = trajectories(twin, lanes, {})
+    residuals = np.nan_to_num(twin.measured[None] - readings, nan=0.0, posinf=1e6, neginf=-1e6)
+    vectors = at.metric.project(residuals)
+    for k, lane in enumerate(active):
+        value = lane.slopes.objective(vectors[k], lane.trial[0])
+        gain = lane.objective - value
+        if np.isfinite(value) and gain > 0:
+            lane.values, lane.local = lane.trial
+            lane.objective, lane.residual, lane.vector = value, residuals[k], vectors[k]
+            lane.variables = {**variables[k], "time_s": twin.time_s}
+            lane.shrink = min(1.0, 2.0 * lane.shrink)
+            lane.active = gain > _DONE
+        else:
+            lane.shrink *= _SLOWED
+            lane.active = lane.shrink > 0.03
+        if lane.vector is None or lane.residual is None:
+            lane.trial = (0.5 * (lane.trial[0] + _null(lane, at, known)), lane.local)
+            continue
+        step, predicted = lane.slopes.step(lane.vector, lane.values)
+        lane.active = lane.active and predicted > _DONE
+        values = lane.values + lane.shrink * step
+        values[:known] = within_limits(twin, values[:known], (), np.zeros(0))[0]
+        for j, placed in enumerate(lane.item.placed):
+            if placed.form.fixed is not None:
+                values[known + j] = max(values[known + j], 0.1 * lane.values[known + j])
+        local = lane.slopes.local(twin, lane.local, lane.residual, values - lane.values, lane.shrink)
+        lane.trial = (values, local)
+
+
+def _null(lane: _Lane, at: Linearisation, known: int) -> Array:
+    """The null fit's parameters and no law: where a candidate that can't be simulated shrinks to."""
+    return np.append(at.fit.parameters[:known], np.zeros(len(lane.values) - known))
+
+
+def _finished(twin: Twin, at: Linearisation, worth: Worth, lane: _Lane, known: int) -> Refit:
+    placed: list[Placed] = []
+    for p, amount in zip(lane.item.placed, lane.values[known:], strict=True):
+        changed: Any
+        if p.form.fixed is None:
+            changed = replace(p, coefficient=float(amount) or 1e-12)
+        else:
+            changed = replace(p, form=p.form.with_shape(float(amount)))
+        placed.append(changed)
+    law = LawTwin(twin, placed)
+    start = start_of(at, law)
+    values = np.append(lane.values[:known], [p.value for p in law.parameters[known:]])
+    fit = replace(start, parameters=values, local=lane.local, objective=lane.objective)
+    gain = worth.objective - lane.objective
+    return Refit(lane.item, law, fit, gain, worth(gain))

@@ -1,0 +1,385 @@
+"""None of these -> a law: which term at which point, of what variables, explains what the twin left out.
+
+One linearisation gives the response to any signal at any point. Forms of the grammar are ranked by it with an extended
+BIC (a form pays for its coefficient and for the number of forms it was picked from), the best are refitted by
+simulation together with the twin's parameters and initial states, the linearisation is renewed with the best law
+inside, and the ranking done again, as a large effect moves the trajectory that the laws are evaluated along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from dieseltwin.discovery.laws.curve import Curve, binned, law_curve
+from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself, signals_of
+from dieseltwin.discovery.laws.grammar import Form, rounded
+from dieseltwin.discovery.laws.ranking import Ranked, rank, shortlist, simpler
+from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
+from dieseltwin.discovery.laws.refit import Refit, refit_all_laws, start_of
+from dieseltwin.discovery.laws.responses import Linearised, Responses
+from dieseltwin.discovery.laws.twin import LawTwin, Placed
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.worth import Worth, independent
+from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
+
+_RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)
+_ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
+_FINAL_ROUNDS = 8
+_LEADING = 0.5  # of the best score: points whose laws reach it are ranked again with the best law inside
+
+
+@dataclass(frozen=True)
+class Options:
+    """Settings of the search.
+
+    Attributes:
+        points: names of the points where a law is looked for; None for all.
+        kinds: kinds of factors (`grammar.Kind`) that a law may have; None for the twin's `law_kinds`, else all.
+        refits: laws refitted by simulation after each ranking.
+        renewals: linearisations with the best law inside.
+        free_shape: estimate the exponent (threshold, time) of the best law too.
+        unknown_misfit: gains count as `worth.Worth` says; for real machines that no twin explains down to their noise.
+        false_law: extra score that a law must reach over no law.
+    """
+
+    points: tuple[str, ...] | None = None
+    kinds: tuple[str, ...] | None = None
+    refits: int = 16
+    renewals: int = 1
+    free_shape: bool = True
+    unknown_misfit: bool = False
+    false_law: float = 6.0
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A law that the recording can't tell from the one reported: text, site, score below the best."""
+
+    text: str
+    site: str
+    behind: float
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law found.
+
+    Attributes:
+        point, site: where it enters.
+        text: with coefficient and units.
+        form: for simulation (`LawTwin`).
+        coefficient, std, unit: of the term [unit of the point].
+        shape, shape_std: estimate of the first factor's exponent (threshold, time); None where it wasn't free.
+        argument: the variable over which `curve` shows it.
+        curve: the law and, free of it, what the recording says bin by bin.
+        domain: variable -> (low, high) over which it was seen.
+        gain: decrease of -2 log likelihood against no law.
+        score: gain less what the extended BIC charges.
+        chi2_before, chi2_after: per reading.
+        rivals: laws within 9 units.
+        parameters: (P,) of the twin, refitted with the law.
+        local: (W, S) initial states.
+        placed: all its terms (one or two) with their estimates, for `LawTwin`; `form` is the first one's.
+        faults: of sensors, where the law is one of a reading; `placed` is empty then.
+    """
+
+    point: str
+    site: str
+    text: str
+    form: Form
+    coefficient: float
+    std: float
+    unit: str
+    shape: float | None
+    shape_std: float | None
+    argument: str
+    curve: Curve | None
+    domain: dict[str, tuple[float, float]]
+    gain: float
+    score: float
+    chi2_before: float
+    chi2_after: float
+    rivals: tuple[Rival, ...]
+    parameters: Array
+    local: Array
+    placed: tuple[Placed, ...]
+    faults: tuple[ReadingFault, ...] = ()
+
+    def on(self, twin: Twin) -> tuple[Twin, Array]:
+        """The twin with the law inside, and its parameters with the law's."""
+        if self.faults:
+            return cast(Twin, ReadingTwin(twin, self.faults)), np.append(self.parameters, [f.size for f in self.faults])
+        law = LawTwin(twin, self.placed)
+        extra = [p.value for p in law.parameters[len(twin.parameters) :]]
+        return cast(Twin, law), np.append(self.parameters, extra)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of a search.
+
+    Attributes:
+        law: the best one, None where none is resolved.
+        curve: without a law, the effect bin by bin over one variable at the likeliest point, or None where nothing is.
+        tried: number of forms ranked.
+        ranked: the refitted ones, best first: (text, site, score).
+    """
+
+    law: Law | None
+    curve: Curve | None
+    tried: int
+    ranked: tuple[tuple[str, str, float], ...]
+
+
+def search(
+    twin: Twin,
+    at: Linearisation,
+    nuisance_response: Array | None = None,
+    options: Options | None = None,
+    tolerances: Tolerances | None = None,
+) -> Found:
+    """Law that explains what is left of a fit.
+
+    Args:
+        twin: without the law; may hold effects already named (`at.fit`).
+        at: converged linearisation of that twin.
+        nuisance_response: (K, n, C) tolerance directions, as used for `at`.
+        options: settings.
+        tolerances: directions about the law found, for its last fit; None keeps those given.
+    """
+    options = options or Options()
+    base_lanes = at.fit.lanes()
+    variables = {**twin.variables(base_lanes), "time_s": twin.time_s}
+    responses = Responses(cast(Linearised, at), base_lanes)
+    readings = independent(at.residual, twin.starts, len(twin.states)) if options.unknown_misfit else None
+    worth = Worth(at.fit.objective, readings)
+    ranked, tried = rank(twin, responses, variables, options.points, readings, options.kinds)
+    refits: list[Refit] = []
+    here: Linearisation = at
+    for renewal in range(options.renewals + 1):
+        known = {r.ranked.key for r in refits}
+        fresh = [item for item in shortlist(ranked, options.refits) if item.key not in known]
+        refits += refit_all_laws(twin, here, worth, fresh, variables)
+        refits.sort(key=lambda r: -r.score)
+        if not refits or refits[0].score <= 0.0 or renewal == options.renewals:
+            break
+        ranked, here, responses, variables = _renewed(
+            twin, at, refits, nuisance_response, options, readings
+        )
+    known = {r.ranked.key for r in refits}
+    single = _single_terms(refits, twin)
+    if refits:
+        single += [item for item in simpler(ranked, refits[0].ranked) if item.key not in known]
+    refits += refit_all_laws(twin, here, worth, single, variables)
+    refits.sort(key=lambda r: -r.score)
+    resolved = bool(refits) and refits[0].score > options.false_law
+    if not resolved:
+        return Found(None, _loose_curve(twin, responses, ranked, variables, at), tried, _table(twin, refits))
+    law = _report(twin, at, _simplest_first(refits), nuisance_response, options, worth, tolerances)
+    return Found(law, None, tried, _table(twin, refits))
+
+
+def _single_terms(refits: Sequence[Refit], twin: Twin, of: int = 3) -> list[Ranked]:
+    """Each term alone of the best sums of two: a second term that a refit shrinks to nothing isn't worth its charge."""
+    known = {r.ranked.key for r in refits}
+    out: dict[object, Ranked] = {}
+    for refit in [r for r in refits if len(r.ranked.placed) > 1 and r.score > 0.0][:of]:
+        charge = 0.5 * (refit.ranked.charge + 2.0 * np.log(2.0))
+        for law, (coefficient, _) in zip(refit.twin.laws, refit.twin.values(refit.fit.parameters), strict=True):
+            placed = replace(law, coefficient=float(coefficient))
+            item = replace(refit.ranked, placed=(placed,), charge=charge)
+            if item.key not in known:
+                out.setdefault(item.key, item)
+    return list(out.values())
+
+
+def _simplest_first(refits: list[Refit]) -> list[Refit]:
+    """Of the laws that the recording can't tell from the best one, the simplest goes first, wherever it sits.
+
+    A form that follows this recording's chance, or the errors of its maps, is no better here and worse on other
+    driving.
+    """
+    reach = max(_RIVALS, _ALIKE_SHARE * refits[0].gain)
+    alike = [r for r in refits if refits[0].score - r.score < reach]
+    simplest = min(alike, key=lambda r: (_complexity(r), -r.score))
+    return [simplest, *(r for r in refits if r is not simplest)]
+
+
+def _complexity(refit: Refit) -> int:
+    return sum(1 + law.form.complexity for law in refit.twin.laws)
+
+
+def _table(twin: Twin, refits: Sequence[Refit]) -> tuple[tuple[str, str, float], ...]:
+    return tuple((_text(twin, r), r.ranked.site, r.score) for r in refits)
+
+
+def _text(twin: Twin, refit: Refit) -> str:
+    parts = []
+    for law, (coefficient, shape) in zip(refit.twin.laws, refit.twin.values(refit.fit.parameters), strict=True):
+        parts.append(law_text(twin, law.form, float(coefficient), None if shape is None else float(shape)))
+    return " + ".join(parts)
+
+
+def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = None, std: float | None = None) -> str:
+    """"point: +1.2e-3 kg/s (p_im/p_amb)^0.5"; `std` is the coefficient's, or the shape's where that alone is free."""
+    point = next(p for p in twin.points if p.name == form.point)
+    if form.fixed is not None:
+        factor = form.factors[0]
+        return f"{point.name} becomes {factor.operated(factor.shape if shape is None else shape, std)}"
+    unit = "" if point.unit == "-" else f" {point.unit}"
+    spread = "" if std is None else f" +- {std:.2g}"
+    kind = "relative change of" if point.relative else "added to"
+    return f"{kind} {point.name}: {coefficient:.4g}{spread}{unit} {form.text(shape)}".rstrip()
+
+
+def _renewed(
+    twin: Twin, at: Linearisation, refits: Sequence[Refit], nuisance_response: Array | None, options: Options,
+    readings: float | None,
+) -> tuple[list[Ranked], Linearisation, Responses, dict[str, Array]]:  # fmt: skip
+    """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
+    known, best = len(twin.parameters), refits[0]
+    signals = signals_of(best.twin, best.fit.lanes())
+    fixed = cast(Twin, WithSignals(twin, signals))
+    start = replace(best.fit, parameters=best.fit.parameters[:known])
+    here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
+    lanes = start.lanes()
+    responses = Responses(cast(Linearised, here), lanes)
+    for name, signal in signals.items():
+        index = next(i for i, p in enumerate(twin.points) if p.name == name)
+        responses.add_to_residual(responses.signals(index, signal[None])[0])
+    variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
+    names = (twin.points[r.ranked.index].name for r in refits if r.score > _LEADING * refits[0].score)
+    leading = tuple(dict.fromkeys(names))
+    ranked, _ = rank(twin, responses, variables, leading, readings, options.kinds)
+    return ranked, here, responses, variables
+
+
+def _report(
+    twin: Twin, at: Linearisation, refits: list[Refit], nuisance_response: Array | None, options: Options, worth: Worth,
+    tolerances: Tolerances | None = None,
+) -> Law:  # fmt: skip
+    """Full fit of the best law, its intervals, rivals and curve."""
+    best = refits[0]
+    freedom = worth.readings or float(at.whitening.present.sum())
+    scale = max((at.fit.objective - best.gain) / freedom, 1.0) if worth.readings else 1.0
+    form = best.twin.laws[0].form
+    coefficient = float(best.twin.values(best.fit.parameters)[0][0])
+    free = options.free_shape and len(best.twin.laws) == 1 and bool(form.factors) and form.factors[0].has_free_shape
+    estimates = best.twin.values(best.fit.parameters)
+    placed = [replace(law, coefficient=float(c)) for law, (c, _) in zip(best.twin.laws, estimates, strict=True)]
+    final = _final(twin, at, placed, best.fit, nuisance_response)
+    shape = shape_std = None
+    loose = LawTwin(twin, [Placed(form, coefficient, free_shape=True)]) if free else None
+    # an operator's only number is its time or width: it is free already, and there is nothing more to loosen
+    if loose is not None and len(loose.parameters) == final[1].fit.parameters.size + 1:
+        start = start_of(at, loose)
+        begun = np.concatenate([final[1].fit.parameters, [form.factors[0].shape]])
+        start = replace(start, parameters=begun, local=final[1].fit.local)
+        freed = fit_fully(cast(Twin, loose), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
+        at_shape = len(loose.parameters) - 1
+        shape, shape_std = float(freed.fit.parameters[at_shape]), float(np.sqrt(scale) * freed.fit.std[at_shape])
+        gained = worth(at.fit.objective - final[1].fit.objective)
+        price = max(float(np.log(freedom)), _ALIKE_SHARE * gained)
+        if worth(at.fit.objective - freed.fit.objective) > gained + price:
+            form = form.with_shape(float(f"{shape:.3g}"))
+            placed = [Placed(form, float(np.sign(coefficient) * freed.fit.parameters[at_shape - 1]))]
+            final = _final(twin, at, placed, replace(best.fit, local=freed.fit.local), nuisance_response)
+    law, reached = final
+    lin = about_itself(reached, tolerances)
+    at_coefficient = len(twin.parameters)
+    coefficient = float(law.values(lin.fit.parameters)[0][0])
+    std = float(np.sqrt(scale) * lin.fit.std[at_coefficient])
+    lanes = lin.fit.lanes()
+    variables = {**law.variables(lanes), "time_s": twin.time_s}
+    point = next(p for p in twin.points if p.name == form.point)
+    rivals = tuple(
+        Rival(_text(twin, r), r.ranked.site, abs(best.score - r.score))
+        for r in refits[1:]
+        if best.score - r.score < _RIVALS
+    )
+    names = sorted({name for placed_law in law.laws for name in placed_law.form.variables})
+    argument = form.variables[0] if form.variables else point.ports[0]
+    argument = form.factors[0].variables[0] if form.factors else argument
+    readings = int(at.whitening.present.sum())
+    last = tuple(
+        _as_found(q, float(c), s) for q, (c, s) in zip(law.laws, law.values(lin.fit.parameters), strict=True)
+    )
+    if form.fixed is not None:  # an operator's only number
+        shape, shape_std = last[0].form.factors[0].shape, std
+    text = " + ".join(
+        law_text(twin, q.form, q.coefficient, std=std if k == 0 else None) for k, q in enumerate(last)
+    )
+    curve = _curve(twin, at, law, lin, nuisance_response, variables, argument, std / max(abs(coefficient), 1e-300))
+    return Law(
+        form.point, point.site, text, last[0].form, coefficient, std, point.unit, shape, shape_std, argument, curve,
+        {name: (float(np.min(variables[name])), float(np.max(variables[name]))) for name in names},
+        at.fit.objective - reached.fit.objective, best.score, at.fit.objective / readings,
+        reached.fit.objective / readings,
+        rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last,
+    )  # fmt: skip
+
+
+def _as_found(placed: Placed, coefficient: float, shape: float | None) -> Placed:
+    """A term with its estimates, none of them free any more."""
+    form = placed.form if shape is None else placed.form.with_shape(float(shape))
+    return replace(placed, form=form, coefficient=coefficient, free_shape=False)
+
+
+def _final(
+    twin: Twin, at: Linearisation, placed: Sequence[Placed], start: Fit, nuisance_response: Array | None
+) -> tuple[LawTwin, Linearisation]:
+    law = LawTwin(twin, placed)
+    extra = [p.value for p in law.parameters[len(twin.parameters) :]]
+    start = replace(start, parameters=np.append(start.parameters[: len(twin.parameters)], extra))
+    return law, fit_fully(cast(Twin, law), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
+
+
+def _curve(
+    twin: Twin, at: Linearisation, law: LawTwin, lin: Linearisation, nuisance_response: Array | None,
+    variables: dict[str, Array], argument: str, spread: float,
+) -> Curve:  # fmt: skip
+    """The law over its argument beside what the recording says bin by bin, free of it."""
+    name = law.laws[0].form.point
+    index = next(i for i, p in enumerate(twin.points) if p.name == name)
+    signals = signals_of(law, lin.fit.lanes())
+    signal = signals[name]
+    fixed = cast(Twin, WithSignals(twin, signals))
+    start = replace(lin.fit, parameters=lin.fit.parameters[: len(twin.parameters)])
+    here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
+    responses = Responses(cast(Linearised, here), start.lanes())
+    responses.add_to_residual(responses.signals(index, signal[None])[0])
+    return law_curve(twin.points[index], variables, argument, signal, spread, responses.point(index))
+
+
+def _loose_curve(
+    twin: Twin, responses: Responses, ranked: Sequence[Ranked], variables: dict[str, Array], at: Linearisation
+) -> Curve | None:
+    """The effect bin by bin over the best single variable, where it is there at all."""
+    readings = int(at.whitening.present.sum())
+    best: Curve | None = None
+    for index in dict.fromkeys(item.index for item in ranked[:20]):
+        point = twin.points[index]
+        for name in point.ports:
+            if name in variables:
+                curve = binned(point, variables, name, responses.point(index), np.log(readings))
+                if curve.score > (best.score if best else 0.0):
+                    best = curve
+    return best
+
+
+def null_fit(
+    twin: Twin, whitening: Whitening, parameters: Array | None = None, nuisance_response: Array | None = None,
+    rounds: int = 30,
+) -> Linearisation:
+    """Fit of the free parameters and initial states alone."""
+    first = np.array([p.value for p in twin.parameters]) if parameters is None else parameters
+    start = Fit(Candidate(), first, np.zeros(0), twin.first_local(), np.inf, False)
+    return fit_fully(twin, whitening, start, nuisance_response, rounds)
+
+
+__all__ = ["Found", "Law", "Options", "Rival", "law_text", "null_fit", "rounded", "search"]

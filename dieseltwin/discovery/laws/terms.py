@@ -1,0 +1,85 @@
+"""A found law as terms of the engine file, which simulate, identify and discover honour."""
+
+from __future__ import annotations
+
+from dieseltwin.discovery.laws.grammar import Factor, Form
+from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.engine.effects import ActuatorTerm, LawGroup, LawTerm, SensorTerm, Term
+from dieseltwin.engine.terms import OneTerm
+
+_WRITTEN = ("power", "time", "ratio", "orifice", "difference", "head", "above_one", "share")
+
+
+def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
+    """The law's terms for the engine file; none where the file has no words for one of them.
+
+    It has for products of powers, differences, shares and nozzles of known variables, for gain, offset and lag of a
+    sensor, for dead time and play of an actuator, and for the lag of the exhaust gas.
+    """
+    if law.faults:
+        return tuple(
+            SensorTerm(sensor=fault.channel, fault=fault.kind, magnitude=fault.size, std=fault.std)
+            for fault in law.faults
+        )
+    terms: list[OneTerm] = []
+    for k, placed in enumerate(law.placed):
+        if placed.form.fixed is not None:
+            operated = _operator_term(placed.form)
+            if operated is None:
+                return ()
+            terms.append(operated)
+            continue
+        factors: list[tuple[str, float, float]] = []
+        groups: list[LawGroup] = []
+        for factor in placed.form.factors:
+            if factor.kind not in _WRITTEN:
+                return ()
+            powers, own = _written(factor)
+            factors += powers
+            groups += own
+        point = next(p for p in twin.points if p.name == placed.form.point)
+        try:
+            term = LawTerm(
+                point=point.name, coefficient=placed.coefficient, unit=point.unit, factors=tuple(factors),
+                groups=tuple(groups), text=law.text, std=law.std if k == 0 else None,
+            )  # fmt: skip
+        except ValueError:
+            return ()
+        terms.append(term)
+    return tuple(terms)
+
+
+def _written(factor: Factor) -> tuple[list[tuple[str, float, float]], list[LawGroup]]:
+    """A factor as powers and groups."""
+    kind, shape, names = factor.kind, float(factor.shape), factor.variables
+    reference = float(factor.references[0])
+    if kind == "time":
+        return [("t", reference, 1.0)], []
+    if kind == "power":
+        return [(names[0], reference, shape)], []
+    if kind == "ratio":
+        return [(names[0], 1.0, shape), (names[1], 1.0, -shape)], []
+    if kind == "orifice":
+        heat = [(names[2], float(factor.references[2]), -0.5)] if len(names) == 3 else []
+        return [(names[0], reference, 1.0), *heat], [LawGroup(kind="orifice", variables=names[:2])]
+    if kind == "difference":
+        return [], [LawGroup(kind="difference", variables=names, reference=reference, exponent=shape)]
+    return [], [LawGroup(kind=kind, variables=names, exponent=shape)]  # type: ignore[arg-type]
+
+
+def _operator_term(form: Form) -> Term | ActuatorTerm | None:
+    """Dead time or play of an actuator, lag of the exhaust gas; None for what the file has no words for."""
+    kind, size = form.factors[0].kind, float(form.factors[0].shape)
+    if len(form.factors) > 1:
+        return None
+    effect = EngineTwin.command_operators.get((kind, form.point))
+    if effect is not None:
+        actuator, fault = effect.split("_", 1)
+        return ActuatorTerm(actuator=actuator, fault=fault, magnitude=size)  # type: ignore[arg-type]
+    if (kind, form.point) == ("lag", "T_em"):
+        return Term(effect="exhaust_thermal_inertia", magnitude=size)
+    return None
+
+
+__all__ = ["law_terms_of"]

@@ -1,0 +1,214 @@
+"""A twin with a law inside: its coefficient and free shape are further parameters, so that every fit works on it.
+
+Twins that can evaluate a law at every moment do so (`simulate_with_laws`). For others the law becomes a signal, found
+by simulating, evaluating the law along the trajectory and simulating again until it settles (Picard). Operators on an
+actuator's command, where the twin can put them there (`command_operators`), are simulated before its lags: behind an
+actuator that overshoots, play of the position isn't play of the command. In all cases the law is refitted by
+simulation, never on derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.discovery.laws.grammar import Form
+from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin, lane_of
+
+_SETTLED = 1e-7  # change of a signal relative to its size that counts as settled
+_PICARD_ROUNDS = 10
+_LEAST_ROUNDS = 3  # so that lanes that start where another settled part from it
+_LOOSE = 10.0  # prior standard deviation of a coefficient, relative to its first estimate: says nothing
+_SHAPE_STD = 0.5  # of an exponent around its first value; of other shapes relative to their value
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A form at its point with first values.
+
+    Attributes:
+        form: what enters.
+        coefficient: first estimate [unit of the point].
+        free_shape: the first factor's shape is estimated too.
+    """
+
+    form: Form
+    coefficient: float
+    free_shape: bool = False
+
+
+class LawTwin:
+    """A twin to which laws are added; satisfies `dieseltwin.discovery.twins.interface.Twin`.
+
+    Coefficients keep the sign of their first estimate: the parameter is their size.
+
+    Args:
+        base: the twin without the laws.
+        laws: what to add.
+    """
+
+    def __init__(self, base: Twin, laws: Sequence[Placed]) -> None:
+        self.base, self.laws = base, tuple(laws)
+        self._points = {point.name: point for point in base.points}
+        extra: list[Parameter] = []
+        for k, law in enumerate(self.laws):
+            size = abs(law.coefficient)
+            if law.form.fixed is None:
+                unit = self._points[law.form.point].unit
+                extra.append(Parameter(f"law_{k + 1}", size, _LOOSE * size, unit, size))
+            if law.free_shape:
+                shape = law.form.factors[0].shape
+                spread = _SHAPE_STD if law.form.factors[0].kind in ("power", "signed_power", "ratio") else 0.5 * shape
+                extra.append(Parameter(f"shape_{k + 1}", shape, abs(spread), "-", 0.1 * abs(shape)))
+        self.parameters = (*base.parameters, *extra)
+        self.channels, self.states, self.state_scales = base.channels, base.states, base.state_scales
+        self.points, self.hypotheses, self.time_s = base.points, base.hypotheses, base.time_s
+        self.starts, self.measured, self.conditions = base.starts, base.measured, base.conditions
+        self._instant = hasattr(base, "simulate_with_laws") and not any(law.form.operator for law in self.laws)
+        self._commands = self._on_commands()
+        self._settled: Array | None = None
+
+    def _on_commands(self) -> tuple[str, ...]:
+        """The twin's own effect for every law, where all laws are operators on commands."""
+        known: Mapping[tuple[str, str], str] = getattr(self.base, "command_operators", {})
+        forms = [law.form for law in self.laws]
+        names = [known.get((form.factors[0].kind, form.point), "") if form.operator else "" for form in forms]
+        return tuple(names) if all(names) and all(form.fixed == 1.0 for form in forms) else ()
+
+    def first_local(self) -> Array:
+        """As the base's."""
+        return self.base.first_local()
+
+    def values(self, parameters: Array) -> list[tuple[Any, Any]]:
+        """Coefficient and shape (None if not free) of every law from parameters (..., P)."""
+        at, out = len(self.base.parameters), []
+        for law in self.laws:
+            coefficient: Any = law.form.fixed
+            if coefficient is None:
+                coefficient = np.sign(law.coefficient) * parameters[..., at]
+                at += 1
+            shape = None
+            if law.free_shape:
+                shape = parameters[..., at]
+                at += 1
+            out.append((coefficient, shape))
+        return out
+
+    def _base_lanes(self, lanes: Lanes) -> Lanes:
+        return replace(lanes, parameters=lanes.parameters[:, : len(self.base.parameters)])
+
+    def _commanded(self, lanes: Lanes) -> Lanes:
+        """Lanes of the base with the operators on the commands."""
+        magnitudes = dict(lanes.magnitudes)
+        for name, law, (_, shape) in zip(self._commands, self.laws, self.values(lanes.parameters), strict=True):
+            size = np.broadcast_to(law.form.factors[0].shape if shape is None else shape, (lanes.size,))
+            magnitudes[name] = magnitudes.get(name, 0.0) + np.maximum(size, 0.0)
+        return replace(self._base_lanes(lanes), magnitudes=magnitudes)
+
+    def simulate(self, lanes: Lanes) -> Array:
+        """Readings without noise, (B, n, C)."""
+        if self._instant:
+            return self.base.simulate_with_laws(self._base_lanes(lanes), self._terms(lanes.parameters))  # type: ignore[attr-defined]
+        if self._commands:
+            return self.base.simulate(self._commanded(lanes))
+        return self._settle(lanes)[0]
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        """Along the trajectory of lane 0."""
+        lane = lane_of(lanes, 0)
+        if self._instant:
+            return self.base.variables(self._base_lanes(lane), self._terms(lane.parameters))  # type: ignore[call-arg]
+        if self._commands:
+            return self.base.variables(self._commanded(lane))
+        return self._settle(lane)[1][0]
+
+    def _terms(self, parameters: Array) -> Mapping[str, list[Any]]:
+        terms: dict[str, list[Any]] = {}
+        for law, (coefficient, shape) in zip(self.laws, self.values(parameters), strict=True):
+
+            def term(at: Mapping[str, Any], law: Placed = law, c: Any = coefficient, s: Any = shape) -> Any:
+                c = c if np.ndim(c) == 0 else np.asarray(c)[:, None]
+                return c * law.form.value(at, s if s is None else np.asarray(s)[:, None])
+
+            terms.setdefault(law.form.point, []).append(term)
+        return terms
+
+    def _settle(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
+        """Readings (B, n, C) and variables of every lane with the laws' signals settled (Picard, all lanes at once).
+
+        Starts where the first lane ended the last time: lanes of one linearisation, and steps of a fit, differ little.
+        """
+        n, base_lanes = len(self.time_s), self._base_lanes(lanes)
+        shape = (len(self.laws), lanes.size, n)
+        signals = np.zeros(shape) if self._settled is None else np.repeat(self._settled[:, None], lanes.size, axis=1)
+        values = self.values(lanes.parameters)
+        for settled_rounds in range(_PICARD_ROUNDS):
+            readings, variables = trajectories(self.base, base_lanes, self._entered(signals))
+            new = np.empty(shape)
+            for k, (law, (c, s)) in enumerate(zip(self.laws, values, strict=True)):
+                for b, own in enumerate(variables):
+                    at = before({**own, "time_s": self.time_s}, law.form.point)
+                    coefficient = c if np.ndim(c) == 0 else c[b]
+                    new[k, b] = np.nan_to_num(coefficient * law.form.value(at, s if s is None else s[b]))
+            change = float(np.max(np.abs(new - signals)) / max(float(np.max(np.abs(new))), 1e-300))
+            signals = new
+            if change < _SETTLED and settled_rounds + 1 >= _LEAST_ROUNDS:
+                break
+        if np.all(np.isfinite(signals[:, 0])):
+            self._settled = signals[:, 0]
+        return readings, variables
+
+    def _entered(self, signals: Array) -> dict[str, Array]:
+        """Point -> total of the laws' signals there, (B, n)."""
+        total: dict[str, Array] = {}
+        for law, signal in zip(self.laws, signals, strict=True):
+            total[law.form.point] = total.get(law.form.point, 0.0) + signal
+        return total
+
+    def signals(self, lanes: Lanes) -> list[Array]:
+        """What each law adds at its point along the trajectory of lane 0, (n,) each."""
+        if self._commands:
+            plain = self.base.variables(lane_of(self._base_lanes(lanes), 0))
+            moved = self.variables(lanes)
+            return [moved[law.form.point] - plain[law.form.point] for law in self.laws]
+        variables: Mapping[str, Array] = {**self.variables(lanes), "time_s": self.time_s}
+        if not self._instant and self._settled is not None:
+            return list(self._settled)
+        out = []
+        for law, (c, s) in zip(self.laws, self.values(lanes.parameters[0]), strict=True):
+            at = before(variables, law.form.point)
+            out.append(np.broadcast_to(c * law.form.value(at, s), self.time_s.shape).copy())
+        return out
+
+
+def before(variables: Mapping[str, Array], point: str) -> Mapping[str, Array]:
+    """Variables where the point's own quantity is as the twin computes it before a signal enters, if the twin says."""
+    own = variables.get(f"{point}:before")
+    return variables if own is None else {**variables, point: own}
+
+
+def trajectories(twin: Twin, lanes: Lanes, signals: Mapping[str, Array]) -> tuple[Array, list[dict[str, Array]]]:
+    """Readings (B, n, C) and variables of every lane; point -> (B, n) signals on top of the lanes' own.
+
+    Twins may have a method `trajectories(lanes)` that does it for many lanes in one simulation.
+    """
+    if not signals and hasattr(twin, "trajectories"):
+        return twin.trajectories(lanes)  # type: ignore[no-any-return]
+    if len(signals) == 1 and lanes.lane_points is None and hasattr(twin, "trajectories"):
+        (name, signal), = signals.items()
+        index = next(i for i, p in enumerate(twin.points) if p.name == name)
+        entered = replace(lanes, lane_points=np.full(lanes.size, index), lane_signals=np.ascontiguousarray(signal))
+        return twin.trajectories(entered)  # type: ignore[no-any-return]
+    readings, variables = [], []
+    for b in range(lanes.size):
+        lane = lane_of(lanes, b)
+        total = dict(lane.signals)
+        for name, signal in signals.items():
+            total[name] = total.get(name, 0.0) + signal[b]
+        lane = replace(lane, signals=total)
+        readings.append(twin.simulate(lane)[0])
+        variables.append(twin.variables(lane))
+    return np.stack(readings), variables

@@ -1,0 +1,1 @@
+"""Noise, whitening, nuisances, linearisation, fits and scores: how well a twin explains a recording."""

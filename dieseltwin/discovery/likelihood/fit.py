@@ -1,0 +1,348 @@
+"""Fits of a twin with any set of effects: linearisations and damped Gauss-Newton over parameters and initial states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, rows_of, single
+
+_DIFFERENCE = 1e-4  # of a scale, for sensitivities
+_TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what matters, large against rounding
+_LOCAL_SETTLED = 1e-3  # of a state's scale
+_STEP_LIMIT = 2.0  # parameter scales in one step
+_SHORTER_STEPS = 5
+_CONVERGED = 0.05  # predicted decrease of the objective that counts as none
+_NULL_ROUNDS = 12
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A set of effects, each with a factor of its magnitude over time where it isn't constant."""
+
+    names: tuple[str, ...] = ()
+    schedules: Mapping[str, Array] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return " + ".join(self.names) or "health only"
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted candidate.
+
+    Attributes:
+        candidate: what was fitted.
+        parameters: (P,) free parameters [unit].
+        magnitudes: (m,) of the candidate's effects [unit].
+        local: (W, S) initial states.
+        objective: -2 log marginal likelihood up to a constant that all fits on one linearisation share.
+        converged: the last step predicted no further decrease worth naming.
+        covariance: (P + m, P + m) of parameters and magnitudes, None before it is known.
+    """
+
+    candidate: Candidate
+    parameters: Array
+    magnitudes: Array
+    local: Array
+    objective: float
+    converged: bool
+    covariance: Array | None = None
+
+    def lanes(self, **more: object) -> Lanes:
+        """One lane at the estimate."""
+        magnitudes = {name: self.magnitudes[i : i + 1] for i, name in enumerate(self.candidate.names)}
+        return single(
+            self.parameters, self.local, magnitudes=magnitudes, schedules=self.candidate.schedules, **more
+        )
+
+    @property
+    def std(self) -> Array:
+        """(P + m,) standard deviations, NaN before they are known."""
+        if self.covariance is None:
+            return np.full(self.parameters.size + self.magnitudes.size, np.nan)
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+def first_fit(twin: Twin, candidate: Candidate | None = None, magnitudes: Sequence[float] = ()) -> Fit:
+    """Where every fit starts: nominal parameters, initial states from the readings, given magnitudes."""
+    return Fit(
+        candidate or Candidate(), np.array([p.value for p in twin.parameters]),
+        np.asarray(magnitudes, dtype=np.float64), twin.first_local(), np.inf, False,
+    )  # fmt: skip
+
+
+def _differ(fits: Sequence[Fit]) -> bool:
+    seen: dict[str, Array] = {}
+    for fit in fits:
+        for name in fit.candidate.names:
+            schedule = fit.candidate.schedules.get(name)
+            if name in seen and not _same(seen[name], schedule):
+                return True
+            seen[name] = schedule  # type: ignore[assignment]
+    return False
+
+
+def _same(a: Array | None, b: Array | None) -> bool:
+    return a is b or (a is not None and b is not None and np.array_equal(a, b))
+
+
+def lanes_of(fits: Sequence[Fit], own_schedules: bool = False) -> Lanes:
+    """A lane per fit. With `own_schedules` an effect may have another schedule in each, else they must agree."""
+    names = list(dict.fromkeys(name for fit in fits for name in fit.candidate.names))
+    magnitudes = {name: np.zeros(len(fits)) for name in names}
+    schedules: dict[str, Array] = {}
+    for k, fit in enumerate(fits):
+        for name, value in zip(fit.candidate.names, fit.magnitudes, strict=True):
+            magnitudes[name][k] = value
+        schedules.update(fit.candidate.schedules)
+    if own_schedules:
+        for name, some in schedules.items():
+            own = [fit.candidate.schedules.get(name) for fit in fits if name in fit.candidate.names]
+            if not all(_same(own[0], other) for other in own[1:]):
+                schedules[name] = np.stack([fit.candidate.schedules.get(name, np.ones_like(some)) for fit in fits])
+    return Lanes(
+        np.stack([fit.parameters for fit in fits]), np.stack([fit.local for fit in fits]), magnitudes, schedules
+    )
+
+
+def simulate_fits(twin: Twin, fits: Sequence[Fit]) -> Array:
+    """Readings of every fit, (len(fits), n, C); as few calls as schedules allow."""
+    if getattr(twin, "own_schedules", False):
+        return twin.simulate(lanes_of(fits, own_schedules=True))
+    out = np.empty((len(fits), *twin.measured.shape))
+    remaining = list(range(len(fits)))
+    while remaining:
+        group: list[int] = []
+        for index in remaining:
+            if not _differ([fits[i] for i in [*group, index]]):
+                group.append(index)
+        out[group] = twin.simulate(lanes_of([fits[i] for i in group]))
+        remaining = [i for i in remaining if i not in group]
+    return out
+
+
+def _repeat(lanes: Lanes, count: int) -> Lanes:
+    return replace(
+        lanes,
+        parameters=np.repeat(lanes.parameters, count, axis=0),
+        local=np.repeat(lanes.local, count, axis=0),
+        magnitudes={name: np.repeat(value, count) for name, value in lanes.magnitudes.items()},
+    )
+
+
+def parameter_lanes(twin: Twin, fit: Fit, local: bool = True) -> tuple[Lanes, Array]:
+    """The fit, then a lane per parameter, effect of the candidate and (if `local`) state; and the differences."""
+    scales = np.array([p.scale for p in twin.parameters])
+    P, m, S = len(scales), len(fit.candidate.names), len(twin.states) if local else 0
+    lanes = _repeat(lanes_of([fit]), 1 + P + m + S)
+    steps = np.empty(P + m + S)
+    for j in range(P):
+        steps[j] = _DIFFERENCE * scales[j]
+        lanes.parameters[1 + j, j] += steps[j]
+    for j, name in enumerate(fit.candidate.names):
+        steps[P + j] = effect_step(twin, name, fit.magnitudes[j])
+        lanes.magnitudes[name][1 + P + j] += steps[P + j]
+    for j in range(S):
+        steps[P + m + j] = _DIFFERENCE * twin.state_scales[j]
+        lanes.local[1 + P + m + j, :, j] += steps[P + m + j]
+    return lanes, steps
+
+
+def effect_step(twin: Twin, name: str, magnitude: float) -> float:
+    """Difference for the sensitivity to an effect's magnitude, pointing into its limits [unit]."""
+    hypothesis = twin.hypotheses[name]
+    step = _TOLERANCE_DIFFERENCE * hypothesis.tolerance if hypothesis.smooth else 0.25 * hypothesis.tolerance
+    return -step if magnitude + step > hypothesis.limits[1] else step
+
+
+class Linearisation:
+    """Sensitivities of the readings at one fit, and the metric that they make.
+
+    Attributes:
+        fit: the fit they were taken at, its objective in this metric.
+        metric: with local states and nuisances of this fit.
+        residual: (n, C) readings minus simulation.
+        jacobian: (P + m, n, C) responses to parameters and to the fit's own effects [per unit].
+        projected: (P + m, rows) the same in the metric.
+
+    Args:
+        frozen: take metric, local and nuisance responses from this linearisation instead of making them anew.
+        nuisance_response: (K, n, C) per standard deviation, where not frozen.
+    """
+
+    def __init__(
+        self, twin: Twin, whitening: Whitening, fit: Fit, frozen: Linearisation | None = None,
+        nuisance_response: Array | None = None,
+    ) -> None:
+        lanes, steps = parameter_lanes(twin, fit, local=frozen is None)
+        simulated = twin.simulate(lanes)
+        self.twin, self.whitening = twin, whitening
+        self.simulated = simulated[0]
+        self.residual = twin.measured - simulated[0]
+        differences = (simulated[1:] - simulated[0]) / steps[:, None, None]
+        known = len(twin.parameters) + len(fit.candidate.names)
+        self.jacobian = differences[:known]
+        if frozen is None:
+            self.local_response = differences[known:]
+            self.nuisance_response = nuisance_response
+            self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, nuisance_response)
+        else:  # local states and tolerances act nearly alike everywhere near
+            self.local_response = frozen.local_response
+            self.nuisance_response = frozen.nuisance_response
+            self.metric = frozen.metric
+        self.projected = self.metric.project(self.jacobian)
+        self.projected_residual = self.metric.project(np.nan_to_num(self.residual)[None])[0]
+        self.precision = prior_precision(twin, len(fit.candidate.names))
+        information = self.projected @ self.projected.T + np.diag(self.precision)
+        self.covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        objective = self.objective(self.projected_residual, fit.parameters)
+        self.fit = replace(fit, objective=objective, covariance=self.covariance)
+
+    def objective(self, projected: Array, parameters: Array) -> float:
+        """-2 log marginal likelihood, up to a constant of this metric."""
+        return float(projected @ projected + prior_misfit(self.twin, parameters))
+
+    def step(self) -> tuple[Array, float]:
+        """Gauss-Newton step of parameters and magnitudes, and the decrease that it predicts."""
+        offset = np.zeros(len(self.precision))
+        P = len(self.twin.parameters)
+        offset[:P] = np.array([p.value for p in self.twin.parameters]) - self.fit.parameters
+        gradient = self.projected @ self.projected_residual + self.precision * offset
+        step = self.covariance @ gradient
+        return step, float(gradient @ step)
+
+    def local_step(self, change: Array) -> Array:
+        """Change of the initial states that goes with a change of parameters and magnitudes, (W, S)."""
+        rest = np.nan_to_num(self.residual) - np.tensordot(change, self.jacobian, 1)
+        if self.nuisance_response is not None:
+            rest = rest - np.tensordot(self.metric.nuisance_estimate(rest), self.nuisance_response, 1)
+        return self.metric.local_step(rest)
+
+
+def prior_precision(twin: Twin, effects: int) -> Array:
+    """(P + m,) inverse variances of the parameters' priors; effects have none."""
+    return np.concatenate([[1.0 / p.prior_std**2 for p in twin.parameters], np.zeros(effects)])
+
+
+def prior_misfit(twin: Twin, parameters: Array) -> float:
+    """Squared distance from the priors' centres in their standard deviations."""
+    return float(sum(((x - p.value) / p.prior_std) ** 2 for x, p in zip(parameters, twin.parameters, strict=True)))
+
+
+def within_limits(twin: Twin, parameters: Array, names: Sequence[str], magnitudes: Array) -> tuple[Array, Array]:
+    """Parameters kept within reason (positive ones positive), magnitudes inside their limits."""
+    values = np.array([p.value for p in twin.parameters])
+    spans = np.array([p.prior_std for p in twin.parameters])
+    limits = np.array([twin.hypotheses[name].limits for name in names]).reshape(-1, 2)
+    lowest = np.where(values > 0.0, np.maximum(values - 4 * spans, 0.2 * values), values - 4 * spans)
+    parameters = np.clip(parameters, lowest, values + 4 * spans)
+    return parameters, np.clip(magnitudes, limits[:, 0], limits[:, 1])
+
+
+def bounded(twin: Twin, local: Array) -> Array:
+    """Initial states (W, S) kept near what the readings say, where the twin says how near (`local_limits`).
+
+    Far from the truth a step of the parameters drags initial states into other basins, from where no step leads back.
+    """
+    limits = getattr(twin, "local_limits", None)
+    return local if limits is None else np.clip(local, *limits())
+
+
+def fit_fully(
+    twin: Twin, whitening: Whitening, start: Fit, nuisance_response: Array | None = None, rounds: int = _NULL_ROUNDS,
+    frozen: Linearisation | None = None,
+) -> Linearisation:  # fmt: skip
+    """Damped Gauss-Newton with sensitivities of every round; returns the linearisation at the minimum.
+
+    `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move. With
+    `frozen` the whole metric of another linearisation is kept, and objectives are comparable to its own.
+    """
+    make = partial(Linearisation, twin, whitening, frozen=frozen, nuisance_response=nuisance_response)
+    here = make(start)
+    for _ in range(rounds):
+        step, predicted = here.step()
+        if predicted < _CONVERGED:
+            return _marked(here, True)
+        there = _downhill(make, here, step, local=True)
+        if there is None and predicted > 20 * _CONVERGED:
+            there = _downhill(make, here, step, local=False)
+        if there is None:
+            return _marked(here, predicted < 20 * _CONVERGED)
+        gained = here.fit.objective - there.fit.objective
+        here = there
+        if gained < _CONVERGED:
+            return _marked(here, True)
+    return _marked(here, here.step()[1] < 20 * _CONVERGED)
+
+
+def _downhill(
+    make: Callable[[Fit], Linearisation], here: Linearisation, step: Array, *, local: bool
+) -> Linearisation | None:
+    """The first of ever shorter steps that lowers the objective, None if none does.
+
+    `local`: whether initial states move along. They do in general; but one window in which a valve or a stop turns its
+    slope round, so that its own step leads uphill, would stop all the others.
+    """
+    twin, names = here.twin, here.fit.candidate.names
+    scales = np.array([p.scale for p in twin.parameters])
+    P = len(scales)
+    shrink = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
+    for _ in range(_SHORTER_STEPS):
+        change = shrink * step
+        parameters, magnitudes = within_limits(
+            twin, here.fit.parameters + change[:P], names, here.fit.magnitudes + change[P:]
+        )
+        begun = here.fit.local
+        if local:
+            moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
+            begun = bounded(twin, begun + shrink * here.local_step(moved / shrink))
+        trial = replace(here.fit, parameters=parameters, magnitudes=magnitudes, local=begun)
+        there = make(trial)
+        if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
+            return there
+        shrink *= 0.35
+    return None
+
+
+def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:
+    """Initial states at their minimum, window by window, at fixed parameters; the linearisation there.
+
+    The metric takes initial states out linearly. In a window that is nearly unstable a full linear step overshoots, and
+    the objective would promise what no simulation keeps: so each window's own misfit decides on its step.
+    """
+    twin, whitening = at.twin, at.whitening
+    fit, residual = at.fit, np.nan_to_num(at.residual)
+    shift = np.zeros_like(residual)
+    if at.nuisance_response is not None:
+        shift = np.tensordot(at.metric.nuisance_estimate(residual), at.nuisance_response, 1)
+    cost = at.metric.window_costs(residual - shift)
+    shrink = np.ones(len(cost))
+    moved = False
+    for _ in range(rounds):
+        step = at.metric.local_step(residual - shift)
+        if not np.any(np.abs(step) > _LOCAL_SETTLED * twin.state_scales):
+            break
+        trial = replace(fit, local=bounded(twin, fit.local + shrink[:, None] * step))
+        simulated = twin.simulate(lanes_of([trial]))[0]
+        new_residual = np.nan_to_num(twin.measured - simulated)
+        new_cost = at.metric.window_costs(new_residual - shift)
+        better = new_cost < cost
+        fit = replace(fit, local=np.where(better[:, None], trial.local, fit.local))
+        rows = rows_of(twin, better)
+        residual = np.where(rows[:, None], new_residual, residual)
+        cost = np.where(better, new_cost, cost)
+        shrink = np.where(better, np.minimum(1.0, 2.0 * shrink), 0.3 * shrink)
+        moved = True
+    if not moved:
+        return at
+    return _marked(Linearisation(twin, whitening, fit, None, at.nuisance_response), at.fit.converged)
+
+
+def _marked(at: Linearisation, converged: bool) -> Linearisation:
+    at.fit = replace(at.fit, converged=converged)
+    return at

@@ -1,0 +1,188 @@
+"""The metric of every comparison: whitened residuals with local states and tolerances taken out.
+
+A residual is a vector in a space with one row per reading (whitened by its AR(1) noise) and one row per prior (of each
+local initial state and of each nuisance coefficient). Nuisances are the tolerances of maps and sensors: directions in
+which the twin may be wrong by a declared amount. Projecting them out in the augmented space is the same as
+marginalising them with their priors, so that sums of squares in this space are -2 log marginal likelihood up to a
+constant that all hypotheses share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.recordings.noise import Noise
+
+_LOCAL_PRIOR = 1.0  # of a state's scale: weak, only holds states that no reading of the window sees
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Rows of readings -> independent unit variance.
+
+    Attributes:
+        present: (n, C) readings that exist.
+        previous: (n, C) 0 where the sample before is missing or in another window, else rho.
+        scale: (n, C) factor of each whitened row, 0 where there is no reading.
+    """
+
+    present: np.ndarray
+    previous: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, measured: Array, noise: Noise, starts: np.ndarray) -> Whitening:
+        present = np.isfinite(measured)
+        linked = np.zeros_like(present)
+        linked[1:] = present[1:] & present[:-1]
+        linked[starts] = False
+        previous = np.where(linked, noise.rho, 0.0)
+        scale = np.where(present, 1.0 / (noise.sigma * np.sqrt(1.0 - previous**2)), 0.0)
+        return cls(present, previous, scale)
+
+    def apply(self, values: Array) -> Array:
+        """(..., n, C) -> (..., n * C)."""
+        values = np.where(self.present, values, 0.0)
+        out = values.copy()
+        out[..., 1:, :] -= self.previous[1:] * values[..., :-1, :]
+        out *= self.scale
+        return out.reshape(*out.shape[:-2], out.shape[-2] * out.shape[-1])
+
+    def log_normaliser(self, present: np.ndarray) -> float:
+        """Log of what normalises the Gaussian density of some readings, (n, C) True."""
+        return float(-np.log(self.scale[present]).sum() + 0.5 * np.log(2 * np.pi) * present.sum())
+
+
+class Metric:
+    """Projection of readings onto what neither local states nor tolerances explain.
+
+    Args:
+        whitening: of the readings.
+        starts: (W,) first sample of each window.
+        local: (S, n, C) response of the readings to each initial state, all windows moved together.
+        state_scales: (S,) typical sizes of the states, for their weak priors.
+        nuisances: (K, n, C) response to each nuisance coefficient per standard deviation of its prior, or None.
+    """
+
+    def __init__(
+        self,
+        whitening: Whitening,
+        starts: np.ndarray,
+        local: Array,
+        state_scales: Array,
+        nuisances: Array | None = None,
+    ) -> None:
+        self.whitening = whitening
+        n, channels = whitening.present.shape
+        bounds = np.append(starts, n) * channels
+        self._blocks = [slice(int(a), int(b)) for a, b in pairwise(bounds)]
+        columns = whitening.apply(local).T if local.size else np.zeros((n * channels, 0))
+        ridge = np.diag(1.0 / (_LOCAL_PRIOR * np.asarray(state_scales))) if columns.shape[1] else np.zeros((0, 0))
+        self._columns = columns
+        self.states = columns.shape[1]
+        self._first = np.array([block.start for block in self._blocks])
+        self._rows_of = np.array([block.stop - block.start for block in self._blocks])
+        self._orthonormal = []
+        self._triangular = []
+        self._unit, self._unit_prior = np.zeros(0), np.zeros(0)
+        if self.states == 1:  # the orthonormal basis of all windows in a line
+            weight = float(ridge[0, 0])
+            lengths = np.sqrt(np.add.reduceat(columns[:, 0] ** 2, self._first) + weight**2)
+            self._unit, self._unit_prior = columns[:, 0] / np.repeat(lengths, self._rows_of), weight / lengths
+            self._lengths = lengths
+        else:
+            for block in self._blocks:
+                q, r = np.linalg.qr(np.vstack([columns[block], ridge]))
+                self._orthonormal.append(q)
+                self._triangular.append(r)
+        self.rows = n * channels + len(self._blocks) * self.states
+        self._nuisance: Array | None = None
+        self._whitened_nuisance: Array | None = None
+        if nuisances is not None and len(nuisances):
+            self._whitened_nuisance = whitening.apply(nuisances)
+            inner = self._without_local(self._whitened_nuisance)  # (K, rows)
+            gram = inner @ inner.T + np.eye(len(inner))
+            lower = cholesky(gram, lower=True)
+            # rows of the priors: orthonormal together with the first ones
+            prior = solve_triangular(lower, np.eye(len(inner)), lower=True)
+            self._nuisance = np.empty((len(inner), self.rows + len(inner)))  # (K, rows + K)
+            np.matmul(prior, inner, out=self._nuisance[:, : self.rows])
+            self._nuisance[:, self.rows :] = prior
+            self._lower = lower
+            self._inner = inner
+
+    def _without_local(self, whitened: Array, extra: int = 0) -> Array:
+        """(B, n C) -> (B, n C + W S), and `extra` columns of zeros."""
+        count = whitened.shape[0]
+        out = np.zeros((count, self.rows + extra))
+        size = whitened.shape[1]
+        out[:, :size] = whitened
+        if self.states == 1:
+            along = np.add.reduceat(whitened * self._unit, self._first, axis=1)
+            out[:, :size] -= np.repeat(along, self._rows_of, axis=1) * self._unit
+            out[:, size : size + along.shape[1]] = -along * self._unit_prior
+            return out
+        for w, (block, q) in enumerate(zip(self._blocks, self._orthonormal, strict=True)):
+            rows = block.stop - block.start
+            weights = whitened[:, block] @ q[:rows]
+            out[:, block] -= weights @ q[:rows].T
+            at = size + w * self.states
+            out[:, at : at + self.states] = -weights @ q[rows:].T
+        return out
+
+    def project(self, values: Array) -> Array:
+        """Readings or their differences (B, n, C) -> (B, rows): whitened, local states and nuisances taken out."""
+        extra = 0 if self._nuisance is None else self._nuisance.shape[0]
+        out = self._without_local(self.whitening.apply(np.asarray(values)), extra)
+        if self._nuisance is None:
+            return out
+        # the rows of the nuisances' own priors are still zero here, so the short part of the basis is enough
+        weights = out[:, : self.rows] @ self._nuisance[:, : self.rows].T
+        out -= weights @ self._nuisance
+        return out
+
+    @property
+    def nuisance_basis(self) -> Array | None:
+        """Orthonormal directions of the nuisances (K, rows + K), None without any."""
+        return self._nuisance
+
+    def without_local(self, values: Array) -> Array:
+        """(B, n, C) -> (B, rows): whitened with the initial states alone taken out."""
+        return self._without_local(self.whitening.apply(np.asarray(values)))
+
+    def local_step(self, residual: Array) -> Array:
+        """Least-squares change of the initial states for one residual (n, C) -> (W, S)."""
+        whitened = self.whitening.apply(residual[None])[0]
+        if self.states == 1:
+            return np.asarray(np.add.reduceat(whitened * self._unit, self._first) / self._lengths)[:, None]
+        step = np.zeros((len(self._blocks), self.states))
+        for w, (block, q, r) in enumerate(zip(self._blocks, self._orthonormal, self._triangular, strict=True)):
+            step[w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[block]) if self.states else 0.0
+        return step
+
+    def window_costs(self, residual: Array) -> Array:
+        """(W,) squared whitened residual of each window."""
+        squared = self.whitening.apply(residual[None])[0] ** 2
+        return np.asarray(np.add.reduceat(squared, self._first))
+
+    def growing(self, factor: float) -> np.ndarray:
+        """(W,) windows at whose end a change of an initial state counts more than `factor` times what it did before."""
+        found = np.zeros(len(self._blocks), dtype=bool)
+        for w, block in enumerate(self._blocks):
+            thirds = np.array_split(self._columns[block], 3)
+            early, late = (np.sqrt((part**2).sum(axis=0)) for part in (thirds[0], thirds[2]))
+            found[w] = bool(np.any(late > factor * early))
+        return found
+
+    def nuisance_estimate(self, residual: Array) -> Array:
+        """Posterior mean of the nuisance coefficients, in standard deviations of their priors, (K,)."""
+        if self._nuisance is None:
+            return np.zeros(0)
+        inner = self._without_local(self.whitening.apply(residual[None]))[0]
+        half = solve_triangular(self._lower, self._inner @ inner, lower=True)
+        return solve_triangular(self._lower.T, half, lower=False)

@@ -1,0 +1,157 @@
+"""Tolerances as directions: smooth errors of maps, gains and offsets of sensors (DISCOVERY.md, "Maps are never exact").
+
+A map's error is a Gaussian random function of the map's own arguments with a declared standard deviation and a
+correlation length of a third of the range driven. Its leading modes along the recording are the nuisance directions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithSignals, joined
+
+CORRELATION_LENGTH = 1.0 / 3.0
+"""Of the range of each argument (DISCOVERY.md, Proof) [-]."""
+
+_KEPT_VARIANCE = 0.985  # of a map's tolerance; the rest is below a tenth of it
+_KNOTS = 220  # points of the recording that carry the random function
+_MOST_MODES = 16
+_EDGE = 0.5  # % of the samples outside the range at either end
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One direction, scaled to one standard deviation of its prior.
+
+    Attributes:
+        label: what it stands for.
+        point: index into `Twin.points`, or None for a direction of the readings themselves.
+        signal: (n,) what enters the point.
+        response: (n, C) response of the readings, for directions of sensors.
+    """
+
+    label: str
+    point: int | None = None
+    signal: Array | None = None
+    response: Array | None = None
+
+
+def tolerance_modes(arguments: Sequence[Array], kept: float = _KEPT_VARIANCE) -> Array:
+    """Leading modes of a smooth random function of unit variance along the recording, (K, n).
+
+    Args:
+        arguments: each (n,); scaled to the range driven.
+        kept: share of the variance that the modes carry.
+    """
+    scaled = []
+    for values in arguments:
+        low, high = np.nanpercentile(values, [_EDGE, 100.0 - _EDGE])
+        span = high - low
+        scaled.append(np.clip((values - low) / span, -0.2, 1.2) if span > 0 else np.zeros_like(values))
+    x = np.stack(scaled, axis=1) / CORRELATION_LENGTH
+    knots = x[np.linspace(0, len(x) - 1, min(_KNOTS, len(x))).astype(int)]
+
+    def kernel(a: Array, b: Array) -> Array:
+        squared = np.zeros((len(a), len(b)))
+        for j in range(a.shape[1]):
+            squared += np.subtract.outer(a[:, j], b[:, j]) ** 2
+        squared *= -0.5
+        return np.exp(squared, out=squared)
+
+    values, vectors = np.linalg.eigh(kernel(knots, knots))
+    order = np.argsort(values)[::-1]
+    values, vectors = values[order], vectors[:, order]
+    count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), kept)) + 1, _MOST_MODES)
+    return (kernel(x, knots) @ vectors[:, :count] / np.sqrt(values[:count])).T
+
+
+def map_nuisances(twin: Twin, variables: dict[str, Array], factor: float = 1.0) -> list[Nuisance]:
+    """Directions of every point's map tolerance, times `factor`."""
+    found = []
+    for index, point in enumerate(twin.points):
+        if not (point.tolerance > 0.0 and point.tolerance_over):
+            continue
+        sets = [names for names in (point.tolerance_over, point.tolerance_also) if names]
+        share = factor * point.tolerance / np.sqrt(len(sets))
+        for names in sets:
+            modes = tolerance_modes([variables[name] for name in names])
+            label = f"map of {point.name} over {', '.join(names)}"
+            found += [Nuisance(f"{label}, mode {k + 1}", index, share * mode) for k, mode in enumerate(modes)]
+    return found
+
+
+def sensor_nuisances(twin: Twin, simulated: Array, gains: Sequence[float], offsets: Sequence[float]) -> list[Nuisance]:
+    """Directions of every sensor's gain and offset, at one standard deviation each.
+
+    Args:
+        twin: gives the channels.
+        simulated: (n, C) readings of the model.
+        gains: (C,) standard deviation of each gain [-].
+        offsets: (C,) standard deviation of each offset, as a share of the channel's mean [-].
+    """
+    found = []
+    for j, name in enumerate(twin.channels):
+        for label, tolerance, direction in (
+            ("gain", gains[j], simulated[:, j]),
+            ("offset", offsets[j], np.full(len(simulated), np.mean(simulated[:, j]))),
+        ):
+            if tolerance > 0.0:
+                response = np.zeros_like(simulated)
+                response[:, j] = tolerance * direction
+                found.append(Nuisance(f"{label} of {name}", response=response))
+    return found
+
+
+def signal_responses(twin: Twin, base: Lanes, simulated: Array, points: Sequence[int], signals: Array) -> Array:
+    """Responses of the readings to signals at points, (K, n, C), by simulation next to `base` (one lane)."""
+    count = len(points)
+    if not count:
+        return np.zeros((0, *simulated.shape))
+    lanes = Lanes(
+        np.repeat(base.parameters, count, axis=0), np.repeat(base.local, count, axis=0),
+        {name: np.repeat(value, count) for name, value in base.magnitudes.items()},
+        base.schedules, base.signals, np.asarray(points, dtype=np.int64), np.ascontiguousarray(signals),
+    )  # fmt: skip
+    return twin.simulate(lanes) - simulated
+
+
+def nuisance_responses(twin: Twin, base: Lanes, simulated: Array, nuisances: Sequence[Nuisance]) -> Array:
+    """Responses (K, n, C) of the readings to every direction next to `base` (one lane), whose simulation is known."""
+    out = np.empty((len(nuisances), *simulated.shape))
+    at = [k for k, nuisance in enumerate(nuisances) if nuisance.point is not None]
+    if at:
+        points = [int(nuisances[k].point) for k in at]  # type: ignore[arg-type]
+        signals = np.stack([nuisances[k].signal for k in at])  # type: ignore[misc]
+        out[at] = signal_responses(twin, base, simulated, points, signals)
+    for k, nuisance in enumerate(nuisances):
+        if nuisance.response is not None:
+            out[k] = nuisance.response
+    return out
+
+
+class Rebased(WithSignals):
+    """A twin about another point of its tolerances: maps off by an estimate, not by nothing.
+
+    Tolerances are taken out linearly. Where the machine bends (no back-flow through the EGR valve at p_em = p_im) that
+    is only good near the point of linearisation. Here the estimated errors are simulated, and the readings are moved by
+    their linear response, so that the same linear tolerances remain to be taken out, with the same priors.
+
+    Args:
+        twin: the twin.
+        nuisances: directions.
+        responses: (K, n, C) their linear responses.
+        estimate: (K,) in standard deviations.
+    """
+
+    def __init__(self, twin: Twin, nuisances: Sequence[Nuisance], responses: Array, estimate: Array) -> None:
+        signals: dict[str, Array] = {}
+        moved = np.zeros_like(twin.measured)
+        for nuisance, response, size in zip(nuisances, responses, estimate, strict=True):
+            if nuisance.point is not None and nuisance.signal is not None:
+                signals = joined(signals, {twin.points[nuisance.point].name: size * nuisance.signal})
+                moved += size * response
+        super().__init__(twin, signals)
+        self.measured = twin.measured + moved

@@ -1,0 +1,173 @@
+"""Scores of all hypotheses at one linearisation, and what chance alone would give (DISCOVERY.md, step 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+
+_DRAWS = 4000  # of the parametric bootstrap; beyond their reach the tail of chi-square is taken
+_SIZE_OF_TOLERANCE = 1.5  # secants of smooth effects are taken at this multiple of their tolerance
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One hypothesis at a linearisation.
+
+    Attributes:
+        name: of the effect.
+        size: magnitude at which the secant was taken [unit].
+        response: (n, C) response of the readings per unit of magnitude.
+        projected: (rows,) the same in the metric, parameters taken out too.
+        magnitude, std: linear estimate and its standard deviation [unit].
+        gain: decrease of -2 log likelihood that the linear estimate gives, 0 on the wrong side of a one-sided limit.
+    """
+
+    name: str
+    size: float
+    response: Array
+    projected: Array
+    magnitude: float
+    std: float
+    gain: float
+
+
+def effect_responses(
+    twin: Twin, at: Linearisation, wanted: Sequence[tuple[str, float]]
+) -> Array:
+    """Responses (K, n, C) per unit of effects added to a fit, as secants at the given sizes."""
+    count = len(wanted)
+    base = at.fit.lanes()
+    names = list(dict.fromkeys([*base.magnitudes, *(name for name, _ in wanted)]))
+    magnitudes = {name: np.full(count, float(base.magnitudes.get(name, np.zeros(1))[0])) for name in names}
+    for k, (name, size) in enumerate(wanted):
+        magnitudes[name][k] += size
+    lanes = Lanes(
+        np.repeat(base.parameters, count, axis=0), np.repeat(base.local, count, axis=0), magnitudes, base.schedules
+    )
+    sizes = np.array([size for _, size in wanted])
+    return (twin.simulate(lanes) - at.simulated) / sizes[:, None, None]
+
+
+def secant_sizes(twin: Twin, names: Sequence[str]) -> list[tuple[str, float]]:
+    """The sizes at which effects are tried first: one for smooth ones, several for those without a derivative at 0."""
+    wanted = []
+    for name in names:
+        hypothesis = twin.hypotheses[name]
+        sizes = hypothesis.sizes if not hypothesis.smooth else (_SIZE_OF_TOLERANCE * hypothesis.tolerance,)
+        wanted += [(name, float(np.clip(size, -hypothesis.limits[1], hypothesis.limits[1]))) for size in sizes]
+    return wanted
+
+
+def without_parameters(at: Linearisation, projected: Array) -> Array:
+    """Vectors (K, rows) in the metric with the parameters' (and the fit's own effects') directions taken out."""
+    weights = (projected @ at.projected.T) @ at.covariance
+    return projected - weights @ at.projected
+
+
+def score(at: Linearisation, wanted: Sequence[tuple[str, float]], responses: Array) -> list[Scored]:
+    """Efficient scores of effects: the linear estimate of each, and what it would gain."""
+    projected = without_parameters(at, at.metric.project(responses))
+    found = []
+    for (name, size), response, vector in zip(wanted, responses, projected, strict=True):
+        information = float(vector @ vector)
+        low, high = at.twin.hypotheses[name].limits
+        if information <= 0.0:
+            found.append(Scored(name, size, response, vector, 0.0, np.inf, 0.0))
+            continue
+        estimate = float(vector @ at.projected_residual) / information
+        allowed = float(np.clip(estimate, low, high))
+        gain = information * allowed * (2.0 * estimate - allowed)
+        found.append(Scored(name, size, response, vector, allowed, information**-0.5, max(gain, 0.0)))
+    return found
+
+
+def spread(at: Linearisation, vector: Array) -> float:
+    """Share of a direction's gain that is left without the window that it hangs on most, 0-1.
+
+    Next to a kink (EGR flow at p_em = p_im) the tolerances of one window aren't linear, and can leave what looks like
+    an effect; one that is real acts elsewhere too.
+
+    Args:
+        at: the fit that leaves the residual.
+        vector: (rows,) the direction in its metric, parameters taken out.
+    """
+    n, channels = at.residual.shape
+    starts = at.twin.starts * channels
+    push, information = float(vector @ at.projected_residual), float(vector @ vector)
+    if starts.size < 2 or push == 0.0:
+        return 1.0
+    own = vector[: n * channels]
+    pushes = np.add.reduceat(own * at.projected_residual[: n * channels], starts)
+    informations = np.add.reduceat(own * own, starts)
+    rest = np.maximum(information - informations, 1e-9 * information)
+    return min(1.0, float(np.min((push - pushes) ** 2 / rest)) * information / push**2)
+
+
+def best_of_each(scored: Sequence[Scored]) -> list[Scored]:
+    """The best size of each hypothesis, strongest first."""
+    best: dict[str, Scored] = {}
+    for item in scored:
+        if item.name not in best or item.gain > best[item.name].gain:
+            best[item.name] = item
+    return sorted(best.values(), key=lambda item: -item.gain)
+
+
+@dataclass(frozen=True)
+class Chance:
+    """Distribution of the largest gain among all hypotheses when none is true."""
+
+    draws: Array
+    effective: float
+
+    def p_value(self, gain: float) -> float:
+        """Probability that chance alone gives at least this gain."""
+        if gain <= 0.0:
+            return 1.0
+        exceeded = float(np.mean(self.draws >= gain))
+        if exceeded * self.draws.size >= 20:
+            return exceeded
+        return float(min(1.0, self.effective * chi2.sf(gain, 1)))
+
+    def threshold(self, level: float) -> float:
+        """Gain that chance exceeds with probability `level`."""
+        low, high = 0.0, 1e4
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.p_value(middle) > level else (low, middle)
+        return high
+
+
+def chance(at: Linearisation, scored: Sequence[Scored], seed: int) -> Chance:
+    """Parametric bootstrap of the toleranced healthy machine, in the metric: noise and tolerances at their priors.
+
+    In the augmented space all of that is white, so a draw needs the Gram matrix of the hypotheses alone.
+    """
+    units, one_sided = [], []
+    for item in scored:
+        norm = np.sqrt(item.projected @ item.projected)
+        if norm > 0:
+            units.append(item.projected / norm)
+            one_sided.append(at.twin.hypotheses[item.name].limits[0] >= 0.0)
+    gram = np.stack(units) @ np.stack(units).T
+    values, vectors = np.linalg.eigh(gram)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = np.random.default_rng(seed).normal(size=(_DRAWS, len(units))) @ root.T
+    draws = np.where(one_sided, np.maximum(draws, 0.0), draws)
+    largest = (draws**2).max(axis=1)
+    at_level = np.quantile(largest, 0.98)
+    return Chance(largest, float(0.02 / chi2.sf(at_level, 1)))
+
+
+def minimum_detectable(scored: Sequence[Scored], gain: float) -> dict[str, float]:
+    """Smallest magnitude of each effect whose expected gain reaches a threshold [unit]."""
+    smallest: dict[str, float] = {}
+    for item in scored:
+        value = item.std * float(np.sqrt(gain))
+        smallest[item.name] = min(value, smallest.get(item.name, np.inf))
+    return smallest

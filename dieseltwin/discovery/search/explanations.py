@@ -1,0 +1,289 @@
+"""Explanations of a mismatch beyond one constant effect, and the choice among all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dieseltwin.discovery.laws.features import generic_features, score_features
+from dieseltwin.discovery.laws.unnamed import best_term
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.refit import refit_all
+from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
+from dieseltwin.discovery.search.preparation import recentred
+from dieseltwin.discovery.search.state import Search, set_probabilities
+from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, rescan, same_region
+
+_PAIRS = 10
+VARIANTS = 6  # are refitted
+_OTHER_LEADS = 3  # of pairs, behind the best single effect
+_SECONDS = 4  # that join each of them
+_RIVALS = 4  # other effects that act in the best region
+_RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
+_POLISHED = 4  # of the best fits get sensitivities of their own
+_POLISHED_SHARE = 0.6  # of the best gain: fits that far behind are polished too
+_POLISH_ROUNDS = 8
+_CHANCE_LEAVES = 9.0  # gain of the best term without a name, of some seventy, beyond a right explanation
+_LEADING = 60.0  # gain within which a fit counts as leading
+_LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
+
+
+def try_variants(found: Search) -> None:
+    """Effects that begin in the middle or act in a part of the operating range only."""
+    top = found.gain(found.singles[0]) if found.singles else 0.0
+    variants = [v for v in found.scanned[:VARIANTS] if v.gain > 0.5 * top]
+    if not variants:
+        return
+    _refit_variants(found, variants)
+    best, fit = found.variants[0]
+    if found.gain(fit) < top + 0.5 * found.settings.variant_gain:
+        return
+    if best.onset_s is not None:
+        for reach, count in ((8.0, 5), (2.0, 5)):
+            best, _ = found.variants[0]
+            _refit_variants(found, [
+                _since(found, best, t) for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
+            ])  # fmt: skip
+        best, _ = found.variants[0]  # the onset is known by now: other effects since then
+        others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
+        _refit_variants(found, [_since(found, variant, float(best.onset_s or 0.0)) for variant in others.values()])
+        _polish_variants(found)
+        return
+    known = {v.name for v, _ in found.variants}
+    rivals = same_region(found.null, found.scored, best)
+    _refit_variants(found, [v for v in rivals if v.name not in known and v.gain > 0.5 * best.gain][:_RIVALS])
+    _polish_variants(found)
+    for count, fine in _RESCANS:
+        if count == 1:  # the edges are known by now: other effects between the same ones
+            _refit_variants(found, [
+                v for v in same_region(found.null, found.scored, found.variants[0][0])
+                if v.name != found.variants[0][0].name
+            ][:_RIVALS])  # fmt: skip
+            _polish_variants(found)
+        for variant, fit in _leaders(found)[:count]:
+            moved = rescan(found.null, variant, fit, fine)
+            if moved.region != variant.region:
+                _refit_variants(found, [moved], fit)
+        _polish_variants(found)
+
+
+def _with_edges(pair: tuple[Variant, Fit]) -> float:
+    return pair[1].objective + edge_cost(pair[0])
+
+
+def _leaders(found: Search) -> list[tuple[Variant, Fit]]:
+    """The best variant of each of the leading effects."""
+    best: dict[str, tuple[Variant, Fit]] = {}
+    for variant, fit in found.variants:
+        best.setdefault(variant.name, (variant, fit))
+    limit = _LEADING_SHARE * found.gain(found.variants[0][1])
+    return [pair for pair in best.values() if found.gain(pair[1]) > limit][:_POLISHED]
+
+
+def _polish_variants(found: Search) -> None:
+    leaders = _leaders(found)
+    rest = [pair for pair in found.variants if all(pair[1] is not fit for _, fit in leaders)]
+    fits = [
+        fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit for _, fit in leaders
+    ]
+    polished = [(variant, fit) for (variant, _), fit in zip(leaders, fits, strict=True)]
+    found.variants = sorted([*rest, *polished], key=_with_edges)
+
+
+def _since(found: Search, variant: Variant, onset_s: float) -> Variant:
+    """The variant with another onset; its response stays that of the scan, near enough for a refit."""
+    return replace(variant, onset_s=onset_s, schedule=(found.twin.time_s >= onset_s).astype(float))
+
+
+def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None = None) -> None:
+    """Refits of variants, added to those that are known; `near`: the fit of a variant that is nearly the same."""
+    if not variants:
+        return
+    candidates = [Candidate((v.name,), {v.name: v.schedule}) for v in variants]
+    if near is None:
+        fits = refit_all(found.null, candidates, [v.response[None] for v in variants])
+    else:
+        base = Linearisation(found.twin, found.whitening, near, found.null)
+        response = base.jacobian[-1:]
+        fits = refit_all(base, candidates, [response for _ in variants])
+    pairs = [*found.variants, *zip(variants, fits, strict=True)]
+    found.variants = sorted(pairs, key=_with_edges)
+
+
+def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Scored, Scored]]:
+    """Linear gain of every pair of hypotheses at the health-only fit, strongest first."""
+    vectors = np.stack([s.projected for s in items])
+    gram = vectors @ vectors.T
+    push = vectors @ found.null.projected_residual
+    sided = [found.twin.hypotheses[s.name].limits[0] >= 0.0 for s in items]
+    out = []
+    for i in range(len(items)):
+        for j in range(i + 1, len(items)):
+            a, b, c = gram[i, i], gram[j, j], gram[i, j]
+            determinant = a * b - c * c
+            if determinant < 1e-6 * a * b or a == 0.0 or b == 0.0:
+                continue
+            x = (b * push[i] - c * push[j]) / determinant
+            y = (a * push[j] - c * push[i]) / determinant
+            if (sided[i] and x < 0) or (sided[j] and y < 0):
+                continue
+            out.append((float(x * push[i] + y * push[j]), items[i], items[j]))
+    return sorted(out, key=lambda item: -item[0])
+
+
+def _beyond(found: Search, at: Linearisation) -> list[Scored]:
+    """What every other effect would add to a fit of one, strongest first."""
+    without = {*found.settings.withhold, *at.fit.candidate.names}
+    wanted = secant_sizes(found.twin, [name for name in found.twin.hypotheses if name not in without])
+    return best_of_each(score(at, wanted, effect_responses(found.twin, at, wanted))) if wanted else []
+
+
+def try_pairs(found: Search, first: Linearisation) -> None:
+    """Two effects: the best pairs of the linear table, and what the residual of the best single asks for."""
+    lead = first.fit.candidate.names[0]
+    beyond = _beyond(found, first)
+    found.beyond = beyond[0].gain if beyond else 0.0
+    found.spreads = {item.name: spread(first, item.projected) for item in beyond}
+    items = best_of_each(found.scored)
+    by_name = {s.name: s for s in items}
+    ranked = _pair_gains(found, items)
+    pairs: dict[tuple[str, ...], tuple[Scored, Scored]] = {}
+    worth_it = 0.5 * found.settings.second_gain
+    single = found.gain(found.singles[0])
+    nothing_left = bool(beyond) and beyond[0].gain < worth_it and single > 0
+    if nothing_left and (not ranked or ranked[0][0] < single + worth_it):
+        return
+    seconds = [item for item in beyond[: _PAIRS // 2] if item.gain > worth_it]
+    known = {tuple(sorted((lead, item.name))) for item in seconds}
+    for gain, a, b in ranked[:_PAIRS]:
+        if gain > single - _LEADING:
+            key = tuple(sorted((a.name, b.name)))
+            if key not in known:
+                pairs[key] = (by_name[key[0]], by_name[key[1]])
+    # what joins the best single starts from its fit: from the health-only fit a chord may find no step down at all
+    fits = _joined(found, found.singles[0], seconds)
+    if pairs:
+        responses = [np.stack([a.response, b.response]) for a, b in pairs.values()]
+        fits += refit_all(found.null, [Candidate(key) for key in pairs], responses)
+    if fits:
+        found.pairs = polish(found, sorted(fits, key=lambda fit: fit.objective), 3)
+
+
+def _joined(found: Search, lead: Fit, seconds: Sequence[Scored]) -> list[Fit]:
+    """Refits of a single effect with each of some others, from its own fit on."""
+    if not seconds:
+        return []
+    base = Linearisation(found.twin, found.whitening, lead, found.null)
+    candidates = [Candidate((*lead.candidate.names, item.name)) for item in seconds]
+    return refit_all(base, candidates, [np.stack([base.jacobian[-1], item.response]) for item in seconds])
+
+
+def try_more_pairs(found: Search) -> bool:
+    """Pairs about the refits of the other leading effects; whether the best pair is a better one now.
+
+    Two strong effects bend the linear table, and the strongest by itself may be neither of them.
+    """
+    known = {tuple(sorted(fit.candidate.names)) for fit in found.pairs}
+    before = found.gain(found.pairs[0]) if found.pairs else -np.inf
+    fits: list[Fit] = []
+    for lead in found.singles[1 : 1 + _OTHER_LEADS]:
+        name = lead.candidate.names[0]
+        base = Linearisation(found.twin, found.whitening, lead, found.null)
+        ranked = _beyond(found, base)[:_SECONDS]
+        seconds = [item for item in ranked if tuple(sorted((name, item.name))) not in known]
+        if not seconds:
+            continue
+        known |= {tuple(sorted((name, item.name))) for item in seconds}
+        candidates = [Candidate((name, item.name)) for item in seconds]
+        fits += refit_all(base, candidates, [np.stack([base.jacobian[-1], item.response]) for item in seconds])
+    if not fits:
+        return False
+    found.pairs = polish(found, sorted([*found.pairs, *fits], key=lambda fit: fit.objective), 3)
+    return found.gain(found.pairs[0]) > before + found.settings.left_ahead
+
+
+def _best_pair(found: Search) -> Fit | None:
+    return next((fit for fit in found.pairs if found.of_interest(fit)), None)
+
+
+def two_are_ahead(found: Search) -> bool:
+    """Whether two effects explain more than one by what the second costs."""
+    pair = _best_pair(found)
+    return pair is not None and found.gain(pair) - _pair_bar(found, pair) > found.gain(found.singles[0])
+
+
+def _pair_bar(found: Search, pair: Fit) -> float:
+    """What two effects must be ahead of the best single one."""
+    lead, settings = found.singles[0].candidate.names[0], found.settings
+    added = [name for name in pair.candidate.names if name != lead]
+    if len(added) > 1:
+        return settings.other_pair_gain
+    held = found.spreads.get(added[0], 0.0) >= settings.least_spread
+    return settings.second_gain if held else settings.hanging_second_gain
+
+
+def choose(found: Search, first: Linearisation) -> None:
+    """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs."""
+    settings = found.settings
+    single = found.gain(found.singles[0])
+    options: list[tuple[float, str, Fit | None, Variant | None]] = [(single, "single", first.fit, None)]
+    if found.variants:
+        timed, timed_fit = found.variants[0]
+        options.append((found.gain(timed_fit) - settings.variant_gain - edge_cost(timed), "variant", timed_fit, timed))
+    pair = _best_pair(found)
+    if pair is not None:
+        options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
+    best, kind, fit, variant = max(options, key=lambda option: option[0])
+    if any(item.gain > best + settings.law_gain for item in found.nameless()):
+        found.kind = "law"
+        return
+    found.kind, found.variant = kind, variant
+    if fit is not None and kind != "single":
+        found.best = recentred(found, fit)
+    if found.best is not None:  # a confident lie is what nearly fits: look at what the explanation leaves
+        found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
+        left = found.left[0].gain if found.left else 0.0
+        place = {"single": 0, "pair": 1}.get(kind, 2)
+        gained = single if kind == "single" or fit is None else found.gain(fit)
+        limit = max(settings.left_gain[place], settings.left_share[place] * gained)
+        held = max((item.held for item in found.left), default=0.0)
+        ahead = held - found.beyond if kind == "single" else np.inf
+        if (held > limit and ahead > settings.left_ahead) or (left > _CHANCE_LEAVES and _outdone(found, best)):
+            found.refused, found.kind = kind, "law"
+            return
+        _widen(found.best, left)
+    set_probabilities(found, kind)
+
+
+def _outdone(found: Search, value: float) -> bool:
+    """Whether one term without a name, refitted as names are, explains more than the chosen names.
+
+    Wherever it does, the names leave as much beside the term, so that what they leave is looked at first. By chance a
+    term that is wrong is ahead of a right name by x with a probability below exp(-x/2) (likelihood ratio): 5e-4 at 15
+    for each of a dozen terms refitted.
+    """
+    needed = value + found.settings.law_gain
+    return best_term(found.twin, found.whitening, found.null, found.nameless(), needed) > needed
+
+
+def _widen(at: Linearisation, left: float) -> None:
+    """Intervals for an explanation that isn't quite right: wider by what it leaves over what chance leaves (Birge)."""
+    factor = max(1.0, left / _CHANCE_LEAVES)
+    at.covariance = factor * at.covariance
+    at.fit = replace(at.fit, covariance=at.covariance)
+
+
+def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:
+    """Full refits of the leading fits; the rest as they are. Large effects take many steps, and rank wrongly before."""
+    reach = max(_LEADING, _POLISHED_SHARE * found.gain(fits[0]))
+    best = fits[0].objective
+    out = []
+    for k, fit in enumerate(fits):
+        if k < count and fit.objective < best + reach and found.gain(fit) > 4.0:
+            polished = fit_fully(found.twin, found.whitening, fit, rounds=_POLISH_ROUNDS, frozen=found.null).fit
+            out.append(polished)
+        else:
+            out.append(fit)
+    return sorted(out, key=lambda fit: fit.objective)

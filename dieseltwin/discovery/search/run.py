@@ -1,0 +1,144 @@
+"""The search: health-only fit, scores, refits of every competitive explanation, and the choice among them.
+
+Works on any `Twin`. Gains are decreases of -2 log marginal likelihood over the health-only fit (DISCOVERY.md, "Steps").
+"""
+
+from __future__ import annotations
+
+import time
+
+from dieseltwin.discovery.laws.features import Structure, generic_features, score_features
+from dieseltwin.discovery.laws.sensor import best_law
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit
+from dieseltwin.discovery.likelihood.refit import refit_all
+from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
+from dieseltwin.discovery.search.explanations import (
+    VARIANTS,
+    choose,
+    polish,
+    try_more_pairs,
+    try_pairs,
+    try_variants,
+    two_are_ahead,
+)
+from dieseltwin.discovery.search.preparation import (
+    prepare,
+    rebased,
+    recentred,
+    split_growing,
+    tolerance_responses,
+    verify,
+)
+from dieseltwin.discovery.search.state import Search, Settings, occam
+from dieseltwin.discovery.search.variants import edge_cost, scan
+from dieseltwin.discovery.twins.interface import Twin
+
+_REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
+_REFIT_AT_LEAST = 6
+_REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
+
+
+def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
+    """The whole search.
+
+    Args:
+        twin: bound to its recording.
+        settings: thresholds.
+        laws: look for a law where no name fits.
+    """
+    found = prepare(twin, settings)
+    clock = time.perf_counter()
+    ranked = best_of_each(found.scored)
+    top = max(ranked[0].gain, 1e-9) if ranked else 0.0
+    kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < _REFIT_AT_LEAST]
+    fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
+    found.singles = sorted(fits, key=lambda fit: fit.objective)
+    found.singles = polish(found, found.singles)
+    found.seconds["singles"] = time.perf_counter() - clock
+
+    found.scanned = scan(found.null, found.scored, VARIANTS)
+    hidden = bool(found.scanned) and found.scanned[0].gain > found.settings.hidden_gain
+    base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
+    clock = time.perf_counter()
+    found.structure = score_features(base, generic_features(twin, found.null.fit))
+    found.seconds["structure"] = time.perf_counter() - clock
+    unnamed = _unnamed(found)
+    alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _said_by_name(found, unnamed))
+    clock = time.perf_counter()
+    if alarm or hidden:
+        try_variants(found)
+    found.seconds["variants"] = time.perf_counter() - clock
+    if not alarm and not (hidden and _shown(found)):
+        if unnamed is not None:
+            _law(found, laws)
+        return found
+    found.kind = "single"
+    first = recentred(found, found.singles[0])
+    found.best = first
+    clock = time.perf_counter()
+    try_pairs(found, first)
+    widened = two_are_ahead(found)
+    if widened:  # which two is another question: the strongest by itself may be neither
+        try_more_pairs(found)
+    choose(found, first)
+    if found.refused in ("single", "pair") and not widened and try_more_pairs(found):
+        found.refused = ""
+        choose(found, first)
+    found.seconds["pairs"] = time.perf_counter() - clock
+    if found.kind == "law":
+        _law(found, laws)
+    return found
+
+
+def _law(found: Search, wanted: bool) -> None:
+    """No name fits: a law from the grammar, where one is resolved and asked for."""
+    found.kind = "law"
+    found.best = None
+    if wanted:
+        clock = time.perf_counter()
+        found.law = best_law(
+            found.twin, found.null, found.structure,
+            lambda here: tolerance_responses(here.twin, here, found.settings),
+        )  # fmt: skip
+        found.seconds["law"] = time.perf_counter() - clock
+
+
+def _shown(found: Search) -> bool:
+    """Whether an onset or a region that the linear scan promised keeps its promise when it is simulated."""
+    if not found.variants:
+        return False
+    variant, fit = found.variants[0]
+    if found.gain(fit) - edge_cost(variant) <= found.settings.hidden_gain:
+        return False
+    direction = without_parameters(found.null, found.null.metric.project(variant.response[None]))[0]
+    return spread(found.null, direction) >= found.settings.least_spread
+
+
+def _unnamed(found: Search) -> Structure | None:
+    """The strongest term without a name that raises an alarm by itself, None where none does."""
+    settings = found.settings
+    for item in found.lasting():
+        bar = settings.unnamed_gain if item.feature.channel is None else settings.unnamed_sensor_gain
+        if item.gain > bar:
+            return item
+    return None
+
+
+def _said_by_name(found: Search, item: Structure) -> bool:
+    """Whether the best name says the same as a term: one finding, and it has a name."""
+    fit = found.singles[0]
+    return (
+        found.known_by_name(item) and fit.candidate.names == (item.feature.effect,)
+        and found.gain(fit) > item.gain - found.settings.law_gain and found.of_interest(fit)
+    )  # fmt: skip
+
+
+def _alarm(found: Search, fit: Fit) -> bool:
+    gain = found.gain(fit)
+    threshold = max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
+    return bool(gain >= threshold and found.of_interest(fit))
+
+
+__all__ = [
+    "Search", "Settings", "occam", "prepare", "rebased", "run", "split_growing", "tolerance_responses",
+]  # fmt: skip

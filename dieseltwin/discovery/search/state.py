@@ -1,0 +1,172 @@
+"""Settings of the search for left-out physics, and all that it finds out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import logsumexp
+
+from dieseltwin.discovery.laws.features import Structure
+from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.nuisance import Nuisance
+from dieseltwin.discovery.likelihood.score import Chance, Scored
+from dieseltwin.discovery.search.variants import Variant
+from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.recordings.noise import Noise
+
+_RANGE = 30.0  # of magnitudes over their tolerance that are believed, log-uniform
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Thresholds of the search; gains are in units of -2 log likelihood.
+
+    Attributes:
+        sensor_gain, sensor_offset: tolerance of every sensor, one standard deviation [-].
+        tolerance_factor: on the map tolerances of the twin's points.
+        alarm_level: probability of a false alarm by chance alone.
+        alarm_gain: a mismatch needs this gain at least, whatever chance says: tolerances are never quite Gaussian.
+        alarm_size: and this share of the effect's tolerance of interest.
+        beside_size: the same of a lesser effect beside one of that size.
+        least_spread: share of its gain (`score.spread`) that a finding near its bar must keep without its best window.
+        second_gain: what a second effect, beyond one, must add, and keep that share of.
+        other_pair_gain: what two effects must be ahead of the best single one that isn't among them.
+        hanging_second_gain: what a second effect must add that hangs on one window.
+        variant_gain: what an onset or a region must add.
+        hidden_gain: gain of an onset or a region that raises an alarm by itself.
+        unnamed_gain: gain of a term without a name that raises an alarm by itself, where it keeps that share of it.
+        unnamed_sensor_gain: the same of a sensor's fault: these are few.
+        law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
+        left_gain: gain of a term without a name beyond the chosen explanation, above which that explanation is refused:
+            of one effect; of two; of an onset or region, which are never met exactly.
+        left_share: the same as a share of the explanation's own gain: edges of regions are never met exactly.
+        left_ahead: what it must be ahead of the best second effect.
+        equivalent_gain: names within this gain of the best can't be told apart: DISCOVERY.md's 9, and what maps that
+            are off by their tolerance add to it.
+        edges_share: of the gain of an effect in a region: closer names can't be told apart.
+        withhold: effects that the search must do without.
+        seed: of the bootstrap.
+    """
+
+    sensor_gain: float = 0.005
+    sensor_offset: float = 0.003
+    tolerance_factor: float = 1.0
+    alarm_level: float = 1e-3
+    alarm_gain: float = 18.0
+    alarm_size: float = 0.8
+    beside_size: float = 0.4
+    least_spread: float = 0.5
+    second_gain: float = 16.0
+    other_pair_gain: float = 32.0
+    hanging_second_gain: float = 60.0
+    variant_gain: float = 30.0
+    hidden_gain: float = 45.0
+    unnamed_gain: float = 32.0
+    unnamed_sensor_gain: float = 18.0
+    law_gain: float = 15.0
+    left_gain: tuple[float, float, float] = (20.0, 24.0, 40.0)
+    left_share: tuple[float, float, float] = (0.0, 0.0, 0.05)
+    left_ahead: float = 8.0
+    equivalent_gain: float = 12.0
+    edges_share: float = 0.02
+    withhold: tuple[str, ...] = ()
+    seed: int = 0
+
+
+@dataclass
+class Search:
+    """Everything that the search found out.
+
+    `null` is the health-only fit, `best` the explanation; `beyond` is what the best second effect would gain beside the
+    best single one, `spreads` which share of it each second effect keeps without its best window.
+    """
+
+    twin: Twin
+    settings: Settings
+    noise: Noise
+    whitening: Whitening
+    null: Linearisation
+    scored: list[Scored]
+    chance: Chance
+    singles: list[Fit] = field(default_factory=list)
+    pairs: list[Fit] = field(default_factory=list)
+    beyond: float = 0.0
+    spreads: dict[str, float] = field(default_factory=dict)
+    scanned: list[Variant] = field(default_factory=list)
+    variants: list[tuple[Variant, Fit]] = field(default_factory=list)
+    structure: list[Structure] = field(default_factory=list)
+    left: list[Structure] = field(default_factory=list)
+    best: Linearisation | None = None
+    kind: str = "healthy"
+    probabilities: dict[str, float] = field(default_factory=dict)
+    equivalent: list[tuple[str, ...]] = field(default_factory=list)
+    variant: Variant | None = None
+    law: Law | None = None
+    refused: str = ""
+    nuisances: list[Nuisance] = field(default_factory=list)
+    left_out: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def gain(self, fit: Fit) -> float:
+        """Gain of a fit over the health-only fit."""
+        return self.null.fit.objective - fit.objective
+
+    def lasting(self) -> list[Structure]:
+        """Terms without a name that don't hang on one window, strongest first."""
+        return [item for item in self.structure if item.held >= self.settings.least_spread * item.gain]
+
+    def known_by_name(self, item: Structure) -> bool:
+        """Whether a hypothesis says the same as a term: then the name stands for it, whatever a refit reaches."""
+        name = item.feature.effect
+        return name is not None and name in self.twin.hypotheses and name not in self.settings.withhold
+
+    def nameless(self) -> list[Structure]:
+        """The lasting terms that no hypothesis says."""
+        return [item for item in self.lasting() if not self.known_by_name(item)]
+
+    def of_interest(self, fit: Fit) -> bool:
+        """Whether the largest magnitude is near its tolerance of interest or above, and no other far below."""
+        sizes = [
+            abs(m) / self.twin.hypotheses[name].tolerance
+            for name, m in zip(fit.candidate.names, fit.magnitudes, strict=True)
+        ]
+        return max(sizes) >= self.settings.alarm_size and min(sizes) >= self.settings.beside_size
+
+
+def occam(found: Search, fit: Fit) -> float:
+    """Log evidence of a fit up to a constant: half its gain less what the precision of its magnitudes costs.
+
+    Magnitudes are believed log-uniform between their tolerance and 30 times it.
+    """
+    value = 0.5 * found.gain(fit)
+    stds = fit.std[len(found.twin.parameters) :]
+    for magnitude, std in zip(np.abs(fit.magnitudes), stds, strict=True):
+        if np.isfinite(std) and std > 0 and magnitude > 0:
+            value += float(np.log(np.sqrt(2 * np.pi) * min(std, magnitude) / (magnitude * np.log(_RANGE))))
+    return value
+
+
+def set_probabilities(found: Search, kind: str) -> None:
+    """Probabilities of the names of the chosen kind, and who can't be told apart."""
+    pool = found.pairs if kind == "pair" else [f for _, f in found.variants] if kind == "variant" else found.singles
+    if not pool:
+        return
+    keys = [" + ".join(fit.candidate.names) for fit in pool]
+    evidence = np.array([occam(found, fit) for fit in pool])
+    weights = np.exp(evidence - logsumexp(evidence))
+    found.probabilities = {}
+    for key, weight in zip(keys, weights, strict=True):
+        found.probabilities[key] = found.probabilities.get(key, 0.0) + float(weight)
+    best = min(fit.objective for fit in pool)
+    # what an explanation leaves is the size of what the twin can't describe: closer names can't be told apart
+    reach = max(found.settings.equivalent_gain, found.left[0].gain if found.left else 0.0)
+    if found.variant is not None and found.variant.region is not None:  # nor can those whose regions' edges decide
+        reach = max(reach, found.settings.edges_share * found.gain(pool[0]))
+    seen: list[tuple[str, ...]] = []
+    for fit in pool:
+        if fit.objective - best < reach and fit.candidate.names not in seen:
+            seen.append(fit.candidate.names)
+    found.equivalent = seen

@@ -1,0 +1,336 @@
+"""Effects that begin in the middle of a recording or act in a part of the operating range only.
+
+Every beginning and every range of every condition is tried for every effect, by sums over windows and over bins of a
+condition: masked responses needn't be projected one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
+from dieseltwin.discovery.likelihood.score import Scored, best_of_each, without_parameters
+from dieseltwin.discovery.twins.interface import Array, Twin
+
+_BINS = 20  # of a condition, with equal numbers of samples
+_LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
+_SECOND_EDGE = 8.0  # gain that a second edge along one condition must add
+_SECOND_CONDITION = 12.0  # gain that a second condition of a region must add
+_REFINED = 6  # of the leading effects have their regions' edges found in turn, until none moves
+_TURNS = 3
+_COARSE = (0.0, 0.04, 0.12, 0.3, 0.5, 0.7, 0.88, 0.96, 1.0)  # shares of the samples between slabs that are simulated
+
+Region = dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A hypothesis that acts at some times only.
+
+    Attributes:
+        name: of the effect.
+        onset_s: since when [s], or None.
+        region: condition -> (low, high) in which it acts, or None.
+        schedule: (n,) 1 where it acts, else 0.
+        response: (n, C) linear response per unit of magnitude.
+        gain: linear gain.
+        edges: of the region, inside the range driven.
+    """
+
+    name: str
+    onset_s: float | None
+    region: Region | None
+    schedule: Array
+    response: Array
+    gain: float
+    edges: int = 0
+
+
+class _Sums:
+    """Information and push of masked responses, by sums over groups of rows."""
+
+    def __init__(self, at: Linearisation, items: Sequence[Scored]) -> None:
+        metric = at.metric
+        self.at, self.items = at, items
+        self.vectors = metric.without_local(np.stack([item.response for item in items]))  # (H, rows)
+        self.rows = self.vectors.shape[1]
+        self.residual = metric.without_local(np.nan_to_num(at.residual)[None])[0]
+        information = at.projected @ at.projected.T + np.diag(at.precision)
+        parameters = solve_triangular(cholesky(information, lower=True), at.projected, lower=True)
+        bases = [parameters[:, : self.rows]]
+        if metric.nuisance_basis is not None:
+            bases.append(metric.nuisance_basis[:, : self.rows])
+        self.basis = np.vstack(bases)  # (K, rows): tolerances and parameters
+        self.known = self.basis @ self.residual
+        limits = np.array([at.twin.hypotheses[item.name].limits for item in items])
+        self.low, self.high = limits[:, 0], limits[:, 1]
+
+    def only(self, h: int) -> _Sums:
+        """The same for one hypothesis."""
+        part = copy(self)
+        part.items, part.vectors = [self.items[h]], self.vectors[h : h + 1]
+        part.low, part.high = self.low[h : h + 1], self.high[h : h + 1]
+        return part
+
+    def of(self, group: np.ndarray, count: int) -> tuple[Array, Array, Array]:
+        """Squares (G, H), pushes (G, H) and inner products with the basis (G, K, H) of each group of rows.
+
+        group: (rows,) number of each row's group, -1 for rows that never act.
+        """
+        shape = (count, len(self.items))
+        squares, pushes = np.zeros(shape), np.zeros(shape)
+        inner = np.zeros((count, self.basis.shape[0], len(self.items)))
+        order = np.argsort(group, kind="stable")
+        edges = np.searchsorted(group[order], np.arange(count + 1))
+        for g in range(count):
+            at = order[edges[g] : edges[g + 1]]
+            part = self.vectors[:, at]
+            squares[g] = np.einsum("hr,hr->h", part, part)
+            pushes[g] = part @ self.residual[at]
+            inner[g] = self.basis[:, at] @ part.T
+        return squares, pushes, inner
+
+    def gains(self, squares: Array, pushes: Array, inner: Array) -> Array:
+        """Gains (..., H) of sums over groups."""
+        information = np.maximum(squares - (inner**2).sum(axis=-2), 1e-9 * np.maximum(squares, 1e-300))
+        push = pushes - np.einsum("...kh,k->...h", inner, self.known)
+        gains = _gain(push, information, self.low, self.high)
+        return np.where(information > 1e-4 * squares, gains, 0.0)
+
+    def per_row(self, of_sample: np.ndarray) -> np.ndarray:
+        """(n,) group of each sample -> (rows,) group of each row; rows of priors belong to none."""
+        channels = self.at.residual.shape[1]
+        group = np.full(self.rows, -1, dtype=np.int64)
+        group[: of_sample.size * channels] = np.repeat(of_sample, channels)
+        return group
+
+
+def _gain(push: Array | float, information: Array | float, low: Array | float, high: Array | float) -> Array:
+    """Decrease of -2 log likelihood by the best magnitude inside its limits."""
+    estimate = np.clip(push / information, low, high)
+    return np.asarray(estimate * (2.0 * push - estimate * information))
+
+
+def scan(at: Linearisation, scored: Sequence[Scored], count: int) -> list[Variant]:
+    """The strongest variants of all hypotheses, at most two of each effect.
+
+    The response of a part is taken as that part of the response: exact for an onset at a window's start (windows start
+    anew), nearly so for a region (pressures follow within a second). Refits simulate it in full.
+    """
+    items = best_of_each(scored)
+    if not items:
+        return []
+    sums = _Sums(at, items)
+    found = [*_onsets(sums), *_regions(sums)]
+    found.sort(key=lambda v: -v.gain)
+    kept: list[Variant] = []
+    for variant in found:
+        if sum(v.name == variant.name for v in kept) < 2:
+            kept.append(variant)
+    return kept[:count]
+
+
+def _variant(
+    twin: Twin, item: Scored, onset: float | None, region: Region | None, acts: np.ndarray, gain: float
+) -> Variant:
+    schedule = acts.astype(np.float64) if region is None else _schedule(acts)
+    edges = _inner_edges(twin, region or {})
+    return Variant(item.name, onset, region, schedule, schedule[:, None] * item.response, float(gain), edges)
+
+
+def _inner_edges(twin: Twin, region: Region) -> int:
+    """Edges of a region that lie inside the range driven."""
+    ranges = ((twin.conditions[name], low, high) for name, (low, high) in region.items())
+    return sum(int(low > values.min()) + int(high < values.max()) for values, low, high in ranges)
+
+
+def _schedule(acts: np.ndarray) -> Array:
+    """Factor over the interval behind each sample: half where conditions cross an edge between two samples."""
+    schedule = acts.astype(np.float64)
+    schedule[:-1] = 0.5 * (schedule[:-1] + schedule[1:])
+    return schedule
+
+
+def _onsets(sums: _Sums) -> list[Variant]:
+    twin = sums.at.twin
+    n, W = twin.time_s.size, twin.starts.size
+    of_sample = np.searchsorted(twin.starts, np.arange(n), side="right") - 1
+    squares, pushes, inner = (np.cumsum(part[::-1], axis=0)[::-1] for part in sums.of(sums.per_row(of_sample), W))
+    gains = sums.gains(squares, pushes, inner)
+    allowed = (twin.starts > _LEAST_SHARE * n) & (twin.starts < (1.0 - _LEAST_SHARE) * n)
+    gains[~allowed] = 0.0
+    best = gains.argmax(axis=0)
+    found = []
+    for h, w in enumerate(best):
+        since = float(twin.time_s[twin.starts[w]])
+        found.append(_variant(twin, sums.items[h], since, None, np.arange(n) >= twin.starts[w], gains[w, h]))
+    return found
+
+
+def _bins(values: Array) -> tuple[np.ndarray, Array]:
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2), edges
+
+
+def _intervals(sums: _Sums, values: Array, inside: np.ndarray) -> list[tuple[float, float, float]]:
+    """(gain, low, high) of each hypothesis' best range of one condition within what is inside.
+
+    A range with two edges pays for the second.
+    """
+    of_sample, edges = _bins(values)
+    count = len(edges) - 1
+    if count < 2:
+        return []
+    parts = sums.of(sums.per_row(np.where(inside, of_sample, -1)), count)
+    totals = [np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)]) for part in parts]
+    sizes = np.concatenate([[0], np.cumsum(np.bincount(of_sample[inside], minlength=count))])
+    least = _LEAST_SHARE * values.size
+    pairs = [
+        (a, b)
+        for a in range(count)
+        for b in range(a + 1, count + 1)
+        if b - a < count and least < sizes[b] - sizes[a] < values.size - least
+    ]
+    if not pairs:
+        return []
+    low, high = (np.array(side) for side in zip(*pairs, strict=True))
+    gains = sums.gains(*(total[high] - total[low] for total in totals))
+    gains -= _SECOND_EDGE * ((low > 0) & (high < count))[:, None]
+    best = gains.argmax(axis=0)
+    return [(float(gains[p, h]), *_open_ended(edges, low[p], high[p])) for h, p in enumerate(best)]
+
+
+def inside_region(conditions: Mapping[str, Array], region: Region) -> np.ndarray:
+    """(n,) whether each sample lies in a region."""
+    acts = np.ones(len(next(iter(conditions.values()))), dtype=bool)
+    for name, (low, high) in region.items():
+        acts &= (conditions[name] >= low) & (conditions[name] <= high)
+    return acts
+
+
+def _regions(sums: _Sums) -> list[Variant]:
+    """Best region of each hypothesis over one condition, or over two where the second adds enough."""
+    conditions: Mapping[str, Array] = sums.at.twin.conditions
+    everywhere = np.ones(sums.at.twin.time_s.size, dtype=bool)
+    best: dict[int, tuple[float, Region]] = {}
+    for name, values in conditions.items():
+        for h, (gain, low, high) in enumerate(_intervals(sums, values, everywhere)):
+            if h not in best or gain > best[h][0]:
+                best[h] = (gain, {name: (low, high)})
+    for h in sorted(best, key=lambda h: -best[h][0])[:_REFINED]:
+        best[h] = _refined(sums, h, *best[h])
+    return [
+        _variant(sums.at.twin, sums.items[h], None, region, inside_region(conditions, region), gain)
+        for h, (gain, region) in best.items()
+    ]
+
+
+def _refined(sums: _Sums, h: int, gain: float, region: Region) -> tuple[float, Region]:
+    """Every condition's range anew given the other's, and a second condition where it adds enough."""
+    conditions = sums.at.twin.conditions
+    alone = sums.only(h)
+    for _ in range(_TURNS):
+        before = gain
+        for name in region if len(region) > 1 else ():
+            rest = {other: box for other, box in region.items() if other != name}
+            for found, low, high in _intervals(alone, conditions[name], inside_region(conditions, rest)):
+                if found > gain:
+                    gain, region = found, {**region, name: (low, high)}
+        if len(region) == 1:
+            first, acts = region, inside_region(conditions, region)
+            needed = gain + _SECOND_CONDITION
+            for name, values in conditions.items():
+                for found, low, high in _intervals(alone, values, acts) if name not in first else ():
+                    if found > max(needed, gain):
+                        gain, region = found, {**first, name: (low, high)}
+        if gain < before + 1.0:
+            break
+    return gain, region
+
+
+def onset_candidates(twin: Twin, around_s: float, reach_s: float, count: int) -> list[float]:
+    """Times about a first estimate, at samples, `count` of them [s]."""
+    times = np.linspace(around_s - reach_s, around_s + reach_s, count)
+    inner = times[(times > twin.time_s[2]) & (times < twin.time_s[-3])]
+    return sorted({float(twin.time_s[np.searchsorted(twin.time_s, t)]) for t in inner})
+
+
+def same_region(at: Linearisation, scored: Sequence[Scored], like: Variant) -> list[Variant]:
+    """All hypotheses in the region of one variant, strongest first."""
+    if like.region is None:
+        return []
+    sums = _Sums(at, best_of_each(scored))
+    acts = inside_region(at.twin.conditions, like.region)
+    gains = sums.gains(*(part[0] for part in sums.of(sums.per_row(np.where(acts, 0, -1)), 1)))
+    found = [_variant(at.twin, sums.items[h], None, like.region, acts, gain) for h, gain in enumerate(gains)]
+    return sorted(found, key=lambda v: -v.gain)
+
+
+def rescan(null: Linearisation, variant: Variant, fit: Fit, fine: float) -> Variant:
+    """The best ranges of a variant's region about its own refit, each condition given the other.
+
+    What acts on the turbo's speed acts for seconds, so its response to a region isn't that part of its response to
+    everywhere, and `scan` blurs the edges. Here every slab of a condition is simulated by itself. `fine`: share of the
+    samples to either side of an edge that is known already.
+    """
+    twin = null.twin
+    magnitude = float(fit.magnitudes[0])
+    if variant.region is None or magnitude == 0.0:
+        return variant
+    region, gain = dict(variant.region), variant.gain
+    at = Linearisation(twin, null.whitening, replace(fit, candidate=Candidate(), magnitudes=np.zeros(0)), null)
+    for name in variant.region:
+        rest = inside_region(twin.conditions, {other: box for other, box in region.items() if other != name})
+        values = twin.conditions[name]
+        edges = _slab_edges(values, region[name], fine)
+        of_sample = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+        slabs = [(of_sample == g) & rest for g in range(len(edges) - 1)]
+        trials = [replace(fit, candidate=Candidate((variant.name,), {variant.name: _schedule(acts)})) for acts in slabs]
+        responses = (simulate_fits(twin, trials) - at.simulated) / magnitude
+        vectors = without_parameters(at, at.metric.project(responses))
+        gram, push = vectors @ vectors.T, vectors @ at.projected_residual
+        low, high = twin.hypotheses[variant.name].limits
+        best = -np.inf
+        for a in range(len(slabs)):
+            for b in range(a + 1, len(slabs) + 1):
+                information = float(gram[a:b, a:b].sum())
+                if information <= 0.0:
+                    continue
+                pushed = float(push[a:b].sum())
+                value = float(_gain(pushed, information, low, high)) - _SECOND_EDGE * ((a > 0) + (b < len(slabs)))
+                if value > best:
+                    best, region[name] = value, _open_ended(edges, a, b)
+        gain = best
+    acts = inside_region(twin.conditions, region)
+    # its response stays that of the region before: refits near a fit take the fit's own
+    return replace(variant, region=region, schedule=_schedule(acts), gain=gain, edges=_inner_edges(twin, region))
+
+
+def _slab_edges(values: Array, box: tuple[float, float], fine: float) -> Array:
+    """Edges of slabs of a condition: coarse ones, and fine ones about the range known so far."""
+    ordered = np.sort(values)
+    shares = [*_COARSE]
+    for edge in box:
+        place = float(np.searchsorted(ordered, edge)) / values.size
+        if 0.0 < place < 1.0:
+            shares = [s for s in shares if abs(s - place) > 1.5 * fine or s in (0.0, 1.0)]
+            shares += [place - fine, place, place + fine]
+    return np.unique(np.quantile(values, np.clip(np.sort(shares), 0.0, 1.0)))
+
+
+def _open_ended(edges: Array, a: int, b: int) -> tuple[float, float]:
+    """A range from edge `a` to edge `b`. An end of the range driven is no edge: such a range goes on far beyond."""
+    span = edges[-1] - edges[0]
+    low = edges[0] - span if a == 0 else edges[a]
+    high = edges[-1] + span if b == len(edges) - 1 else edges[b]
+    return float(low), float(high)
+
+
+def edge_cost(variant: Variant) -> float:
+    """What the edges of a region cost, beyond the first [units of gain]."""
+    return _SECOND_EDGE * max(variant.edges - 1, 0)

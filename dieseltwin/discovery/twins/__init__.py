@@ -1,0 +1,1 @@
+"""What a machine must offer to discovery (`interface`), and the machines that offer it."""

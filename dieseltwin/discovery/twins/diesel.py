@@ -1,0 +1,396 @@
+"""The diesel engine as a twin for discovery: the extended simulator, bound to one recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, signals_of_lane
+from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
+from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
+from dieseltwin.discovery.twins.windows import piece_start, windows_of, without_gaps
+from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
+from dieseltwin.engine.actuator_effects import actuate_lanes
+from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS
+from dieseltwin.engine.extended import Extension, extended_frame, simulate_extended
+from dieseltwin.engine.inputs import INPUT_COLUMNS
+from dieseltwin.engine.parameters import parameter_batch
+from dieseltwin.engine.sensor_effects import apply_sensor_effects
+from dieseltwin.engine.simulate import Observations, settle
+from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, Term, effect_terms, law_terms
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.reader import Recording
+
+WINDOW_S = 10.0
+"""Length of a window [s]: some time constants of the turbocharger, and short against the growth of an instability."""
+
+STEP_S = 0.025
+"""Integration step of the trajectory along which steps are chosen [s]."""
+
+HEALTH_PRIOR = 0.3
+"""Standard deviation of a health parameter about the engine file's value [-]."""
+
+MAP_TOLERANCE = 0.003
+"""Standard deviation of a map's smooth relative error [-] (DISCOVERY.md, "Maps are never exact")."""
+
+_SPEED_SCALE = 500.0  # rad/s
+_SPEED_SPAN = 0.03  # of the smoothed reading; its noise is 0.5 %, its sensor's tolerance the same
+_UNSEEN_SPEED_SPAN = 0.4
+_PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
+_SMOOTHED = 7  # samples about a window's start for the first guess of its states
+_LAW_ROUNDS = 6
+_LAW_SETTLED = 1e-5  # change of a law's signal relative to its size
+_ACTUATORS_REST_S = 1.5  # after a gap, until dead time and lags have forgotten what is not known
+
+
+class EngineTwin:
+    """`discovery.twin.Twin` of the diesel engine over one recording.
+
+    Args:
+        recording: in the recording format; `time_s` as it is.
+        engine: nominal engine; its terms are part of the model.
+        sensors: columns of `MEASURED` to use, None for all that the recording has.
+        window_s: length of the windows [s].
+        map_tolerance: standard deviation of the maps' smooth errors [-].
+        step_s: integration step of RK4 [s]; None for steps as `engine_steps` says.
+
+    Raises:
+        InputError: no sensor, or no stretch with the engine running.
+    """
+
+    law_kinds = (
+        "power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "lag", "dead_time", "play",
+    )  # fmt: skip
+    """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
+
+    command_operators: Mapping[tuple[str, str], str] = {
+        ("dead_time", "u_egr"): "egr_dead_time", ("dead_time", "u_vgt"): "vgt_dead_time",
+        ("play", "u_egr"): "egr_backlash", ("play", "u_vgt"): "vgt_backlash",
+    }  # fmt: skip
+    """Operators of a law that act on an actuator's command, before its lags: (kind, point) -> effect that does it."""
+
+    own_schedules = True
+    """Lanes may have schedules of their own."""
+
+    law_variables = LAW_VARIABLES
+    lagging_sensors = (LAGGING_SENSOR,)
+    channel_units = SENSOR_UNITS
+
+    def __init__(
+        self,
+        recording: Recording,
+        engine: EngineParameters,
+        sensors: Sequence[str] | None = None,
+        *,
+        window_s: float = WINDOW_S,
+        map_tolerance: float = MAP_TOLERANCE,
+        step_s: float | None = None,
+    ) -> None:
+        present = [c for c in MEASURED if c in recording.columns and np.isfinite(recording.columns[c]).any()]
+        self.channels = tuple(c for c in MEASURED if c in (present if sensors is None else sensors))
+        missing = [c for c in self.channels if c not in present]
+        if missing or not self.channels:
+            raise InputError(
+                f"{recording.path or 'recording'}: sensors", ", ".join(missing) or "none", ", ".join(MEASURED),
+                "name columns that the recording has",
+            )  # fmt: skip
+        self.engine = engine.replace(p_amb=recording.p_amb_pa, T_amb=recording.t_amb_k)
+        self.step_s = STEP_S if step_s is None else step_s  # even ones
+        self._even_steps = step_s is not None
+        rows, self.starts, self.pieces = windows_of(recording, window_s)
+        self.rows = rows
+        time = recording.time_s[rows]
+        self.recording_time_s = time
+        self.time_s = without_gaps(time, self.pieces)
+        self._at = [MEASURED.index(c) for c in self.channels]
+        columns = recording.columns
+        measured = np.stack([columns[c][rows] for c in self.channels], axis=1).astype(np.float64)
+        for start in self.pieces[1:]:
+            measured[start : start + int(np.searchsorted(time[start:], time[start] + _ACTUATORS_REST_S))] = np.nan
+        self._readings = measured
+        self.all_readings = np.stack(
+            [columns[c][rows] if c in present else np.full(rows.size, np.nan) for c in MEASURED], axis=1
+        )
+        self.conditions: Mapping[str, Array] = {c: columns[c][rows] for c in INPUT_COLUMNS}
+        inputs: dict[str, Any] = dict(self.conditions)
+        self.inputs = Inputs(self.time_s, **inputs).clipped(self.engine)
+        self.parameters = tuple(
+            Parameter(name, value, HEALTH_PRIOR * value, HEALTH_UNITS[name], 0.1 * value)
+            for name, value in zip(HEALTH, self.engine.health(), strict=True)
+        )
+        # Of the states only the turbo speed remembers more than a few samples. The pressures start from smoothed
+        # readings, and the readings of the first moments are left out: at p_em = p_im the slope of the EGR flow has no
+        # limit, so that a free pressure there makes a fit stall.
+        self.states: tuple[str, ...] = ("omega_t",)
+        self.state_scales = np.array([_SPEED_SCALE])
+        self.points = tuple(
+            Point(
+                name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"), facts.ports, facts.scale,
+                map_tolerance if facts.over else 0.0, facts.over, facts.also,
+            )
+            for name, facts in ((name, POINT_FACTS[name]) for name in POINTS)
+        )  # fmt: skip
+        self.hypotheses: Mapping[str, Hypothesis] = {
+            e.name: Hypothesis(
+                e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
+            )
+            for e in EFFECTS.values()
+            if e.kind != "sensor" or e.site.removeprefix("sensor:") in self.channels
+        }
+        self._known = known_terms(self.engine.terms, self.recording_time_s, self.conditions)
+        self._laws = law_terms(self.engine.terms)
+        self._law_signals: dict[str, Array] = {}
+        self._begin()
+
+    @cached_property
+    def _even(self) -> list:
+        """Actuators at even steps."""
+        return actuate_lanes(self.inputs, self.engine, {}, 1, None, self.step_s)
+
+    @cached_property
+    def _stiffness(self) -> Array:
+        states = simulate_extended(
+            self._even[0], parameter_batch(self.engine), Extension(restarts=self.starts),
+            self.initial(self.first_local())[None],
+        ).states[0]  # fmt: skip
+        return stiffness(states, self._even[0], self.engine)
+
+    def _choose_steps(self) -> None:
+        """Steps, and the actuators without effects on them."""
+        self._step_s: float | Array = self.step_s
+        self._late, self._plain = 1.0, self._even
+        if self._even_steps:
+            return
+        self._step_s, self._late = step_lengths(self._stiffness, self.starts), LATE
+        self._plain = actuate_lanes(self.inputs, self.engine, {}, 1, None, self._step_s)
+
+    def _begin(self) -> None:
+        """Readings without the first moments of each window, and the states at the windows' starts."""
+        self.measured = self._readings.copy()
+        for start in self.starts:
+            rest = int(np.searchsorted(self.time_s, self.time_s[start] + _PRESSURES_REST_S))
+            self.measured[start:rest] = np.nan
+        self._first = self._smoothed_states()
+        self._choose_steps()
+        self._memory = Memory()  # the states' starts are another's
+
+    def split(self, windows: np.ndarray, parts: int, local: Array) -> Array:
+        """Cut some windows into parts and return the initial states (W', 1) of all, new ones from the readings.
+
+        Where the machine is unstable a long window amplifies its initial states until no fit can follow.
+
+        Args:
+            windows: (W,) True where to cut; parts: number of parts; local: (W, 1) initial states so far.
+        """
+        ends = np.append(self.starts[1:], self.time_s.size)
+        starts = [
+            np.linspace(a, b, parts + 1)[:-1].astype(np.int64) if cut and b - a >= 6 * parts else np.array([a])
+            for a, b, cut in zip(self.starts, ends, windows, strict=True)
+        ]
+        kept = {int(a): state for a, state in zip(self.starts, local, strict=True)}
+        self.starts = np.concatenate(starts)
+        self._begin()
+        return np.stack([kept.get(int(a), state) for a, state in zip(self.starts, self.first_local(), strict=True)])
+
+    def first_local(self) -> Array:
+        """Turbo speed at the windows' starts from smoothed readings (W, 1)."""
+        return self._first[:, 2:].copy()
+
+    def initial(self, local: Array) -> Array:
+        """p_im, p_em [Pa], omega_t [rad/s] at the windows' starts (.., W, 3) for initial states (.., W, 1)."""
+        shape = (*local.shape[:-1], 2)
+        return np.concatenate([np.broadcast_to(self._first[:, :2], shape), local], axis=-1)
+
+    def local_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest turbo speed at the windows' starts, (W, 1) each [rad/s]."""
+        first = self.first_local()
+        seen = np.isfinite(self.all_readings[:, 2]).mean() >= 0.5
+        span = (_SPEED_SPAN if seen else _UNSEEN_SPEED_SPAN) * np.maximum(first, np.median(first))
+        return first - span, first + span
+
+    def _smoothed_states(self) -> Array:
+        """p_im, p_em, omega_t at the windows' starts, from readings or else from the nominal engine, (W, 3)."""
+        out = np.empty((self.starts.size, 3))
+        half = _SMOOTHED // 2
+        for j in range(3):
+            values = self.all_readings[:, j]
+            if np.isfinite(values).mean() < 0.5:
+                values = self._nominal_states[:, j]
+            for w, start in enumerate(self.starts):
+                first = max(start - half, piece_start(self.pieces, start))
+                near = values[first : start + half + 1]
+                t = self.time_s[first : start + half + 1] - self.time_s[start]
+                good = np.isfinite(near)
+                if good.sum() >= 3:
+                    out[w, j] = np.polyfit(t[good], near[good], 1)[1]
+                else:
+                    out[w, j] = self._nominal_states[start, j]
+        return out
+
+    @cached_property
+    def _nominal_states(self) -> Array:
+        """States of the nominal engine over the whole recording, started at rest, (n, 3)."""
+        n_e, u_delta, u_egr, u_vgt = (float(values[0]) for values in self.conditions.values())
+        first = settle(n_e, u_delta, u_egr, u_vgt, self.engine)
+        result = simulate_extended(
+            self._even[0], parameter_batch(self.engine), Extension(), np.asarray(first)[None, None, :]
+        )
+        return result.states[0, :, :3]
+
+    def simulate(self, lanes: Lanes) -> Array:
+        """Readings of the used channels without noise, (B, n, C)."""
+        return self._simulate(lanes)[0]
+
+    def simulate_all(self, lanes: Lanes) -> Array:
+        """All six columns of `MEASURED` without sensor effects, (B, n, 6)."""
+        return self._simulate(lanes)[1].measured  # type: ignore[attr-defined]
+
+    def _simulate(self, lanes: Lanes) -> tuple[Array, object]:
+        return self._simulate_signals(self._with_own_laws(lanes) if self._laws else lanes)
+
+    def _with_own_laws(self, lanes: Lanes) -> Lanes:
+        """The engine's own laws as signals, settled along lane 0 (Picard) and shared by all lanes."""
+        one, signals = lane_of(lanes, 0), self._law_signals
+        start_s, conditions = float(self.recording_time_s[0]), dict(self.conditions)
+        for _ in range(_LAW_ROUNDS):
+            entered = replace(one, signals=joined(one.signals, signals))
+            variables = self._variables(self._simulate_signals(entered)[1], 0, entered)
+            new: dict[str, Array] = {}
+            for law in self._laws:
+                own = variables.get(f"{law.point}:before")
+                at = variables if own is None else {**variables, law.point: own}
+                signal = np.nan_to_num(law.signal(at) * law.factor(self.recording_time_s, start_s, conditions))
+                new[law.point] = new.get(law.point, 0.0) + np.broadcast_to(signal, self.time_s.shape)
+            change = max(float(np.max(np.abs(new[k] - signals.get(k, 0.0)))) / _size(new[k]) for k in new)
+            signals = new
+            if change < _LAW_SETTLED:
+                break
+        self._law_signals = signals
+        return replace(lanes, signals=joined(lanes.signals, signals))
+
+    def _simulate_signals(self, lanes: Lanes) -> tuple[Array, Observations]:
+        result = self._memory.trajectories(lanes, self._integrate)
+        combined, schedules = self._combined(lanes)
+        measured = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
+        return measured, result
+
+    def _integrate(self, lanes: Lanes) -> Observations:
+        size = lanes.size
+        n = self.time_s.size
+        columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
+        batch = parameter_batch(self.engine, **columns)
+        magnitudes = np.zeros((len(STATE_EFFECTS), size))
+        combined, schedules = self._combined(lanes)
+        own = any(values.ndim > 1 for values in schedules.values())  # a schedule per lane
+        schedule = np.ones((size if own else 1, len(STATE_EFFECTS), n))
+        for j, name in enumerate(STATE_EFFECTS):
+            if name in combined:
+                magnitudes[j] = combined[name]
+                schedule[:, j] = schedules.get(name, 1.0)
+        signals = None
+        if lanes.signals:
+            signals = np.zeros((len(POINTS), n))
+            for name, values in lanes.signals.items():
+                signals[POINTS.index(name)] = values
+        actuation = self._actuations(combined, schedules)
+        extension = Extension(
+            magnitudes, None, signals, lanes.lane_points, lanes.lane_signals, self.starts, None,
+            schedule, np.arange(size) if own else np.zeros(size, dtype=np.int64),
+        )  # fmt: skip
+        initial = self.initial(lanes.local)
+        return simulate_extended(actuation or self._plain[0], batch, extension, initial, late=self._late)
+
+    def _actuations(self, combined: Mapping[str, Array], schedules: Mapping[str, Array]) -> list[Actuation] | None:
+        """Of every lane where an effect acts on a command; None where none does."""
+        moving = {name: combined[name] for name in ACTUATOR_EFFECTS if name in combined and np.any(combined[name])}
+        if not moving:
+            return None
+        return lane_actuations(self.inputs, self.engine, moving, schedules, self._plain, self._step_s)
+
+    def _combined(self, lanes: Lanes) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Magnitudes and schedules of the lanes together with the engine's own terms."""
+        magnitudes = {name: np.asarray(value, dtype=np.float64) for name, value in lanes.magnitudes.items()}
+        schedules = dict(lanes.schedules)
+        for name, (magnitude, schedule) in self._known.items():
+            if name in magnitudes and schedule is not None:
+                raise InputError(
+                    f"effect {name}", "a term of the engine with onset or region", "one without",
+                    "search for another effect, or take the term out of the engine file",
+                )  # fmt: skip
+            magnitudes[name] = magnitudes.get(name, np.zeros(lanes.size)) + magnitude
+            if schedule is not None:
+                schedules[name] = schedule
+        return magnitudes, schedules
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        """Variables of ports and tolerances along the trajectory of lane 0, name -> (n,) [SI, %, mg/cycle, rpm]."""
+        one = lane_of(lanes, 0)
+        if self._laws:
+            one = self._with_own_laws(one)
+        return self._variables(self._simulate_signals(one)[1], 0, one)
+
+    def trajectories(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
+        """Readings (B, n, C), and `variables` of every lane, by one simulation."""
+        if self._laws:
+            lanes = self._with_own_laws(lanes)
+        measured, result = self._simulate_signals(lanes)
+        return measured, [self._variables(result, b, lane_of(lanes, b)) for b in range(lanes.size)]
+
+    @np.errstate(invalid="ignore")  # of a lane that ran away
+    def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
+        """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
+        c, moved = self.engine, self._actuations(*self._combined(one))
+        actuation = moved[0] if moved else self._plain[0]
+        engine = self.engine_of(one)
+        engine = engine.replace(terms=effect_terms(engine.terms))  # laws are among the signals
+        frame = extended_frame(result.states[b], actuation, engine)  # type: ignore[attr-defined]
+        signals = signals_of_lane(one, self.points)
+        if signals:  # the frame knows none: the simulation's own flows and temperature do
+            for name, column in (("w_egr_kg_s", 3), ("t_em_k", 4), ("w_c_kg_s", 5)):
+                frame[name] = result.measured[b, :, column]  # type: ignore[attr-defined]
+        p_im, p_em = frame["p_im_pa"].to_numpy(), frame["p_em_pa"].to_numpy()
+        omega, T_em = frame["omega_t_rad_s"].to_numpy(), frame["t_em_k"].to_numpy()
+        p_es, p_bc = frame["p_es_pa"].to_numpy(), frame["p_bc_pa"].to_numpy()
+        W_c, W_egr = frame["w_c_kg_s"].to_numpy(), frame["w_egr_kg_s"].to_numpy()
+        Pi_t = np.minimum(p_es / p_em, 0.9999)
+        velocity = np.sqrt(2.0 * c.c_pe * T_em * (1.0 - Pi_t ** (1.0 - 1.0 / c.gamma_e)))
+        out = {
+            "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": self.inputs.n_e_rpm, "u_delta": self.inputs.u_delta_mg,
+            "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em,
+            "T_im": frame["t_im_k"].to_numpy(), "T_c": frame["t_c_k"].to_numpy(), "T_e": frame["t_e_k"].to_numpy(),
+            "p_es": p_es, "p_bc": p_bc, "W_c": W_c, "W_t": frame["w_t_kg_s"].to_numpy(), "W_egr": W_egr,
+            "W_ei": frame["w_ei_kg_s"].to_numpy(), "W_eo": frame["w_eo_kg_s"].to_numpy(),
+            "W_f": frame["w_f_kg_s"].to_numpy(), "Pi_c": np.maximum(p_im / p_bc, 1.0), "Pi_t": Pi_t,
+            "Pi_egr": p_im / p_em, "Pi_e": p_em / p_im, "BSR": c.R_t * omega / velocity,
+            "Psi_c": 2.0 * c.c_pa * c.T_amb * (np.maximum(p_im / p_bc, 1.0) ** (1.0 - 1.0 / c.gamma_a) - 1.0)
+            / (c.R_c * omega) ** 2,
+            "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6), "t": self.time_s - self.time_s[0],
+            "p_amb": np.full(p_im.size, c.p_amb), "T_amb": np.full(p_im.size, c.T_amb),
+        }  # fmt: skip
+        for point in self.points:
+            if point.name in signals and point.name in out:
+                own, signal = out[point.name], signals[point.name]
+                if point.name in ("T_em", "W_c"):  # the simulation's, signal included
+                    out[f"{point.name}:before"] = own / (1.0 + signal) if point.relative else own - signal
+                else:
+                    out[f"{point.name}:before"] = own
+                    out[point.name] = own * (1.0 + signal) if point.relative else own + signal
+        return out
+
+    def engine_of(self, lanes: Lanes) -> EngineParameters:
+        """The engine of lane 0: health parameters and constant effects as terms (schedules aside)."""
+        values = {p.name: float(lanes.parameters[0, j]) for j, p in enumerate(self.parameters)}
+        terms = list(self.engine.terms)
+        for name, magnitude in lanes.magnitudes.items():
+            if magnitude[0] != 0.0:
+                terms.append(Term(effect=name, magnitude=float(np.clip(magnitude[0], *EFFECTS[name].limits))))
+        return self.engine.replace(**values, terms=tuple(terms))
+
+
+def _size(values: Array) -> float:
+    return max(float(np.max(np.abs(values))), 1e-300)

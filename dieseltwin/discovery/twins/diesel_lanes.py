@@ -1,0 +1,149 @@
+"""Lanes of the diesel engine: their signals and actuators, and a memory of what was simulated lately.
+
+Fits come back to where they were: a polished fit is the start of the next, a linearisation's first lane is the trial
+before it, faults of sensors leave the engine itself as it is. Such lanes aren't simulated twice.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from hashlib import blake2b
+
+import numpy as np
+
+from dieseltwin.discovery.twins.interface import Array, Lanes, Point, some_lanes
+from dieseltwin.engine import EngineParameters, Inputs
+from dieseltwin.engine.actuator_effects import actuate_lanes
+from dieseltwin.engine.inputs import Actuation
+from dieseltwin.engine.simulate import Observations
+from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, LawTerm
+
+_REMEMBERED = 8  # lanes of a call at most: larger ones are responses, which nobody asks for twice
+_MOST_BYTES = 64 * 2**20
+
+
+def signals_of_lane(one: Lanes, points: Sequence[Point]) -> dict[str, Array]:
+    """Point -> total signal (n,) of a single lane, without those that are zero."""
+    signals = dict(one.signals)
+    if one.lane_points is not None and one.lane_signals is not None and one.lane_points[0] >= 0:
+        name = points[int(one.lane_points[0])].name
+        signals[name] = signals.get(name, 0.0) + one.lane_signals[0]
+    return {name: signal for name, signal in signals.items() if np.any(signal)}
+
+
+def lane_actuations(
+    inputs: Inputs, engine: EngineParameters, moving: Mapping[str, Array], schedules: Mapping[str, Array],
+    plain: Sequence[Actuation], step_s: float | Array,
+) -> list[Actuation]:  # fmt: skip
+    """Actuators of every lane under effects on the commands.
+
+    Args:
+        inputs, engine: of the twin.
+        moving: effect -> (B,) magnitudes.
+        schedules: effect -> (n,) or (B, n) factor of its magnitude.
+        plain: actuators without effects, one.
+        step_s: longest integration step [s], or one per interval.
+    """
+    size = len(next(iter(moving.values())))
+    own = {name: values for name, values in schedules.items() if name in moving}
+    if all(values.ndim == 1 for values in own.values()):
+        return actuate_lanes(inputs, engine, moving, size, own, step_s)
+    found: list[Actuation] = []
+    for b in range(size):
+        one = {name: values[b : b + 1] for name, values in moving.items()}
+        factors = {name: values if values.ndim == 1 else values[b] for name, values in own.items()}
+        acts = any(values[0] != 0.0 for values in one.values())
+        found += actuate_lanes(inputs, engine, one, 1, factors, step_s) if acts else plain[:1]
+    return found
+
+
+def known_terms(
+    terms: Sequence[AnyTerm], time_s: Array, conditions: Mapping[str, Array]
+) -> dict[str, tuple[float, Array | None]]:
+    """Magnitude and schedule (n,), None for always, of the effects that an engine's own terms name.
+
+    Args:
+        terms: of the engine file; laws are passed over.
+        time_s, conditions: of the recording's rows.
+    """
+    known: dict[str, tuple[float, Array | None]] = {}
+    for term in terms:
+        if not isinstance(term, LawTerm):
+            limited = term.onset_s is not None or term.region is not None
+            schedule = term.factor(time_s, float(time_s[0]), dict(conditions)) if limited else None
+            before = known.get(term.slot, (0.0, None))[0]
+            known[term.slot] = (before + term.magnitude, schedule)
+    return known
+
+
+class Memory:
+    """Trajectories of the lanes that were simulated last."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[bytes, tuple[Array, Array]] = OrderedDict()
+        self._bytes = 0
+
+    def trajectories(self, lanes: Lanes, simulate: Callable[[Lanes], Observations]) -> Observations:
+        """States and readings without sensor effects of all lanes; only what isn't known is simulated.
+
+        Args:
+            lanes: what is wanted.
+            simulate: for those that are not known.
+        """
+        if lanes.lane_signals is not None and lanes.size > _REMEMBERED:
+            return simulate(lanes)
+        keys = _keys(lanes)
+        first = {key: b for b, key in reversed(list(enumerate(keys)))}
+        missing = np.array(sorted(b for key, b in first.items() if key not in self._known), dtype=np.int64)
+        here: dict[bytes, tuple[Array, Array]] = {}
+        if missing.size:
+            new = simulate(lanes if missing.size == lanes.size else some_lanes(lanes, missing))
+            if missing.size == lanes.size and lanes.size > _REMEMBERED:
+                return new
+            here = {keys[b]: (new.states[k], new.measured[k]) for k, b in enumerate(missing)}
+        found = [here[key] if key in here else self._known[key] for key in keys]
+        result = Observations(np.stack([states for states, _ in found]), np.stack([seen for _, seen in found]))
+        if lanes.size <= _REMEMBERED:
+            for b, key in enumerate(keys):
+                self._keep(key, result.states[b], result.measured[b])
+        return result
+
+    def _keep(self, key: bytes, states: Array, seen: Array) -> None:
+        if key in self._known:
+            self._known.move_to_end(key)
+            return
+        self._known[key] = states.copy(), seen.copy()
+        self._bytes += states.nbytes + seen.nbytes
+        while self._bytes > _MOST_BYTES:
+            _, (old, old_seen) = self._known.popitem(last=False)
+            self._bytes -= old.nbytes + old_seen.nbytes
+
+
+def _keys(lanes: Lanes) -> list[bytes]:
+    """What tells the lanes' trajectories apart; faults of sensors don't."""
+    shared = blake2b()
+    for name, signal in sorted(lanes.signals.items()):
+        shared.update(name.encode() + np.ascontiguousarray(signal).tobytes())
+    names = [name for name in sorted(lanes.magnitudes) if name not in SENSOR_SLOTS]
+    common = {
+        name: blake2b(np.ascontiguousarray(lanes.schedules[name]).tobytes()).digest()
+        for name in names
+        if name in lanes.schedules and lanes.schedules[name].ndim == 1
+    }
+    keys = []
+    for b in range(lanes.size):
+        own = shared.copy()
+        own.update(lanes.parameters[b].tobytes() + lanes.local[b].tobytes())
+        for name in names:
+            value = float(np.asarray(lanes.magnitudes[name])[b])
+            if value != 0.0:
+                own.update(f"{name}={value!r}".encode())
+                if name in common:
+                    own.update(common[name])
+                elif name in lanes.schedules:
+                    own.update(lanes.schedules[name][b].tobytes())
+        if lanes.lane_points is not None and lanes.lane_signals is not None and lanes.lane_points[b] >= 0:
+            own.update(f"point {int(lanes.lane_points[b])}".encode() + lanes.lane_signals[b].tobytes())
+        keys.append(own.digest())
+    return keys

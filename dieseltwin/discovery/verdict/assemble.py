@@ -1,0 +1,252 @@
+"""From a finished search to the document, the repaired engine and the curves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dieseltwin import __version__
+from dieseltwin.discovery.laws.terms import law_terms_of
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.likelihood.score import minimum_detectable
+from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.search.run import Search, occam
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.interface import Array, rows_of, single
+from dieseltwin.discovery.verdict import findings
+from dieseltwin.discovery.verdict.curves import Candidate as CandidateRow
+from dieseltwin.discovery.verdict.curves import Curves, Discovery, LawCurve
+from dieseltwin.discovery.verdict.document import (
+    NONE_OF_THESE,
+    Discrepancy,
+    HealthValue,
+    Provenance,
+    RecordingInfo,
+)
+from dieseltwin.discovery.verdict.document import Fit as FitFigures
+from dieseltwin.discovery.verdict.effect_curve import effect_curves
+from dieseltwin.discovery.verdict.findings import finite
+from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
+from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.engine import EngineParameters
+from dieseltwin.engine.effects import EFFECTS, Term
+from dieseltwin.recordings.reader import Recording
+
+
+def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Options) -> Discovery:
+    """The result of a search on a recording of the engine."""
+    null = found.null
+    best = found.best
+    mismatch = found.kind != "healthy"
+    after, parameters, covariance = _after(found)
+    evidence = _evidence(found, after)
+    document = Discrepancy(
+        schema=1,  # type: ignore[call-arg]  # the alias of schema_version
+        recording=RecordingInfo(
+            path=str(recording.path.name if recording.path else "recording"), sha256=recording.sha256,
+            duration_s=recording.duration_s, channels=twin.channels,
+        ),
+        mismatch=mismatch,
+        p_value=_p_value(found),
+        location=findings.location(found, twin, evidence) if mismatch else None,
+        effects=findings.effects(found) if mismatch else (),
+        health={
+            p.name: HealthValue(
+                value=float(parameters[j]), std=finite(covariance[j, j] ** 0.5 if covariance is not None else None),
+                before=float(null.fit.parameters[j]),
+            )
+            for j, p in enumerate(twin.parameters)
+        },
+        fit=_figures(found, after),
+        minimum_detectable=_finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
+        provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)),
+    )  # fmt: skip
+    before_engine = _engine(twin, null.fit.parameters, ())
+    terms = _terms(found, twin) if mismatch else ()
+    rows = candidate_rows(found)
+    curves = Curves(
+        time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
+        after=after, sigma=found.noise.sigma, evidence_over_time=_by_window(found, evidence),
+        evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found, twin),
+        sensitivity=document.minimum_detectable,
+        tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
+        units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
+        allowed=_allowed(found, after),
+    )  # fmt: skip
+    details = _details(found, rows, best)
+    return Discovery(
+        document, _engine(twin, parameters, terms), before_engine, curves, {}, details, twin.starts,
+        twin.initial(_local(found)),
+    )  # fmt: skip
+
+
+def _local(found: Search) -> Array:
+    """Initial states (W, 1) of the chosen explanation."""
+    if found.kind == "law" and found.law is not None:
+        return found.law.local
+    at = found.best if found.best is not None and found.kind != "law" else found.null
+    return at.fit.local
+
+
+def _options_hash(options: Options) -> str:
+    import hashlib
+    import json
+    from dataclasses import asdict
+
+    return hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode()).hexdigest()
+
+
+def _finite_only(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items() if np.isfinite(value)}
+
+
+def _after(found: Search) -> tuple[Array, Array, Array | None]:
+    """Readings, free parameters and covariance of the chosen explanation."""
+    if found.kind == "law" and found.law is not None:
+        twin, values = found.law.on(found.twin)
+        simulated = twin.simulate(single(values, found.law.local))[0]
+        return simulated, found.law.parameters, found.null.covariance
+    at = found.best if found.best is not None and found.kind != "law" else found.null
+    return at.simulated, at.fit.parameters, at.covariance
+
+
+def _evidence(found: Search, after: Array) -> Array:
+    """Half the decrease of the squared whitened residual at every sample, (n,)."""
+    null = found.null
+    before = null.metric.project(np.nan_to_num(null.residual)[None])[0]
+    later = null.metric.project(np.nan_to_num(found.twin.measured - after)[None])[0]
+    n, channels = null.residual.shape
+    size = n * channels
+    return 0.5 * (before[:size] ** 2 - later[:size] ** 2).reshape(n, channels).sum(axis=1)
+
+
+def _by_window(found: Search, evidence: Array) -> tuple[Array, Array]:
+    starts = found.twin.starts
+    ends = np.append(starts[1:], evidence.size)
+    time = getattr(found.twin, "recording_time_s", found.twin.time_s)
+    middles = np.array([0.5 * (time[a] + time[b - 1]) for a, b in zip(starts, ends, strict=True)])
+    return middles, np.add.reduceat(evidence, starts)
+
+
+def _p_value(found: Search) -> float:
+    gains = [found.gain(fit) for fit in found.singles[:1]]
+    if found.kind == "law" and found.structure:
+        gains.append(found.structure[0].gain)
+    return float(np.clip(found.chance.p_value(max(gains, default=0.0)), 0.0, 1.0))
+
+
+def _figures(found: Search, after: Array) -> FitFigures:
+    null = found.null
+    before_nll, after_nll = held_out_scores(found, after)
+    whitening = null.whitening
+    present = whitening.present
+
+    def chi2(simulated: Array) -> float:
+        residual = np.nan_to_num(found.twin.measured - simulated)
+        return float((whitening.apply(residual[None])[0] ** 2).sum() / max(present.sum(), 1))
+
+    def rmse(simulated: Array) -> dict[str, float]:
+        error = np.where(present, found.twin.measured - simulated, 0.0)
+        size = np.sqrt((error**2).sum(axis=0) / np.maximum(present.sum(axis=0), 1))
+        return {name: float(value) for name, value in zip(found.twin.channels, size, strict=True)}
+
+    return FitFigures(
+        held_out_nll_before=finite(before_nll), held_out_nll_after=finite(after_nll),
+        chi2_per_sample_before=chi2(null.simulated), chi2_per_sample_after=chi2(after),
+        rmse_before=rmse(null.simulated), rmse_after=rmse(after),
+    )  # fmt: skip
+
+
+def _allowed(found: Search, simulated: Array) -> Array | None:
+    """What the tolerances of maps and sensors most likely take of a residual, (n, C)."""
+    null = found.null
+    if null.nuisance_response is None:
+        return None
+    share = null.metric.nuisance_estimate(np.nan_to_num(found.twin.measured - simulated))
+    return np.tensordot(share, null.nuisance_response, 1)
+
+
+def _held_rows(found: Search) -> np.ndarray:
+    return rows_of(found.twin, held_windows(found.twin))
+
+
+def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
+    if found.kind == "law":
+        return () if found.law is None else law_terms_of(found.law, twin)
+    at = found.best
+    if at is None:
+        return ()
+    P = len(twin.parameters)
+    variant = found.variant if found.kind == "variant" else None
+    onset = None
+    if variant is not None and variant.onset_s is not None:
+        onset = float(variant.onset_s - twin.time_s[0])
+    terms = []
+    for j, name in enumerate(at.fit.candidate.names):
+        terms.append(
+            Term(
+                effect=name, magnitude=float(np.clip(at.fit.magnitudes[j], *EFFECTS[name].limits)),
+                std=finite(float(at.fit.std[P + j])), onset_s=onset,
+                region=dict(variant.region) if variant is not None and variant.region else None,
+                valid_for=findings.valid_for(found),
+            )
+        )
+    return tuple(terms)
+
+
+def _engine(twin: EngineTwin, parameters: Array, terms: tuple[Any, ...]) -> EngineParameters:
+    values = {p.name: float(parameters[j]) for j, p in enumerate(twin.parameters)}
+    return twin.engine.replace(**values, terms=(*twin.engine.terms, *terms))
+
+
+def _law_curves(found: Search, twin: EngineTwin) -> list[LawCurve]:
+    if found.best is not None and found.kind not in ("law", "healthy"):
+        return effect_curves(found.best, twin.engine)
+    curve = None if found.law is None else found.law.curve
+    if curve is None or found.law is None:
+        return []
+    law = found.law
+    return [
+        LawCurve(
+            name=NONE_OF_THESE, x_name=law.argument, x=curve.x, curve=curve.y, low=curve.low, high=curve.high,
+            points_x=curve.points_x, points_y=curve.points_y, unit=law.unit,
+        )
+    ]  # fmt: skip
+
+
+def _details(found: Search, rows: list[CandidateRow], best: Linearisation | None) -> dict[str, Any]:
+    return {
+        "kind": found.kind,
+        "threshold": found.chance.threshold(found.settings.alarm_level),
+        "noise": {
+            name: {"sigma": float(s), "rho": float(r)}
+            for name, s, r in zip(found.twin.channels, found.noise.sigma, found.noise.rho, strict=True)
+        },
+        "windows": int(found.twin.starts.size),
+        "converged": {"before": bool(found.null.fit.converged), "after": bool((best or found.null).fit.converged)},
+        "singles": [_fit_row(found, fit) for fit in found.singles[:12]],
+        "pairs": [_fit_row(found, fit) for fit in found.pairs[:6]],
+        "variants": [
+            {**_fit_row(found, fit), "onset_s": v.onset_s, "region": v.region} for v, fit in found.variants[:4]
+        ],
+        "unnamed": [
+            {
+                "site": item.feature.site, "over": item.feature.text, "gain": float(item.gain),
+                "point": None if item.feature.point is None else found.twin.points[item.feature.point].name,
+            }
+            for item in found.structure[:8]
+        ],
+        "candidates": [dict(row) for row in rows],
+    }  # fmt: skip
+
+
+def _fit_row(found: Search, fit: Fit) -> dict[str, Any]:
+    P = len(found.twin.parameters)
+    return {
+        "names": list(fit.candidate.names), "magnitudes": [float(m) for m in fit.magnitudes],
+        "std": [finite(float(s)) for s in fit.std[P:]], "gain": float(found.gain(fit)),
+        "log_evidence": float(occam(found, fit)), "converged": bool(fit.converged),
+    }  # fmt: skip
+

@@ -1,0 +1,365 @@
+"""Can this recording, with this engine file, answer the question at all? Refusals and notes, before and after the fit.
+
+A name that comes out of a recording that can't carry it is worse than no answer, so every refusal here is an
+`InputError`: one line, what was found, what would do. What is doubtful but usable becomes a note.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, constants
+from dieseltwin.engine.simulate import numpy_model
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import INPUTS, foreign_hint
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.strict import listed, unknown_name
+
+MINIMUM_S = 60.0
+"""Shortest running time [s]: six windows of 10 s, each of which spends three unknown states, in two halves that must
+agree; noise and its correlation need some 200 rows."""
+
+COMFORTABLE_S = 300.0
+"""Below, a note: limits grow with one over the square root of the time, and all error rates were measured at 600 s."""
+
+LEAST_SENSORS = 3
+"""As many readings as states; with fewer a state can't be told from a parameter."""
+
+LEAST_SPREAD = 0.10
+"""Spread (5 to 95 %) of an input over the engine's range from which it counts as varied: a map's own smooth error
+changes over a third of its range, so a smaller walk sees one constant error and nothing else."""
+
+LEAST_VARIED = 2
+"""Inputs that must vary: along one input alone four health parameters and a tolerance follow any effect."""
+
+LEAST_CELLS = 6
+"""Operating points (cells of a tenth of each range) visited for a second or more: a point gives at most five equations
+in steady running, four go to the health parameters; one effect, its place and a tolerance need some more."""
+
+LEAST_PRESENT = 0.5  # share of rows with a reading; a sensor that is mostly silent is not one of the sensors used
+FEW_VALUES = 3  # a channel with so few different readings is stuck or a status word
+STUCK_S = 30.0  # the same reading for so long, while the engine moves, is a note
+LARGEST_BREATHING = 1.4
+"""Factor by which the air balance may be off with a reading of the compressor flow: effects of the catalogue at ten
+times their tolerance reach 1.32 (volumetric efficiency), a displacement that is wrong by half is beyond it."""
+
+LARGEST_BREATHING_BY_MAP = 1.75
+"""The same with the compressor flow from its map, whose flat speed lines magnify an error of p_im."""
+
+NOTED_BREATHING = 1.1  # worth a note, with a reading of the compressor flow
+HEALTH_FACTORS: Mapping[str, float] = {"A_egrmax": 4.0, "A_vgtmax": 2.0, "eta_sc": 2.0, "h_tot": 8.0}
+"""Factor from the engine file's value beyond which a repaired health parameter is none: another engine. (Unseen physics
+moves h_tot by a factor of two in the fit without it; the paper's engine differs by up to 1.33 in the field.)"""
+
+LARGEST_CHI2 = 25.0
+"""Chi-square per sample of the repaired fit above which it is no fit: five times the noise, everywhere."""
+
+_SMOOTHING_S = 2.0  # of the readings in the air balance
+_BALANCE_ROWS = 100
+_BOOSTED = 1.3  # p_im/p_amb from which an error of a few kPa is small
+
+
+def check_sensors(recording: Recording, sensors: Sequence[str] | None) -> tuple[str, ...]:
+    """The sensor columns to use, in the order of `MEASURED`.
+
+    Args:
+        recording: any recording.
+        sensors: columns asked for; None takes every one that the recording has, and wants the paper's five.
+
+    Raises:
+        InputError: an unknown or missing column, too few, or one that says nothing (constant, mostly missing).
+    """
+    where = str(recording.path or "recording")
+    if sensors is not None:
+        for name in sensors:
+            if name not in MEASURED:
+                raise unknown_name("--sensors", name, MEASURED)
+    wanted = tuple(MEASURED[:5]) if sensors is None else tuple(sensors)
+    missing = [name for name in wanted if name not in recording.columns]
+    if missing:
+        there = [name for name in MEASURED if name in recording.columns]
+        raise InputError(
+            f"{where}: column {missing[0]}", f"none ({listed(list(recording.columns))})", "this column",
+            foreign_hint(missing[0], recording.columns)
+            + (f", or go without: --sensors {','.join(there)}" if len(there) >= LEAST_SENSORS else ""),
+        )  # fmt: skip
+    used = tuple(n for n in MEASURED if (n in wanted if sensors is not None else n in recording.columns))
+    if len(used) < LEAST_SENSORS:
+        raise InputError(
+            f"{where}: sensors", listed(used) or "none", f"{LEAST_SENSORS} or more of {listed(MEASURED)}",
+            "name more columns with --sensors",
+        )  # fmt: skip
+    for name in used:
+        _check_alive(recording, name, used, where)
+    return used
+
+
+def _check_alive(recording: Recording, name: str, used: Sequence[str], where: str) -> None:
+    running = _running(recording)
+    values = recording.columns[name][running]
+    finite = values[np.isfinite(values)]
+    others = ",".join(other for other in used if other != name)
+    leave_out = f"mend this channel or leave it out: --sensors {others}"
+    if finite.size < LEAST_PRESENT * values.size:
+        share = 100.0 * finite.size / max(values.size, 1)
+        raise InputError(f"{where}: column {name}", f"a reading in {share:.0f} % of the rows",
+                         f"in {100 * LEAST_PRESENT:.0f} % or more", leave_out)  # fmt: skip
+    different = np.unique(finite).size
+    if different <= FEW_VALUES:
+        got = f"constant ({finite[0]:.6g} in every row)" if different == 1 else f"only {different} different readings"
+        raise InputError(f"{where}: column {name}", got, "a reading that follows the engine", leave_out)
+
+
+def _running(recording: Recording) -> np.ndarray:
+    rows = [np.arange(piece.start, piece.stop) for piece in recording.pieces()]
+    return np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
+
+
+def running_seconds(recording: Recording) -> float:
+    """Time with the engine running and no hole over a second [s]."""
+    return float(sum(recording.time_s[p.stop - 1] - recording.time_s[p.start] for p in recording.pieces()))
+
+
+def check_length(recording: Recording) -> None:
+    """Refuse a recording that is too short for any verdict.
+
+    Raises:
+        InputError: less than a minute of running engine.
+    """
+    seconds = running_seconds(recording)
+    step = float(np.median(np.diff(recording.time_s)))
+    if seconds + step < MINIMUM_S:
+        raise InputError(
+            str(recording.path or "recording"), f"{seconds:.3g} s of running engine",
+            f"{MINIMUM_S:g} s or more for a verdict, 600 s for the stated error rates", "record longer",
+        )  # fmt: skip
+
+
+def excitation(recording: Recording, engine: EngineParameters) -> tuple[dict[str, float], int]:
+    """Spread of each input over the engine's range [-], and the operating points visited for a second or more."""
+    running = _running(recording)
+    ranges = (engine.n_e_range, engine.u_delta_range, engine.u_egr_range, engine.u_vgt_range)
+    spreads: dict[str, float] = {}
+    cells = []
+    for name, (low, high) in zip(INPUTS, ranges, strict=True):
+        values = recording.columns[name][running]
+        values = values[np.isfinite(values)]
+        near, far = np.quantile(values, [0.05, 0.95]) if values.size else (0.0, 0.0)
+        spreads[name] = float((far - near) / (high - low))
+        whole = recording.columns[name][running]
+        cells.append(np.floor(10.0 * (np.nan_to_num(whole, nan=low) - low) / (high - low)).astype(np.int64))
+    if running.size == 0:
+        return spreads, 0
+    _, counts = np.unique(np.stack(cells), axis=1, return_counts=True)
+    step = float(np.median(np.diff(recording.time_s)))
+    return spreads, int(np.count_nonzero(counts * step >= 1.0))
+
+
+def check_excitation(recording: Recording, engine: EngineParameters) -> None:
+    """Refuse driving along which every effect looks like a health parameter.
+
+    Raises:
+        InputError: fewer than two inputs vary, or too few operating points.
+    """
+    spreads, cells = excitation(recording, engine)
+    varied = [name for name, spread in spreads.items() if spread >= LEAST_SPREAD]
+    if len(varied) >= LEAST_VARIED and cells >= LEAST_CELLS:
+        return
+    got = ", ".join(f"{name} over {100 * spread:.0f} %" for name, spread in spreads.items())
+    raise InputError(
+        f"{recording.path or 'recording'}: not enough excitation",
+        f"{got} of the engine's range; {cells} operating points",
+        f"{LEAST_VARIED} or more inputs over {100 * LEAST_SPREAD:.0f} % and {LEAST_CELLS} operating points",
+        "drive through other speeds and loads",
+    )
+
+
+def air_balance(recording: Recording, engine: EngineParameters) -> float | None:
+    """What the engine breathes over what its file says that it does [-]; 1 where the displacement fits.
+
+    Flow into the intake (compressor and EGR, less what is stored) over the flow into the cylinders that the file's
+    displacement gives. With a reading of the compressor flow, a leak to the ambient is fitted beside the factor, so
+    that a leak doesn't count as displacement. Without one the map at the readings of speed and pressure has to do;
+    then only boosted rows count and their median is taken. None where the recording can't tell.
+    """
+    columns = recording.columns
+    needed = ["p_im_pa", "w_egr_kg_s", "w_c_kg_s" if "w_c_kg_s" in columns else "omega_t_rad_s"]
+    if any(name not in columns for name in needed):
+        return None
+    read = "w_c_kg_s" in columns
+    inflow, breath, leak, boost = [], [], [], []
+    model, c = numpy_model(), constants(engine.replace(p_amb=recording.p_amb_pa, T_amb=recording.t_amb_k))
+    for piece in recording.pieces():
+        time = recording.time_s[piece]
+        if time[-1] - time[0] < 3.0 * _SMOOTHING_S:
+            continue
+        p_im, n_e = (_smooth(time, columns[name][piece]) for name in ("p_im_pa", "n_e_rpm"))
+        if read:
+            W_c = _smooth(time, columns["w_c_kg_s"][piece])
+        else:
+            omega_t = _smooth(time, columns["omega_t_rad_s"][piece])
+            W_c = model.compressor_flow(model.Phi_c(c.T_amb, p_im / c.p_amb, omega_t, c), omega_t, c)
+        W_egr = _smooth(time, columns["w_egr_kg_s"][piece])
+        stored = c.V_im / (c.R_a * c.T_im) * np.gradient(p_im, time)
+        inflow.append(W_c + W_egr - stored)
+        breath.append(model.cylinder_inflow(model.eta_vol(p_im, n_e, c), p_im, n_e, c))
+        boost.append(p_im / c.p_amb)
+        leak.append(np.sqrt(np.maximum(p_im**2 - c.p_amb**2, 0.0)) / math.sqrt(c.R_a * c.T_im))
+    if not inflow:
+        return None
+    flow, into, out = np.concatenate(inflow), np.concatenate(breath), np.concatenate(leak)
+    kept = np.isfinite(flow) & np.isfinite(into) & (into > 0.0)
+    if not read:
+        kept &= np.concatenate(boost) > _BOOSTED
+    if np.count_nonzero(kept) < _BALANCE_ROWS:
+        return None
+    if not read:
+        return float(np.median(flow[kept] / into[kept]))
+    return _breathing(flow[kept], into[kept], out[kept])
+
+
+def _breathing(flow: Array, into: Array, out: Array) -> float:
+    """Constant a of flow = a into + A out with A >= 0, relative errors weighted alike, outliers cut once."""
+    weight = 1.0 / into
+    kept = np.ones(flow.size, dtype=bool)
+    factor = 1.0
+    for _ in range(2):
+        matrix = np.stack([into * weight, out * weight], axis=1)[kept]
+        found, *_ = np.linalg.lstsq(matrix, (flow * weight)[kept], rcond=None)
+        if found[1] < 0.0:
+            found = np.array([float(np.median((flow * weight)[kept])), 0.0])
+        factor = float(found[0])
+        rest = (flow - found[0] * into - found[1] * out) * weight
+        kept = np.abs(rest - np.median(rest)) < 3.0 * np.median(np.abs(rest - np.median(rest))) * 1.4826 + 1e-12
+    return factor
+
+
+def _smooth(time: Array, values: Array) -> Array:
+    """Moving mean over `_SMOOTHING_S`, NaN left out of it, (n,)."""
+    width = max(1, round(_SMOOTHING_S / float(np.median(np.diff(time)))))
+    kernel = np.ones(min(width, values.size))
+    finite = np.isfinite(values)
+    total = np.convolve(np.where(finite, values, 0.0), kernel, mode="same")
+    count = np.convolve(finite.astype(float), kernel, mode="same")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(count > 0.5 * kernel.size, total / count, np.nan)
+
+
+def check_engine(recording: Recording, engine: EngineParameters) -> float | None:
+    """Refuse an engine file of another engine, before anything is fitted; returns the factor of `air_balance`.
+
+    Raises:
+        InputError: the engine breathes far more or less than its file says.
+    """
+    factor = air_balance(recording, engine)
+    allowed = LARGEST_BREATHING if "w_c_kg_s" in recording.columns else LARGEST_BREATHING_BY_MAP
+    if factor is None or 1.0 / allowed <= factor <= allowed:
+        return factor
+    raise InputError(
+        f"{recording.path or 'recording'} with this engine file (V_d {1e3 * engine.V_d:.4g} l)",
+        f"an engine that breathes {100 * factor:.0f} % of that (as with {1e3 * factor * engine.V_d:.3g} l)",
+        f"{100 / allowed:.0f} to {100 * allowed:.0f} %",
+        "give the file of this engine with --engine, or check the units of flows, pressure and speed",
+    )
+
+
+def check_recording(
+    recording: Recording, engine: EngineParameters, sensors: Sequence[str] | None = None
+) -> tuple[tuple[str, ...], list[str]]:
+    """All checks that need no fit.
+
+    Returns:
+        The sensor columns to use, and notes for people.
+
+    Raises:
+        InputError: the recording can't carry a verdict, or the engine file is another engine's.
+    """
+    check_length(recording)
+    used = check_sensors(recording, sensors)
+    check_excitation(recording, engine)
+    factor = check_engine(recording, engine)
+    notes = []
+    seconds = running_seconds(recording)
+    if seconds < COMFORTABLE_S:
+        notes.append(f"note: {seconds:.0f} s of driving; with 600 s every limit would be "
+                     f"{math.sqrt(600.0 / seconds):.1f} times lower")  # fmt: skip
+    if factor is not None and "w_c_kg_s" in used and not 1.0 / NOTED_BREATHING <= factor <= NOTED_BREATHING:
+        notes.append(f"note: the engine breathes {100 * factor:.0f} % of what the engine file says; check V_d and the "
+                     "flow sensors before you trust a name")  # fmt: skip
+    for name in used:
+        since, length = _longest_standstill(recording, name)
+        if length >= STUCK_S:
+            notes.append(f"note: {name} stands still for {length:.0f} s from {since:.0f} s on; a stuck sensor looks "
+                         "like missing physics")  # fmt: skip
+    return used, notes
+
+
+def _longest_standstill(recording: Recording, name: str) -> tuple[float, float]:
+    """Start and length [s] of the longest stretch of one and the same reading while the engine's speed moves."""
+    values, time = recording.columns[name], recording.time_s
+    rows = np.flatnonzero(np.isfinite(values))
+    if rows.size < 2 or name == "w_egr_kg_s":  # no flow through a shut valve stands still rightly
+        return 0.0, 0.0
+    changes = np.flatnonzero(np.diff(values[rows]) != 0.0)
+    starts, ends = np.r_[0, changes + 1], np.r_[changes, rows.size - 1]
+    lengths = time[rows[ends]] - time[rows[starts]]
+    longest = int(np.argmax(lengths))
+    first, last = rows[starts[longest]], rows[ends[longest]]
+    if np.nanstd(recording.columns["n_e_rpm"][first : last + 1]) == 0.0:
+        return 0.0, 0.0
+    return float(time[first]), float(lengths[longest])
+
+
+def check_sensitivity(
+    recording: Recording, minimum_detectable: Mapping[str, float], limits: Mapping[str, float]
+) -> None:
+    """Refuse a recording that could show nothing: every effect's smallest visible size is beyond what can exist.
+
+    Args:
+        recording: for the message.
+        minimum_detectable: name -> smallest visible size.
+        limits: name -> largest physical size.
+
+    Raises:
+        InputError: no effect is visible within its physical range.
+    """
+    visible = [n for n, size in minimum_detectable.items() if math.isfinite(size) and size <= limits.get(n, math.inf)]
+    if minimum_detectable and not visible:
+        raise InputError(
+            f"{recording.path or 'recording'}: not enough excitation",
+            "no effect that could be seen within its physical range", "a recording in which at least one could",
+            "drive through other speeds and loads, or record longer",
+        )  # fmt: skip
+
+
+def check_fit(
+    recording: Recording, engine: EngineParameters, repaired: EngineParameters, chi2_per_sample: float | None
+) -> None:
+    """Refuse a verdict where even the repaired twin is no twin of what was recorded.
+
+    Args:
+        recording: for the message.
+        engine: as given.
+        repaired: as found.
+        chi2_per_sample: of the repaired fit [-].
+
+    Raises:
+        InputError: residuals of five times the noise, or health parameters of no engine.
+    """
+    where = f"{recording.path or 'recording'} with this engine file"
+    do = "give the file of this engine with --engine, or check the channels and their units"
+    for name in HEALTH:
+        ratio = getattr(repaired, name) / getattr(engine, name)
+        factor = HEALTH_FACTORS[name]
+        if not 1.0 / factor <= ratio <= factor:
+            got = f"{name} at {ratio:.2g} times the file's value"
+            raise InputError(where, got, f"{1 / factor:.2g} to {factor:g} times", do)
+    if chi2_per_sample is not None and chi2_per_sample > LARGEST_CHI2:
+        raise InputError(
+            where, f"residuals of {math.sqrt(chi2_per_sample):.2g} times the noise after every repair",
+            f"{math.sqrt(LARGEST_CHI2):g} times at most", do,
+        )  # fmt: skip

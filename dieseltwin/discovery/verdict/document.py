@@ -1,0 +1,249 @@
+"""What discovery says, as one strict document: `discrepancy.json`, schema 1 (DISCOVERY.md, "Output").
+
+SI units, no NaN, no keys beyond the schema; whatever else is worth keeping goes into `details.json`, and times into
+`runtime.json`. A document that contradicts itself (a healthy one with effects, a name without a magnitude) can't be
+built.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from dieseltwin.atomic import write_json
+from dieseltwin.errors import InputError
+from dieseltwin.settings.strict import StrictModel
+
+SCHEMA = 1
+NONE_OF_THESE = "none_of_these"
+FILE_NAME = "discrepancy.json"
+_ROUNDING = 1e-6  # of probabilities that sum to one
+
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Name = Annotated[str, Field(min_length=1)]
+Range = tuple[float, float]
+
+
+class _Part(StrictModel):
+    """Frozen, no other keys, no NaN."""
+
+
+class RecordingInfo(_Part):
+    """The recording that was judged: where it lies, its SHA-256, its length [s], the sensor columns that were used."""
+
+    path: str
+    sha256: str
+    duration_s: NotNegative
+    channels: tuple[Name, ...]
+
+
+class Alternative(_Part):
+    """Another place where the mismatch may sit, with its probability."""
+
+    site: Name
+    probability: Probability
+
+
+class FoundRegion(_Part):
+    """A box of operating conditions [rpm, mg/cycle, %, %] with its share of the evidence [-]."""
+
+    n_e_rpm: Range
+    u_delta_mg: Range
+    u_egr_pct: Range
+    u_vgt_pct: Range
+    share_of_evidence: Probability
+
+    @model_validator(mode="after")
+    def _ordered(self) -> FoundRegion:
+        for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} runs from {low:g} to {high:g}: the lower end comes first")
+        return self
+
+
+class Location(_Part):
+    """Where the mismatch enters the model, in which driving, and since when [s on the recording's clock]."""
+
+    site: Name
+    probability: Probability
+    alternatives: tuple[Alternative, ...] = ()
+    regions: tuple[FoundRegion, ...] = ()
+    onset_s: float | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Location:
+        sites = [self.site, *(other.site for other in self.alternatives)]
+        _no_repeats(sites, "site")
+        total = self.probability + sum(other.probability for other in self.alternatives)
+        if total > 1.0 + _ROUNDING:
+            raise ValueError(f"the probabilities of the sites sum to {total:.4g}, more than 1")
+        return self
+
+
+class FoundEffect(_Part):
+    """One thing that the twin left out: a name of the catalogue, or `none_of_these` with the law found for it, if any.
+
+    `magnitude` and `std` are in `unit`; a catalogue effect has all of them (`std` null where it can't be told),
+    `none_of_these` has no magnitude. The reported set of names is `names`.
+    """
+
+    name: Name
+    probability: Probability
+    equivalent_names: tuple[Name, ...] = ()
+    law: str | None
+    magnitude: float | None
+    std: NotNegative | None
+    unit: str | None
+    valid_for: str | None = None
+    split_by: str | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> FoundEffect:
+        _no_repeats([self.name, *self.equivalent_names], "name")
+        if self.name == NONE_OF_THESE:
+            if self.equivalent_names:
+                raise ValueError("none_of_these has no equivalent names: it says that no name fits")
+            if self.magnitude is not None or self.std is not None:
+                raise ValueError("none_of_these has no magnitude: the numbers stand in its law")
+        elif NONE_OF_THESE in self.equivalent_names:
+            raise ValueError("none_of_these is no equivalent of a name")
+        elif self.magnitude is None or self.unit is None or self.law is None:
+            raise ValueError(f"{self.name} needs a law, a magnitude and a unit")
+        return self
+
+    @property
+    def named(self) -> bool:
+        """Whether it has a name of the catalogue."""
+        return self.name != NONE_OF_THESE
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The reported set: the name and what can't be told from it."""
+        return (self.name, *self.equivalent_names)
+
+
+class HealthValue(_Part):
+    """A health parameter of the repaired twin, its standard deviation, and its value in the health-only fit."""
+
+    value: float
+    std: NotNegative | None
+    before: float
+
+
+class Fit(_Part):
+    """How well readings are met before and after: negative log-likelihood per sample on the held-out part, chi-square
+    per sample, and root mean square of the residuals per channel [unit of the column]. Null where not known."""
+
+    held_out_nll_before: float | None
+    held_out_nll_after: float | None
+    chi2_per_sample_before: NotNegative | None
+    chi2_per_sample_after: NotNegative | None
+    rmse_before: dict[Name, NotNegative]
+    rmse_after: dict[Name, NotNegative]
+
+
+class Provenance(_Part):
+    """What wrote the document."""
+
+    code_version: str
+    params_sha256: str
+
+
+class Discrepancy(_Part):
+    """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first."""
+
+    schema_version: Literal[1] = Field(1, alias="schema")
+    recording: RecordingInfo
+    mismatch: bool
+    p_value: Probability
+    location: Location | None
+    effects: tuple[FoundEffect, ...]
+    health: dict[Name, HealthValue]
+    fit: Fit
+    minimum_detectable: dict[Name, NotNegative]
+    provenance: Provenance
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Discrepancy:
+        if self.mismatch and (self.location is None or not self.effects):
+            raise ValueError("a mismatch needs a location and at least one effect (none_of_these is one)")
+        if not self.mismatch and (self.location is not None or self.effects):
+            raise ValueError("without a mismatch there is no location and no effect")
+        _no_repeats([effect.name for effect in self.effects], "effect")
+        return self
+
+    def to_json(self) -> dict[str, Any]:
+        """The document as JSON types, keys as in the file."""
+        return self.model_dump(mode="json", by_alias=True)
+
+    def write(self, path: str | Path) -> Path:
+        """Write `discrepancy.json` atomically; strict JSON."""
+        return write_json(path, self.to_json())
+
+
+def _no_repeats(names: list[str], what: str) -> None:
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise ValueError(f"{what} {repeated[0]!r} is given twice")
+
+
+def _refuse_constant(text: str) -> Any:
+    raise ValueError(f"{text} is no JSON")
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    _no_repeats([key for key, _ in pairs], "key")
+    return dict(pairs)
+
+
+def parse_discrepancy(text: str, where: str = FILE_NAME) -> Discrepancy:
+    """A document from strict JSON text.
+
+    Args:
+        text: the file's content.
+        where: its name, for messages.
+
+    Raises:
+        InputError: not strict JSON (NaN, a key twice), another schema, an unknown or missing key, a contradiction.
+    """
+    again = "write it again with `dieseltwin discover`"
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique_keys)
+    except ValueError as error:  # JSONDecodeError is one
+        raise InputError(where, str(error), "strict JSON: numbers without NaN, every key once", again) from None
+    if not isinstance(content, dict):
+        raise InputError(where, f"a {type(content).__name__}", "an object with the keys of schema 1", again)
+    if content.get("schema") != SCHEMA or isinstance(content.get("schema"), bool):
+        raise InputError(f"{where}: schema", repr(content.get("schema")), f"schema {SCHEMA}", again)
+    try:
+        return Discrepancy.model_validate_json(json.dumps(content), strict=True)
+    except ValidationError as error:
+        problem = min(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    place = ".".join([where, *(str(part) for part in problem["loc"])]) if problem["loc"] else where
+    got = {"missing": "nothing", "extra_forbidden": "a key that the schema doesn't have"}.get(
+        problem["type"], repr(problem["input"])[:80]
+    )
+    raise InputError(place, got, problem["msg"].removeprefix("Value error, "), again)
+
+
+def load_discrepancy(path: str | Path) -> Discrepancy:
+    """Read `discrepancy.json`, given itself or the folder that holds it.
+
+    Raises:
+        InputError: no such file, or content that `parse_discrepancy` refuses.
+    """
+    path = Path(path)
+    path = path / FILE_NAME if path.is_dir() else path
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", f"a folder with {FILE_NAME}", "check the path") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(str(path), error, "a readable file in UTF-8", "check the file") from None
+    return parse_discrepancy(text, str(path))

@@ -1,0 +1,184 @@
+"""A named effect as a curve over its main argument, beside the same effect freed in bins of it.
+
+A law of the catalogue is one number. Freed in bins, it is one number a bin: where the law is right they agree. Both are
+shown as what the law stands for (a leak's flow, a pressure drop, a power), or as the number itself where nothing
+smaller than the whole model says what it stands for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.verdict.curves import LawCurve
+from dieseltwin.engine import EngineParameters, constants
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.simulate import numpy_model
+
+BINS = 7
+_DIFFERENCE = 0.02  # of the magnitude, for the response to a bin
+_WEAK_STD = 3.0  # relative to the magnitude: bins that the recording says nothing about stay near the law
+_GRID = 20
+_BAND = 1.645  # standard deviations: 90 %
+_QUANTILES = (0.02, 0.98)  # of the argument over which bins lie
+
+Variables = Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """How an effect is drawn: over what, and as what (None: as its magnitude)."""
+
+    x_name: str
+    x: Callable[[Variables], Array]
+    y: Callable[[float, Variables, EngineParameters], Array] | None = None
+    unit: str = ""
+
+
+def _boost_leak(area: float, v: Variables, engine: EngineParameters) -> Array:
+    c = constants(engine)
+    choking = (2.0 / (c.gamma_a + 1.0)) ** (c.gamma_a / (c.gamma_a - 1.0))
+    return numpy_model().leak_flow(area, v["p_im"], v["T_im"], c.p_amb, c.R_a, c.gamma_a, choking)
+
+
+def _exhaust_leak(area: float, v: Variables, engine: EngineParameters) -> Array:
+    c = constants(engine)
+    choking = (2.0 / (c.gamma_e + 1.0)) ** (c.gamma_e / (c.gamma_e - 1.0))
+    return numpy_model().leak_flow(area, v["p_em"], v["T_em"], c.p_amb, c.R_e, c.gamma_e, choking)
+
+
+def _back_pressure(k: float, v: Variables, engine: EngineParameters) -> Array:
+    return numpy_model().restricted_outlet_pressure(k, v["W_t"], v["T_em"], engine.p_amb) - engine.p_amb
+
+
+def _filter(k: float, v: Variables, engine: EngineParameters) -> Array:
+    return engine.p_amb - numpy_model().restricted_inlet_pressure(k, v["W_c"], engine.p_amb)
+
+
+def _cooler(loss: float, v: Variables, engine: EngineParameters) -> Array:
+    return numpy_model().cooler_temperature_rise(loss, v["T_c"], engine.T_amb)
+
+
+def _mixing(f: float, v: Variables, engine: EngineParameters) -> Array:
+    return numpy_model().mixing_temperature_rise(f, v["T_em"], engine.T_im, v["W_c"], v["W_egr"])
+
+
+def _friction(c_f: float, v: Variables, engine: EngineParameters) -> Array:
+    return numpy_model().friction_power(c_f, v["omega_t"])
+
+
+_SHOWN: Mapping[str, _Shown] = {
+    "boost_leak": _Shown("p_im/p_amb", lambda v: v["p_im"] / v["p_amb"], _boost_leak, "kg/s"),
+    "exhaust_leak": _Shown("p_em/p_amb", lambda v: v["p_em"] / v["p_amb"], _exhaust_leak, "kg/s"),
+    "back_pressure": _Shown("W_t", lambda v: v["W_t"], _back_pressure, "Pa"),
+    "air_filter_restriction": _Shown("W_c", lambda v: v["W_c"], _filter, "Pa"),
+    "charge_cooler_loss": _Shown("T_c", lambda v: v["T_c"], _cooler, "K"),
+    "egr_heating": _Shown("W_egr", lambda v: v["W_egr"], _mixing, "K"),
+    "bearing_friction": _Shown("omega_t", lambda v: v["omega_t"], _friction, "W"),
+    "egr_valve_leak": _Shown("u_egr", lambda v: v["u_egr"]),
+    "egr_clogging": _Shown("t", lambda v: v["t"]),
+    "vgt_offset": _Shown("u_vgt", lambda v: v["u_vgt"]),
+    "injector_drift": _Shown("u_delta", lambda v: v["u_delta"]),
+    "compressor_efficiency_loss": _Shown("W_c", lambda v: v["W_c"]),
+    "turbine_efficiency_loss": _Shown("W_t", lambda v: v["W_t"]),
+    "compressor_flow_loss": _Shown("p_im/p_amb", lambda v: v["p_im"] / v["p_amb"]),
+    "volumetric_efficiency_residual": _Shown("p_em/p_im", lambda v: v["p_em"] / v["p_im"]),
+    "blow_by": _Shown("n_e", lambda v: v["n_e"]),
+    "p_im_offset": _Shown("p_im", lambda v: v["p_im"]),
+    "p_em_offset": _Shown("p_em", lambda v: v["p_em"]),
+    "p_em_gain": _Shown("p_em", lambda v: v["p_em"]),
+    "w_egr_gain": _Shown("W_egr", lambda v: v["W_egr"]),
+    "w_c_gain": _Shown("W_c", lambda v: v["W_c"]),
+    "t_em_gain": _Shown("T_em", lambda v: v["T_em"]),
+}
+
+
+def effect_curves(at: Linearisation, engine: EngineParameters) -> list[LawCurve]:
+    """Curves of the fit's smooth effects with their bands, and the effects freed in bins.
+
+    The bins are one linear step from the fit, in its metric: health parameters, other effects, local states and
+    tolerances are free beside them.
+
+    Args:
+        at: the repaired fit; its twin is an engine's (variables as of `EngineTwin.variables`).
+        engine: for the constants of the laws.
+    """
+    variables = at.twin.variables(at.fit.lanes())
+    curves = []
+    for index, name in enumerate(at.fit.candidate.names):
+        shown = _SHOWN.get(name)
+        magnitude = float(at.fit.magnitudes[index])
+        if shown is None or magnitude == 0.0 or not at.twin.hypotheses[name].smooth:
+            continue
+        x = shown.x(variables)
+        acts = _acting(at, name)
+        if np.ptp(x[acts]) <= 1e-9 * max(1.0, float(np.abs(x[acts]).max())):
+            continue
+        knots, share, share_std = _freed(at, index, x, acts)
+        std = float(at.fit.std[len(at.twin.parameters) + index])
+        relative = 0.0 if not np.isfinite(std) else std / abs(magnitude)
+        grid, curve = _averaged(shown, magnitude, variables, engine, x, acts)
+        on_knots = np.interp(knots, grid, curve)
+        half = _BAND * relative * np.abs(curve)
+        curves.append(
+            LawCurve(
+                name=name, x_name=shown.x_name, x=grid, curve=curve, low=curve - half, high=curve + half,
+                points_x=knots, points_y=on_knots * (1.0 + share), points_std=np.abs(on_knots) * share_std,
+                unit=shown.unit or EFFECTS[name].unit,
+            )
+        )  # fmt: skip
+    return curves
+
+
+def _acting(at: Linearisation, name: str) -> np.ndarray:
+    """(n,) where the effect acts: everywhere, or after its onset or inside its region."""
+    schedule = at.fit.candidate.schedules.get(name)
+    return np.ones(at.twin.time_s.size, dtype=bool) if schedule is None else np.asarray(schedule) != 0.0
+
+
+def _averaged(
+    shown: _Shown, magnitude: float, variables: Variables, engine: EngineParameters, x: Array, acts: np.ndarray
+) -> tuple[Array, Array]:
+    """The law averaged over narrow bins of its argument, (g,) and (g,): it may depend on more than one variable."""
+    if shown.y is None:
+        low, high = np.quantile(x[acts], _QUANTILES)
+        grid = np.linspace(low, high, 2)
+        return grid, np.full(2, magnitude)
+    y = np.broadcast_to(shown.y(magnitude, variables, engine), x.shape)
+    edges = np.unique(np.quantile(x[acts], np.linspace(0.0, 1.0, _GRID + 1)))
+    place = np.clip(np.searchsorted(edges, x[acts], side="right") - 1, 0, edges.size - 2)
+    used = np.unique(place)
+    return (
+        np.array([x[acts][place == k].mean() for k in used]),
+        np.array([y[acts][place == k].mean() for k in used]),
+    )
+
+
+def _freed(at: Linearisation, index: int, x: Array, acts: np.ndarray) -> tuple[Array, Array, Array]:
+    """Knots (k,), relative change of the magnitude at each (k,) and its standard deviation (k,)."""
+    knots = np.unique(np.quantile(x[acts], np.linspace(*_QUANTILES, BINS)))
+    name = at.fit.candidate.names[index]
+    base = at.fit.candidate.schedules.get(name)
+    schedule = np.ones(x.size) if base is None else np.asarray(base, dtype=np.float64)
+    lane = at.fit.lanes()
+    responses = []
+    for row in np.eye(knots.size):
+        hat = np.interp(x, knots, row)
+        changed = {**at.fit.candidate.schedules, name: schedule * (1.0 + _DIFFERENCE * hat)}
+        moved = at.twin.simulate(replace(lane, schedules=changed))[0]
+        responses.append((moved - at.simulated) / _DIFFERENCE)
+    bins = at.metric.project(np.stack(responses))
+    P = len(at.twin.parameters)
+    others = np.delete(at.projected, P + index, axis=0)  # the bins together are the magnitude itself
+    design = np.vstack([others, bins])
+    precision = np.concatenate([np.delete(at.precision, P + index), np.full(knots.size, _WEAK_STD**-2.0)])
+    covariance = np.linalg.inv(design @ design.T + np.diag(precision))
+    offset = np.zeros(precision.size)
+    offset[:P] = np.array([p.value for p in at.twin.parameters]) - at.fit.parameters
+    change = covariance @ (design @ at.projected_residual + precision * offset)
+    k = knots.size
+    return knots, change[-k:], np.sqrt(np.maximum(np.diag(covariance)[-k:], 0.0))

@@ -1,0 +1,162 @@
+"""Why a name was or wasn't chosen, from what a discovery kept in `details.json`."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.discovery.search.run import Settings
+from dieseltwin.discovery.verdict.curves import Discovery
+from dieseltwin.discovery.verdict.document import NONE_OF_THESE, load_discrepancy
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.errors import InputError
+from dieseltwin.settings.strict import unknown_name
+
+DETAILS = "details.json"
+EQUIVALENT = 0.5 * Settings().equivalent_gain
+"""Log-likelihood within which names can't be told apart [-]."""
+
+
+def plain(value: Any) -> Any:
+    """JSON types without NaN: arrays become lists, numbers that are not finite become null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str | int | bool) else str(value)
+
+
+def details_of(found: Discovery, options: Mapping[str, Any], notes: list[str]) -> dict[str, Any]:
+    """Content of `details.json`: what was asked, every candidate with its reason, the laws, the limits."""
+    curves = found.curves
+    return plain(
+        {
+            "recording_sha256": found.document.recording.sha256,
+            "options": dict(options),
+            "notes": notes,
+            "candidates": [dict(candidate) for candidate in curves.candidates],
+            "laws": [dict(law) for law in curves.laws],
+            "minimum_detectable": dict(found.document.minimum_detectable),
+            "tolerance": dict(curves.tolerance),
+            "units": dict(curves.units),
+            "oracle_nll": curves.oracle_nll,
+            **found.details,
+        }
+    )
+
+
+def load_details(folder: str | Path) -> dict[str, Any]:
+    """What `details.json` in an --out folder holds.
+
+    Raises:
+        InputError: no such file, or not one of `dieseltwin discover`.
+    """
+    path = Path(folder) / DETAILS
+    do = "run `dieseltwin discover RECORDING --out DIR` first"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", "a folder that `dieseltwin discover` wrote", do) from None
+    except (OSError, ValueError) as error:
+        raise InputError(str(path), error, "JSON that `dieseltwin discover` wrote", do) from None
+    if not isinstance(content, dict) or "candidates" not in content or "options" not in content:
+        raise InputError(str(path), "other content", "JSON that `dieseltwin discover` wrote", do)
+    return content
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that the catalogue doesn't hold.
+
+    Raises:
+        InputError: with the closest names.
+    """
+    if name != NONE_OF_THESE and name not in EFFECTS:
+        raise unknown_name("--explain", name, [*EFFECTS, NONE_OF_THESE])
+
+
+def _value(value: float | None, unit: str) -> str:
+    return "–" if value is None else f"{value:.4g} {unit}".rstrip(" -")
+
+
+def explain(name: str, folder: str | Path) -> list[str]:
+    """Lines that say why `name` was or wasn't chosen.
+
+    Args:
+        name: of the catalogue, or none_of_these.
+        folder: an --out folder of `dieseltwin discover`.
+
+    Raises:
+        InputError: an unknown name, or a folder without results.
+    """
+    check_name(name)
+    details, document = load_details(folder), load_discrepancy(folder)
+    reported = [effect for effect in document.effects if effect.name == name]
+    beside = [effect.name for effect in document.effects if name in effect.equivalent_names]
+    if name == NONE_OF_THESE:
+        verdict = _none_of_these(details, bool(reported), document.mismatch)
+        return [f"{name}: {'chosen' if reported else 'not chosen'}", verdict]
+    effect = EFFECTS[name]
+    lines = [
+        f"{name} ({effect.site}): {effect.law}, {effect.symbol} in {effect.unit}",
+        "chosen" if reported else (f"not told apart from {beside[0]}" if beside else "not chosen"),
+    ]
+    smallest = details.get("minimum_detectable", {}).get(name)
+    lines.append(
+        f"smallest size that this recording could show: {_value(smallest, effect.unit)} "
+        f"(tolerance {_value(effect.tolerance, effect.unit)})"
+    )
+    candidates = {entry["name"]: entry for entry in details["candidates"]}
+    entry = candidates.get(name)
+    if name in details["options"].get("withhold", ()):
+        return [*lines, "it was withheld from the catalogue for this run (--withhold)"]
+    if entry is None:
+        column = effect.site.removeprefix("sensor:")
+        if effect.site.startswith("sensor:") and column not in document.recording.channels:
+            return [*lines, f"its sensor {column} was not used"]
+        if not document.mismatch:
+            return [*lines, f"nothing was refitted: no mismatch beyond noise, health and map tolerance "
+                            f"(p = {document.p_value:.2g})"]  # fmt: skip
+        return [*lines, "it was not weighed: its linear score is too small for a refit"]
+    gains = [e["log_likelihood_gain"] for e in details["candidates"] if e["log_likelihood_gain"] is not None]
+    gain = entry["log_likelihood_gain"]
+    if gain is not None:
+        behind = max(gains) - gain
+        best = _best(details["candidates"])
+        lines.append(
+            f"log-likelihood gained over the health parameters alone: {gain:.1f}"
+            + (f", {behind:.1f} behind the best ({best}); below {EQUIVALENT:g} can't be told apart"
+               if behind > 0 else ", the best of all")
+        )  # fmt: skip
+    if entry["magnitude"] is not None:
+        spread = "" if entry["std"] is None else f" ± {entry['std']:.2g}"
+        lines.append(f"fitted size: {entry['magnitude']:.4g}{spread} {effect.unit}".rstrip(" -"))
+    if entry["probability"] is not None:
+        lines.append(f"probability: {entry['probability']:.3g}")
+    lines.append(f"why: {entry['reason']}")
+    return lines
+
+
+def _best(candidates: list[dict[str, Any]]) -> str:
+    known = [entry for entry in candidates if entry["log_likelihood_gain"] is not None]
+    return str(max(known, key=lambda entry: entry["log_likelihood_gain"])["name"])
+
+
+def _none_of_these(details: Mapping[str, Any], chosen: bool, mismatch: bool) -> str:
+    candidates = {entry["name"]: entry for entry in details["candidates"]}
+    if NONE_OF_THESE in candidates:
+        return f"why: {candidates[NONE_OF_THESE]['reason']}"
+    if not mismatch:
+        return "there is no mismatch to name"
+    return ("no effect of the catalogue passes the tests of fit" if chosen
+            else "an effect of the catalogue fits within noise, its physical range and both halves of the data")

@@ -1,0 +1,169 @@
+"""Where the mismatch sits and what it is called: the location and the effects of a finished search."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.special import expit, logsumexp
+
+from dieseltwin.discovery.search.run import Search
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, FoundEffect, FoundRegion, Location
+from dieseltwin.discovery.verdict.reasons import split_by
+from dieseltwin.engine.effects import EFFECTS
+
+_LEAST_PROBABILITY = 1e-3  # of a site or name that is still worth a line
+_REGION_SHARE = 0.9  # of the positive evidence that a reported region holds along each condition
+_CONDITIONS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+
+
+def finite(value: float | None) -> float | None:
+    """A number for JSON: None where there is none."""
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+def location(found: Search, twin: EngineTwin, evidence: Array) -> Location:
+    """Site with its rivals, the driving that holds the evidence, and the onset."""
+    weights = _site_probabilities(found)
+    ranked = sorted(weights.items(), key=lambda item: -item[1])
+    site, probability = ranked[0]
+    variant = found.variant if found.kind == "variant" else None
+    return Location(
+        site=site, probability=float(min(probability, 1.0)),
+        alternatives=tuple(
+            Alternative(site=name, probability=float(value))
+            for name, value in ranked[1:6]
+            if value > _LEAST_PROBABILITY
+        ),
+        regions=_regions(twin, evidence, variant.region if variant else None),
+        onset_s=None if variant is None or variant.onset_s is None else float(
+            twin.recording_time_s[np.searchsorted(twin.time_s, variant.onset_s)] - twin.recording_time_s[0]
+        ),
+    )  # fmt: skip
+
+
+def _site_probabilities(found: Search) -> dict[str, float]:
+    hypotheses = found.twin.hypotheses
+    weights: dict[str, float] = {}
+    if found.kind == "law":
+        if found.law is not None:
+            best = found.law
+            scores = {best.site: 0.0}
+            for rival in best.rivals:
+                scores[rival.site] = max(scores.get(rival.site, -np.inf), -0.5 * abs(rival.behind))
+        else:
+            scores = {}
+            top = found.structure[0].gain
+            for item in found.structure:
+                scores[item.feature.site] = max(scores.get(item.feature.site, -np.inf), 0.5 * (item.gain - top))
+        total = logsumexp(list(scores.values()))
+        return {site: float(np.exp(score - total)) for site, score in scores.items()}
+    for key, probability in found.probabilities.items():
+        site = hypotheses[_strongest(found, key.split(" + "))].site
+        weights[site] = weights.get(site, 0.0) + probability
+    total = sum(weights.values())
+    return {site: value / total for site, value in weights.items()}
+
+
+def _strongest(found: Search, names: list[str]) -> str:
+    """Of several effects the one that stands for the place: the one with more evidence by itself."""
+    if len(names) == 1:
+        return names[0]
+    alone = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
+    return max(names, key=lambda name: alone.get(name, 0.0))
+
+
+def _regions(
+    twin: EngineTwin, evidence: Array, known: Mapping[str, tuple[float, float]] | None
+) -> tuple[FoundRegion, ...]:
+    """The box of conditions that holds most of the evidence."""
+    positive = np.maximum(_smooth(evidence), 0.0)
+    box: dict[str, tuple[float, float]] = {}
+    inside = np.ones(evidence.size, dtype=bool)
+    for name in _CONDITIONS:
+        values = twin.conditions[name]
+        if known and name in known:
+            low, high = np.clip(known[name], values.min(), values.max())
+        else:
+            order = np.argsort(values)
+            share = np.cumsum(positive[order]) / max(positive.sum(), 1e-300)
+            edge = 0.5 * (1.0 - _REGION_SHARE)
+            low = values[order][min(int(np.searchsorted(share, edge)), values.size - 1)]
+            high = values[order][min(int(np.searchsorted(share, 1.0 - edge)), values.size - 1)]
+        box[name] = (float(low), float(high))
+        inside &= (values >= low) & (values <= high)
+    share = float(positive[inside].sum() / max(positive.sum(), 1e-300))
+    return (FoundRegion(share_of_evidence=float(np.clip(share, 0.0, 1.0)), **box),)
+
+
+def _smooth(values: Array, width: int = 5) -> Array:
+    return np.convolve(values, np.ones(width) / width, mode="same")
+
+
+def effects(found: Search) -> tuple[FoundEffect, ...]:
+    """What was left out, strongest first."""
+    if found.kind == "law":
+        return (_unnamed(found),)
+    at = found.best
+    if at is None:
+        return ()
+    P = len(found.twin.parameters)
+    entries = []
+    names = at.fit.candidate.names
+    pool = found.equivalent
+    for j, name in enumerate(names):
+        effect = EFFECTS[name]
+        partners = tuple(n for n in names if n != name)
+        equivalents = []
+        for other in pool:
+            rest = [n for n in other if n not in partners]
+            if len(rest) == 1 and rest[0] not in names and rest[0] not in equivalents:
+                equivalents.append(rest[0])
+        probability = sum(
+            value for key, value in found.probabilities.items() if name in key.split(" + ")
+        )
+        entries.append(
+            FoundEffect(
+                name=name, probability=float(min(probability, 1.0)), equivalent_names=tuple(equivalents),
+                law=effect.law, magnitude=float(at.fit.magnitudes[j]),
+                std=finite(float(at.fit.std[P + j])), unit=effect.unit, valid_for=valid_for(found),
+                split_by=split_by(found, name, equivalents) if equivalents else None,
+            )
+        )
+    alone = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
+    return tuple(sorted(entries, key=lambda entry: -alone.get(entry.name, 0.0)))
+
+
+def valid_for(found: Search) -> str:
+    """The driving behind a finding, in words."""
+    conditions = found.twin.conditions
+    units = {"n_e_rpm": "rpm", "u_delta_mg": "mg/cycle", "u_egr_pct": "%", "u_vgt_pct": "%"}
+    parts = [
+        f"{name.rsplit('_', 1)[0]} {np.min(values):.4g}-{np.max(values):.4g} {units.get(name, '')}".strip()
+        for name, values in conditions.items()
+    ]
+    return ", ".join(parts)
+
+
+def _unnamed(found: Search) -> FoundEffect:
+    catalogue = found.gain(found.singles[0]) if found.singles else 0.0
+    ahead = (found.structure[0].gain if found.structure else 0.0) - catalogue
+    law: str | None = None
+    if found.law is not None:
+        law = found.law.text
+        ahead = max(ahead, found.law.gain - catalogue)
+    elif found.structure and found.structure[0].feature.channel is not None:
+        item = found.structure[0]
+        law = (
+            f"reading (1 + {item.coefficient:.4g})"
+            if item.feature.text == "gain"
+            else f"reading + {item.coefficient:.4g} of its mean"
+        )
+    return FoundEffect(
+        name=NONE_OF_THESE, probability=float(expit(0.5 * ahead)), law=law, magnitude=None, std=None, unit=None,
+        valid_for=valid_for(found),
+    )
+
+

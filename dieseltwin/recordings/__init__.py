@@ -1,0 +1,1 @@
+"""Recordings: reader, channel maps, plausibility, noise, steady points, data sets, public recordings."""

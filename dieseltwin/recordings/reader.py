@@ -1,0 +1,399 @@
+"""Recordings: reader, writer, segments. CSV or Parquet, 5-100 Hz, time stamps used as they are, SI inside.
+
+Column names and units are DISCOVERY's recording format (`channels.known_columns`); foreign names and units come in
+through a channel map. Rows below 300 rpm and gaps over 1 s split a recording into pieces, and pieces are cut into
+segments. Missing values of a sensor are masked (NaN in `Segment.measured`); missing values of an input are
+bridged over at most 1 s, a longer hole splits.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.atomic import atomic_path
+from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import AMBIENT, INPUTS, SENSORS, TIME, ChannelMap, foreign_hint, read_channel_map
+from dieseltwin.recordings.plausibility import check_plausible
+from dieseltwin.settings.strict import listed
+
+SLOWEST_HZ, FASTEST_HZ = 5.0, 100.0
+RATE_TOLERANCE = 1.15  # time stamps jitter, and a logger that says 5 Hz gives 4.6
+CRANKING_RPM = 300.0  # the engine is not running below this speed
+LONGEST_GAP_S = 1.0
+HISTORY_S = 2.0  # of inputs kept before a segment: dead time and ten time constants of the slowest actuator are 1.4 s
+MINIMUM_ROWS = 10  # of a segment; fewer hold no information on four parameters and three states
+CSV_SUFFIXES, PARQUET_SUFFIXES = (".csv", ".txt"), (".parquet", ".pq")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A window of a recording, the unit of identification.
+
+    Attributes:
+        t0_s, t1_s: time of its first and last row [s].
+        inputs: engine inputs with `inputs.n_history` rows before t0_s (at most 2 s).
+        measured: (n, 6) sensors in the order of `engine.MEASURED` [SI], NaN where masked or absent.
+        columns: every column of the recording over the n rows of the segment.
+        p_amb_pa, t_amb_k: ambient of this segment [Pa], [K].
+    """
+
+    t0_s: float
+    t1_s: float
+    inputs: Inputs
+    measured: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    p_amb_pa: float
+    t_amb_k: float
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """(n,) time of the rows of the segment, history left out [s]."""
+        return self.columns[TIME]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A whole recording in SI.
+
+    Attributes:
+        time_s: (n,) strictly increasing [s].
+        columns: our column names -> (n,) float64; NaN where missing. Holds time_s too.
+        p_amb_pa, t_amb_k: median of the ambient columns, the engine's values where absent [Pa], [K].
+        path: where it was read from, None for one made in memory.
+        sha256: of the file, or of the columns for one made in memory.
+    """
+
+    time_s: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    p_amb_pa: float
+    t_amb_k: float
+    path: Path | None = None
+    sha256: str = ""
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last time stamp [s]."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(self.columns)
+
+    def frame(self) -> pd.DataFrame:
+        """The columns as a DataFrame, time first."""
+        return pd.DataFrame({name: values for name, values in self.columns.items()})
+
+    def pieces(self) -> tuple[slice, ...]:
+        """Stretches with the engine running and no hole over 1 s, as row slices in time order."""
+        usable = np.asarray(self.columns["n_e_rpm"] >= CRANKING_RPM)  # False for NaN as well
+        for name in INPUTS:
+            if name in self.columns:
+                usable &= np.isfinite(self.columns[name])
+        # a row without inputs is no row of the inputs; what counts is the time between the rows that remain
+        rows = np.flatnonzero(usable)
+        if rows.size == 0:
+            return ()
+        stopped = np.cumsum(np.asarray(self.columns["n_e_rpm"] < CRANKING_RPM))
+        breaks = (np.diff(self.time_s[rows]) > LONGEST_GAP_S) | (np.diff(stopped[rows]) > 0)
+        starts = np.r_[0, np.flatnonzero(breaks) + 1]
+        ends = np.r_[np.flatnonzero(breaks), rows.size - 1]
+        return tuple(slice(int(rows[a]), int(rows[b]) + 1) for a, b in zip(starts, ends, strict=True))
+
+    def segments(self, duration_s: float = 60.0, minimum_s: float | None = None) -> tuple[Segment, ...]:
+        """Cut every piece into windows that share their end rows (60 s at 5 Hz are 301 rows).
+
+        Args:
+            duration_s: length of a window [s].
+            minimum_s: keep a shorter rest of a piece from this length on [s]; None drops the rest.
+
+        Raises:
+            InputError: no window fits.
+        """
+        found: list[Segment] = []
+        for piece in self.pieces():
+            found.extend(self._cut(piece, duration_s, duration_s if minimum_s is None else minimum_s))
+        if not found:
+            longest = max((self._length(piece) for piece in self.pieces()), default=0.0)
+            raise InputError(
+                f"{self.path or 'recording'}",
+                f"{longest:.3g} s of running engine in one piece at most",
+                f"at least {duration_s:g} s (rows below {CRANKING_RPM:g} rpm and gaps over {LONGEST_GAP_S:g} s split)",
+                "record longer or ask for shorter segments",
+            )
+        return tuple(found)
+
+    def _length(self, piece: slice) -> float:
+        return float(self.time_s[piece.stop - 1] - self.time_s[piece.start])
+
+    def _cut(self, piece: slice, duration_s: float, minimum_s: float) -> list[Segment]:
+        time = self.time_s[piece]
+        # Half a step of tolerance against jitter; and 300 rows at 5 Hz are a minute, though they span 59.8 s.
+        slack = 0.5 * float(np.median(np.diff(time))) if time.size > 1 else 0.0
+        found, start = [], 0
+        while start < time.size - 1:
+            end = int(np.searchsorted(time, time[start] + duration_s + slack, side="right")) - 1
+            length = time[end] - time[start]
+            if length >= min(minimum_s, duration_s) - 3.0 * slack and end + 1 - start >= MINIMUM_ROWS:
+                found.append(self._segment(piece.start, piece.start + start, piece.start + end + 1))
+            if end <= start:
+                break
+            start = end
+        return found
+
+    def _segment(self, piece_start: int, start: int, stop: int) -> Segment:
+        time = self.time_s
+        before = int(np.searchsorted(time[piece_start:start], time[start] - HISTORY_S - _ROUNDING_S)) + piece_start
+        rows = slice(before, stop)
+        n_e, u_delta, u_egr, u_vgt = (_bridged(time[rows], self.columns[name][rows]) for name in INPUTS)
+        columns = {name: values[start:stop] for name, values in self.columns.items()}
+        n = stop - start
+        measured = np.column_stack([columns.get(name, np.full(n, np.nan)) for name in MEASURED])
+        return Segment(
+            t0_s=float(time[start]),
+            t1_s=float(time[stop - 1]),
+            inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, start - before, float(time[0])),
+            measured=np.where(np.isfinite(measured), measured, np.nan),
+            columns=MappingProxyType(columns),
+            p_amb_pa=_median_or(columns.get("p_amb_pa"), self.p_amb_pa),
+            t_amb_k=_median_or(columns.get("t_amb_k"), self.t_amb_k),
+        )
+
+
+_ROUNDING_S = 1e-6  # time stamps are written with few digits
+
+
+def _bridged(time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Linear over missing rows; `pieces` has seen to it that no hole is longer than 1 s."""
+    finite = np.isfinite(values)
+    return values.copy() if finite.all() else np.interp(time_s, time_s[finite], values[finite])
+
+
+def _median_or(values: np.ndarray | None, otherwise: float) -> float:
+    if values is None or not np.isfinite(values).any():
+        return otherwise
+    return float(np.nanmedian(values))
+
+
+def recording(
+    frame: pd.DataFrame | Mapping[str, np.ndarray],
+    engine: EngineParameters | None = None,
+    *,
+    where: str = "recording",
+    path: Path | None = None,
+    sha256: str | None = None,
+    sensors: Sequence[str] = SENSORS,
+    any_rate: bool = False,
+) -> Recording:
+    """Validate columns with our names and units and make a Recording of them.
+
+    Args:
+        frame: our column names -> (n,) numbers.
+        engine: gives the ambient where the columns are absent and the size of a cylinder; the published set by default.
+        where: name for messages.
+        sensors: columns that must be there besides time and inputs; () for inputs only.
+        any_rate: accept any sampling rate (inputs of a simulation may be given at 1 s).
+
+    Raises:
+        InputError: a missing column, time that does not increase, a wrong rate or unit, the engine never running.
+    """
+    engine = we2011.PARAMETERS if engine is None else engine
+    columns = {str(name): np.asarray(frame[name]) for name in frame}
+    for name in (TIME, *INPUTS, *sensors):
+        if name not in columns:
+            raise InputError(
+                f"{where}: column {name}", f"none ({listed(list(columns))})", "this column", foreign_hint(name, columns)
+            )
+    needed = (TIME, *INPUTS, *sensors, *MEASURED, *AMBIENT)
+    columns = {name: _numbers(name, values, where, name in needed) for name, values in columns.items()
+               if name in needed or np.issubdtype(values.dtype, np.number)}
+    time = columns[TIME]
+    if time.size < 2:
+        raise InputError(where, f"{time.size} rows", "at least 2 rows", "record longer")
+    _check_time(time, where, any_rate)
+    _check_running(columns["n_e_rpm"], where)
+    t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
+    check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
+    for values in columns.values():
+        values.setflags(write=False)
+    return Recording(
+        time_s=time,
+        columns=MappingProxyType(columns),
+        p_amb_pa=_median_or(columns.get("p_amb_pa"), engine.p_amb),
+        t_amb_k=t_amb,
+        path=path,
+        sha256=_digest(columns) if sha256 is None else sha256,
+    )
+
+
+def _numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndarray:
+    try:
+        numbers = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        numeric = pd.to_numeric(pd.Series(values), errors="coerce").to_numpy(dtype=np.float64)
+        bad = np.flatnonzero(~np.isfinite(numeric) & ~pd.isna(values))
+        row = int(bad[0]) if bad.size else 0
+        raise InputError(
+            f"{where}: column {name}, data row {row + 1}", repr(values[row]), "numbers with a decimal point",
+            "mend or empty this cell",
+        ) from None
+    return np.where(np.isfinite(numbers), numbers, np.nan) if needed else numbers
+
+
+def _check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
+    if not np.isfinite(time).all():
+        row = int(np.flatnonzero(~np.isfinite(time))[0])
+        raise InputError(f"{where}: column {TIME}, data row {row + 1}", "no number", "a time in s in every row",
+                         "fill in or drop this row")
+    steps = np.diff(time)
+    if (steps <= 0).any():
+        row = int(np.flatnonzero(steps <= 0)[0])
+        raise InputError(
+            f"{where}: column {TIME}, data row {row + 2}",
+            f"{time[row + 1]:.10g} after {time[row]:.10g}",
+            "strictly increasing times in s",
+            "sort the rows, drop repeated ones, or read runs one by one",
+        )
+    rate = 1.0 / float(np.median(steps))
+    if not any_rate and not SLOWEST_HZ / RATE_TOLERANCE <= rate <= FASTEST_HZ * RATE_TOLERANCE:
+        raise InputError(
+            f"{where}: column {TIME}",
+            f"{rate:.4g} rows per second",
+            f"{SLOWEST_HZ:g} to {FASTEST_HZ:g}",
+            "record at such a rate, average down, or give the unit of time in a channel map (--channels)",
+        )
+
+
+def _check_running(n_e: np.ndarray, where: str) -> None:
+    if np.isfinite(n_e).any() and not (n_e >= CRANKING_RPM).any():
+        raise InputError(
+            f"{where}: column n_e_rpm",
+            f"at most {np.nanmax(n_e):.4g}: the engine never runs",
+            f"rows of at least {CRANKING_RPM:g} rpm",
+            "record a running engine, or give the unit in a channel map (--channels) if this is not rpm",
+        )
+
+
+def _digest(columns: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name in columns:
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(columns[name]).tobytes())
+    return digest.hexdigest()
+
+
+def read_table(path: str | Path) -> pd.DataFrame:
+    """Read a CSV (comma, semicolon or tab) or Parquet file as it is.
+
+    Raises:
+        InputError: no such file, not readable, truncated, empty, or another kind of file.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in CSV_SUFFIXES + PARQUET_SUFFIXES:
+        raise InputError(str(path), f"a file ending in {suffix or 'nothing'}", listed(CSV_SUFFIXES + PARQUET_SUFFIXES),
+                         "convert it to CSV or Parquet")
+    if not path.is_file():
+        raise InputError(str(path), "a folder" if path.is_dir() else "no such file", "a CSV or Parquet file",
+                         "check the path")
+    try:
+        if path.stat().st_size == 0:
+            raise InputError(str(path), "an empty file", "a header and rows", "record again or copy it again")
+        table = _read_csv(path) if suffix in CSV_SUFFIXES else pd.read_parquet(path)
+    except (OSError, ValueError, UnicodeDecodeError, pd.errors.ParserError) as error:
+        kind = "CSV" if suffix in CSV_SUFFIXES else "Parquet"
+        raise InputError(str(path), f"no readable {kind} ({str(error)[:120]})", f"a whole {kind} file",
+                         "copy or export it again (is it truncated?)") from None
+    if len(table) == 0:
+        raise InputError(str(path), "no rows", "a header and rows", "record again")
+    return table
+
+
+def _read_csv(path: Path) -> pd.DataFrame:
+    with path.open(encoding="utf-8-sig") as file:
+        header = file.readline()
+    separator = max(",;\t", key=header.count)
+    names = [name.strip().strip('"') for name in header.split(separator)]
+    twice = [name for name in dict.fromkeys(names) if name and names.count(name) > 1]
+    if twice:  # pandas would rename the second one and say nothing
+        raise InputError(f"{path}: column {twice[0]}", "a column given twice", "each name once", "drop one")
+    table = pd.read_csv(path, sep=separator, encoding="utf-8-sig", float_precision="round_trip")
+    return table.rename(columns=lambda name: str(name).strip())
+
+
+def read_recording(
+    path: str | Path,
+    channels: ChannelMap | str | Path | None = None,
+    engine: EngineParameters | None = None,
+    *,
+    sensors: Sequence[str] = SENSORS,
+    any_rate: bool = False,
+) -> Recording:
+    """Read and validate a recording.
+
+    Args:
+        path: CSV or Parquet file.
+        channels: channel map or its YAML file for foreign names and units.
+        engine: gives ambient values where the columns are absent.
+        sensors: columns that must be there besides time and inputs; () to read inputs only.
+        any_rate: accept any sampling rate (inputs of a simulation may be given at 1 s).
+
+    Raises:
+        InputError: one line saying what is wrong with the file.
+    """
+    path = Path(path)
+    table = read_table(path)
+    columns = {str(name): table[name].to_numpy() for name in table.columns}
+    if channels is not None:
+        mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
+        numeric = {name: _numbers(name, values, str(path), True) if name in mapping.entries else values
+                   for name, values in columns.items()}
+        columns = mapping.apply(numeric, str(path))
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    return recording(columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors, any_rate=any_rate)
+
+
+def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:
+    """Write a recording (or any table) to .csv or .parquet atomically; float64 survives the round trip bit for bit.
+
+    Raises:
+        InputError: another suffix, full disk, read-only folder.
+    """
+    path = Path(path)
+    frame = source.frame() if isinstance(source, Recording) else source
+    suffix = path.suffix.lower()
+    if suffix not in CSV_SUFFIXES + PARQUET_SUFFIXES:
+        raise InputError(str(path), f"a file ending in {suffix or 'nothing'}", listed(CSV_SUFFIXES + PARQUET_SUFFIXES),
+                         "choose one of these endings")
+    with atomic_path(path) as temporary:
+        if suffix in CSV_SUFFIXES:
+            with temporary.open("w", encoding="utf-8", newline="") as file:  # pandas would hide the kind of failure
+                frame.to_csv(file, index=False, lineterminator="\n")
+        else:
+            frame.to_parquet(temporary, index=False)
+    return path
+
+
+def rows_out_of_range(
+    columns: Mapping[str, np.ndarray], ranges: Mapping[str, tuple[float, float]]
+) -> dict[str, int]:
+    """How many rows of each column lie outside the engine's input ranges (only `simulate` clips; estimators report).
+
+    Args:
+        columns: our column names -> (n,).
+        ranges: column -> (low, high) in the column's unit.
+    """
+    counts = {
+        name: int(np.count_nonzero((columns[name] < low) | (columns[name] > high)))
+        for name, (low, high) in ranges.items()
+        if name in columns
+    }
+    return {name: count for name, count in counts.items() if count}

@@ -1,0 +1,198 @@
+"""Steady points: rows of a test bed without time, each the mean of a settled operating point.
+
+The format is that of a recording without `time_s` (and, if wished, with `u_flap_pct` and further channels by the same
+naming). A transient recording can stand in for them: `quasi_steady` averages the windows in which nothing moves, and
+says how many it found.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.engine import we2011
+from dieseltwin.engine.parameters import EngineParameters
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint, read_channel_map
+from dieseltwin.recordings.plausibility import check_plausible
+from dieseltwin.recordings.reader import read_table
+from dieseltwin.settings.strict import listed
+
+STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em_k")
+"""Measured quantities of a point that the balances join, in the order of every array that holds them."""
+
+LEAST = 1e-6  # kg/s (and any other unit): the flow through a shut valve, so that logarithms exist
+WINDOW_S = 10.0  # a quasi-steady window lasts this long,
+SPEED_RIPPLE = 0.01  # and its speed [-], fuel [-] and positions [%] vary by no more (standard deviation)
+FUEL_RIPPLE = 0.03
+POSITION_RIPPLE = 1.0
+TURBO_DRIFT = 0.01  # nor does the turbo speed run away between its halves [-]
+
+
+@dataclass(frozen=True)
+class SteadyPoints:
+    """n settled operating points.
+
+    Attributes:
+        columns: our column names -> (n,) float64 [unit in the name], NaN where missing.
+        row: (n,) data row of the file that each point came from, from 1.
+        path, sha256: where it was read from.
+        origin: "points" as given, or "averaged quasi-steady windows of a transient recording".
+    """
+
+    columns: Mapping[str, np.ndarray]
+    row: np.ndarray
+    path: Path | None = None
+    sha256: str = ""
+    origin: str = "points"
+
+    @property
+    def size(self) -> int:
+        """Number of points n."""
+        return int(self.row.size)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def states(self) -> np.ndarray:
+        """The measured states, (n, 6) in the order of `STATES`; NaN where not measured, none below `LEAST`."""
+        return np.maximum(
+            np.stack([self.columns.get(name, np.full(self.size, np.nan)) for name in STATES], axis=1), LEAST
+        )
+
+    def take(self, chosen: np.ndarray) -> SteadyPoints:
+        """The points of a mask or index array."""
+        columns = {name: values[chosen] for name, values in self.columns.items()}
+        return replace(self, columns=MappingProxyType(columns), row=self.row[chosen])
+
+    def with_columns(self, **columns: np.ndarray) -> SteadyPoints:
+        """The same points with columns added or replaced."""
+        return replace(self, columns=MappingProxyType({**self.columns, **columns}))
+
+
+def points(
+    frame: pd.DataFrame | Mapping[str, np.ndarray],
+    engine: EngineParameters | None = None,
+    *,
+    where: str = "points",
+    needed: Sequence[str] = (*INPUTS, *SENSORS, "w_c_kg_s"),
+    path: Path | None = None,
+    sha256: str = "",
+    origin: str = "points",
+) -> SteadyPoints:
+    """Validate columns with our names and units. Ambient columns that are missing take the engine's values.
+
+    Rows without inputs are dropped (`row` keeps the numbers).
+
+    Raises:
+        InputError: a needed column is missing or holds text, or no row is left, or a unit is implausible.
+    """
+    engine = we2011.PARAMETERS if engine is None else engine
+    names = [str(name) for name in frame]
+    for name in needed:
+        if name not in names:
+            raise InputError(f"{where}: column {name}", f"none ({listed(names)})", "this column",
+                             foreign_hint(name, names))
+    columns: dict[str, np.ndarray] = {}
+    for name in names:
+        raw = pd.Series(np.asarray(frame[name]))
+        values = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64)
+        if name in needed and (np.isnan(values) & raw.notna().to_numpy()).any():
+            row = int(np.flatnonzero(np.isnan(values) & raw.notna().to_numpy())[0])
+            raise InputError(f"{where}: column {name}, data row {row + 1}", repr(raw.iloc[row]),
+                             "numbers with a decimal point", "mend or empty this cell")
+        columns[name] = np.where(np.isfinite(values), values, np.nan)
+    size = len(next(iter(columns.values()))) if columns else 0
+    for name, value in (("p_amb_pa", engine.p_amb), ("t_amb_k", engine.T_amb)):
+        columns[name] = np.where(np.isnan(columns[name]), value, columns[name]) if name in columns \
+            else np.full(size, value)
+    whole = np.all([np.isfinite(columns[name]) for name in INPUTS], axis=0) & (columns["n_e_rpm"] > 0.0)
+    if not whole.any():
+        raise InputError(where, "no row with all inputs", "rows with n_e, u_delta, u_egr and u_vgt", "check the file")
+    columns = {name: np.ascontiguousarray(values[whole]) for name, values in columns.items()}
+    check_plausible(columns, where, float(np.median(columns["t_amb_k"])), engine.V_d / engine.n_cyl)
+    for values in columns.values():
+        values.setflags(write=False)
+    return SteadyPoints(MappingProxyType(columns), np.flatnonzero(whole) + 1, path, sha256, origin)
+
+
+def read_points(
+    path: str | Path,
+    channels: ChannelMap | str | Path | None = None,
+    engine: EngineParameters | None = None,
+    needed: Sequence[str] = (*INPUTS, *SENSORS, "w_c_kg_s"),
+) -> SteadyPoints:
+    """Read steady points, or quasi-steady averages of a transient recording (a file with `time_s`).
+
+    Raises:
+        InputError: one line saying what is wrong with the file.
+    """
+    path = Path(path)
+    table = read_table(path)
+    columns = {str(name): table[name].to_numpy() for name in table.columns}
+    if channels is not None:
+        mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
+        columns = mapping.apply(columns, str(path))
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    origin = "points"
+    if TIME in columns:
+        columns = quasi_steady(columns, str(path))
+        origin = "averaged quasi-steady windows of a transient recording"
+    return points(columns, engine, where=str(path), needed=needed, path=path, sha256=sha256, origin=origin)
+
+
+def has_time(path: str | Path, channels: ChannelMap | str | Path | None = None) -> bool:
+    """Whether a table is a recording (it has `time_s`, by a channel map too, or something called time) or points."""
+    names = [str(name) for name in read_table(path).columns]
+    if channels is not None:
+        mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
+        if any(entry.column == TIME and name in names for name, entry in mapping.entries.items()):
+            return True
+    return TIME in names or any(name.lower().startswith(("time", "timestamp", "t_s", "t [")) for name in names)
+
+
+def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") -> dict[str, np.ndarray]:
+    """Averages over the windows of `WINDOW_S` in which speed, fuel, positions and turbo speed stand still.
+
+    Args:
+        columns: our column names -> (n,), with `time_s`.
+
+    Raises:
+        InputError: no such window.
+    """
+    numbers = {k: np.asarray(v, dtype=np.float64) for k, v in columns.items()
+               if np.issubdtype(np.asarray(v).dtype, np.number)}
+    time = numbers[TIME]
+    edges = np.arange(time[0], time[-1] - WINDOW_S + 1e-9, WINDOW_S)
+    means: list[dict[str, float]] = []
+    for start in edges:
+        rows = (time >= start) & (time < start + WINDOW_S)
+        if rows.sum() < 5 or not all(name in numbers for name in INPUTS):
+            continue
+        cut = {name: values[rows] for name, values in numbers.items()}
+        n_e, fuel = cut["n_e_rpm"], cut["u_delta_mg"]
+        still = (
+            np.std(n_e) <= SPEED_RIPPLE * np.mean(n_e)
+            and np.std(fuel) <= FUEL_RIPPLE * max(np.mean(fuel), 10.0)
+            and max(np.std(cut["u_egr_pct"]), np.std(cut["u_vgt_pct"])) <= POSITION_RIPPLE
+        )
+        if still and "omega_t_rad_s" in cut:
+            half = rows.sum() // 2
+            omega = cut["omega_t_rad_s"]
+            still = abs(np.mean(omega[:half]) - np.mean(omega[half:])) <= TURBO_DRIFT * np.mean(omega)
+        if still:
+            means.append({name: float(np.nanmean(values)) for name, values in cut.items()})
+    if not means:
+        raise InputError(where, f"no {WINDOW_S:g} s in which speed, fuel and positions stand still",
+                         "steady points (no time_s) or a recording with quiet stretches",
+                         "give steady points, or record steps and hold them")
+    return {name: np.array([mean[name] for mean in means]) for name in means[0] if name != TIME}

@@ -1,0 +1,37 @@
+"""Sections of `params.yaml` for discovery, its proof and the registry of the networks: see `settings.params`."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+
+from dieseltwin.settings.strict import StrictModel
+
+
+class PromotionConfig(StrictModel):
+    """When newly trained networks take over from those in use (MLflow's registry)."""
+
+    seed: NonNegativeInt = Field(description="of the driving that both are compared on")
+    minutes: PositiveFloat
+    mean_ratio_max: PositiveFloat = Field(description="geometric mean over the errors, new / in use")
+    worst_ratio_max: PositiveFloat = Field(description="the same of every single error")
+
+
+class DiscoverConfig(StrictModel):
+    """Discovery: what it believes of the twin, and the concealed recording of the chain."""
+
+    map_tolerance: NonNegativeFloat = Field(description="rms of the smooth error that is believed of the maps [-]")
+    seed: NonNegativeInt
+    concealed_seed: NonNegativeInt = Field(description="of the concealed recording that the flow makes for itself")
+
+
+class ProofConfig(StrictModel):
+    """The concealed benchmark (DISCOVERY.md, "Proof")."""
+
+    cases: PositiveInt
+    seed: NonNegativeInt
+    tier: Literal["main", "one-percent"]
+    sensors: Literal[5, 6] = Field(description="5: the paper's; 6: with w_c")
+    duration_s: PositiveFloat
+    baseline_cases: NonNegativeInt = Field(description="the Kalman and neural baselines run on the first so many")

@@ -1,0 +1,335 @@
+"""`params.yaml` as frozen models: one model a stage; no defaults here, the numbers and their reasons stand in the file.
+
+Units are part of the field names (`_s`, `_rpm`, `_pa`, `_k`, `_pct`, `_mg`, `_kg_s`); `_rel` is a fraction of a mean;
+fields without a unit are counts or dimensionless. An owner of a stage adds a field to its model and to `params.yaml`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+
+from dieseltwin.settings.discovery import DiscoverConfig, PromotionConfig, ProofConfig
+from dieseltwin.settings.evaluation import EvaluationConfig
+from dieseltwin.settings.maps import MapsConfig, Widths
+from dieseltwin.settings.strict import StrictModel, overridden, read_profile, validate
+
+PARAMS_FILE = "params.yaml"
+DEFAULT_PROFILE = "quick"
+
+Range = tuple[float, float]
+
+
+class EngineConfig(StrictModel):
+    """The engine that data are made with, and the step of the simulator."""
+
+    step_s: PositiveFloat
+    overrides: dict[str, float | tuple[float, ...]]
+    field_ratios: dict[str, PositiveFloat] = Field(description="laboratory value / field value")
+
+
+class RandomDrivingConfig(StrictModel):
+    """Seeded random transient driving (PROTOCOL: Driving)."""
+
+    speed_rpm: Range
+    load_rel: Range = Field(description="of the full-load torque at that speed")
+    hold_s: Range
+    ramp_s: Range
+    idle_share: Range
+    idle_speed_rpm: Range
+    smoothing_s: NonNegativeFloat
+    speed_jitter_rpm: NonNegativeFloat
+    fuel_jitter_mg: NonNegativeFloat
+    position_dither_pct: Range = Field(description="standard deviation of the slow random dither of the actuators")
+    dither_time_s: PositiveFloat
+
+
+class SpeedMapConfig(StrictModel):
+    """GTR 4 de-normalisation speeds."""
+
+    n_idle_rpm: PositiveFloat
+    n_lo_rpm: PositiveFloat
+    n_pref_rpm: PositiveFloat
+    n_hi_rpm: PositiveFloat
+
+
+class EcuConfig(StrictModel):
+    """Limits of the ECU map from speed and load to fuel and actuator positions."""
+
+    smoke_lambda_min: PositiveFloat
+    egr_fraction_max: PositiveFloat
+    turbo_speed_max_rad_s: PositiveFloat
+    smoke_reserve_rel: NonNegativeFloat = Field(description="kept above the smoke limit when inputs are made")
+    turbo_reserve_rel: NonNegativeFloat = Field(lt=0.5, description="kept below the turbo's limit when inputs are made")
+    idle_u_egr_pct: NonNegativeFloat
+    idle_shut_u_egr_pct: NonNegativeFloat
+    idle_shut_after_s: PositiveFloat
+    fuel_min_mg: PositiveFloat
+
+
+class CaseConfig(StrictModel):
+    """One case of the paper's table: a set of inputs, an ambient relative to the baseline, a sampling time."""
+
+    set: Literal["set_i", "set_ii", "set_iii", "set_iv"]
+    delta_t_amb_k: float
+    delta_p_amb_pa: float
+    parameters: Literal["lab", "field"]
+
+
+class SetConfig(StrictModel):
+    """One set of inputs."""
+
+    duration_s: PositiveFloat
+    seed: NonNegativeInt
+    input_step_s: PositiveFloat
+    modified: Literal["none", "u_egr", "u_vgt"]
+
+
+class DrivingConfig(StrictModel):
+    """Sets of inputs and the cases recorded with them."""
+
+    sample_s: PositiveFloat
+    sample_eta_tm_s: PositiveFloat
+    sets: dict[str, SetConfig]
+    cases: dict[str, CaseConfig]
+    random: RandomDrivingConfig
+    speed_map: SpeedMapConfig
+    ecu: EcuConfig
+
+
+class NoiseConfig(StrictModel):
+    """Additive Gaussian noise, sigma as a fraction of the mean of the clean signal over the whole recording."""
+
+    p_im_rel: NonNegativeFloat
+    p_em_rel: NonNegativeFloat
+    omega_t_rel: NonNegativeFloat
+    w_egr_rel: NonNegativeFloat
+    t_em_rel: NonNegativeFloat
+    w_c_rel: NonNegativeFloat
+    label_rel: NonNegativeFloat = Field(description="of the mean absolute label, for the surrogates' labels")
+    seed: NonNegativeInt
+
+    @property
+    def channels(self) -> tuple[float, ...]:
+        """Relative sigmas in the order of `engine.MEASURED`, (6,) [-]."""
+        return (self.p_im_rel, self.p_em_rel, self.omega_t_rel, self.w_egr_rel, self.t_em_rel, self.w_c_rel)
+
+
+class OperatorConfig(StrictModel):
+    """One causality DeepONet."""
+
+    input_hidden: Widths
+    initial_hidden: Widths
+    trunk_hidden: Widths
+    basis: PositiveInt
+    updates: PositiveInt = Field(description="of Adam; an epoch of the paper is one update on the full batch")
+    batch: PositiveInt = Field(description="rows of random windows in an update")
+    rate: PositiveFloat
+    loss_weights: tuple[PositiveFloat, ...]
+
+
+class OperatorsConfig(StrictModel):
+    """Actuator operators: EGR (two outputs) and VGT (one)."""
+
+    window_s: PositiveFloat
+    sample_s: PositiveFloat
+    slide_s: PositiveFloat = Field(description="shift of the sliding window that augments the training data")
+    memory_s: PositiveFloat = Field(description="older samples decay fastest")
+    memory_decay: NonNegativeFloat = Field(description="weight decay of the oldest samples, per learning rate")
+    forget_s: PositiveFloat = Field(description="shortest time constant that the trunk starts with")
+    start_share: NonNegativeFloat = Field(le=1.0, description="rows from the first samples of a window")
+    finish_rows: NonNegativeInt = Field(description="rows a pass to solve the last layer at the end; 0 for none")
+    finish_ridge: PositiveFloat = Field(description="of the mean diagonal of that system")
+    egr: OperatorConfig
+    vgt: OperatorConfig
+
+
+class BodyConfig(StrictModel):
+    """One multi-head body."""
+
+    hidden: Widths
+
+
+class BodiesPaperConfig(StrictModel):
+    """Training of the four bodies as printed: Adam on all heads."""
+
+    epochs: PositiveInt
+    rate: PositiveFloat
+    finish_heads: bool = Field(description="solve the heads in closed form after the last epoch")
+    first_layer_scale: Range | None = Field(default=None, description="as of conditioned; none: the printed start")
+
+
+class BodiesConditionedConfig(StrictModel):
+    """Training of the four bodies by variable projection: Adam, then L-BFGS."""
+
+    epochs: PositiveInt
+    rate: PositiveFloat
+    lbfgs_steps: NonNegativeInt
+    first_layer_scale: Range = Field(description="slopes of the first layer on time scaled to [-1, 1]")
+
+
+class BodiesConfig(StrictModel):
+    """The four multi-head bodies."""
+
+    heads: PositiveInt
+    sizes: dict[str, BodyConfig]
+    paper: BodiesPaperConfig
+    conditioned: BodiesConditionedConfig
+
+
+class PretrainConfig(StrictModel):
+    """Everything learned from laboratory data."""
+
+    maps: MapsConfig
+    operators: OperatorsConfig
+    bodies: BodiesConfig
+
+
+class StartConfig(StrictModel):
+    """Where the unknowns start (PROTOCOL: Parameters)."""
+
+    at: Literal["lab", "truth"]
+    sd_masked: NonNegativeFloat
+
+
+class ClassicalConfig(StrictModel):
+    """Maximum likelihood by shooting with sensitivities."""
+
+    iterations_max: PositiveInt
+    tolerance: PositiveFloat
+    damping_start: PositiveFloat
+
+
+class NewtonConfig(StrictModel):
+    """Gauss-Newton / Levenberg-Marquardt on heads and parameters."""
+
+    stages: tuple[PositiveFloat, ...] = Field(min_length=1, description="multiples of the process noise, the last 1")
+    iterations_early: PositiveInt
+    iterations_max: PositiveInt
+    tolerance: PositiveFloat
+    damping_start: PositiveFloat
+    student_dof: PositiveFloat
+    defect_share: PositiveFloat = Field(description="of the basis's local defect that is left after its correction")
+    floor_share: PositiveFloat = Field(description="of the median defect that the process noise doesn't fall below")
+
+
+class AdamConfig(StrictModel):
+    """The paper's loop: Adam on heads, unknowns and self-adaptive weights."""
+
+    epochs: PositiveInt
+    weights_until_epoch: PositiveInt
+    members: PositiveInt = Field(description="runs a segment")
+    rate_heads: PositiveFloat
+    rate_unknowns: PositiveFloat
+    rate_weights: PositiveFloat
+    late_rates: PositiveFloat = Field(description="factor on the learning rates from late_from_epoch on")
+    late_from_epoch: PositiveInt
+    scale_t_em_k: PositiveFloat = Field(description="unit of the residual of T_em")
+    scale_t_1_k: PositiveFloat = Field(description="unit of the residual of T_1")
+    scale_rates: PositiveFloat = Field(description="of the rates' residuals, in 1e5 Pa/s and 5e3 rad/s2")
+    scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
+    fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
+    average_share: NonNegativeFloat = Field(le=1.0, description="of the epochs, at the end, whose mean is the estimate")
+    weight_start: dict[str, PositiveFloat]
+
+
+class PinnStageConfig(StrictModel):
+    """A piece of the PINN's schedule with constant learning rates; a rate of 0 freezes."""
+
+    until_epoch: PositiveInt
+    layers: Literal["all", "last"] = Field(description="which layers of the networks are trained")
+    rate_networks: NonNegativeFloat
+    rate_unknowns: NonNegativeFloat
+    rate_weights: NonNegativeFloat = Field(description="of the self-adaptive weights")
+
+
+class PinnConfig(StrictModel):
+    """The paper's hybrid PINN: all layers from scratch, or from a source model in stages."""
+
+    members: PositiveInt = Field(description="runs a segment")
+    stages: tuple[PinnStageConfig, ...]
+    first_layer_slopes: Range | None = Field(description="start of the first layer on time scaled to [-1, 1]")
+    scale_t_em_k: PositiveFloat = Field(description="unit of the data residual of T_em")
+    scale_rates: PositiveFloat = Field(description="further divisor of the residuals of the three rates")
+    scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
+    fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
+    average_share: NonNegativeFloat = Field(le=1.0, description="of the epochs, at the end, whose mean is the estimate")
+    weight_start: dict[str, PositiveFloat]
+
+
+class IdentifyConfig(StrictModel):
+    """What the estimators share, and their own settings."""
+
+    segment_s: PositiveFloat
+    runs: PositiveInt
+    identifiable_bound_rel: PositiveFloat
+    minutes: PositiveFloat = Field(description="how much of Case-V is identified, from its start [min]")
+    start: StartConfig
+    classical: ClassicalConfig
+    newton: NewtonConfig
+    adam: AdamConfig
+    baseline: PinnConfig
+    multi_stage: PinnConfig
+
+
+class ReportConfig(StrictModel):
+    """Figures of the report."""
+
+    dpi: PositiveInt
+
+
+class Params(StrictModel):
+    """All of `params.yaml` with one profile applied."""
+
+    profile: str
+    seed: NonNegativeInt
+    engine: EngineConfig
+    driving: DrivingConfig
+    noise: NoiseConfig
+    pretrain: PretrainConfig
+    identify: IdentifyConfig
+    evaluation: EvaluationConfig
+    promotion: PromotionConfig
+    discover: DiscoverConfig
+    proof: ProofConfig
+    report: ReportConfig
+
+    @property
+    def sha256(self) -> str:
+        """Hash of every number of this profile: the same for the same numbers, whatever the comments and order."""
+        return params_sha256(self)
+
+
+def default_params_path() -> Path:
+    """`params.yaml` of the working folder, else the one beside the library (a checkout)."""
+    here = Path(PARAMS_FILE)
+    return here if here.is_file() else Path(__file__).resolve().parents[2] / PARAMS_FILE
+
+
+def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) -> Params:
+    """Read and validate the settings of one profile.
+
+    Args:
+        path: the file; None takes `default_params_path()`.
+        profile: a name under `profiles:`; its values replace the common ones above it.
+
+    Raises:
+        InputError: unreadable file, unknown profile, unknown or missing key, value out of range.
+    """
+    path = default_params_path() if path is None else Path(path)
+    common, overrides = read_profile(path, profile)
+    validate(Params, {**common, "profile": profile}, str(path))
+    settings = overridden(common, overrides, f"{path}: profiles.{profile}")
+    return validate(Params, {**settings, "profile": profile}, f"{path}: profile {profile}")
+
+
+def params_sha256(params: Params | Mapping[str, object]) -> str:
+    """SHA-256 (hex) of the settings, or of plain sections of them, as canonical JSON."""
+    plain = params.model_dump(mode="json") if isinstance(params, Params) else dict(params)
+    canonical = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()

@@ -1,0 +1,251 @@
+"""Laws: what was planted is found with its exponent and coefficient; nothing is found on a healthy twin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dieseltwin.discovery.laws import search as law_search
+from dieseltwin.discovery.laws.grammar import (
+    Factor,
+    Form,
+    admissible,
+    describe,
+    factors,
+    lagged,
+    operators,
+    orifice,
+    played,
+    rounded,
+)  # fmt: skip
+from dieseltwin.discovery.laws.ranking import rank
+from dieseltwin.discovery.laws.responses import Responses
+from dieseltwin.discovery.laws.twin import LawTwin, Placed
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.score import without_parameters
+from dieseltwin.discovery.twins.interface import Lanes, Parameter, Point, Twin
+from dieseltwin.discovery.twins.simple import Model, SimpleTwin
+from dieseltwin.errors import InputError
+
+NOISE_V = 0.02
+ROOT = Factor("power", ("h_1",), (1.0,), 0.5, ("m",))
+
+
+def _root(level):
+    return np.sqrt(np.maximum(level, 0.0))
+
+
+def _rates(x, u, p, s, e):
+    q_1, q_2 = p.k_1 * _root(x.h_1), p.k_2 * _root(x.h_2)
+    return s("upper_balance", p.k_0 * u.pump - q_1), s("lower_balance", q_1 - q_2)
+
+
+def _readings(x, u, p, s, e):
+    return x.h_1, x.h_2
+
+
+TANKS = Model(
+    states={"h_1": 1.0, "h_2": 1.0},
+    parameters=tuple(Parameter(f"k_{i}", 0.06, 0.06, "1/s", 0.005) for i in range(3)),
+    inputs=("pump",),
+    channels=("level_1", "level_2"),
+    rates=_rates,
+    readings=_readings,
+    points=(
+        Point("upper_balance", "upper_tank", False, "m/s", ("h_1",), 0.01),
+        Point("lower_balance", "lower_tank", False, "m/s", ("h_1", "h_2"), 0.01),
+    ),
+    units={"h_1": "m", "h_2": "m", "pump": "V"},
+    nearest={"level_1": "h_1", "level_2": "h_2"},
+)
+TRUTH = np.array([0.05, 0.06, 0.055])
+
+
+def _tanks(seed: int, placed: Placed | None = None, n: int = 600) -> SimpleTwin:
+    """A recording of the tanks, with a law that the twin doesn't know."""
+    rng = np.random.default_rng(seed)
+    pump = np.clip(2.5 + 0.5 * np.cumsum(rng.normal(size=n // 20) * 0.9), 1.0, 4.5).repeat(20)
+    time = 4.0 * np.arange(n)
+    plant: Twin = SimpleTwin(TANKS, time, {"pump": pump}, np.zeros((n, 2)))
+    parameters = TRUTH
+    if placed is not None:
+        plant = LawTwin(plant, [placed])
+        parameters = np.append(TRUTH, abs(placed.coefficient))
+    clean = plant.simulate(Lanes(parameters[None], np.array([[[4.0, 4.0]]])))[0]
+    measured = clean + NOISE_V * rng.normal(size=clean.shape)
+    return SimpleTwin(TANKS, time, {"pump": pump}, measured, 200.0)
+
+
+def _null(twin: SimpleTwin) -> Linearisation:
+    return law_search.null_fit(twin, Whitening.of(twin.measured, twin.noise(), twin.starts))
+
+
+def test_planted_leak_is_found_with_exponent_and_coefficient():
+    true = Factor("power", ("h_2",), (1.0,), 2.0, ("m",))
+    twin = _tanks(1, Placed(Form("lower_balance", (true,)), -0.002))
+    found = law_search.search(twin, _null(twin)).law
+    assert found is not None
+    assert (found.point, found.site) == ("lower_balance", "lower_tank")
+    (factor,) = found.form.factors
+    at_2_m = found.coefficient * factor.value({"h_2": 2.0})
+    assert at_2_m == pytest.approx(-0.008, rel=0.1)
+    assert factor.variables == ("h_2",) and factor.shape == 2.0
+    assert found.shape is not None and abs(found.shape - 2.0) < 3.0 * found.shape_std < 1.0
+    reference = factor.references[0]
+    assert abs(found.coefficient + 0.002 * reference**2) < 3.0 * found.std
+    assert found.chi2_after < 1.1 < found.chi2_before
+    assert "m/s" in found.text and "h_2" in found.text
+    assert found.curve is not None and np.all(found.curve.low <= found.curve.high)
+    assert np.allclose(found.parameters, TRUTH, rtol=0.02)
+    law = LawTwin(twin, found.placed)
+    values = np.append(found.parameters, abs(found.coefficient))
+    residual = twin.measured - law.simulate(Lanes(values[None], found.local[None]))[0]
+    assert np.std(residual) == pytest.approx(NOISE_V, rel=0.1)
+
+
+def test_a_root_leak_upstream_keeps_its_exponent():
+    """sqrt(h_1) out of the upper tank and out of the lower tank's inflow are one and the same."""
+    twin = _tanks(3, Placed(Form("upper_balance", (ROOT,)), -0.006))
+    found = law_search.search(twin, _null(twin), options=law_search.Options(points=("upper_balance",))).law
+    assert found is not None and found.form.factors[0].shape == 0.5
+    reference = found.form.factors[0].references[0]
+    assert abs(found.coefficient + 0.006 * np.sqrt(reference)) < 3.0 * found.std
+
+
+def test_no_law_on_healthy_recordings():
+    alarms = 0
+    for seed in range(20):
+        twin = _tanks(100 + seed, n=400)
+        alarms += law_search.search(twin, _null(twin), options=law_search.Options(renewals=0)).law is not None
+    assert alarms == 0
+
+
+def test_port_rule():
+    twin = _tanks(5, Placed(Form("upper_balance", (ROOT,)), -0.006), n=200)
+    at = _null(twin)
+    lanes = at.fit.lanes()
+    ranked, tried = rank(twin, Responses(at, lanes), {**twin.variables(lanes), "time_s": twin.time_s})
+    assert tried > 100 and ranked
+    for item in ranked:
+        for placed in item.placed:
+            assert admissible(placed.form, twin.points[item.index])
+            assert "pump" not in placed.form.variables
+    assert not admissible(Form("upper_balance", (Factor("power", ("h_2",), (1.0,), 1.0, ("m",)),)), twin.points[0])
+
+
+def test_responses_are_the_metric():
+    """Norm and gradient of a feature from the impulse responses are those of its own simulated response."""
+    twin = _tanks(7, n=200).windowed(100.0)  # few enough samples for a knot at each
+    at = _null(twin)
+    responses = Responses(at, at.fit.lanes())
+    features = np.random.default_rng(0).normal(size=(3, 200)).cumsum(axis=1)
+    projected = at.metric.project(responses.signals(1, features))
+    direct = without_parameters(at, projected)
+    point = responses.point(1)
+    values = point.at_knots(features)
+    norms = np.einsum("kr,kr->k", direct, projected)
+    assert point.norms(values) == pytest.approx(norms, rel=1e-3)
+    assert np.diag(point.products(values, values)) == pytest.approx(norms, rel=1e-3)
+    gradients = direct @ at.projected_residual
+    assert point.gradients(values) == pytest.approx(gradients, rel=0.02, abs=0.02 * float(np.sqrt(norms.max())))
+
+
+class _Plain:
+    """A twin that can't evaluate laws inside its simulation."""
+
+    def __init__(self, twin: SimpleTwin) -> None:
+        self._twin = twin
+
+    def __getattr__(self, name: str):
+        if name in ("simulate_with_laws", "trajectories"):
+            raise AttributeError(name)
+        return getattr(self._twin, name)
+
+
+def test_signals_settle_to_the_law():
+    placed = Placed(Form("upper_balance", (ROOT,)), -0.006)
+    base = _tanks(9, n=200)
+    lanes = Lanes(np.append(TRUTH, 0.006)[None], base.first_local()[None])
+    inside = LawTwin(base, [placed]).simulate(lanes)
+    settled = LawTwin(_Plain(base), [placed]).simulate(lanes)
+    without = base.simulate(replace(lanes, parameters=TRUTH[None]))
+    assert np.max(np.abs(settled - inside)) < 0.01 * np.max(np.abs(inside - without))
+
+
+def test_law_as_signals_is_refitted_alike():
+    placed = Placed(Form("lower_balance", (Factor("power", ("h_2",), (1.0,), 2.0, ("m",)),)), -0.0005)
+    twin = _tanks(1, placed)
+    plain = _Plain(twin)
+    whitening = Whitening.of(twin.measured, twin.noise(), twin.starts)
+    options = law_search.Options(refits=12, points=("lower_balance",), free_shape=False)
+    found = law_search.search(plain, law_search.null_fit(plain, whitening), options=options).law
+    assert found is not None and found.site == "lower_tank"
+    assert "h_2" in found.form.variables and found.chi2_after < 1.1 < found.chi2_before
+    assert found.chi2_before > 1.3
+
+
+def test_orifice():
+    assert orifice(3.0, 1.0) == pytest.approx(1.0)  # choked
+    assert orifice(1.0, 1.0) == 0.0
+    assert orifice(1.0, 1.5) == -orifice(1.5, 1.0)
+    flows = [float(orifice(p, 1.0)) for p in (1.05, 1.2, 1.5, 1.8)]
+    assert all(a < b for a, b in pairwise(flows))
+
+
+def test_operators():
+    time = np.linspace(0.0, 5.0, 501)
+    step = np.where(time > 1.0, 1.0, 0.0)
+    assert lagged(step, time, 0.5)[-1] == pytest.approx(1.0, abs=1e-3)
+    assert lagged(step, time, 0.5)[150] == pytest.approx(1.0 - np.exp(-1.0), abs=0.02)
+    wave = np.sin(time)
+    assert np.max(np.abs(played(wave, 0.2) - wave)) <= 0.1 + 1e-12
+    assert played(wave, 0.0) == pytest.approx(wave)
+    kinds = {f.kind for f in operators("u_egr", "%", True)}
+    assert kinds == {"lag", "dead_time", "play"} and not operators("p_im", "Pa", False)
+
+
+@pytest.mark.parametrize("value, expected", [(0.0123, 0.01), (47.0, 50.0), (951.0, 1000.0), (0.0, 1.0)])
+def test_references_are_round(value: float, expected: float):
+    assert rounded(value) == pytest.approx(expected)
+
+
+def test_factors_have_text_and_finite_values():
+    rng = np.random.default_rng(1)
+    values = {
+        "p_im": rng.uniform(1e5, 3e5, 50), "p_amb": np.full(50, 1e5), "T_im": rng.uniform(290, 330, 50),
+        "v": rng.normal(size=50), "W_c": rng.uniform(0.1, 0.4, 50), "W_egr": rng.uniform(0.0, 0.1, 50),
+    }  # fmt: skip
+    units = {"v": "m/s", "p_im": "Pa", "p_amb": "Pa", "T_im": "K", "W_c": "kg/s", "W_egr": "kg/s"}
+    known = {name: describe(name, v, units[name]) for name, v in values.items()}
+    pool = factors(values, known)
+    assert {f.kind for f in pool} >= {"power", "sign", "ratio", "difference", "orifice", "excess", "share", "head"}
+    for factor in pool:
+        assert np.all(np.isfinite(factor.value(values))), factor
+        assert factor.text() and all(name in factor.text() for name in factor.variables)
+    assert not any(f.variables == ("p_amb",) for f in pool)  # constants enter in pairs only
+
+
+def test_simple_twin_refuses_what_does_not_fit():
+    time = np.arange(10.0)
+    with pytest.raises(InputError, match="inputs"):
+        SimpleTwin(TANKS, time, {}, np.zeros((10, 2)))
+    with pytest.raises(InputError, match="measured"):
+        SimpleTwin(TANKS, time, {"pump": time}, np.zeros((10, 1)))
+    with pytest.raises(InputError, match="time_s"):
+        SimpleTwin(TANKS, time[::-1], {"pump": time}, np.zeros((10, 2)))
+
+
+def test_simple_twin_is_a_twin():
+    twin = _tanks(0, n=100)
+    assert isinstance(twin, Twin)
+    lanes = Lanes(np.tile(TRUTH, (3, 1)), np.tile(twin.first_local(), (3, 1, 1)))
+    signal = np.zeros((3, 100))
+    signal[1] = 0.01
+    moved = twin.simulate(replace(lanes, lane_points=np.array([-1, 0, 0]), lane_signals=signal))
+    shared = twin.simulate(replace(lanes, signals={"upper_balance": signal[1]}))
+    assert np.array_equal(moved[0], moved[2])
+    assert np.allclose(moved[1], shared[0]) and not np.allclose(moved[1], moved[0])
