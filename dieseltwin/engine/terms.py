@@ -197,23 +197,26 @@ class ActuatorTerm(_Limited):
 
 
 class LawGroup(BaseModel):
-    """A dimensionless group of a law that is no power: a difference, a share, or the shape of a nozzle's flow.
+    """A dimensionless group of a law that is no power: a difference, a share, a bump, or the shape of a nozzle's flow.
 
     `signed(z)` is sign(z) |z|**exponent. With x, y the variables: "difference" signed((x - y)/reference), "head"
     signed(x/y - 1), "above_one" signed(x - 1), "share" x/(x + y), "orifice" the flow from x to y over its choked value
-    at the same upstream state, negative the other way.
+    at the same upstream state, negative the other way, "bump" exp(-((x - centre)/reference)^2/2).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    kind: Literal["difference", "head", "above_one", "share", "orifice"]
+    kind: Literal["difference", "head", "above_one", "share", "orifice", "bump"]
     variables: tuple[str, ...] = Field(description="x, or x and y")
-    reference: float = Field(1.0, gt=0, allow_inf_nan=False, description="of a difference [its unit]")
+    reference: float = Field(
+        1.0, gt=0, allow_inf_nan=False, description="of a difference, or width of a bump [its unit]"
+    )
+    centre: float = Field(0.0, allow_inf_nan=False, description="of a bump [unit of the variable]")
     exponent: float = Field(1.0, gt=0, allow_inf_nan=False, description="of signed powers")
 
     @model_validator(mode="after")
     def _possible(self) -> LawGroup:
-        if len(self.variables) != (1 if self.kind == "above_one" else 2):
+        if len(self.variables) != (1 if self.kind in ("above_one", "bump") else 2):
             raise ValueError(f"{self.kind} of {len(self.variables)} variables")
         for variable in self.variables:
             if variable not in LAW_VARIABLES:
@@ -225,6 +228,8 @@ class LawGroup(BaseModel):
         x = variables[self.variables[0]]
         if self.kind == "above_one":
             return self._signed(x - 1.0, power)
+        if self.kind == "bump":
+            return power(math.e, -0.5 * ((x - self.centre) / self.reference) ** 2)
         y = variables[self.variables[1]]
         if self.kind == "difference":
             return self._signed((x - y) / self.reference, power)

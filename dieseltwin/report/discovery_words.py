@@ -288,12 +288,20 @@ def _placed(effects: Sequence[FoundEffect], site: str) -> str:
 
 
 def _left_words(document: Discrepancy) -> list[str]:
-    """A warning where the repaired fit leaves more than noise and tolerances do: the name may be an imitation."""
-    left = document.fit.chi2_per_sample_after
-    if left is None or left <= _LEFT_OVER:
-        return []
-    return [f"but {left:.2f} of chi-square per sample is left where noise leaves 1, so what is named may imitate "
-            "something that is not in the catalogue"]  # fmt: skip
+    """How much of the misfit is explained, and a warning where more is left than noise and tolerances leave."""
+    share, left = document.fit.share_explained, document.fit.chi2_per_sample_after
+    parts = []
+    if share is not None and share > 0.0:
+        shown = "more than 99" if share > 0.99 else f"{100.0 * share:.0f}"
+        parts.append(f"this explains {shown} % of the misfit beyond noise and tolerances")
+    much = left is not None and left > _LEFT_OVER
+    if document.more_is_missing or (much and share is None):
+        amount = f" ({left:.2f} of chi-square per sample where noise leaves 1)" if much else ""
+        parts.append(f"but more is missing{amount}, so what is named may imitate something that is not in the catalogue"
+                     if any(effect.named for effect in document.effects) else f"more is missing{amount}")  # fmt: skip
+    elif much:
+        parts.append(f"{left:.2f} of chi-square per sample is left where noise leaves 1, as the maps' tolerances allow")
+    return parts
 
 
 def _what_words(document: Discrepancy) -> str:

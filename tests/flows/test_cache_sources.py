@@ -89,7 +89,8 @@ def test_of_the_settings_only_the_imported_models_count(library: Path) -> None:
     )
     user = library / "toylib" / "user.py"
     user.write_text(
-        "from __future__ import annotations\nfrom .settings.params import Maps, Report\n\ndef f(r: Report):\n    return Maps\n"
+        "from __future__ import annotations\nfrom .settings.params import Maps, Report\n\n"
+        "def f(r: Report):\n    return Maps\n"
     )
     before, text = digest(library, "toylib.user"), config.read_text()
     config.write_text(text.replace("b = 1", "b = 2"))

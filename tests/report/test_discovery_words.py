@@ -80,11 +80,16 @@ def test_small_shifts_and_no_gain_are_said() -> None:
     assert "no gain on unseen driving is claimed" in sentence(synthetic.document(fit=fit))
 
 
-def test_what_is_left_after_the_repair_is_a_warning() -> None:
+def test_the_share_explained_and_what_is_left_are_said() -> None:
     fit = {**synthetic.content()["fit"], "chi2_per_sample_after": 1.33}
-    text = sentence(synthetic.document(fit=fit))
-    assert text.endswith("but 1.33 of chi-square per sample is left where noise leaves 1, so what is named may imitate "
-                         "something that is not in the catalogue.")  # fmt: skip
+    left = "1.33 of chi-square per sample"
+    unknown = sentence(synthetic.document(fit=fit))
+    assert f"but more is missing ({left} where noise leaves 1), so what is named may imitate" in unknown
+    known = {**fit, "share_explained": 0.97}
+    text = sentence(synthetic.document(fit=known))
+    assert "this explains 97 % of the misfit beyond noise and tolerances" in text
+    assert text.endswith(f"{left} is left where noise leaves 1, as the maps' tolerances allow.")
+    assert "but more is missing" in sentence(synthetic.document(fit=known, more_is_missing=True))
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))

@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dieseltwin.discovery.laws.grammar import Factor, Form, Kind, operators, unit_of
+from dieseltwin.discovery.laws.grammar import Factor, Form, Kind, bumps, operators, unit_of
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
 from dieseltwin.discovery.twins.interface import Array, Twin
 
 _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
+_LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
+_RAREST = 12.0  # largest value of a signal of unit mean square: what acts on fewer samples hangs on a moment
 _STEP = 0.005  # of a point's scale: small enough to be linear
 
 
@@ -93,6 +95,20 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
             same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{text}"))
             found.append(Feature(None, text, ones, site, j, effect=next(same, None)))
     return found
+
+
+def local_features(twin: Twin, fit: Fit) -> list[Feature]:
+    """Bumps over one argument of each map: what a smooth tolerance doesn't follow, and no constant or power shows."""
+    variables = twin.variables(fit.lanes())
+    admitted = getattr(twin, "law_variables", None)
+    found = []
+    for index, point in enumerate(twin.points):
+        names = dict.fromkeys((*point.tolerance_over, *point.tolerance_also))
+        along = {n: np.asarray(variables[n]) for n in names if admitted is None or n in admitted}
+        for factor in bumps(along, {}, _LOCAL_WIDTHS):
+            form = Form(point.name, (factor,))
+            found += _of_form(index, factor.text(), form, point.site, variables)
+    return [feature for feature in found if np.max(np.abs(feature.signal)) < _RAREST]
 
 
 def _hole(point: str, port: str, size: float, warm: str | None, variables: Mapping[str, Array]) -> Form:

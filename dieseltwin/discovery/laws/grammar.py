@@ -1,9 +1,10 @@
 """Forms of laws: a site's unit times at most three dimensionless groups of the variables that the site touches.
 
 A form is a product of factors. Each factor is a dimensionless function of one to three variables with one shape
-number (an exponent, a threshold, a time): powers, ratios, differences and their roots and squares, the compressible
-orifice, friction's sign, overflow's excess, and the operators lag, dead time and play where a quantity is an actuator
-or a temperature. Variables enter over a rounded reference value, so that coefficients carry the site's unit.
+number (an exponent, a threshold, a centre, a time): powers, ratios, differences and their roots and squares, the
+compressible orifice, friction's sign, overflow's excess, a bump over an argument of a map, and the operators lag, dead
+time and play where a quantity is an actuator or a temperature. Variables enter over a rounded reference value, so that
+coefficients carry the site's unit.
 """
 
 from __future__ import annotations
@@ -13,18 +14,15 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Literal
 
-import numba
 import numpy as np
 
+from dieseltwin.discovery.laws.shapes import lagged, orifice, played, signed_power
 from dieseltwin.discovery.twins.interface import Array, Point
 
 Kind = Literal[
     "power", "signed_power", "sign", "ratio", "share", "difference", "head", "orifice", "excess", "shortage",
-    "one_way", "lag", "dead_time", "play", "time", "above_one",
+    "one_way", "bump", "lag", "dead_time", "play", "time", "above_one",
 ]  # fmt: skip
-
-GAMMA = 1.4
-"""Ratio of specific heats in the orifice's shape; its value moves the shape by less than 2 % (air, exhaust gas)."""
 
 _UNIT_OF_PREFIX = (
     ("omega", "rad/s"), ("eta", "-"), ("lambda", "-"), ("phi", "-"), ("Psi", "-"), ("Pi", "-"), ("n_", "1/min"),
@@ -37,8 +35,10 @@ _THRESHOLD_QUANTILES = (0.05, 0.15, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 _COMPARABLE = ("Pa", "K", "kg/s", "W", "m", "V", "N")  # units whose differences and ratios mean something
 _TIMES = {"lag": (0.08, 0.4, 2.0), "dead_time": (0.05, 0.2)}  # s (DISCOVERY.md, prototype)
 _PLAYS = (1.0, 4.0, 10.0)  # % of full stroke
+_BUMP_WIDTHS = (0.06, 0.1, 0.17)  # of the range driven: narrower than what a map's tolerance follows (a third)
 AMBIENT = ("p_amb", "T_amb")
 TIMES = ("t", "time_s")
+_EXPONENT_SPREAD = 0.5  # of an exponent about its first value, one standard deviation
 _SMOOTHED = 1e-3  # of the reference: width of the smoothed sign
 
 
@@ -88,52 +88,6 @@ def describe(name: str, values: Array, unit: str) -> Variable:
     return Variable(name, unit, rounded(spread if signed else max(size, 1e-12)), signed, thresholds)
 
 
-def orifice(up: Any, down: Any) -> Any:
-    """Flow of a compressible orifice over its choked value at the same upstream state, signed [-]."""
-    high, low = np.maximum(up, down), np.minimum(up, down)
-    critical = (2.0 / (GAMMA + 1.0)) ** (GAMMA / (GAMMA - 1.0))
-    ratio = np.clip(low / high, critical, 1.0)
-    shape = np.sqrt(np.maximum(ratio ** (2.0 / GAMMA) - ratio ** ((GAMMA + 1.0) / GAMMA), 0.0))
-    choked = np.sqrt(critical ** (2.0 / GAMMA) - critical ** ((GAMMA + 1.0) / GAMMA))
-    return np.sign(up - down) * shape / choked
-
-
-def signed_power(x: Any, exponent: Any) -> Any:
-    """sign(x) |x|^exponent, finite slope at 0."""
-    return np.sign(x) * np.maximum(np.abs(x), 1e-12) ** exponent
-
-
-def lagged(values: Array, time_s: Array, constant: float) -> Array:
-    """First-order lag [s] of samples, linear between them."""
-    step = np.diff(time_s)
-    decay = np.exp(-step / max(constant, 1e-9))
-    mean = (1.0 - decay) * constant / step
-    return np.asarray(_follow(np.ascontiguousarray(values, dtype=np.float64), decay, mean))
-
-
-@numba.njit(cache=True)
-def _follow(values, decay, mean):  # type: ignore[no-untyped-def]
-    out = values.copy()
-    for k in range(1, len(values)):
-        decayed, held = decay[k - 1], mean[k - 1]
-        out[k] = decayed * out[k - 1] + (held - decayed) * values[k - 1] + (1.0 - held) * values[k]
-    return out
-
-
-def played(values: Array, width: float) -> Array:
-    """Play (backlash) operator of full width."""
-    return np.asarray(_pushed(np.ascontiguousarray(values, dtype=np.float64), 0.5 * width))
-
-
-@numba.njit(cache=True)
-def _pushed(values, half):  # type: ignore[no-untyped-def]
-    out, at = np.empty_like(values), values[0]
-    for k, value in enumerate(values):
-        at = min(max(at, value - half), value + half)
-        out[k] = at
-    return out
-
-
 @dataclass(frozen=True)
 class Factor:
     """One dimensionless group.
@@ -160,7 +114,20 @@ class Factor:
     @property
     def has_free_shape(self) -> bool:
         """The shape may be estimated."""
-        return self.kind in ("power", "signed_power", "ratio", "difference", "excess", "shortage") or self.operator
+        free = ("power", "signed_power", "ratio", "difference", "excess", "shortage", "bump")
+        return self.kind in free or self.operator
+
+    @property
+    def shape_spread(self) -> float:
+        """What is believed of a free shape before the fit, one standard deviation about the first value [its unit]."""
+        if self.kind == "bump":
+            return 2.0 * self.references[0]
+        return _EXPONENT_SPREAD if self.kind in ("power", "signed_power", "ratio") else 0.5 * abs(self.shape)
+
+    @property
+    def shape_step(self) -> float:
+        """Size of a typical change of a free shape, for differences and step limits [its unit]."""
+        return 0.3 * self.references[0] if self.kind == "bump" else 0.1 * abs(self.shape)
 
     def value(self, at: Mapping[str, Any], shape: Any = None) -> Any:
         """At the values of the variables, element-wise; operators need (n,) samples and `time_s`."""
@@ -179,6 +146,8 @@ class Factor:
             return signed_power(x - 1.0, s)
         if self.kind == "one_way":
             return 0.5 * (1.0 + np.tanh(s * x / (_SMOOTHED * r)))
+        if self.kind == "bump":
+            return np.exp(-0.5 * ((x - s) / r) ** 2)
         if self.kind == "excess":
             return np.maximum(x - s, 0.0) / r
         if self.kind == "shortage":
@@ -231,6 +200,8 @@ class Factor:
             return f"({x} - 1){raised}"
         if self.kind == "one_way":
             return f"[{x} {'>' if s > 0 else '<'} 0]"
+        if self.kind == "bump":
+            return f"bump({x} about {s:.4g}, width {self.references[0]:.3g} {self.units[0]})".replace(" -)", ")")
         if self.kind in ("excess", "shortage"):
             inner = f"{x} - {s:.4g}" if self.kind == "excess" else f"{s:.4g} - {x}"
             return f"max(0, {inner} {self.units[0]})/({size})"
@@ -346,6 +317,29 @@ def factors(names: Iterable[str], variables: Mapping[str, Variable]) -> list[Fac
     for a, b in combinations(known, 2):
         if a.unit == b.unit and a.unit in _COMPARABLE and not (a.signed or b.signed):
             out += list(_of_pair(a, b, known))
+    return out
+
+
+def bumps(
+    values: Mapping[str, Array], units: Mapping[str, str], widths: Sequence[float] = _BUMP_WIDTHS
+) -> list[Factor]:
+    """Bumps over each of some variables, centres a width apart over the range driven.
+
+    Args:
+        values: name -> (n,) along the trajectory.
+        units: name -> unit.
+        widths: standard deviations of the bumps, as shares of the range.
+    """
+    out: list[Factor] = []
+    for name, along in values.items():
+        low, high = np.nanquantile(along, (0.01, 0.99))
+        span = float(high - low)
+        if span <= 1e-6 * max(abs(float(high)), 1e-300):
+            continue
+        for share in widths:
+            for centre in np.linspace(low, high, round(1.0 / share) + 1):
+                shape, width = float(f"{centre:.4g}"), float(f"{share * span:.3g}")
+                out.append(Factor("bump", (name,), (width,), shape, (unit_of(name, units),)))
     return out
 
 

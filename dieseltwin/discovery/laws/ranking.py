@@ -14,6 +14,7 @@ from dieseltwin.discovery.laws.grammar import (
     Form,
     Variable,
     arguments,
+    bumps,
     describe,
     factors,
     operators,
@@ -126,7 +127,11 @@ def _of_point(
     kinds: Sequence[str] | None,
 ) -> tuple[list[Ranked], int]:  # fmt: skip
     pool = [f for f in factors(arguments(point), known) if kinds is None or f.kind in kinds]
+    # Bumps over a map's arguments are many and alike: a pool of their own, so that others don't pay for their number.
+    of_map = {name: np.asarray(variables[name]) for name in map_arguments(point) if name in known}
+    local = bumps(of_map, units) if kinds is None or "bump" in kinds else []
     each = 2.0 * np.log(max(len(pool), 2))
+    each_local = 2.0 * np.log(max(len(local), 2))
     common = log_readings + 2.0 * np.log(points)
     n = len(twin.time_s)
     at = {**variables}
@@ -152,18 +157,20 @@ def _of_point(
             if form.fixed is not None:
                 amplitude = float(np.clip(amplitude, *_OPERATOR_AMPLITUDE))
             gain = 2.0 * amplitude * gradient - amplitude**2 * norm
-            charge = common + (each * len(form.factors) if form.fixed is None else 2.0 * np.log(10.0))
+            bumped = sum(factor.kind == "bump" for factor in form.factors)
+            chosen = each * (len(form.factors) - bumped) + each_local * bumped
+            charge = common + (chosen if form.fixed is None else 2.0 * np.log(10.0))
             out.append(_Scored(form, float(amplitude), float(gain), float(charge), worth(float(gain)), own))
         return out
 
-    singles = scored([Form(point.name), *(Form(point.name, (f,)) for f in pool)])
+    singles = scored([Form(point.name), *(Form(point.name, (f,)) for f in (*pool, *local))])
     products, everything, seen = singles, list(singles), {s.form.key for s in singles}
     count = len(singles)
     for beam in _BEAM:
         best = sorted((s for s in products if s.form.factors), key=lambda s: -s.score)[:beam]
         forms = []
         for s in best:
-            for factor in pool:
+            for factor in local if s.form.factors[0].kind == "bump" else pool:
                 if not _useful(s.form, factor):
                     continue
                 form = Form(point.name, (*s.form.factors, factor))
@@ -184,6 +191,11 @@ def _of_point(
     firsts = [*free[:_FIRST_TERMS], *(s for s in singles if not s.form.factors and s not in free[:_FIRST_TERMS])]
     ranked += _pairs(index, point, response, firsts, [*singles, *free], worth)
     return ranked, count
+
+
+def map_arguments(point: Point) -> tuple[str, ...]:
+    """The arguments of the map at a point, in all the ways in which it may be thought of."""
+    return tuple(dict.fromkeys((*point.tolerance_over, *point.tolerance_also)))
 
 
 def _trimmed(items: list[_Scored]) -> list[_Scored]:

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from dieseltwin.discovery.laws.grammar import lagged
+from dieseltwin.discovery.laws.shapes import lagged
 from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin
 
 FaultKind = Literal["gain", "offset", "lag"]

@@ -8,7 +8,7 @@ from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.engine.effects import ActuatorTerm, LawGroup, LawTerm, SensorTerm, Term
 from dieseltwin.engine.terms import OneTerm
 
-_WRITTEN = ("power", "time", "ratio", "orifice", "difference", "head", "above_one", "share")
+_WRITTEN = ("power", "time", "ratio", "orifice", "difference", "head", "above_one", "share", "bump")
 
 
 def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
@@ -63,6 +63,8 @@ def _written(factor: Factor) -> tuple[list[tuple[str, float, float]], list[LawGr
     if kind == "orifice":
         heat = [(names[2], float(factor.references[2]), -0.5)] if len(names) == 3 else []
         return [(names[0], reference, 1.0), *heat], [LawGroup(kind="orifice", variables=names[:2])]
+    if kind == "bump":
+        return [], [LawGroup(kind="bump", variables=names, reference=reference, centre=shape)]
     if kind == "difference":
         return [], [LawGroup(kind="difference", variables=names, reference=reference, exponent=shape)]
     return [], [LawGroup(kind=kind, variables=names, exponent=shape)]  # type: ignore[arg-type]

@@ -22,7 +22,6 @@ _SETTLED = 1e-7  # change of a signal relative to its size that counts as settle
 _PICARD_ROUNDS = 10
 _LEAST_ROUNDS = 3  # so that lanes that start where another settled part from it
 _LOOSE = 10.0  # prior standard deviation of a coefficient, relative to its first estimate: says nothing
-_SHAPE_STD = 0.5  # of an exponent around its first value; of other shapes relative to their value
 
 
 @dataclass(frozen=True)
@@ -60,9 +59,8 @@ class LawTwin:
                 unit = self._points[law.form.point].unit
                 extra.append(Parameter(f"law_{k + 1}", size, _LOOSE * size, unit, size))
             if law.free_shape:
-                shape = law.form.factors[0].shape
-                spread = _SHAPE_STD if law.form.factors[0].kind in ("power", "signed_power", "ratio") else 0.5 * shape
-                extra.append(Parameter(f"shape_{k + 1}", shape, abs(spread), "-", 0.1 * abs(shape)))
+                first = law.form.factors[0]
+                extra.append(Parameter(f"shape_{k + 1}", first.shape, first.shape_spread, "-", first.shape_step))
         self.parameters = (*base.parameters, *extra)
         self.channels, self.states, self.state_scales = base.channels, base.states, base.state_scales
         self.points, self.hypotheses, self.time_s = base.points, base.hypotheses, base.time_s

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.laws.features import generic_features, score_features
+from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
+from dieseltwin.discovery.laws.final_fit import signals_of
+from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.laws.twin import LawTwin
 from dieseltwin.discovery.laws.unnamed import best_term
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
-from dieseltwin.discovery.search.preparation import recentred
-from dieseltwin.discovery.search.state import Search, set_probabilities
+from dieseltwin.discovery.search.preparation import recentred, tolerance_responses
+from dieseltwin.discovery.search.state import CHANCE_LEAVES, Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, rescan, same_region
+from dieseltwin.discovery.twins.interface import Twin, WithSignals
 
 _PAIRS = 10
 VARIANTS = 6  # are refitted
@@ -25,7 +30,6 @@ _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, abou
 _POLISHED = 4  # of the best fits get sensitivities of their own
 _POLISHED_SHARE = 0.6  # of the best gain: fits that far behind are polished too
 _POLISH_ROUNDS = 8
-_CHANCE_LEAVES = 9.0  # gain of the best term without a name, of some seventy, beyond a right explanation
 _LEADING = 60.0  # gain within which a fit counts as leading
 _LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
 
@@ -236,7 +240,8 @@ def choose(found: Search, first: Linearisation) -> None:
     if pair is not None:
         options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
     best, kind, fit, variant = max(options, key=lambda option: option[0])
-    if any(item.gain > best + settings.law_gain for item in found.nameless()):
+    bar = best + settings.law_gain
+    if any(item.gain > bar for item in found.nameless()) or found.local_ahead(bar) is not None:
         found.kind = "law"
         return
     found.kind, found.variant = kind, variant
@@ -244,17 +249,40 @@ def choose(found: Search, first: Linearisation) -> None:
         found.best = recentred(found, fit)
     if found.best is not None:  # a confident lie is what nearly fits: look at what the explanation leaves
         found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
+        found.left_local = score_features(found.best, local_features(found.twin, found.best.fit))
         left = found.left[0].gain if found.left else 0.0
         place = {"single": 0, "pair": 1}.get(kind, 2)
         gained = single if kind == "single" or fit is None else found.gain(fit)
         limit = max(settings.left_gain[place], settings.left_share[place] * gained)
         held = max((item.held for item in found.left), default=0.0)
         ahead = held - found.beyond if kind == "single" else np.inf
-        if (held > limit and ahead > settings.left_ahead) or (left > _CHANCE_LEAVES and _outdone(found, best)):
+        bumps = max((item.held for item in found.left_local), default=0.0)
+        if (
+            (held > limit and ahead > settings.left_ahead)
+            or bumps > max(settings.local_gain, settings.left_share[place] * gained)
+            or (left > CHANCE_LEAVES and _outdone(found, best))
+        ):
             found.refused, found.kind = kind, "law"
             return
         _widen(found.best, left)
     set_probabilities(found, kind)
+
+
+def beyond_law(found: Search, law: Law) -> tuple[list[Structure], list[Structure]]:
+    """What a law leaves: terms without a name and bumps of maps beside it, strongest first.
+
+    The law's signal is held: at its best fit a change of its own coefficient gains nothing.
+    """
+    twin, values = law.on(found.twin)
+    fit = Fit(Candidate(), values, np.zeros(0), law.local, np.inf, True)
+    if isinstance(twin, LawTwin):
+        twin = cast(Twin, WithSignals(found.twin, signals_of(twin, fit.lanes())))
+        fit = replace(fit, parameters=law.parameters)
+    at = Linearisation(twin, found.whitening, fit)
+    responses = tolerance_responses(twin, at, found.settings)
+    at = Linearisation(twin, found.whitening, fit, None, responses)
+    kinds = generic_features(twin, fit), local_features(twin, fit)
+    return score_features(at, kinds[0]), score_features(at, kinds[1])
 
 
 def _outdone(found: Search, value: float) -> bool:
@@ -270,7 +298,7 @@ def _outdone(found: Search, value: float) -> bool:
 
 def _widen(at: Linearisation, left: float) -> None:
     """Intervals for an explanation that isn't quite right: wider by what it leaves over what chance leaves (Birge)."""
-    factor = max(1.0, left / _CHANCE_LEAVES)
+    factor = max(1.0, left / CHANCE_LEAVES)
     at.covariance = factor * at.covariance
     at.fit = replace(at.fit, covariance=at.covariance)
 

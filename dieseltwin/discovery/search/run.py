@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import time
 
-from dieseltwin.discovery.laws.features import Structure, generic_features, score_features
+from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search.explanations import (
     VARIANTS,
+    beyond_law,
     choose,
     polish,
     try_more_pairs,
@@ -61,6 +62,7 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
     clock = time.perf_counter()
     found.structure = score_features(base, generic_features(twin, found.null.fit))
+    found.local = score_features(base, local_features(twin, found.null.fit))
     found.seconds["structure"] = time.perf_counter() - clock
     unnamed = _unnamed(found)
     alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _said_by_name(found, unnamed))
@@ -97,9 +99,11 @@ def _law(found: Search, wanted: bool) -> None:
     if wanted:
         clock = time.perf_counter()
         found.law = best_law(
-            found.twin, found.null, found.structure,
+            found.twin, found.null, found.everything_unnamed(),
             lambda here: tolerance_responses(here.twin, here, found.settings),
         )  # fmt: skip
+        if found.law is not None:
+            found.left, found.left_local = beyond_law(found, found.law)
         found.seconds["law"] = time.perf_counter() - clock
 
 
@@ -121,7 +125,7 @@ def _unnamed(found: Search) -> Structure | None:
         bar = settings.unnamed_gain if item.feature.channel is None else settings.unnamed_sensor_gain
         if item.gain > bar:
             return item
-    return None
+    return found.local_ahead(0.0)
 
 
 def _said_by_name(found: Search, item: Structure) -> bool:

@@ -17,6 +17,7 @@ from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.recordings.noise import Noise
 
+CHANCE_LEAVES = 9.0  # gain of the best term without a name, of some seventy, beyond a right explanation
 _RANGE = 30.0  # of magnitudes over their tolerance that are believed, log-uniform
 
 
@@ -44,6 +45,8 @@ class Settings:
             of one effect; of two; of an onset or region, which are never met exactly.
         left_share: the same as a share of the explanation's own gain: edges of regions are never met exactly.
         left_ahead: what it must be ahead of the best second effect.
+        missing_share: of the gain of an explanation: what it may leave before more is said to be missing.
+        local_gain: gain of a bump over an argument of a map that raises an alarm, or beyond an explanation refuses it.
         equivalent_gain: names within this gain of the best can't be told apart: DISCOVERY.md's 9, and what maps that
             are off by their tolerance add to it.
         edges_share: of the gain of an effect in a region: closer names can't be told apart.
@@ -70,6 +73,8 @@ class Settings:
     left_gain: tuple[float, float, float] = (20.0, 24.0, 40.0)
     left_share: tuple[float, float, float] = (0.0, 0.0, 0.05)
     left_ahead: float = 8.0
+    local_gain: float = 32.0
+    missing_share: float = 0.02
     equivalent_gain: float = 12.0
     edges_share: float = 0.02
     withhold: tuple[str, ...] = ()
@@ -98,7 +103,9 @@ class Search:
     scanned: list[Variant] = field(default_factory=list)
     variants: list[tuple[Variant, Fit]] = field(default_factory=list)
     structure: list[Structure] = field(default_factory=list)
+    local: list[Structure] = field(default_factory=list)
     left: list[Structure] = field(default_factory=list)
+    left_local: list[Structure] = field(default_factory=list)
     best: Linearisation | None = None
     kind: str = "healthy"
     probabilities: dict[str, float] = field(default_factory=dict)
@@ -113,6 +120,48 @@ class Search:
     def gain(self, fit: Fit) -> float:
         """Gain of a fit over the health-only fit."""
         return self.null.fit.objective - fit.objective
+
+    def local_ahead(self, gain: float) -> Structure | None:
+        """The strongest bump over an argument of a map that doesn't hang on one window, where it gains more."""
+        for item in self.local:
+            if item.held >= self.settings.least_spread * item.gain:
+                return item if item.gain > max(gain, self.settings.local_gain) else None
+        return None
+
+    def everything_unnamed(self) -> list[Structure]:
+        """Terms without a name and bumps over arguments of maps, strongest first."""
+        return sorted([*self.structure, *self.local], key=lambda item: -item.gain)
+
+    def explained(self) -> float:
+        """Gain of the explanation that was chosen over the health-only fit; 0 where there is none."""
+        if self.kind == "law":
+            return 0.0 if self.law is None else self.law.gain
+        return 0.0 if self.best is None else max(self.gain(fit) for fit in self._chosen())
+
+    def _chosen(self) -> list[Fit]:
+        names = () if self.best is None else self.best.fit.candidate.names
+        pool = {"pair": self.pairs, "variant": [fit for _, fit in self.variants]}.get(self.kind, self.singles)
+        return [fit for fit in pool if fit.candidate.names == names] or pool[:1]
+
+    def remaining(self) -> float:
+        """What the strongest further term would gain beyond the explanation, without the window it hangs on most."""
+        return max((item.held for item in (*self.left, *self.left_local)), default=0.0)
+
+    def share_explained(self) -> float | None:
+        """Share of the misfit beyond noise and tolerances that the explanation takes away [-]; None where healthy."""
+        if self.kind == "healthy":
+            return None
+        explained = self.explained()
+        if explained <= 0.0:
+            return 0.0
+        return explained / (explained + max(self.remaining() - CHANCE_LEAVES, 0.0))
+
+    def more_is_missing(self) -> bool:
+        """Whether what the explanation leaves is beyond chance and beyond a small share of what it explains."""
+        if self.kind == "healthy":
+            return False
+        bar = max(self.settings.left_gain[2], self.settings.missing_share * self.explained())
+        return self.explained() <= 0.0 or self.remaining() > bar
 
     def lasting(self) -> list[Structure]:
         """Terms without a name that don't hang on one window, strongest first."""

@@ -64,7 +64,8 @@ class EngineTwin:
     """
 
     law_kinds = (
-        "power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "lag", "dead_time", "play",
+        "power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "bump", "lag", "dead_time",
+        "play",
     )  # fmt: skip
     """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
 

@@ -52,6 +52,7 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
         p_value=_p_value(found),
         location=findings.location(found, twin, evidence) if mismatch else None,
         effects=findings.effects(found) if mismatch else (),
+        more_is_missing=found.more_is_missing(),
         health={
             p.name: HealthValue(
                 value=float(parameters[j]), std=finite(covariance[j, j] ** 0.5 if covariance is not None else None),
@@ -156,6 +157,7 @@ def _figures(found: Search, after: Array) -> FitFigures:
         held_out_nll_before=finite(before_nll), held_out_nll_after=finite(after_nll),
         chi2_per_sample_before=chi2(null.simulated), chi2_per_sample_after=chi2(after),
         rmse_before=rmse(null.simulated), rmse_after=rmse(after),
+        share_explained=found.share_explained(),
     )  # fmt: skip
 
 

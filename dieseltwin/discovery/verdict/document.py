@@ -138,7 +138,8 @@ class HealthValue(_Part):
 
 class Fit(_Part):
     """How well readings are met before and after: negative log-likelihood per sample on the held-out part, chi-square
-    per sample, and root mean square of the residuals per channel [unit of the column]. Null where not known."""
+    per sample, root mean square of the residuals per channel [unit of the column], and the share of the misfit beyond
+    noise and tolerances that the explanation takes away [-]. Null where not known."""
 
     held_out_nll_before: float | None
     held_out_nll_after: float | None
@@ -146,6 +147,7 @@ class Fit(_Part):
     chi2_per_sample_after: NotNegative | None
     rmse_before: dict[Name, NotNegative]
     rmse_after: dict[Name, NotNegative]
+    share_explained: Probability | None = None
 
 
 class Provenance(_Part):
@@ -156,7 +158,10 @@ class Provenance(_Part):
 
 
 class Discrepancy(_Part):
-    """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first."""
+    """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first.
+
+    `more_is_missing`: what the effects leave is beyond noise and tolerances; something else is left out as well.
+    """
 
     schema_version: Literal[1] = Field(1, alias="schema")
     recording: RecordingInfo
@@ -164,6 +169,7 @@ class Discrepancy(_Part):
     p_value: Probability
     location: Location | None
     effects: tuple[FoundEffect, ...]
+    more_is_missing: bool = False
     health: dict[Name, HealthValue]
     fit: Fit
     minimum_detectable: dict[Name, NotNegative]
@@ -175,6 +181,8 @@ class Discrepancy(_Part):
             raise ValueError("a mismatch needs a location and at least one effect (none_of_these is one)")
         if not self.mismatch and (self.location is not None or self.effects):
             raise ValueError("without a mismatch there is no location and no effect")
+        if self.more_is_missing and not self.mismatch:
+            raise ValueError("without a mismatch nothing more is missing")
         _no_repeats([effect.name for effect in self.effects], "effect")
         return self
 

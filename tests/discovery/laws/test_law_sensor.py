@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from dieseltwin.discovery.laws.features import generic_features, score_features
-from dieseltwin.discovery.laws.grammar import Factor, Form, lagged, orifice
+from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.ranking import Ranked, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault
 from dieseltwin.discovery.laws.search import Law, _simplest_first, null_fit
 from dieseltwin.discovery.laws.sensor import best_law, faults_of, sensor_law
+from dieseltwin.discovery.laws.shapes import lagged, orifice
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation

@@ -17,13 +17,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "report"))
 import synthetic_discovery as synthetic
 
 # DISCOVERY.md, "Output": every key in its order
-KEYS = ["schema", "recording", "mismatch", "p_value", "location", "effects", "health", "fit", "minimum_detectable",
-        "provenance"]  # fmt: skip
+KEYS = ["schema", "recording", "mismatch", "p_value", "location", "effects", "more_is_missing", "health", "fit",
+        "minimum_detectable", "provenance"]  # fmt: skip
 PARTS = {
     "recording": ["path", "sha256", "duration_s", "channels"],
     "location": ["site", "probability", "alternatives", "regions", "onset_s"],
     "fit": ["held_out_nll_before", "held_out_nll_after", "chi2_per_sample_before", "chi2_per_sample_after",
-            "rmse_before", "rmse_after"],
+            "rmse_before", "rmse_after", "share_explained"],
     "provenance": ["code_version", "params_sha256"],
 }  # fmt: skip
 EFFECT_KEYS = ["name", "probability", "equivalent_names", "law", "magnitude", "std", "unit", "valid_for", "split_by"]

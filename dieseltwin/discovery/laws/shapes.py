@@ -1,0 +1,59 @@
+"""Shapes that laws are made of: the compressible orifice, signed powers, and the operators lag and play of samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from dieseltwin.discovery.twins.interface import Array
+
+GAMMA = 1.4
+"""Ratio of specific heats in the orifice's shape; its value moves the shape by less than 2 % (air, exhaust gas)."""
+
+
+def orifice(up: Any, down: Any) -> Any:
+    """Flow of a compressible orifice over its choked value at the same upstream state, signed [-]."""
+    high, low = np.maximum(up, down), np.minimum(up, down)
+    critical = (2.0 / (GAMMA + 1.0)) ** (GAMMA / (GAMMA - 1.0))
+    ratio = np.clip(low / high, critical, 1.0)
+    shape = np.sqrt(np.maximum(ratio ** (2.0 / GAMMA) - ratio ** ((GAMMA + 1.0) / GAMMA), 0.0))
+    choked = np.sqrt(critical ** (2.0 / GAMMA) - critical ** ((GAMMA + 1.0) / GAMMA))
+    return np.sign(up - down) * shape / choked
+
+
+def signed_power(x: Any, exponent: Any) -> Any:
+    """sign(x) |x|^exponent, finite slope at 0."""
+    return np.sign(x) * np.maximum(np.abs(x), 1e-12) ** exponent
+
+
+def lagged(values: Array, time_s: Array, constant: float) -> Array:
+    """First-order lag [s] of samples, linear between them."""
+    step = np.diff(time_s)
+    decay = np.exp(-step / max(constant, 1e-9))
+    mean = (1.0 - decay) * constant / step
+    return np.asarray(_follow(np.ascontiguousarray(values, dtype=np.float64), decay, mean))
+
+
+@numba.njit(cache=True)
+def _follow(values, decay, mean):  # type: ignore[no-untyped-def]
+    out = values.copy()
+    for k in range(1, len(values)):
+        decayed, held = decay[k - 1], mean[k - 1]
+        out[k] = decayed * out[k - 1] + (held - decayed) * values[k - 1] + (1.0 - held) * values[k]
+    return out
+
+
+def played(values: Array, width: float) -> Array:
+    """Play (backlash) operator of full width."""
+    return np.asarray(_pushed(np.ascontiguousarray(values, dtype=np.float64), 0.5 * width))
+
+
+@numba.njit(cache=True)
+def _pushed(values, half):  # type: ignore[no-untyped-def]
+    out, at = np.empty_like(values), values[0]
+    for k, value in enumerate(values):
+        at = min(max(at, value - half), value + half)
+        out[k] = at
+    return out

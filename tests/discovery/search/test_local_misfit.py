@@ -1,0 +1,62 @@
+"""A bump of a map over one of its arguments: no name of the catalogue may stand for it, and the law is the bump."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.discovery.laws.features import Structure
+from dieseltwin.discovery.search.run import Search, Settings, run
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.engine import Inputs, simulate, we2011
+from dieseltwin.engine.terms import LawGroup, LawTerm
+from dieseltwin.recordings.reader import recording
+
+SENSORS = {
+    "p_im_pa": 0.03, "p_em_pa": 0.03, "omega_t_rad_s": 0.01, "w_egr_kg_s": 0.05, "t_em_k": 0.03, "w_c_kg_s": 0.03,
+}  # fmt: skip
+BUMP = LawTerm(
+    point="eta_vol", coefficient=0.08, unit="-",
+    groups=(LawGroup(kind="bump", variables=("n_e",), reference=100.0, centre=1300.0),),
+)  # fmt: skip
+
+
+def _searched(bump: bool) -> Search:
+    laboratory = we2011.PARAMETERS
+    driving = draw_driving("random", 300.0, laboratory.model_dump(), np.random.default_rng(5))
+    engine = laboratory.replace(A_egrmax=1.1 * laboratory.A_egrmax, terms=(BUMP,) if bump else ())
+    inputs = Inputs(driving.time_s, driving.n_e_rpm, driving.u_delta_mg, driving.u_egr_pct, driving.u_vgt_pct)
+    table = simulate(inputs, engine)
+    rng = np.random.default_rng(6)
+    noisy = {
+        name: table[name] + rng.normal(0.0, share * table[name].mean(), len(table)) for name, share in SENSORS.items()
+    }
+    columns = {name: table[name].to_numpy() for name in ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")}
+    twin = EngineTwin(recording(pd.DataFrame({**columns, **noisy})), laboratory)
+    return run(twin, Settings(), laws=False)
+
+
+@pytest.fixture(scope="module")
+def bumped() -> Search:
+    return _searched(True)
+
+
+def test_a_bump_of_a_map_gets_no_name(bumped: Search) -> None:
+    strongest: Structure = bumped.everything_unnamed()[0]
+    assert bumped.kind == "law"
+    assert strongest.feature.site == "cylinder_flow" and "bump(n_e about 1" in strongest.feature.text
+    assert strongest.gain > 10.0 * bumped.gain(bumped.singles[0])
+    assert bumped.share_explained() == 0.0 and bumped.more_is_missing()
+
+
+def test_a_healthy_machine_has_no_bumps() -> None:
+    found = _searched(False)
+    assert found.kind == "healthy" and not found.more_is_missing() and found.share_explained() is None
+    assert max(item.gain for item in found.local) < found.settings.local_gain
+
+
+def test_the_law_of_an_engine_file_is_the_bump_itself() -> None:
+    at = {"n_e": np.array([1300.0, 1400.0, 1600.0])}
+    assert BUMP.signal(at) == pytest.approx(0.08 * np.exp([0.0, -0.5, -4.5]))
