@@ -1,0 +1,48 @@
+"""Recordings of diesel engines that are none of the library's own: the benchmark's plant, its sensors, its driving."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.challenge.map_errors import MapErrors
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.plant_effects import Fault
+from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.engine import we2011
+
+HEALTH = {"A_egrmax": 0.90, "A_vgtmax": 1.10, "eta_sc": 0.96, "h_tot": 1.15}
+"""Health parameter -> the plant's over the laboratory's value [-]."""
+
+DURATION_S = 600.0
+MAP_RMS = 0.003
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One engine: its fault, if any, and the names that discovery must do without."""
+
+    faults: tuple[Fault, ...] = ()
+    withhold: tuple[str, ...] = ()
+
+
+MACHINES = {
+    "leak": Machine((Fault("boost_leak", 4e-5),)),
+    "sensor": Machine((Fault("p_em_gain", 0.04),)),
+    "healthy": Machine(),
+    "withheld": Machine((Fault("boost_leak", 8e-5),), ("boost_leak",)),
+}
+
+
+def recorded(machine: Machine, seed: int = 1) -> pd.DataFrame:
+    """Ten minutes at 5 Hz with six sensors; the same driving, maps and noise whatever the fault."""
+    laboratory = we2011.PARAMETERS.model_dump()
+    parameters = laboratory | {name: laboratory[name] * share for name, share in HEALTH.items()}
+    driving = draw_driving("random", DURATION_S, laboratory, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed + 1)
+    maps = MapErrors.draw(MAP_RMS, rng)
+    sensors = SensorSet.draw(rng)
+    return read(run_plant(driving, parameters, machine.faults, maps), driving, machine.faults, sensors, 6, rng)

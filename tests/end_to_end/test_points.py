@@ -1,0 +1,98 @@
+"""Settled points of a simulated engine through `calibrate`, `discover` and `imply`: a planted flap or nothing.
+
+The engine has 10.8 l, other wheels and other maps than the base; the flap behind its turbine narrows as it closes. The
+readings have 1 % noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.calibration.calibrate import calibrate
+from dieseltwin.calibration.repair import repair
+from dieseltwin.calibration.verdict import document, sentence
+from dieseltwin.cli.app import main
+from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
+from dieseltwin.engine import load_engine, we2011
+from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
+
+FLAP_K = 700.0 * TRUTH.R_e / (2.0 * TRUTH.p_amb * np.exp(-5.5) ** 2)
+"""Back-pressure coefficient of the planted flap at 50 % [Pa/(kg/s)^2]: its area there is exp(-5.5) m2."""
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Points in a file and the engine file that `calibrate` made of them."""
+
+    points: Path
+    engine: Path
+    found: Path
+
+    @property
+    def document(self) -> Discrepancy:
+        """What `discover` says of the points."""
+        return load_discrepancy(self.found)
+
+
+@pytest.fixture(scope="session")
+def flap(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
+    """An engine with a flap, through the commands."""
+    folder = tmp_path_factory.mktemp("flap")
+    machine = Calibrated(folder / "points.csv", folder / "engine.yaml", folder / "found")
+    pd.DataFrame(dict(made_points(active=("exhaust_flap",)).columns)).to_csv(machine.points, index=False)
+    shape = folder / "geometry.yaml"
+    shape.write_text("".join(f"{name}: {getattr(GEOMETRY, name)}\n" for name in ("V_d", "r_c", "R_c", "R_t")))
+    assert main(["calibrate", str(machine.points), "--geometry", str(shape), "--out", str(machine.engine)]) == 0
+    assert main(["discover", str(machine.points), "--engine", str(machine.engine), "--out", str(machine.found)]) == 0
+    return machine
+
+
+def test_a_flap_is_found_and_sized(flap: Calibrated) -> None:
+    verdict = flap.document
+    assert verdict.mismatch and verdict.recording.duration_s == 0.0
+    assert verdict.location is not None and verdict.location.site == "turbine_flow"
+    assert verdict.location.probability > 0.95
+    (effect,) = verdict.effects
+    assert effect.name == "back_pressure" and effect.std is not None and effect.magnitude is not None
+    assert effect.law is not None and "flap_1" in effect.law
+    assert effect.magnitude == pytest.approx(5.2e4, rel=0.15) and effect.std == pytest.approx(1.3e4, rel=0.3)
+    assert abs(effect.magnitude - FLAP_K) < 2.0 * effect.std
+
+
+def test_the_held_out_third_is_met_better(flap: Calibrated) -> None:
+    fit = flap.document.fit
+    assert fit.held_out_nll_before is not None and fit.held_out_nll_after is not None
+    assert fit.held_out_nll_before - fit.held_out_nll_after == pytest.approx(0.9, abs=0.4)
+    assert fit.chi2_per_sample_before is not None and fit.chi2_per_sample_after is not None
+    assert fit.chi2_per_sample_after < 0.8 * fit.chi2_per_sample_before
+
+
+def test_the_calibrated_engine_is_the_planted_one(flap: Calibrated) -> None:
+    engine = load_engine(flap.engine)
+    assert (engine.V_d, engine.r_c) == (GEOMETRY.V_d, GEOMETRY.r_c)
+    repaired = load_engine(flap.found / "repaired.yaml")
+    assert repaired.A_vgtmax == pytest.approx(TRUTH.A_vgtmax, rel=0.1)
+    assert repaired.c_vol[2] == pytest.approx(TRUTH.c_vol[2], rel=0.03)
+
+
+def test_what_nobody_measured_is_implied(flap: Calibrated, tmp_path: Path) -> None:
+    out = tmp_path / "implied.csv"
+    assert main(["imply", str(flap.points), "--engine", str(flap.found / "repaired.yaml"), "--out", str(out)]) == 0
+    implied, points = pd.read_csv(out), pd.read_csv(flap.points)
+    assert len(implied) == len(points) and np.isfinite(implied["p_es_pa"]).all()
+    assert (implied["p_es_pa"] > TRUTH.p_amb - 2.0 * implied["p_es_pa_std"]).all()
+    shut = points["u_flap_pct"] < 40.0
+    assert implied.loc[shut, "p_es_pa"].median() > implied.loc[~shut, "p_es_pa"].median()
+
+
+def test_points_of_the_model_itself_call_for_nothing() -> None:
+    found = repair(calibrate(made_points(), we2011.PARAMETERS, GEOMETRY))
+    verdict = document(found)
+    assert not verdict.mismatch and verdict.effects == () and verdict.location is None
+    assert verdict.fit.held_out_nll_after == verdict.fit.held_out_nll_before
+    assert sentence(found).startswith("The 150 points call for no term")
