@@ -8,8 +8,9 @@ The cases are the main tier of `dieseltwin challenge make`, 40 with six sensors 
 fixed seeds. They are no proof, because their seeds are open: they show what a change of the program changes. The
 program under test is the one that Python finds (`PYTHONPATH` chooses another checkout). One core needs ten minutes.
 
-`compare` prints every case whose verdict differs and ends with counts. The name sets, the site and whether there is a
-mismatch must agree exactly, magnitudes and health parameters within `--within` standard deviations of the old verdict.
+`compare` prints every case whose verdict differs and ends with counts. The name sets, the site, a found law's form and
+whether there is a mismatch must agree exactly, an onset within 2 s, magnitudes and health parameters within `--within`
+standard deviations of the old verdict.
 A verdict is better or worse by what it says of the truth: found, site, true names in the sets, no wrong set, true name
 first; then by smaller sets; then by the distance of the magnitudes from the truth. Exit code 0 says that no case is
 worse, 1 that one is or was not run, 2 that a file can't be used.
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -33,7 +35,9 @@ PARTS = {"six": (40, 6013, 6), "five": (20, 6014, 5)}
 """Folder -> number of cases, seed, number of sensors; the seeds differ so that the machines do."""
 
 WITHIN_STD = 0.25  # what refits from another starting point move a magnitude by; verdicts that agree agree to 1e-3
+WITHIN_S = 2.0  # what the search's own steps leave open in an onset
 NONE_OF_THESE = "none_of_these"
+NUMBER = re.compile(r"(?<![\w.^])(?<!\^-)[-+]?\d[\d.]*(?:e[-+]?\d+)?")  # neither an exponent nor the digits of a name
 _DIGITS = 8
 
 
@@ -104,6 +108,12 @@ class Verdict:
     def said(self) -> tuple[tuple[str, ...], ...]:
         """The reported sets, in any order."""
         return tuple(sorted(effect.names for effect in self.effects))
+
+    @property
+    def law_form(self) -> str | None:
+        """The law that stands where no name fits, its numbers left out but for exponents."""
+        laws = [effect.law for effect in self.effects if effect.name == NONE_OF_THESE and effect.law]
+        return NUMBER.sub("#", laws[0]) if laws else None
 
     def marks(self) -> tuple[int, int]:
         """How right the verdict is: number of marks, then minus the number of names said; the larger the better."""
@@ -245,12 +255,16 @@ def difference(old: Verdict, new: Verdict, within: float) -> Difference:
         lines.append(f"site: {old.site} -> {new.site}")
     if old.said != new.said:
         lines.append(f"names: {_words(old)} -> {_words(new)}")
-    exact = not lines
+    named = not lines
+    if old.law_form != new.law_form:
+        lines.append(f"law: {old.law_form} -> {new.law_form}")
+    if abs((new.onset_s or 0.0) - (old.onset_s or 0.0)) > WITHIN_S:
+        lines.append(f"onset: {old.onset_s} s -> {new.onset_s} s")
     closer = new.distance() - old.distance()
     moved = list(_moved(old, new, within))
     lines += moved
     better = (new.marks() > old.marks()) - (new.marks() < old.marks())
-    if exact and any(line.startswith("magnitude") for line in moved):
+    if named and any(line.startswith("magnitude") for line in moved):
         better = (closer < 0.0) - (closer > 0.0)
     kind = "same" if not lines else {1: "better", -1: "worse", 0: "other"}[better]
     return Difference(old.case, kind, tuple(lines))

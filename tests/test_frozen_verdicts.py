@@ -42,6 +42,7 @@ CHANGES: list[tuple[str, Callable[[Verdict], Verdict], str]] = [
     ("a second name", lambda v: replace(v, effects=(LEAK, Effect("blow_by", 0.02, 0.001))), "worse"),
     ("silence", lambda v: SILENT, "worse"),
     ("a traceback", lambda v: replace(SILENT, problem="ValueError"), "worse"),
+    ("another onset", lambda v: replace(v, onset_s=200.0), "other"),
     ("a health parameter", lambda v: replace(v, health={"eta_sc": (1.13, 0.01)}), "other"),
 ]
 
@@ -61,6 +62,16 @@ def test_a_withheld_effect_is_right_without_a_name() -> None:
     named = replace(FOUND, kind="withheld", effects=(Effect("blow_by", 0.02, 0.001),))
     none = replace(named, effects=(Effect("none_of_these", None, law="W = 0.01 p_im/p_amb"),))
     assert difference(named, none, 0.25).kind == "better"
+
+
+def test_the_form_of_a_law_counts_and_its_numbers_do_not() -> None:
+    def law(text: str) -> Verdict:
+        return replace(FOUND, kind="withheld", effects=(Effect("none_of_these", law=text),))
+
+    first = law("added to W: 0.01 kg/s (T_em/600 K)^2")
+    assert first.law_form == "added to W: # kg/s (T_em/# K)^2"
+    assert difference(first, law("added to W: 0.011 kg/s (T_em/600 K)^2"), 0.25).kind == "same"
+    assert difference(first, law("added to W: 0.01 kg/s (T_em/600 K)^-1"), 0.25).kind == "other"
 
 
 def test_what_differs_is_printed_beside_the_truth() -> None:
