@@ -20,15 +20,9 @@ import numpy as np
 from identification import benchmark_problems
 
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, simulate, we2011
-from dieseltwin.identification import (
-    IDENTIFIABLE_BELOW,
-    PAPER_CHANNELS,
-    NoiseLevels,
-    SegmentProblem,
-    identify_segments,
-    problems_from_recording,
-)
-from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.recordings.datasets import make_validation
 from dieseltwin.recordings.reader import recording
 from dieseltwin.settings.params import Params, load_params
@@ -123,11 +117,12 @@ def main() -> None:
     parser.add_argument("--profile", default="quick")
     arguments = parser.parse_args()
 
-    from dieseltwin.cli.identify import load_networks
+    from dieseltwin.settings.methods import find
+    from dieseltwin.surrogates.files import networks_for
 
     params = load_params(None, arguments.profile)
     for method in arguments.methods:
-        options = {"config": params.identify, **load_networks(arguments.models, method, arguments.maps)}
+        options = {"config": params.identify, **networks_for(find(method), arguments.models, arguments.maps)}
         lines = coverage_lines(method, arguments.runs, arguments.seed, options)
         lines += flag_lines(method, params, arguments.validation_seeds, options)
         print("\n".join(lines), flush=True)

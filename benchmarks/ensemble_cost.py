@@ -18,8 +18,8 @@ from typing import Any
 
 import torch
 
-from dieseltwin.identification import identify_segments
-from dieseltwin.identification.ensemble import case_problems
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.paper.evaluation.ensembles import case_problems
 from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.bodies import Bodies
 from evaluation import clean_problems

@@ -24,25 +24,20 @@ import pandas as pd
 import torch
 
 from dieseltwin.engine import HEALTH, MEASURED
-from dieseltwin.identification import (
-    METHODS,
-    PAPER_CHANNELS,
-    NoiseLevels,
-    identify_segments,
-    problems_from_recording,
-)
 from dieseltwin.identification.bound import cramer_rao
-from dieseltwin.identification.ensemble import CASES, case_problems, member_table
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, problems_from_recording
+from dieseltwin.paper.evaluation import tables as evaluation
+from dieseltwin.paper.evaluation.ensembles import CASES, case_problems, member_table
 from dieseltwin.recordings.datasets import laboratory_parameters
 from dieseltwin.recordings.reader import read_recording
-from dieseltwin.report import evaluation
+from dieseltwin.settings.methods import EXACT, in_order, names
 from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.bodies import Bodies
 from dieseltwin.surrogates.empirical import EmpiricalMaps
 from dieseltwin.surrogates.operators import ActuatorOperators
 
-SECTIONS = ("adam", "baseline", "multi_stage")
-LEARNED = ("few-shot-adam", "baseline", "multi-stage")
+LEARNED = tuple(method.name for method in in_order() if method.needs.maps != EXACT)
 """Methods that run with what `--models` holds; the others have exact formulae and bodies of their own."""
 STATES = ["p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k"]
 
@@ -76,7 +71,7 @@ def main() -> None:
     """Run the ensembles and print scores, cells and calibration."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=["classical", "few-shot-newton"])
+    parser.add_argument("--methods", nargs="+", choices=list(names()), default=["classical", "few-shot-newton"])
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--members", type=int, default=30)
     parser.add_argument("--channels", nargs="+", default=None, help="sensors; all five without it")
@@ -104,8 +99,8 @@ def main() -> None:
         changed["scale_x_r"] = arguments.scale_x_r
     if arguments.average_share is not None:
         changed["average_share"] = arguments.average_share
-    sections = {name: getattr(params.identify, name).model_copy(update=changed) for name in SECTIONS}
-    config = params.identify.model_copy(update=sections)
+    sections = {name: params.identify.of(name).model_copy(update=changed) for name in LEARNED}
+    config = params.identify.model_copy(update={"methods": {**params.identify.methods, **sections}})
     given = networks(arguments.models, arguments.leave_out)
     with tempfile.TemporaryDirectory() as temporary:
         for case in arguments.cases:

@@ -23,9 +23,9 @@ import torch
 from identification import benchmark_problems
 
 from dieseltwin.engine import HEALTH, actuate, we2011
-from dieseltwin.identification import identify_segments
-from dieseltwin.identification.fewshot_adam import train
-from dieseltwin.identification.fewshot_program import AdamSettings, draw_lane
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.paper.loops.few_shot_adam import train
+from dieseltwin.paper.loops.few_shot_program import AdamSettings, draw_lane
 from dieseltwin.settings.params import load_params
 
 PAPER_NOISY = (
@@ -40,9 +40,10 @@ PAPER_NOISY = (
 
 def networks(models: Path | None, maps: str) -> dict[str, Any]:
     """Trained bodies and operators (with `models`), and learned maps."""
-    from dieseltwin.cli.identify import load_networks
+    from dieseltwin.settings.methods import find
+    from dieseltwin.surrogates.files import networks_for
 
-    return load_networks(models, "few-shot-adam", maps) if models is not None else {}
+    return networks_for(find("few-shot-adam"), models, maps) if models is not None else {}
 
 
 def accuracy(arguments: argparse.Namespace) -> None:

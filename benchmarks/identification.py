@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.engine import HEALTH, we2011
-from dieseltwin.identification import PAPER_CHANNELS, Identification, NoiseLevels, identify_segments
 from dieseltwin.identification.bound import Bound, cramer_rao
-from dieseltwin.identification.problem import SegmentProblem, problem_from_segment
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, SegmentProblem, problem_from_segment
+from dieseltwin.identification.result import Identification
 from dieseltwin.recordings.datasets import benchmark_segments
 from dieseltwin.settings.params import load_params
 
@@ -110,12 +111,13 @@ def main() -> None:
     parser.add_argument("--profile", default="quick")
     arguments = parser.parse_args()
 
-    from dieseltwin.cli.identify import load_networks
+    from dieseltwin.settings.methods import find
+    from dieseltwin.surrogates.files import networks_for
 
     params = load_params(None, arguments.profile)
     problems, bounds = benchmark_problems(arguments.draws, arguments.seed)
     for method in arguments.methods:
-        networks = load_networks(arguments.models, method, arguments.maps)
+        networks = networks_for(find(method), arguments.models, arguments.maps)
         warm = [p.with_noise_draws(1, np.random.default_rng(0)) for p in problems[:1]]
         identify_segments(warm, method, 1, 0, config=params.identify, **networks)
         cpu = time.process_time()

@@ -36,19 +36,16 @@ from identification import benchmark_problems
 from torch import Tensor
 
 from dieseltwin.engine import actuate, bind
-from dieseltwin.identification import (
-    baseline,
-    fewshot_adam,
-    fewshot_program,
-    identify_segments,
-    multistage,
-    pinn_training,
-)
-from dieseltwin.identification.losses import Weights, total_loss
-from dieseltwin.identification.pinn_networks import N_STATES, StateNetworks
+from dieseltwin.identification.few_shot.residuals import HEALTH, physics_residuals
+from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.residuals import HEALTH, physics_residuals
 from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.paper.loops import baseline, pinn_training
+from dieseltwin.paper.loops import few_shot_adam as fewshot_adam
+from dieseltwin.paper.loops import few_shot_program as fewshot_program
+from dieseltwin.paper.loops import multi_stage as multistage
+from dieseltwin.paper.loops.losses import Weights, total_loss
+from dieseltwin.paper.loops.pinn_networks import N_STATES, StateNetworks
 from dieseltwin.settings.params import load_params
 
 PAPER_MS = {"few-shot": 4.3, "multi-stage": 6.7, "baseline": 6.6}
@@ -260,9 +257,10 @@ def measure(
 
 def second_order_s(method: str, models: Path | None, kind: str, draws: int) -> float:
     """CPU seconds a run of a second-order method on the benchmark driving, compiled beforehand; the best of three."""
-    from dieseltwin.cli.identify import load_networks
+    from dieseltwin.settings.methods import find
+    from dieseltwin.surrogates.files import networks_for
 
-    given = load_networks(models, method, "improved" if kind == "learned" else "exact")
+    given = networks_for(find(method), models, "improved" if kind == "learned" else "exact")
     problems, _ = benchmark_problems(draws, SEED)
     config = load_params(None, "quick").identify
     identify_segments(benchmark_problems(1, SEED)[0], method, 1, 0, config=config, **given)

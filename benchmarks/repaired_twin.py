@@ -22,9 +22,12 @@ import pandas as pd
 
 from dieseltwin.engine import HEALTH, INPUT_COLUMNS, MEASURED, EngineParameters, Inputs, simulate, we2011
 from dieseltwin.engine.effects import Term
-from dieseltwin.identification import NoiseLevels, SegmentProblem, baseline, identify_segments, multistage
-from dieseltwin.identification.fewshot_program import AdamSettings
-from dieseltwin.identification.pinn_training import PinnSettings
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
+from dieseltwin.paper.loops import baseline
+from dieseltwin.paper.loops import multi_stage as multistage
+from dieseltwin.paper.loops.few_shot_program import AdamSettings
+from dieseltwin.paper.loops.pinn_training import PinnSettings
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
 EFFECTS = {"boost_leak": 3e-5, "back_pressure": 1e5, "bearing_friction": 5e-6}

@@ -8,6 +8,8 @@ from typing import Any
 
 from prefect import flow
 
+from dieseltwin.settings.methods import find
+from dieseltwin.surrogates.files import files_of
 from tasks import ensembles as steps
 from tasks import evaluate as after
 from tasks import evaluation_records as records
@@ -100,42 +102,30 @@ def _submit_ensembles(
     plans: list[Plan], settings: dict[str, Any], field: Artifact, models: Artifact
 ) -> dict[str, dict[int, Pending]]:
     """Every batch of every ensemble, the longest first; multi-stage waits for the source models of its case."""
-    maps, operators = models / "maps_paper.pt", models / "operators.pt"
-    given: dict[str, dict[str, Artifact]] = {
-        "baseline": {"maps": maps, "operators": operators},
-        "few-shot-adam": {"bodies": models / "bodies_paper.pt", "maps": maps, "operators": operators},
-        "few-shot-newton": {"bodies": models / "bodies_conditioned.pt"},
-        "classical": {},
-    }
-    step_of = {
-        "baseline": steps.baseline,
-        "few-shot-adam": steps.few_shot_adam,
-        "few-shot-newton": steps.few_shot_newton,
-        "classical": steps.classical,
-    }
     plans = [plan for plan in plans if not plan.last_epoch]
     pending: dict[str, dict[int, Pending]] = {plan.slug: {} for plan in plans}
 
     def batch(plan: Plan, first: int, runs: int) -> dict[str, Any]:
         return {
+            "method": plan.method,
             "field": field,
             "settings": own_settings(settings, plan.method),
             "what": {**plan.what, "first": first, "runs": runs},
             "kind": f"{plan.slug}-m{first:03d}",
+            **{kind: models / name for kind, name in files_of(find(plan.method).needs).items()},
         }
 
     for plan in plans:
-        if plan.method != "multi-stage":
+        if find(plan.method).sources is None:
             for first, runs in plan.batches:
-                pending[plan.slug][first] = step_of[plan.method].submit(
-                    **batch(plan, first, runs), **given[plan.method]
-                )
-    sources = {plan.case: pending[plan.slug] for plan in plans if plan.method == "baseline" and not plan.variant}
+                pending[plan.slug][first] = steps.STEPS[plan.method].submit(**batch(plan, first, runs))
+    trained = {(plan.method, plan.case): pending[plan.slug] for plan in plans if not plan.variant}
     for plan in plans:
-        if plan.method == "multi-stage":
+        source = find(plan.method).sources
+        if source is not None:
             for first, runs in plan.batches:
-                pending[plan.slug][first] = steps.multi_stage.submit(
-                    **batch(plan, first, runs), **given["baseline"], source=sources[plan.case][first].result()
+                pending[plan.slug][first] = steps.STEPS[plan.method].submit(
+                    **batch(plan, first, runs), source=trained[source, plan.case][first].result()
                 )
     return pending
 

@@ -7,13 +7,23 @@ import sys
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from dieseltwin.settings.methods import find
+from dieseltwin.surrogates.files import files_of
 from tasks import identify as methods
 from tasks import records
 from tasks import report as steps
 from tasks.launch import run_alone
 from tasks.publish import publish, published
 from tasks.run_context import WORKERS, current, seed_for
-from tasks.settings import about, load_settings, own_settings
+from tasks.settings import about, load_settings, own_settings, runs_of
+
+COMPARED = ("classical", "few-shot-newton", "few-shot-adam")
+"""The methods of the report; the evaluation has all."""
+
+
+def short(method: str) -> str:
+    """The method's name in seeds and in the report's steps."""
+    return method.removeprefix("few-shot-")
 
 
 @flow(name="identify", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
@@ -22,38 +32,26 @@ def identify(profile: str) -> str:
     context = current()
     root = context.workspace.root
     settings = load_settings(profile)
-    config = settings["identify"]
     field = published(root / "data" / "field", "simulate")
     sets = published(root / "data" / "sets", "simulate")
     models = published(root / "models", "pretrain")
 
     # One after the other: seconds per run are those of an idle machine.
     found = {
-        "classical": methods.classical.submit(
+        method.name: methods.STEPS[method.name]
+        .submit(
+            method=method.name,
             field=field,
-            settings=own_settings(settings, "classical"),
-            runs=config["runs"],
-            seed=seed_for(settings["seed"], "classical"),
-        ).result(),
-        "few-shot-newton": methods.newton.submit(
-            field=field,
-            bodies=models / "bodies_conditioned.pt",
-            settings=own_settings(settings, "few-shot-newton"),
-            runs=config["runs"],
-            seed=seed_for(settings["seed"], "newton"),
-        ).result(),
-        "few-shot-adam": methods.adam.submit(
-            field=field,
-            bodies=models / "bodies_paper.pt",
-            maps=models / "maps_paper.pt",
-            operators=models / "operators.pt",
-            settings=own_settings(settings, "few-shot-adam"),
-            runs=config["adam"]["members"],
-            seed=seed_for(settings["seed"], "adam"),
-        ).result(),
+            settings=own_settings(settings, method.name),
+            runs=runs_of(settings, method.name),
+            seed=seed_for(settings["seed"], short(method.name)),
+            **{kind: models / name for kind, name in files_of(method.needs).items()},
+        )
+        .result()
+        for method in map(find, COMPARED)
     }
     pending = steps.driving_pictures.submit(sets=sets, driving=settings["driving"], dpi=settings["report"]["dpi"])
-    by_name = {name.removeprefix("few-shot-"): artifact for name, artifact in found.items()}
+    by_name = {short(name): artifact for name, artifact in found.items()}
     common = steps.comparison.submit(
         **by_name,
         field=field,

@@ -9,7 +9,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tasks.run_context import step
+from dieseltwin.settings.methods import find, in_order
+from tasks.identify import rests_on
+from tasks.run_context import Step, step
 from tasks.store import RUNTIME
 
 ESTIMATES = "estimates.npz"
@@ -42,49 +44,32 @@ def _clean_problems(field: Path, settings: dict[str, Any]) -> list[Any]:
 
 def problems_for(field: Path, settings: dict[str, Any], what: dict[str, Any], members: int) -> list[Any]:
     """The segments of one case. ``what``: case, noise_seed, channels."""
-    from dieseltwin.identification.ensemble import case_problems
+    from dieseltwin.paper.evaluation.ensembles import case_problems
 
     return case_problems(
         _clean_problems(field, settings), what["case"], members, what["noise_seed"], what.get("channels")
     )
 
 
-def _config(settings: dict[str, Any], what: dict[str, Any]) -> Any:
-    """``IdentifyConfig`` with the start of this ensemble."""
+def _config(settings: dict[str, Any], method: str, what: dict[str, Any]) -> Any:
+    """``IdentifyConfig`` with what this ensemble changes of the start and of the method's own settings."""
+    from dieseltwin.settings.evaluation import NOT_READ_BY_ALL
+    from dieseltwin.settings.methods import find
     from dieseltwin.settings.params import StartConfig
     from tasks.identify import _config as read
 
     config = read(settings)
-    return config.model_copy(update={"start": StartConfig(**{**config.start.model_dump(), "at": what["start"]})})
-
-
-def _with_x_r(printed: Any, what: dict[str, Any]) -> Any:
-    """Settings with the unit of the residual of x_r that the ensemble names, their own where it names none."""
-    from dataclasses import replace
-
-    unit = what["scale_x_r"]
-    return printed if unit is None else replace(printed, scales=replace(printed.scales, x_r=unit))
-
-
-def _networks(bodies: Path | None, maps: Path | None, operators: Path | None) -> dict[str, Any]:
-    from dieseltwin.surrogates.bodies import Bodies
-    from dieseltwin.surrogates.empirical import EmpiricalMaps
-    from dieseltwin.surrogates.operators import ActuatorOperators
-
-    given: dict[str, Any] = {}
-    if bodies is not None:
-        given["bodies"] = Bodies.load(bodies)
-    if maps is not None:
-        given["maps"] = EmpiricalMaps.load(maps)
-    if operators is not None:
-        given["operators"] = ActuatorOperators.load(operators)
-    return given
+    start = StartConfig(**{**config.start.model_dump(), "at": what["start"]})
+    named = [name for name in NOT_READ_BY_ALL if name != "start" and name in find(method).varied]
+    changed = {name: what[name] for name in named if what[name] is not None}
+    section = config.of(method).model_copy(update=changed)
+    return config.model_copy(update={"start": start, "methods": {method: section}})
 
 
 def _write(out: Path, estimates: list[Any], seconds: float) -> None:
     import json
 
-    from dieseltwin.identification.ensemble import save_estimates
+    from dieseltwin.paper.evaluation.ensembles import save_estimates
 
     save_estimates(out / ESTIMATES, estimates)
     times = {"seconds": seconds, "seconds_per_run": [estimate.seconds_per_run for estimate in estimates]}
@@ -95,12 +80,13 @@ def _write(out: Path, estimates: list[Any], seconds: float) -> None:
     "ensemble-baseline",
     "ensemble, baseline PINN",
     expected_s=300.0,
-    entries=("dieseltwin.identification.baseline",),
+    entries=rests_on(find("baseline")),
 )
 def baseline(
     out: Path,
     progress: Any,
     *,
+    method: str,
     field: Path,
     maps: Path,
     operators: Path,
@@ -113,12 +99,13 @@ def baseline(
 
     import numpy as np
 
-    from dieseltwin.identification.baseline import METHOD, SETTINGS
-    from dieseltwin.identification.pinn_training import estimates_of, make_lanes, settings_from, train_lanes
+    from dieseltwin.paper.loops.baseline import METHOD, SETTINGS
+    from dieseltwin.paper.loops.pinn_training import estimates_of, make_lanes, settings_from, train_lanes
+    from dieseltwin.surrogates.files import load_networks
 
     problems = problems_for(field, settings, what, what["members"])
-    chosen = _with_x_r(settings_from(_config(settings, what), "baseline", SETTINGS), what)
-    given = _networks(None, maps, operators)
+    chosen = settings_from(_config(settings, METHOD, what), METHOD, SETTINGS)
+    given = load_networks({"maps": maps, "operators": operators})
     began = time.perf_counter()
     lanes = make_lanes(problems, [0], what["runs"], what["seed"], chosen, what["first"])
     found = train_lanes(lanes, given["operators"], given["maps"], chosen)
@@ -134,12 +121,13 @@ def baseline(
     "ensemble-multi-stage",
     "ensemble, multi-stage",
     expected_s=300.0,
-    entries=("dieseltwin.identification.multistage",),
+    entries=rests_on(find("multi-stage")),
 )
 def multi_stage(
     out: Path,
     progress: Any,
     *,
+    method: str,
     field: Path,
     maps: Path,
     operators: Path,
@@ -155,12 +143,13 @@ def multi_stage(
     import numpy as np
     import torch
 
-    from dieseltwin.identification.multistage import SETTINGS, later_segments, source_models
-    from dieseltwin.identification.pinn_training import settings_from
+    from dieseltwin.paper.loops.multi_stage import METHOD, SETTINGS, later_segments, source_models
+    from dieseltwin.paper.loops.pinn_training import settings_from
+    from dieseltwin.surrogates.files import load_networks
 
     problems = problems_for(field, settings, what, what["members"])
-    chosen = settings_from(_config(settings, what), "multi_stage", SETTINGS)
-    given = _networks(None, maps, operators)
+    chosen = settings_from(_config(settings, METHOD, what), METHOD, SETTINGS)
+    given = load_networks({"maps": maps, "operators": operators})
     with np.load(source / SOURCES) as stored:
         found: Any = SimpleNamespace(
             weights=torch.tensor(stored["weights"]),
@@ -175,89 +164,51 @@ def multi_stage(
     _write(out, estimates, time.perf_counter() - began)
 
 
-@step(
-    "ensemble-few-shot-adam",
-    "ensemble, few-shot-adam",
-    expected_s=300.0,
-    entries=("dieseltwin.identification.fewshot_adam",),
-)
-def few_shot_adam(
+OWN_STEPS: dict[str, Step] = {"baseline": baseline, "multi-stage": multi_stage}
+
+
+def members(
     out: Path,
     progress: Any,
     *,
+    method: str,
     field: Path,
-    bodies: Path,
-    maps: Path,
-    operators: Path,
     settings: dict[str, Any],
     what: dict[str, Any],
     kind: str,
+    **networks: Path,
 ) -> None:
-    """The paper's loop, everything as printed but for what ``what`` changes."""
+    """One batch of members of any method. ``networks``: files of what it has learned, by their kind."""
     import time
-    from dataclasses import replace
 
-    from dieseltwin.identification.fewshot_adam import estimate
-    from dieseltwin.identification.fewshot_program import AdamSettings
+    from dieseltwin.settings.methods import find
+    from dieseltwin.surrogates.files import load_networks
 
     problems = problems_for(field, settings, what, what["members"])
-    printed = _with_x_r(AdamSettings.from_config(_config(settings, what)), what)
-    chosen = replace(printed, held_out_share=what["held_out_share"], weight_share=what["weight_share"])
-    given = _networks(bodies, maps, operators)
+    chosen, config = find(method), _config(settings, method, what)
+    given: dict[str, Any] = load_networks(networks)
+    if chosen.with_epochs:
+        given["first_run"] = what["first"]
+    else:  # it compiles on its first use: seconds are those of a warm machine
+        chosen.estimate(problems[:1], 1, what["seed"], config=config, **given)
     began = time.perf_counter()
-    estimates = estimate(problems, what["runs"], what["seed"], config=chosen, first_run=what["first"], **given)
+    estimates = chosen.estimate(problems, what["runs"], what["seed"], config=config, **given)
     _write(out, estimates, time.perf_counter() - began)
 
 
-@step(
-    "ensemble-few-shot-newton",
-    "ensemble, few-shot-newton",
-    expected_s=60.0,
-    entries=("dieseltwin.identification.fewshot_newton",),
-)
-def few_shot_newton(
-    out: Path,
-    progress: Any,
-    *,
-    field: Path,
-    bodies: Path,
-    settings: dict[str, Any],
-    what: dict[str, Any],
-    kind: str,
-) -> None:
-    """Conditioned bodies, exact formulae; all members in one step."""
-    import time
-
-    from dieseltwin.identification.fewshot_newton import estimate
-
-    problems = problems_for(field, settings, what, what["members"])
-    config, given = _config(settings, what), _networks(bodies, None, None)
-    estimate(problems[:1], 1, what["seed"], config=config, **given)  # seconds are those of a warm machine
-    began = time.perf_counter()
-    estimates = estimate(problems, what["runs"], what["seed"], config=config, **given)
-    _write(out, estimates, time.perf_counter() - began)
+def steps_of_all() -> dict[str, Step]:
+    """Method -> the step of its ensembles: one text for all but the PINN, whose networks are kept and carried on."""
+    found = {
+        method.name: step(
+            f"ensemble-{method.name}", f"ensemble, {method.name}", expected_s=100.0, entries=rests_on(method)
+        )(members)
+        for method in in_order()
+        if method.name not in OWN_STEPS
+    }
+    return found | OWN_STEPS
 
 
-@step(
-    "ensemble-classical",
-    "ensemble, classical",
-    expected_s=30.0,
-    entries=("dieseltwin.identification.classical",),
-)
-def classical(
-    out: Path, progress: Any, *, field: Path, settings: dict[str, Any], what: dict[str, Any], kind: str
-) -> None:
-    """Maximum likelihood by shooting, exact formulae; all members in one step."""
-    import time
-
-    from dieseltwin.identification.classical import estimate
-
-    problems = problems_for(field, settings, what, what["members"])
-    config = _config(settings, what)
-    estimate(problems[:1], 1, what["seed"], config=config)
-    began = time.perf_counter()
-    estimates = estimate(problems, what["runs"], what["seed"], config=config)
-    _write(out, estimates, time.perf_counter() - began)
+STEPS = steps_of_all()
 
 
 @step("training-operators", "repeated training, actuator operators", expected_s=80.0)

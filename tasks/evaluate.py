@@ -44,8 +44,14 @@ def ensemble(
     from dieseltwin.engine import HEALTH
     from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
     from dieseltwin.identification.curves import curves_table
-    from dieseltwin.identification.ensemble import at_last_epoch, load_estimates, member_table, merged, without_diverged
     from dieseltwin.identification.result import Identification
+    from dieseltwin.paper.evaluation.ensembles import (
+        at_last_epoch,
+        load_estimates,
+        member_table,
+        merged,
+        without_diverged,
+    )
     from tasks.ensembles import ESTIMATES, problems_for
     from tasks.store import RUNTIME
 
@@ -103,8 +109,8 @@ def tables(
 
     from dieseltwin.atomic import write_json
     from dieseltwin.engine import HEALTH
-    from dieseltwin.report import evaluation
-    from dieseltwin.report.evaluation_variants import variant_scores
+    from dieseltwin.paper.evaluation import tables as evaluation
+    from dieseltwin.paper.evaluation.variants import variant_scores
     from tasks.store import RUNTIME
 
     with _linked({name: path for name, path in parts.items() if name.startswith("ensemble_")}) as folder:
@@ -174,8 +180,8 @@ def page(
 
     import pandas as pd
 
+    from dieseltwin.paper.evaluation.page import build_page
     from dieseltwin.report import load_results, write_report_inputs
-    from dieseltwin.report.evaluation_page import build_page
     from tasks.ensembles import problems_for
     from tasks.identify import problems_of
     from tasks.store import RUNTIME

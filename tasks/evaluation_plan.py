@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from dieseltwin.errors import InputError
+from dieseltwin.settings.methods import find
 from tasks.run_context import seed_for
-
-_BATCHED = ("baseline", "multi-stage", "few-shot-adam")
+from tasks.settings import section_of
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,15 @@ class Plan:
 def ensembles_of(settings: Mapping[str, Any], only: Sequence[str] = ()) -> list[Plan]:
     """Every ensemble of the evaluation, the paper's own first, the longest methods first.
 
-    ``only``: names of ensembles (`Plan.slug`); none means all. multi-stage brings the baseline of its case with it,
-    whose networks it starts from, and what is read at the last epoch the ensemble that it is read from.
+    ``only``: names of ensembles (`Plan.slug`); none means all. A method that starts from another's networks brings that
+    of its case with it, and what is read at the last epoch the ensemble that it is read from.
     Raises ``InputError`` for an unknown name.
     """
     evaluation = settings["evaluation"]
     found = [
         _plan(settings, method, case, "", {"members": evaluation["members"][method]})
-        for method in ("baseline", "multi-stage", "few-shot-adam", "few-shot-newton", "classical")
+        for method in sorted(evaluation["members"], key=lambda name: -find(name).rank)
         for case in evaluation["cases"]
-        if method in evaluation["members"]
     ]
     for variant in evaluation["variants"]:
         cases = [case for case in variant["cases"] if case in evaluation["cases"]]
@@ -63,7 +62,8 @@ def ensembles_of(settings: Mapping[str, Any], only: Sequence[str] = ()) -> list[
         if name not in known:
             raise InputError("--only", name, ", ".join(sorted(known)), "name an ensemble of this profile")
     wanted = {*only, *(known[name].trained_as for name in only)}
-    wanted |= {f"{known[name].case}-baseline" for name in wanted if known[name].method == "multi-stage"}
+    sources = {name: find(known[name].method).sources for name in wanted}
+    wanted |= {f"{known[name].case}-{source}" for name, source in sources.items() if source is not None}
     return [plan for plan in found if plan.slug in wanted] if only else found
 
 
@@ -74,7 +74,7 @@ def _plan(settings: Mapping[str, Any], method: str, case: str, variant: str, cha
     what = {
         "case": case,
         "members": members,
-        # One noise draw a member, the same for every method; PROTOCOL.md.
+        # One noise draw a member, the same for every method.
         "noise_seed": seed_for(settings["seed"], f"evaluation noise {case}"),
         # A variant keeps the seed of what it is a variant of: nothing but the change differs.
         "seed": seed_for(settings["seed"], f"evaluation {method} {case}"),
@@ -84,13 +84,10 @@ def _plan(settings: Mapping[str, Any], method: str, case: str, variant: str, cha
         "weight_share": changed.get("weight_share", 1.0),
         "scale_x_r": changed.get("scale_x_r"),
     }
-    at_a_time = settings["evaluation"]["members_per_batch"] if method in _BATCHED else members
+    at_a_time = settings["evaluation"]["members_per_batch"] if find(method).with_epochs else members
     batches = tuple((first, min(at_a_time, members - first)) for first in range(0, members, at_a_time))
-    return Plan(method, case, variant, what, batches, _epochs(settings["identify"], method), last_epoch)
+    return Plan(method, case, variant, what, batches, _epochs(settings, method), last_epoch)
 
 
-def _epochs(identify: Mapping[str, Any], method: str) -> int | None:
-    if method == "few-shot-adam":
-        return int(identify["adam"]["epochs"])
-    section = {"baseline": "baseline", "multi-stage": "multi_stage"}.get(method)
-    return None if section is None else int(identify[section]["stages"][-1]["until_epoch"])
+def _epochs(settings: Mapping[str, Any], method: str) -> int | None:
+    return find(method).settings.model_validate(section_of(settings, method)).trained_epochs

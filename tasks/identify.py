@@ -8,23 +8,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tasks.run_context import step
-
-# ``dieseltwin.identification`` names all methods in its registry; a step rests on its own method alone, which stands
-# in ``entries``.
+from dieseltwin.settings.methods import Method, in_order
+from dieseltwin.surrogates.files import CLASSES, files_of
+from tasks.run_context import Step, step
 
 
 def _config(settings: dict[str, Any]) -> Any:
-    """``IdentifyConfig`` without the sections of the other methods."""
-    from pydantic import TypeAdapter
-
+    """``IdentifyConfig`` with the section of one method alone; how many runs there are is an argument of its own."""
     from dieseltwin.settings.params import IdentifyConfig
 
-    fields = {
-        name: TypeAdapter[Any](IdentifyConfig.model_fields[name].annotation).validate_python(value)  # type: ignore[arg-type]
-        for name, value in settings["identify"].items()
-    }
-    return IdentifyConfig.model_construct(**fields)
+    return IdentifyConfig(**{"runs": 1, **settings["identify"]})
 
 
 def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
@@ -60,32 +53,35 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     return known, clean[clean["time_s"] <= problems[-1].t1_s]
 
 
-def _identify(
+def identified(
     out: Path,
+    progress: Any,
+    *,
     method: str,
     field: Path,
     settings: dict[str, Any],
     runs: int,
     seed: int,
-    *,
-    compiles: bool = False,
-    **networks: Any,
+    **networks: Path,
 ) -> None:
     """Identify the first minutes of the noisy field recording with one method and write the results.
 
-    ``compiles``: the method compiles on its first use, which is done beforehand.
+    ``networks``: files of what the method has learned, by their kind.
     """
     import json
 
-    from dieseltwin.identification import identify_segments
     from dieseltwin.identification.curves import curves_table
+    from dieseltwin.identification.identify import identify_segments
+    from dieseltwin.settings.methods import find
+    from dieseltwin.surrogates.files import load_networks
 
     config = _config(settings)
     problems, _ = problems_of(field, settings)
     threshold = config.identifiable_bound_rel
-    if compiles:  # seconds per run are those of a warm machine
-        identify_segments(problems[:1], method, 1, seed, config=config, threshold=threshold, **networks)
-    found = identify_segments(problems, method, runs, seed, config=config, threshold=threshold, **networks)
+    learned = load_networks(networks)
+    if not find(method).with_epochs:  # it compiles on its first use: seconds per run are those of a warm machine
+        identify_segments(problems[:1], method, 1, seed, config=config, threshold=threshold, **learned)
+    found = identify_segments(problems, method, runs, seed, config=config, threshold=threshold, **learned)
     for name, content in (("identification.json", found.to_json()), ("runtime.json", found.runtime())):
         (out / name).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     found.states.to_parquet(out / "states.parquet", index=False)
@@ -94,58 +90,22 @@ def _identify(
         curves.to_parquet(out / "curves.parquet", index=False)
 
 
-@step(
-    "identify-classical",
-    "identification, classical",
-    expected_s=30.0,
-    entries=("dieseltwin.identification.classical",),
-)
-def classical(out: Path, progress: Any, *, field: Path, settings: dict[str, Any], runs: int, seed: int) -> None:
-    """Maximum likelihood by shooting, exact formulae."""
-    _identify(out, "classical", field, settings, runs, seed, compiles=True)
+def rests_on(method: Method) -> tuple[str, ...]:
+    """Modules of the library that a method's result rests on: its own, and those of the networks that it is given.
+
+    Both are found by name when they run, so that a change in one method leaves the others' results alone.
+    """
+    return (method.module, *(f"dieseltwin.surrogates.{CLASSES[kind][0]}" for kind in files_of(method.needs)))
 
 
-@step(
-    "identify-newton",
-    "identification, few-shot-newton",
-    expected_s=60.0,
-    entries=("dieseltwin.identification.fewshot_newton",),
-)
-def newton(
-    out: Path, progress: Any, *, field: Path, bodies: Path, settings: dict[str, Any], runs: int, seed: int
-) -> None:
-    """Gauss-Newton on heads and parameters: conditioned bodies, exact formulae."""
-    from dieseltwin.surrogates.bodies import Bodies
-
-    _identify(out, "few-shot-newton", field, settings, runs, seed, compiles=True, bodies=Bodies.load(bodies))
-
-
-@step(
-    "identify-adam",
-    "identification, few-shot-adam",
-    expected_s=90.0,
-    entries=("dieseltwin.identification.fewshot_adam",),
-)
-def adam(
-    out: Path,
-    progress: Any,
-    *,
-    field: Path,
-    bodies: Path,
-    maps: Path,
-    operators: Path,
-    settings: dict[str, Any],
-    runs: int,
-    seed: int,
-) -> None:
-    """The paper's loop, everything as printed: bodies, maps with dropout, actuator operators."""
-    from dieseltwin.surrogates.bodies import Bodies
-    from dieseltwin.surrogates.empirical import EmpiricalMaps
-    from dieseltwin.surrogates.operators import ActuatorOperators
-
-    networks: dict[str, Any] = {
-        "bodies": Bodies.load(bodies),
-        "maps": EmpiricalMaps.load(maps),
-        "operators": ActuatorOperators.load(operators),
+def steps_of_all() -> dict[str, Step]:
+    """Method -> its step, for every estimator that the library has."""
+    return {
+        method.name: step(
+            f"identify-{method.name}", f"identification, {method.name}", expected_s=60.0, entries=rests_on(method)
+        )(identified)
+        for method in in_order()
     }
-    _identify(out, "few-shot-adam", field, settings, runs, seed, **networks)
+
+
+STEPS = steps_of_all()

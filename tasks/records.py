@@ -265,9 +265,8 @@ def _shown(metric: str, value: float | None) -> float | None:
 
 
 def _own(section: Mapping[str, Any], method: str) -> dict[str, Any]:
-    names = {"classical": "classical", "few-shot-newton": "newton", "few-shot-adam": "adam"}
-    shared = {key: value for key, value in section.items() if key not in names.values()}
-    return {**shared, **section[names[method]]}
+    shared = {key: value for key, value in section.items() if key != "methods"}
+    return {**shared, **section["methods"].get(method, {})}
 
 
 def _converged(document: Mapping[str, Any]) -> float:

@@ -10,16 +10,6 @@ from tasks.store import Artifact
 
 DEFAULT_PROFILE = "quick"
 
-_SECTIONS = {
-    "baseline": "baseline",
-    "multi-stage": "multi_stage",
-    "few-shot-adam": "adam",
-    "few-shot-newton": "newton",
-    "classical": "classical",
-}
-"""Method -> its section of ``identify``; only that one is part of a step's key."""
-
-
 def load_settings(profile: str) -> dict[str, Any]:
     """Validated settings of a profile, as plain JSON values. Raises ``StepFailed`` (exit status 2) with the reader's
     one-line message."""
@@ -37,11 +27,25 @@ def load_settings(profile: str) -> dict[str, Any]:
 def own_settings(settings: Mapping[str, Any], method: str) -> dict[str, Any]:
     """What one method reads: the shared part of ``identify`` and its own section, the engine and the noise.
 
-    How many runs there are is an argument of its own. Raises ``KeyError`` for an unknown method.
+    How many runs there are is an argument of its own. Raises ``InputError`` for an unknown method.
     """
-    others = set(_SECTIONS.values()) - {_SECTIONS[method]} | {"runs"}
-    shared = {name: value for name, value in settings["identify"].items() if name not in others}
-    return {"identify": shared, "engine": settings["engine"], "noise": settings["noise"]}
+    own = {method: section_of(settings, method)}
+    shared = {name: value for name, value in settings["identify"].items() if name != "runs"}
+    return {"identify": {**shared, "methods": own}, "engine": settings["engine"], "noise": settings["noise"]}
+
+
+def section_of(settings: Mapping[str, Any], method: str) -> dict[str, Any]:
+    """A method's section of ``identify.methods``; its own defaults where the file names none."""
+    from dieseltwin.settings.methods import find
+
+    found = settings["identify"]["methods"].get(method)
+    plain: dict[str, Any] = find(method).settings().model_dump(mode="json") if found is None else dict(found)
+    return plain
+
+
+def runs_of(settings: Mapping[str, Any], method: str) -> int:
+    """Runs a segment: the method's own number where it has one."""
+    return int(section_of(settings, method).get("members") or settings["identify"]["runs"])
 
 
 def about(settings: Mapping[str, Any], recording: Artifact, sections: Iterable[str]) -> dict[str, Any]:
@@ -50,6 +54,7 @@ def about(settings: Mapping[str, Any], recording: Artifact, sections: Iterable[s
     ``sections``: those of params.yaml that the numbers rest on; only they are part of the hash that is shown.
     """
     from dieseltwin import __version__
+    from dieseltwin.settings.methods import in_order
     from dieseltwin.settings.params import params_sha256
 
     return {
@@ -60,11 +65,13 @@ def about(settings: Mapping[str, Any], recording: Artifact, sections: Iterable[s
         "seed": settings["seed"],
         "params_sha256": params_sha256({name: settings[name] for name in sections}),
         "code_version": __version__,
-        "methods": {
-            "classical": "exact formulae, nothing learned",
-            "few-shot-newton": "conditioned bodies, exact formulae",
-            "few-shot-adam": "bodies, maps with dropout and actuator operators as printed, "
-            f"{settings['identify']['adam']['epochs']:,} epochs of the paper's 30,000",
-        },
+        "methods": {method.name: _said(method, settings) for method in in_order()},
         "commands": "make run, dvc repro",
     }
+
+
+def _said(method: Any, settings: Mapping[str, Any]) -> str:
+    """What is learned of a method, and for how many epochs it trains."""
+    section = method.settings.model_validate(section_of(settings, method.name))
+    epochs = section.trained_epochs
+    return method.learned if epochs is None else f"{method.learned}; {epochs:,} epochs"

@@ -17,9 +17,12 @@ import typer
 from dieseltwin import __version__
 from dieseltwin.cli.challenge import challenge_app
 from dieseltwin.cli.data import data_app
+from dieseltwin.cli.early import check_there
 from dieseltwin.cli.effects import EffectOption, show_effects
 from dieseltwin.cli.points import calibrate_command, imply_command
 from dieseltwin.errors import DieselTwinError, InputError
+from dieseltwin.settings import methods
+from dieseltwin.settings.names import unknown_name
 
 # typer carries its own copy of click and exports few of its exceptions; these are the bases of one it does export
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
@@ -96,6 +99,7 @@ def simulate(
     effect: EffectOption = None,
 ) -> None:
     """Simulate the engine over recorded or made-up inputs."""
+    check_there(inputs)
     from dieseltwin.cli.simulate import run_simulate
 
     rows = run_simulate(inputs, out, engine=engine, channels=channels, effects=effect)
@@ -110,9 +114,7 @@ def identify(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
     method: Annotated[
         str,
-        typer.Option(
-            "--method", metavar="M", help="classical, few-shot-newton, few-shot-adam, multi-stage or baseline."
-        ),
+        typer.Option("--method", metavar="M", help=f"One of {', '.join(methods.names())}."),
     ] = "classical",
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Independent starts a segment.")] = None,
     engine: EngineFile = None,
@@ -126,8 +128,8 @@ def identify(
         typer.Option(
             "--maps",
             metavar="KIND",
-            help="Empirical maps: exact formulae, or learned ones, paper or improved. classical and "
-            "few-shot-newton take exact, the others paper.",
+            help="Empirical maps: exact formulae, or learned ones, paper or improved. Without it the method's usual "
+            "ones: the paper's own methods take paper, the others exact.",
         ),
     ] = None,
     segment: Annotated[
@@ -138,6 +140,9 @@ def identify(
     profile: Profile = "quick",
 ) -> None:
     """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty."""
+    if method not in methods.names():
+        raise unknown_name("--method", method, methods.names())
+    check_there(recording)
     from dieseltwin.cli.identify import run_identify
 
     lines = run_identify(
@@ -186,6 +191,7 @@ def discover(
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = 0,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
+    check_there(recording)
     from dieseltwin.cli.discover import run_discover
 
     lines = run_discover(

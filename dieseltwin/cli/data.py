@@ -1,4 +1,7 @@
-"""`dieseltwin data list | path | fetch`: recordings of other people, with their origin, and checked local copies."""
+"""`dieseltwin data list | path | fetch`: recordings of other people, with their origin, and checked local copies.
+
+What they do is in `recordings.public_data`, which is slow to load.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ from typing import Annotated
 import typer
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.public_data import FILES, SETS, fetch, find, path_of, wanted
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="A set (liu_ice) or one file of it (liu_ice/wltp_NF.csv).")]
 
@@ -17,6 +19,8 @@ data_app = typer.Typer(help="Recordings of other people: origin, terms, and chec
 
 def list_lines() -> Iterator[str]:
     """Every set with its origin and terms, every file with its size and where a good copy lies."""
+    from dieseltwin.recordings.public_data import SETS, wanted
+
     for data_set in SETS.values():
         yield data_set.name
         yield f"  from    {data_set.address}"
@@ -27,6 +31,8 @@ def list_lines() -> Iterator[str]:
 
 
 def _where(name: str) -> str:
+    from dieseltwin.recordings.public_data import FILES, find
+
     try:
         found = find(FILES[name])
     except InputError as error:
@@ -50,6 +56,8 @@ def data_list() -> None:
 @data_app.command("path")
 def data_path(name: Name) -> None:
     """Print the local path of a file, or of every file of a set, after checking its bytes."""
+    from dieseltwin.recordings.public_data import path_of, wanted
+
     for file in wanted(name):
         typer.echo(path_of(file))
 
@@ -57,6 +65,8 @@ def data_path(name: Name) -> None:
 @data_app.command("fetch")
 def data_fetch(name: Name) -> None:
     """Make sure that a checked copy is on this machine; prints its path."""
+    from dieseltwin.recordings.public_data import fetch, wanted
+
     for file in wanted(name):
         path, loaded = fetch(file)
         typer.echo(f"{path}{'' if loaded else ' (was here)'}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dieseltwin.errors import InputError
-from dieseltwin.settings.strict import unknown_name
+from dieseltwin.settings.names import unknown_name
 
 if TYPE_CHECKING:
     from dieseltwin.engine import EngineParameters

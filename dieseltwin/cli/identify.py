@@ -12,29 +12,18 @@ import numpy as np
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.engine import MEASURED, EngineParameters, load_engine, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.identification import (
-    METHODS,
-    Identification,
-    NoiseLevels,
-    SegmentProblem,
-    identify_segments,
-    problems_from_recording,
-)
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
+from dieseltwin.identification.result import Identification
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, read_recording, rows_out_of_range
-from dieseltwin.settings.params import IdentifyConfig, Params, load_params
-from dieseltwin.settings.strict import unknown_name
+from dieseltwin.settings.methods import find
+from dieseltwin.settings.params import Params, load_params
+from dieseltwin.surrogates.files import networks_for
 
 # Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 OPTIONAL_RESULTS = ("curves.parquet", "figures")  # another method in the same folder must not leave its own behind
-MODELS_FOLDER = Path("models")
-EXACT = "exact"
-MAPS = (EXACT, "paper", "improved")
-# The paper's methods and their sections of params.yaml: its maps and operators, a number of runs of their own.
-AS_PRINTED = {"few-shot-adam": "adam", "multi-stage": "multi_stage", "baseline": "baseline"}
-DEFAULT_MAPS = dict.fromkeys(AS_PRINTED, "paper")
-BODIES_FILES = {"few-shot-newton": "bodies_conditioned.pt", "few-shot-adam": "bodies_paper.pt"}
 
 
 def run_identify(
@@ -57,7 +46,7 @@ def run_identify(
     Args:
         recording: CSV or Parquet.
         out: folder for identification.json, runtime.json, states.parquet and figures/.
-        method: a key of `identification.METHODS`.
+        method: one of `settings.methods.names()`.
         runs: independent starts a segment; None takes the settings' number for this method.
         engine: YAML overriding engine parameters; its health parameters are where the search starts.
         channels: channel map of the recording.
@@ -73,10 +62,10 @@ def run_identify(
     Raises:
         InputError: any file or option that cannot be used; nothing is written then.
     """
+    chosen = find(method, "--method")
+    chosen.check_installed()
     settings = load_params(params, profile)
-    if method not in METHODS:
-        raise unknown_name("--method", method, list(METHODS))
-    runs = default_runs(settings.identify, method) if runs is None else runs
+    runs = settings.identify.runs_of(method) if runs is None else runs
     if runs < 1:
         raise InputError("--runs", runs, "1 or more", "ask for at least one run")
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
@@ -84,7 +73,7 @@ def run_identify(
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
     source = read_recording(recording, channels, parameters)
     problems, left_out = _usable(problems_of(source, parameters, settings, segment_s), source)
-    networks = load_networks(models, method, maps)
+    networks = networks_for(chosen, models, maps)
     notes = [*_notes(source, parameters), *left_out]
     if sys.stderr.isatty():  # a person waits; a log file needs no promise
         print(f"{recording}: {len(problems)} segments, {runs} runs each, {method} ...", file=sys.stderr)
@@ -103,11 +92,6 @@ def run_identify(
         _write(folder, found, {**found.runtime(), **about}, problems)
     document = found.to_json()
     return [*table(document), *notes, *misfits(document), f"results: {out}"]
-
-
-def default_runs(identify: IdentifyConfig, method: str) -> int:
-    """Runs a segment where the command line names none: the paper's are dear and have a number of their own."""
-    return int(getattr(identify, AS_PRINTED[method]).members) if method in AS_PRINTED else identify.runs
 
 
 def problems_of(
@@ -139,55 +123,6 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
         raise InputError(f"{source.path}: {', '.join(MEASURED[:3])}", "no segment with readings of all three",
                          "at least one", "record longer or ask for longer segments")
     return usable, notes
-
-
-def load_networks(models: Path | None, method: str, maps: str | None) -> dict[str, Any]:
-    """Pretrained networks for `identify_segments`, as keyword arguments.
-
-    Args:
-        models: folder of `make run`; None takes `models` of the working folder.
-        method: few-shot-newton gets its conditioned bodies, the paper's own methods everything as printed.
-        maps: "exact", "paper" or "improved"; None takes the paper's for its methods, the exact formulae otherwise.
-
-    Raises:
-        InputError: an unknown kind of maps, no such folder or file, or a file that holds something else.
-    """
-    maps = DEFAULT_MAPS.get(method, EXACT) if maps is None else maps
-    if maps not in MAPS:
-        raise unknown_name("--maps", maps, MAPS)
-    files = {"bodies": BODIES_FILES[method]} if method in BODIES_FILES else {}
-    if method in AS_PRINTED:
-        files["operators"] = "operators.pt"
-    if maps != EXACT:
-        files["maps"] = f"maps_{maps}.pt"
-    folder = MODELS_FOLDER if models is None else models
-    if (files or models is not None) and not folder.is_dir():
-        raise InputError(f"--models {folder}", "no such folder", "the folder of pretrained networks",
-                         "make them with `make run` or check the path")
-    for name in files.values():
-        if not (folder / name).is_file():
-            raise InputError(f"--models {folder}", f"no {name}", "the files that `make run` writes",
-                             "make them with `make run` or check the path")
-    loaders = {"bodies": _load_bodies, "operators": _load_operators, "maps": _load_maps}
-    return {kind: loaders[kind](folder / name) for kind, name in files.items()}
-
-
-def _load_bodies(path: Path) -> Any:
-    from dieseltwin.surrogates.bodies import Bodies
-
-    return Bodies.load(path)
-
-
-def _load_operators(path: Path) -> Any:
-    from dieseltwin.surrogates.operators import ActuatorOperators
-
-    return ActuatorOperators.load(path)
-
-
-def _load_maps(path: Path) -> Any:
-    from dieseltwin.surrogates.empirical import EmpiricalMaps
-
-    return EmpiricalMaps.load(path)
 
 
 def _notes(source: Recording, parameters: EngineParameters) -> list[str]:

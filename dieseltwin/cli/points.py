@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from dieseltwin.cli.early import check_there
+
 Points = Annotated[Path, typer.Argument(metavar="POINTS", help="CSV or Parquet: steady points, or a recording.")]
 Channels = Annotated[Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign columns.")]
 
@@ -26,6 +28,7 @@ def calibrate_command(
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the held-out third.")] = 0,
 ) -> None:
     """Calibrate another engine of the same kind from steady points."""
+    check_there(points)
     from dieseltwin.cli.calibrate import run_calibrate
 
     for line in run_calibrate(points, out, base=base, geometry=geometry, channels=channels, noise_pct=noise, seed=seed):
@@ -39,6 +42,7 @@ def imply_command(
     channels: Channels = None,
 ) -> None:
     """Say, for each point, every quantity that nobody measured, with its standard deviation."""
+    check_there(points)
     from dieseltwin.cli.calibrate import run_imply
 
     for line in run_imply(points, engine, out, channels=channels):

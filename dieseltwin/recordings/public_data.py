@@ -20,7 +20,7 @@ from pathlib import Path
 
 from dieseltwin.atomic import atomic_path
 from dieseltwin.errors import InputError
-from dieseltwin.settings.strict import unknown_name
+from dieseltwin.settings.names import unknown_name
 
 LOCAL, MIRROR, CACHE = "DIESELTWIN_DATA", "DIESELTWIN_DATA_URL", "DIESELTWIN_CACHE"
 TIMEOUT_S = 30.0

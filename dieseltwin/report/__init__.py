@@ -18,7 +18,8 @@ from dieseltwin.report.results import MethodResult, Results, load_method, load_r
 from dieseltwin.report.tables import headline, segment_table, summary_table, summary_text
 
 if TYPE_CHECKING:
-    from dieseltwin.identification import Identification, SegmentProblem
+    from dieseltwin.identification.problem import SegmentProblem
+    from dieseltwin.identification.result import Identification
 
 __all__ = [
     "MethodResult",

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogLocator
 
 from dieseltwin.report import captions, quantities, style
-from dieseltwin.report.evaluation_printed import mean_seconds
+from dieseltwin.report.printed import mean_seconds
 from dieseltwin.report.results import PARAMETERS, Results
 from dieseltwin.report.segment_axis import MOST_NAMES, WIDTH_IN, method_handles, offsets_of, segment_axis
 from dieseltwin.report.statistics import error_over_bound, relative_bound, std_over_bound

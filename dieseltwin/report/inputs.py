@@ -15,7 +15,8 @@ from dieseltwin.report.results import PARAMETERS, Results, method_from_document
 from dieseltwin.report.statistics import MEASURED_COLUMNS
 
 if TYPE_CHECKING:
-    from dieseltwin.identification import Identification, SegmentProblem
+    from dieseltwin.identification.problem import SegmentProblem
+    from dieseltwin.identification.result import Identification
 
 
 def measured_table(problems: Sequence[SegmentProblem]) -> pd.DataFrame:

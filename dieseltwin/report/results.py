@@ -18,10 +18,10 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
+from dieseltwin.settings.methods import known
 from dieseltwin.symbols import HEALTH_NAMES
 
 PARAMETERS = HEALTH_NAMES
-METHOD_ORDER = ("classical", "few-shot-newton", "few-shot-adam", "multi-stage", "baseline")
 
 
 @dataclass(frozen=True)
@@ -270,8 +270,9 @@ def load_method(directory: Path) -> MethodResult:
 
 
 def _rank(result: MethodResult) -> tuple[int, str]:
-    order = METHOD_ORDER.index(result.method) if result.method in METHOD_ORDER else len(METHOD_ORDER)
-    return order, result.method
+    """The quick methods first; one that this version doesn't know comes last."""
+    found = known(result.method)
+    return 1000 if found is None else found.rank, result.method
 
 
 def load_results(results_dir: Path) -> Results:

@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from dieseltwin.atomic import write_bytes
+from dieseltwin.settings.methods import MethodStyle, known
 
 TRUTH = "#000000"
 MEASURED = "#8a8a8a"
@@ -74,31 +75,15 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-@dataclass(frozen=True)
-class MethodStyle:
-    """How one method is drawn: colour, marker, line style, and the name that a reader sees."""
-
-    colour: str
-    marker: str
-    line: str
-    label: str
-
-
-METHODS: dict[str, MethodStyle] = {
-    "classical": MethodStyle("#0072B2", "o", "-", "classical"),
-    "few-shot-newton": MethodStyle("#D55E00", "s", "--", "few-shot-newton"),
-    "few-shot-adam": MethodStyle("#009E73", "^", "-.", "few-shot-adam"),
-    "multi-stage": MethodStyle("#CC79A7", "D", ":", "multi-stage"),
-    "baseline": MethodStyle("#E69F00", "v", ":", "baseline PINN"),
-}
 _SPARE_COLOURS = ("#56B4E9", "#7a5195", "#b8860b", "#5c5c5c")
 _SPARE_MARKERS = ("P", "X", "<", ">")
 
 
 def method_style(method: str) -> MethodStyle:
-    """The style of ``method``; one that the palette doesn't know gets a spare colour that depends on its name only."""
-    if method in METHODS:
-        return METHODS[method]
+    """The style of ``method``; one that this version doesn't know gets a spare colour that depends on its name only."""
+    found = known(method)
+    if found is not None:
+        return found.style
     number = sum(method.encode()) % len(_SPARE_COLOURS)
     return MethodStyle(_SPARE_COLOURS[number], _SPARE_MARKERS[number], "-", method)
 

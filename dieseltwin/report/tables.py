@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from dieseltwin.report import evaluation_printed as printed
-from dieseltwin.report import quantities, style
+from dieseltwin.report import printed, quantities, style
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results, SegmentResult
 from dieseltwin.report.statistics import (
     agree,

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from dieseltwin.report import captions, quantities, style
-from dieseltwin.report.evaluation_printed import BODY_ERRORS, operator_errors
+from dieseltwin.report.printed import BODY_ERRORS, operator_errors
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results, number
 from dieseltwin.report.segment_axis import WIDTH_IN
 

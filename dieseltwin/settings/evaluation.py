@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from dieseltwin.errors import InputError
+from dieseltwin.settings.methods import find, in_order
 from dieseltwin.settings.strict import StrictModel
 
 CaseName = Literal["clean-151", "clean-301", "noisy-301"]
-MethodName = Literal["baseline", "multi-stage", "few-shot-adam", "few-shot-newton", "classical"]
+MethodName = Annotated[str, AfterValidator(lambda name: find(name, "evaluation: method").name)]
 
-WITH_EPOCHS = ("few-shot-adam", "multi-stage", "baseline")
-"""Methods whose training can be read at its last epoch."""
-READ_BY = {
-    "held_out_share": ("few-shot-adam",),
-    "weight_share": ("few-shot-adam",),
-    "scale_x_r": ("few-shot-adam", "baseline"),
-    "start": ("few-shot-adam", "baseline", "few-shot-newton", "classical"),
-}
-"""Setting of a variant -> methods that read it; all read the others. multi-stage starts from its source models."""
+NOT_READ_BY_ALL = ("held_out_share", "weight_share", "scale_x_r", "start")
+"""Settings of a variant that only those methods read that name them in `varied`; all read the others."""
 
 
 class VariantConfig(StrictModel):
@@ -49,8 +43,9 @@ class VariantConfig(StrictModel):
         where = self.where
         changed = [name for name, value in self if value != type(self).model_fields[name].default]
         if self.last_epoch:
-            if self.method not in WITH_EPOCHS:
-                raise InputError(f"{where}: last_epoch", "true", ", ".join(WITH_EPOCHS), "name one of these methods")
+            if not find(self.method).with_epochs:
+                allowed = ", ".join(method.name for method in in_order() if method.with_epochs)
+                raise InputError(f"{where}: last_epoch", "true", allowed, "name one of these methods")
             extra = sorted(set(changed) - {"name", "method", "cases", "last_epoch"})
             if extra:
                 raise InputError(
@@ -59,8 +54,8 @@ class VariantConfig(StrictModel):
                 )  # fmt: skip
             return self
         for name in changed:
-            if self.method not in READ_BY.get(name, (self.method,)):
-                allowed = f"with {' or '.join(READ_BY[name])}"
+            if name in NOT_READ_BY_ALL and name not in find(self.method).varied:
+                allowed = f"with {' or '.join(method.name for method in in_order() if name in method.varied)}"
                 advice = f"leave it out: {self.method} ignores it"
                 raise InputError(f"{where}: {name}", getattr(self, name), allowed, advice)
         if self.members is None:
@@ -81,15 +76,18 @@ class EvaluationConfig(StrictModel):
     @model_validator(mode="after")
     def _every_ensemble_can_be_made(self) -> EvaluationConfig:
         self._refuse_equal_names()
-        sources = self.members.get("baseline", 0)
         own = {f"evaluation.members: {method}": (method, count) for method, count in self.members.items()}
         varied = {v.where: (v.method, v.members or 0) for v in self.variants}
         for where, (method, count) in {**own, **varied}.items():
-            if method == "multi-stage" and (not sources or count > sources):
+            first = find(method).sources
+            if first is None:
+                continue
+            sources = self.members.get(first, 0)
+            if not sources or count > sources:
                 raise InputError(
-                    where, f"{count} members" if count else "multi-stage",
-                    f"at most the {sources} of baseline, whose networks it starts from",
-                    "give evaluation.members: baseline as many" if sources else "add evaluation.members: baseline",
+                    where, f"{count} members" if count else method,
+                    f"at most the {sources} of {first}, whose networks it starts from",
+                    f"give evaluation.members: {first} as many" if sources else f"add evaluation.members: {first}",
                 )  # fmt: skip
         for variant in self.variants:
             if variant.last_epoch and variant.method not in self.members:

@@ -10,13 +10,24 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import (
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    SerializeAsAny,
+    field_validator,
+)
 
+from dieseltwin.errors import InputError
 from dieseltwin.settings.discovery import DiscoverConfig, PromotionConfig, ProofConfig
 from dieseltwin.settings.evaluation import EvaluationConfig
 from dieseltwin.settings.maps import MapsConfig, Widths
+from dieseltwin.settings.method_settings import MethodSettings
+from dieseltwin.settings.methods import find
 from dieseltwin.settings.strict import StrictModel, overridden, read_profile, validate
 
 PARAMS_FILE = "params.yaml"
@@ -197,84 +208,47 @@ class StartConfig(StrictModel):
     sd_masked: NonNegativeFloat
 
 
-class ClassicalConfig(StrictModel):
-    """Maximum likelihood by shooting with sensitivities."""
-
-    iterations_max: PositiveInt
-    tolerance: PositiveFloat
-    damping_start: PositiveFloat
-
-
-class NewtonConfig(StrictModel):
-    """Gauss-Newton / Levenberg-Marquardt on heads and parameters."""
-
-    stages: tuple[PositiveFloat, ...] = Field(min_length=1, description="multiples of the process noise, the last 1")
-    iterations_early: PositiveInt
-    iterations_max: PositiveInt
-    tolerance: PositiveFloat
-    damping_start: PositiveFloat
-    student_dof: PositiveFloat
-    defect_share: PositiveFloat = Field(description="of the basis's local defect that is left after its correction")
-    floor_share: PositiveFloat = Field(description="of the median defect that the process noise doesn't fall below")
-
-
-class AdamConfig(StrictModel):
-    """The paper's loop: Adam on heads, unknowns and self-adaptive weights."""
-
-    epochs: PositiveInt
-    weights_until_epoch: PositiveInt
-    members: PositiveInt = Field(description="runs a segment")
-    rate_heads: PositiveFloat
-    rate_unknowns: PositiveFloat
-    rate_weights: PositiveFloat
-    late_rates: PositiveFloat = Field(description="factor on the learning rates from late_from_epoch on")
-    late_from_epoch: PositiveInt
-    scale_t_em_k: PositiveFloat = Field(description="unit of the residual of T_em")
-    scale_t_1_k: PositiveFloat = Field(description="unit of the residual of T_1")
-    scale_rates: PositiveFloat = Field(description="of the rates' residuals, in 1e5 Pa/s and 5e3 rad/s2")
-    scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
-    fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
-    average_share: NonNegativeFloat = Field(le=1.0, description="of the epochs, at the end, whose mean is the estimate")
-    weight_start: dict[str, PositiveFloat]
-
-
-class PinnStageConfig(StrictModel):
-    """A piece of the PINN's schedule with constant learning rates; a rate of 0 freezes."""
-
-    until_epoch: PositiveInt
-    layers: Literal["all", "last"] = Field(description="which layers of the networks are trained")
-    rate_networks: NonNegativeFloat
-    rate_unknowns: NonNegativeFloat
-    rate_weights: NonNegativeFloat = Field(description="of the self-adaptive weights")
-
-
-class PinnConfig(StrictModel):
-    """The paper's hybrid PINN: all layers from scratch, or from a source model in stages."""
-
-    members: PositiveInt = Field(description="runs a segment")
-    stages: tuple[PinnStageConfig, ...]
-    first_layer_slopes: Range | None = Field(description="start of the first layer on time scaled to [-1, 1]")
-    scale_t_em_k: PositiveFloat = Field(description="unit of the data residual of T_em")
-    scale_rates: PositiveFloat = Field(description="further divisor of the residuals of the three rates")
-    scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
-    fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
-    average_share: NonNegativeFloat = Field(le=1.0, description="of the epochs, at the end, whose mean is the estimate")
-    weight_start: dict[str, PositiveFloat]
+def _sections(sections: Mapping[str, Any]) -> dict[str, MethodSettings]:
+    """Every section as its method's model. Raises `InputError` for an unknown method and what a model refuses."""
+    where = "identify.methods"
+    if not isinstance(sections, Mapping):
+        raise InputError(where, f"a {type(sections).__name__}", "a mapping of methods to their settings", "mend it")
+    found: dict[str, MethodSettings] = {}
+    for name, section in sections.items():
+        model = find(str(name), where).settings
+        if isinstance(section, MethodSettings):
+            section = section.model_dump()
+        if not isinstance(section, Mapping):
+            raise InputError(f"{where}.{name}", section, "a mapping of names to values", "mend it")
+        found[str(name)] = validate(model, section, f"{where}.{name}")
+    return found
 
 
 class IdentifyConfig(StrictModel):
-    """What the estimators share, and their own settings."""
+    """What the estimators share, and the settings of each."""
 
     segment_s: PositiveFloat
     runs: PositiveInt
     identifiable_bound_rel: PositiveFloat
     minutes: PositiveFloat = Field(description="how much of Case-V is identified, from its start [min]")
     start: StartConfig
-    classical: ClassicalConfig
-    newton: NewtonConfig
-    adam: AdamConfig
-    baseline: PinnConfig
-    multi_stage: PinnConfig
+    methods: dict[str, SerializeAsAny[MethodSettings]] = Field(description="their own settings, by the method's name")
+
+    _models_of_the_methods = field_validator("methods", mode="before")(_sections)
+
+    def of(self, method: str) -> MethodSettings:
+        """The settings of one method; its own defaults where the file names none.
+
+        Raises:
+            InputError: unknown method, or a value is missing that has no default.
+        """
+        if method in self.methods:
+            return self.methods[method]
+        return validate(find(method).settings, {}, f"identify.methods.{method}")
+
+    def runs_of(self, method: str) -> int:
+        """Runs a segment: the method's own number where it has one."""
+        return self.of(method).members or self.runs
 
 
 class ReportConfig(StrictModel):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -13,8 +12,12 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dieseltwin.errors import InputError
+from dieseltwin.settings.names import LISTED_NAMES, did_you_mean, listed, refuse_options, unknown_name
 
-LISTED_NAMES = 12  # more alternatives than this make a one-line message unreadable
+__all__ = [
+    "LISTED_NAMES", "StrictModel", "did_you_mean", "listed", "overridden", "read_mapping", "read_profile",
+    "refuse_options", "unknown_name", "validate",
+]  # fmt: skip
 
 
 class StrictModel(BaseModel):
@@ -24,17 +27,6 @@ class StrictModel(BaseModel):
 
 
 Model = TypeVar("Model", bound=BaseModel)
-
-
-def refuse_options(given: Mapping[str, object], where: str) -> None:
-    """Options that were given (are not None) although they mean nothing there.
-
-    Raises:
-        InputError: any was given; an option without an effect would be taken for one with.
-    """
-    extra = [option for option, value in given.items() if value is not None]
-    if extra:
-        raise InputError(", ".join(extra), "given", f"no such option {where}", "leave it out")
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
@@ -121,29 +113,6 @@ def _merged(common: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str
         both = isinstance(value, Mapping) and isinstance(result.get(key), Mapping)
         result[key] = _merged(result[key], value) if both else value
     return result
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """'did you mean eta_sc?' for the closest known names, or where to look when none is close."""
-    folded = {k.lower(): k for k in known}
-    close = difflib.get_close_matches(name.lower(), list(folded), n=2, cutoff=0.55)
-    if close:
-        return f"did you mean {' or '.join(folded[c] for c in close)}?"
-    return "remove it or take one of the allowed names"
-
-
-def listed(names: Sequence[str]) -> str:
-    """The names in one line, shortened when they are many."""
-    shown = list(names)[:LISTED_NAMES]
-    more = len(names) - len(shown)
-    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
-
-
-def unknown_name(what: str, name: str, known: Sequence[str]) -> InputError:
-    """The InputError for a name that is not among the known ones, with the closest ones as a hint."""
-    close = difflib.get_close_matches(name, known, n=LISTED_NAMES, cutoff=0.3)
-    order = close + [k for k in known if k not in close]
-    return InputError(what, f"unknown name {name!r}", listed(order), did_you_mean(name, known))
 
 
 def validate(model: type[Model], values: Mapping[str, Any], where: str) -> Model:

@@ -117,7 +117,7 @@ def test_engine_show_can_be_read_back(run: Run, tmp_path: Path, field_engine: Pa
 def test_params_show_is_yaml_of_the_profile(run: Run) -> None:
     lines = run("params", "show", "--profile", "paper")
     shown = yaml.safe_load("\n".join(lines))
-    assert shown["profile"] == "paper" and shown["identify"]["adam"]["epochs"] == 30_000
+    assert shown["profile"] == "paper" and shown["identify"]["methods"]["few-shot-adam"]["epochs"] == 30_000
     assert lines[0].startswith("# sha256 ") and len(lines[0].split()[-1]) == 64
     assert lines != run("params", "show", "--profile", "quick")
 

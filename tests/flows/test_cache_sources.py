@@ -128,9 +128,9 @@ def test_imports_for_type_checkers_do_not_count(library: Path) -> None:
 
 
 def test_a_steps_entry_stands_for_its_package_and_its_other_imports_stay(library: Path) -> None:
-    modules = identify.classical.code(RunContext(Workspace(library), Display(library / "x"))).modules
-    assert "dieseltwin.identification.classical" in modules and "dieseltwin.recordings.reader" in modules
-    assert "dieseltwin.identification.fewshot_newton" not in modules
+    modules = identify.STEPS["classical"].code(RunContext(Workspace(library), Display(library / "x"))).modules
+    assert "dieseltwin.identification.maximum_likelihood" in modules and "dieseltwin.recordings.reader" in modules
+    assert "dieseltwin.identification.few_shot.newton" not in modules
 
 
 def test_a_new_field_of_the_report_leaves_pretraining_alone(library: Path) -> None:

@@ -20,6 +20,7 @@ import pytest
 import tiny_settings
 import yaml
 
+from flows.identify import COMPARED
 from tasks import discover, identify, pretrain, prove, report, run_context, simulate
 from tasks.progress import Display
 from tasks.run_context import RunContext, Step
@@ -32,7 +33,7 @@ pytestmark = pytest.mark.timeout(900)
 STAGES: dict[str, tuple[Step, ...]] = {
     "simulate": (simulate.driving_sets, simulate.case_recordings),
     "pretrain": (pretrain.eta_tm_labels, pretrain.maps, pretrain.operators, pretrain.bodies),
-    "identify": (identify.classical, identify.newton, identify.adam, report.comparison),
+    "identify": (*(identify.STEPS[method] for method in COMPARED), report.comparison),
     "discover": (prove.benchmark, discover.discover),
     "prove": (prove.benchmark, prove.case, prove.opened, prove.bands, prove.baseline, prove.score),
 }

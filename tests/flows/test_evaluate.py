@@ -44,8 +44,11 @@ def write_tiny(root: Path) -> None:
     tiny["identify"] = {
         **tiny["identify"],
         "minutes": 2.0,
-        "baseline": {"stages": STAGES},
-        "multi_stage": {"stages": STAGES, "average_share": 0.5},
+        "methods": {
+            **tiny["identify"]["methods"],
+            "baseline": {"stages": STAGES},
+            "multi-stage": {"stages": STAGES, "average_share": 0.5},
+        },
     }
     path.write_text(yaml.safe_dump(settings, sort_keys=False), encoding="utf-8")
 
@@ -96,7 +99,7 @@ def test_one_ensemble_can_be_run_alone_and_multi_stage_brings_what_it_starts_fro
 
 def test_the_figures_show_readings_that_a_member_saw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from dieseltwin import report
-    from dieseltwin.report import evaluation_page
+    from dieseltwin.paper.evaluation import page as evaluation_page
     from dieseltwin.settings.params import load_params
     from tasks import ensembles, evaluate, identify
     from tasks.evaluation_plan import ensembles_of
@@ -149,8 +152,8 @@ def test_what_is_already_computed_is_said_once(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize("unit", [None, 0.5])
 def test_the_unit_of_x_r_is_changed_where_an_ensemble_names_one(unit: float | None) -> None:
-    from dieseltwin.identification.baseline import SETTINGS
-    from dieseltwin.identification.fewshot_program import AdamSettings
+    from dieseltwin.paper.loops.baseline import SETTINGS
+    from dieseltwin.paper.loops.few_shot_program import AdamSettings
     from tasks.ensembles import _with_x_r
 
     for printed in (SETTINGS, AdamSettings()):

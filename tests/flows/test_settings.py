@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
-import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from dieseltwin.settings import methods
 from dieseltwin.settings.params import load_params
+from tasks.identify import STEPS
 from tasks.settings import about, own_settings
 from tasks.store import Artifact
 from tasks.workspace import PROJECT
@@ -31,21 +32,20 @@ def changed(*names: str) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize(
-    ("method", "own"), [("classical", "classical"), ("few-shot-newton", "newton"), ("few-shot-adam", "adam")]
-)
-def test_a_change_of_another_methods_section_leaves_a_method_alone(method: str, own: str) -> None:
+@pytest.mark.parametrize("method", methods.names())
+def test_a_change_of_another_methods_section_leaves_a_method_alone(method: str) -> None:
     before = own_settings(settings(), method)
-    for section in {"classical", "newton", "adam", "baseline", "multi_stage", "runs"} - {own}:
-        assert own_settings(changed("identify", section), method) == before, section
-    for names in (("identify", own), ("identify", "minutes"), ("noise", "seed"), ("engine", "step_s")):
-        assert own_settings(changed(*names), method) != before, names
+    for other in set(methods.names()) - {method}:
+        assert own_settings(changed("identify", "methods", other), method) == before, other
+    assert own_settings(changed("identify", "runs"), method) == before
+    for where in (("identify", "methods", method), ("identify", "minutes"), ("noise", "seed"), ("engine", "step_s")):
+        assert own_settings(changed(*where), method) != before, where
 
 
-def test_the_flow_of_the_identification_asks_for_each_methods_own_settings() -> None:
-    text = (PROJECT / "flows" / "identify.py").read_text(encoding="utf-8")
-    asked = set(re.findall(r'own_settings\(settings, "([\w-]+)"\)', text))
-    assert asked == {"classical", "few-shot-newton", "few-shot-adam"}
+def test_the_flow_of_the_identification_compares_methods_that_there_are() -> None:
+    from flows.identify import COMPARED
+
+    assert set(COMPARED) <= set(STEPS) == set(methods.names())
 
 
 def test_what_is_said_of_the_origin_changes_with_the_named_sections_alone() -> None:

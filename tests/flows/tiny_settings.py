@@ -33,7 +33,7 @@ TINY = {
     "identify": {
         "runs": 2,
         "minutes": 1.0,
-        "adam": {"epochs": 20, "weights_until_epoch": 10, "members": 2},
+        "methods": {"few-shot-adam": {"epochs": 20, "weights_until_epoch": 10, "members": 2}},
     },
 }
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, simulate, we2011
-from dieseltwin.identification import SegmentProblem
 from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.problem import SegmentProblem
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]

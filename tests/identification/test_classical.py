@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.identification import SegmentProblem, identify_segments
 from dieseltwin.identification.bound import cramer_rao
-from dieseltwin.identification.classical import ClassicalSettings
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.maximum_likelihood import ClassicalSettings
+from dieseltwin.identification.problem import SegmentProblem
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
@@ -99,7 +100,7 @@ def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None
 
 
 def test_an_unconverged_run_is_reported_not_dropped(problem: SegmentProblem) -> None:
-    from dieseltwin.identification.classical import estimate
+    from dieseltwin.identification.maximum_likelihood import estimate
 
     found = estimate([problem], 3, 0, config=ClassicalSettings(iterations_max=1))[0]
     assert not found.converged.any()

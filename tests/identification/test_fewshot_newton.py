@@ -10,14 +10,15 @@ import torch
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.identification import SegmentProblem, identify_segments
 from dieseltwin.identification.bound import cramer_rao
-from dieseltwin.identification.collocation import Collocation, Data
-from dieseltwin.identification.defects import defects, windows_for
-from dieseltwin.identification.fewshot_newton import NewtonSettings, prepare
-from dieseltwin.identification.heads import heads_for, inverse_transform
-from dieseltwin.identification.process_noise import calibrate, laboratory_states
-from dieseltwin.identification.residuals import PointModel
+from dieseltwin.identification.few_shot.collocation import Collocation, Data
+from dieseltwin.identification.few_shot.defects import defects, windows_for
+from dieseltwin.identification.few_shot.heads import heads_for, inverse_transform
+from dieseltwin.identification.few_shot.newton import NewtonSettings, prepare
+from dieseltwin.identification.few_shot.process_noise import calibrate, laboratory_states
+from dieseltwin.identification.few_shot.residuals import PointModel
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import SegmentProblem
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]

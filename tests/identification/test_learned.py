@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from dieseltwin.engine import MEASURED, Observations, actuate, parameter_batch, simulate_states, we2011
-from dieseltwin.identification import SegmentProblem, identify_segments
 from dieseltwin.identification.bound import cramer_rao
+from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.learned import NOMINAL, ErrorDirections, LearnedSimulator
+from dieseltwin.identification.problem import SegmentProblem
 
 # Two maps of three members; spread is the factor that calibrates their scatter.
 MAPS = SimpleNamespace(members=3, maps={"eta_c": SimpleNamespace(spread=1.0), "eta_tm": SimpleNamespace(spread=2.0)})

@@ -9,7 +9,7 @@ import pytest
 
 from dieseltwin.engine import MEASURED, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.identification import (
+from dieseltwin.identification.problem import (
     NOISE_FLOOR,
     PAPER_NOISE,
     NoiseLevels,

@@ -12,12 +12,13 @@ import torch
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.engine.effects import Term
 from dieseltwin.errors import InputError
-from dieseltwin.identification import SegmentProblem, identify_segments
-from dieseltwin.identification.fewshot_adam import AdamSettings
-from dieseltwin.identification.fewshot_program import draw_lane, make_program
+from dieseltwin.identification.few_shot.term_model import TermModel
+from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.learned import LearnedSimulator
+from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.shooting import Shooting
-from dieseltwin.identification.term_model import TermModel
+from dieseltwin.paper.loops.few_shot_adam import AdamSettings
+from dieseltwin.paper.loops.few_shot_program import draw_lane, make_program
 
 TERMS = (Term(effect="boost_leak", magnitude=3e-5), Term(effect="bearing_friction", magnitude=5e-6))
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, bind, parameter_batch, simulate_states, we2011
-from dieseltwin.identification.residuals import PointModel, driven_inputs, physics_residuals
+from dieseltwin.identification.few_shot.residuals import PointModel, driven_inputs, physics_residuals
 
 Drive = Callable[..., Inputs]
 FIELD = torch.log(torch.tensor(we2011.FIELD.health()))[None]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from dieseltwin.engine import HEALTH
-from dieseltwin.identification import Identification, SegmentEstimate, SegmentProblem, identify_segments
-from dieseltwin.identification.result import Z_90, intervals_from_log_std
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.result import Z_90, Identification, SegmentEstimate, intervals_from_log_std
 
 TRUE = np.array([3e-4, 7e-4, 1.2, 96.0])
 

@@ -10,7 +10,7 @@ import pytest
 
 from dieseltwin.engine import Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.identification import SegmentProblem
+from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.shooting import STEP_S, Shooting, ShootingRuns, by_grid
 
 ALL = np.array([True])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dieseltwin.identification import SegmentProblem, identify_segments
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import SegmentProblem
 
 
 def test_states_table_holds_states_flows_and_bands(problem: SegmentProblem) -> None:

@@ -22,8 +22,8 @@ from dieseltwin.engine import (
 from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS, LawTerm, Term
 from dieseltwin.engine.extended_terms import along
 from dieseltwin.engine.sensor_effects import undo_sensor_terms
-from dieseltwin.identification.residuals import PointModel, driven_inputs
-from dieseltwin.identification.term_model import TermModel
+from dieseltwin.identification.few_shot.residuals import PointModel, driven_inputs
+from dieseltwin.identification.few_shot.term_model import TermModel
 
 TRACE = pd.read_csv(Path(__file__).parents[1] / "reference" / "field_random_300s.csv").iloc[290:341]
 INPUTS = Inputs(*(TRACE[name].to_numpy() for name in ("time_s", *INPUT_COLUMNS)), n_history=10)

@@ -15,12 +15,13 @@ from matplotlib.patches import Patch
 
 from dieseltwin.report import Results, quantities
 from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map, run_times
-from dieseltwin.report.evaluation_printed import BODY_ERRORS
+from dieseltwin.report.printed import BODY_ERRORS
 from dieseltwin.report.results import PARAMETERS, method_from_document
-from dieseltwin.report.style import METHODS, TRUTH, ReportFigure, method_style
+from dieseltwin.report.style import TRUTH, ReportFigure, method_style
 from dieseltwin.report.timeseries import RESIDUAL_LIMIT, states, trajectories
 from dieseltwin.report.training import pretraining
 from dieseltwin.report.violins import swarm, violins
+from dieseltwin.settings.methods import in_order
 
 # a label ends in a unit in brackets, e.g. "[kPa]", "[–]", "[% of value]", "[s], logarithmic"; categories have none
 UNIT = re.compile(r"\[[^\]]+\](, logarithmic)?$")
@@ -74,12 +75,12 @@ def test_captions_and_titles_are_sentences(figures: dict[str, ReportFigure]) -> 
 
 
 def test_methods_keep_their_colour_and_differ(figures: dict[str, ReportFigure]) -> None:
-    looks = list(METHODS.values())
+    looks = [method.style for method in in_order()]
     assert len({look.colour for look in looks}) == len({look.marker for look in looks}) == len(looks)
     legend = figures["violins"].figure.legends[0]
     shown = {t.get_text(): h for t, h in zip(legend.get_texts(), legend.legend_handles, strict=True)}
     for method in synthetic.METHODS:
-        assert shown[method].get_color() == METHODS[method].colour
+        assert shown[method].get_color() == method_style(method).colour
     assert method_style("somebody's own").colour not in {look.colour for look in looks} | {TRUTH}
     assert method_style("somebody's own") == method_style("somebody's own")
 
@@ -93,7 +94,7 @@ def test_violins_show_every_run_band_and_truth(results: Results, figures: dict[s
         assert low < 0.925 and high > 1.075
         levels = {float(line.get_ydata()[0]) for line in axes.lines if len(set(line.get_ydata())) == 1}
         assert {1.0, 0.925, 1.075} <= levels
-        colour = matplotlib.colors.to_rgb(METHODS["few-shot-newton"].colour)
+        colour = matplotlib.colors.to_rgb(method_style("few-shot-newton").colour)
         dots = [
             c
             for c in axes.collections
@@ -169,7 +170,7 @@ def test_lines_break_between_segments(results: Results) -> None:
     figure = states(replace(results, truth_states=None, measured=None))
     assert figure is not None
     line = next(
-        line for line in figure.figure.axes[0].lines if line.get_color() == METHODS["classical"].colour
+        line for line in figure.figure.axes[0].lines if line.get_color() == method_style("classical").colour
     )
     assert np.isnan(line.get_ydata()).sum() == len(results.segments) - 1
 

@@ -11,7 +11,9 @@ import pandas as pd
 import pytest
 
 from dieseltwin.engine import Inputs, we2011
-from dieseltwin.identification import HEALTH, Identification, SegmentEstimate, SegmentProblem
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.result import Identification, SegmentEstimate
+from dieseltwin.identification.unknowns import HEALTH
 from dieseltwin.report import (
     curves_table,
     identification_figures,

@@ -41,8 +41,8 @@ def test_both_profiles_are_valid(project_root: Path, profile: str) -> None:
 
 def test_the_paper_profile_holds_what_the_paper_prints(project_root: Path) -> None:
     params = load_params(project_root / "params.yaml", "paper")
-    assert params.identify.adam.epochs == 30_000
-    assert params.identify.adam.weights_until_epoch == 20_000
+    assert params.identify.of("few-shot-adam").epochs == 30_000
+    assert params.identify.of("few-shot-adam").weights_until_epoch == 20_000
     assert params.identify.runs == 30
     assert params.pretrain.bodies.heads == 240
     assert params.noise.channels == (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
@@ -52,7 +52,7 @@ def test_the_paper_profile_holds_what_the_paper_prints(project_root: Path) -> No
 
 def test_the_quick_profile_is_a_smaller_paper_profile(project_root: Path) -> None:
     quick, paper = (load_params(project_root / "params.yaml", name) for name in ("quick", "paper"))
-    assert quick.identify.adam.epochs < paper.identify.adam.epochs
+    assert quick.identify.of("few-shot-adam").epochs < paper.identify.of("few-shot-adam").epochs
     assert quick.driving == paper.driving  # the same data, or the two could not be compared
     assert quick.noise == paper.noise
     assert quick.sha256 != paper.sha256

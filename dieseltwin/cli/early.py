@@ -1,0 +1,17 @@
+"""Checks before anything slow is imported: who mistypes a path or a name hears it at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dieseltwin.errors import InputError
+
+
+def check_there(path: Path | None, allowed: str = "a CSV or Parquet file") -> None:
+    """Refuse an input file that isn't there; None (an option that wasn't given) passes.
+
+    Raises:
+        InputError: no such file.
+    """
+    if path is not None and not path.exists():
+        raise InputError(str(path), "no such file", allowed, "check the path")

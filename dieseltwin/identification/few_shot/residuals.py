@@ -1,0 +1,242 @@
+"""Physics residuals and predicted readings at given states, over (runs, time), with pointwise derivatives.
+
+Every formula is the engine's own (`engine.bind("torch")`): this module only asks for `quantities` and
+differentiates
+them. Learned maps take the place of formulas by `bind("torch", replace=maps)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, Inputs, bind, constants
+from dieseltwin.engine.egr import egr_valve_position
+from dieseltwin.identification.few_shot.term_model import TermModel
+
+N_HEALTH = len(HEALTH)
+
+X_R_START, T_1_START = 0.03, 310.0
+"""Start of the cylinder's fixed point (NOTES), x_r [-] and T_1 [K]."""
+COLD_SWEEPS, WARM_SWEEPS = 4, 2
+"""Pairs of sweeps of the fixed point; each pair shrinks the error 400-fold, a warm start is off by a step's
+change."""
+
+
+class DrivenInputs(NamedTuple):
+    """What drives the equations at n points: n_e [rpm], u_delta [mg], u~_egr, u~_vgt [%]; each (.., n)."""
+
+    n_e: Tensor
+    u_delta: Tensor
+    u_egr: Tensor
+    u_vgt: Tensor
+
+
+def told_inputs(inputs: DrivenInputs, operators: Any, segment: Inputs, parameters: EngineParameters) -> DrivenInputs:
+    """The same inputs with the actuator positions [%] that the operators predict of a segment's commands."""
+    told = operators.predict(segment)
+    u_egr = egr_valve_position(told.u_egr1, told.u_egr2, constants(parameters))
+    return inputs._replace(u_egr=torch.tensor(u_egr), u_vgt=torch.tensor(told.u_vgt))
+
+
+def driven_inputs(actuation: Actuation, dtype: torch.dtype = torch.float64) -> DrivenInputs:
+    """Inputs and exact actuator positions at the sample times of a segment.
+
+    Args:
+        actuation: of the segment.
+        dtype: of the tensors.
+
+    Returns:
+        Tensors of shape (n,).
+    """
+    rows = slice(actuation.inputs.n_history, None)
+    columns = (
+        actuation.inputs.n_e_rpm[rows], actuation.inputs.u_delta_mg[rows], actuation.u_egr, actuation.u_vgt
+    )  # fmt: skip
+    return DrivenInputs(*(torch.tensor(c, dtype=dtype) for c in columns))
+
+
+class Cylinder(NamedTuple):
+    """Fixed point of the cylinder equations: x_r [-] and T_1 [K], each (.., n)."""
+
+    x_r: Tensor
+    T_1: Tensor
+
+
+@dataclass(frozen=True)
+class Point:
+    """The model at given states with x_r and T_1 eliminated.
+
+    Attributes:
+        rates: (.., n, 3) dp_im/dt, dp_em/dt [Pa/s], domega_t/dt [rad/s2].
+        readings: (.., n, 3) W_egr [kg/s], T_em [K], W_c [kg/s]: the readings that are not states.
+        cylinder: x_r and T_1, also the warm start of the next call.
+        d_rates: (.., n, 3, 7) derivatives with respect to p_im, p_em, omega_t and the log-parameters; None
+            if not asked.
+        d_readings: (.., n, 3, 7) the same of `readings`.
+    """
+
+    rates: Tensor
+    readings: Tensor
+    cylinder: Cylinder
+    d_rates: Tensor | None = None
+    d_readings: Tensor | None = None
+
+
+class PointModel:
+    """The engine's equations at points, x_r and T_1 eliminated exactly.
+
+    The fixed point of x_r and T_1 (A.9, A.10) is solved by the engine's own sweeps. Its derivative follows
+    from the
+    implicit function theorem, (I - dg/d(x_r, T_1))^-1 dg/d(states, parameters), a 2 x 2 system at each
+    point; nothing
+    is unrolled. Derivatives are reverse mode, one sweep an output: each touches its own part of the equations only.
+
+    Args:
+        parameters: known parameters (the health values in it are not used).
+        maps: equation name -> learned map over torch tensors, or None for the exact formulae.
+        lanes: runs R that the maps hold a member for each, 1 where all runs share one.
+        actuation: of the segment, needed where the parameters have terms: these may depend on time.
+    """
+
+    def __init__(
+        self,
+        parameters: EngineParameters,
+        maps: Mapping[str, Callable[..., Tensor]] | None = None,
+        lanes: int = 1,
+        actuation: Actuation | None = None,
+    ) -> None:
+        self.model: Any = bind("torch", replace=maps)
+        if parameters.terms:
+            if actuation is None:
+                raise ValueError("equations with terms need the segment's actuation")
+            self.model = TermModel(maps, parameters, [actuation], pointwise=True)
+        self.lanes = lanes
+        self.constants: Constants = constants(parameters)
+
+    def with_health(self, health: tuple[Tensor, ...] | list[Tensor]) -> Constants:
+        """The constants with tensors (broadcasting against the points) in place of the four health values."""
+        return self.constants._replace(**dict(zip(HEALTH, health, strict=True)))
+
+    def cylinder(self, states: Tensor, health: list[Tensor], inputs: DrivenInputs, start: Cylinder | None) -> Cylinder:
+        """Fixed point x_r, T_1 at states (.., n, 3); `start` None starts cold."""
+        c = self.with_health(health)
+        p_im, p_em = states[..., 0], states[..., 1]
+        now = start or Cylinder(torch.full_like(p_im, X_R_START), torch.full_like(p_im, T_1_START))
+        for _ in range(COLD_SWEEPS if start is None else WARM_SWEEPS):
+            if isinstance(self.model, TermModel):
+                q = self.model.settle((p_im, p_em, states[..., 2]), inputs, now.x_r, now.T_1, c)
+                now = Cylinder(q.x_r_next, q.T_1_next)
+            else:
+                sweep = self.model.settle_cylinder(p_im, p_em, inputs.n_e, inputs.u_delta, now.x_r, now.T_1, c)
+                now = Cylinder(sweep.x_r, sweep.T_1)
+        return now
+
+    @torch.no_grad()
+    def __call__(
+        self,
+        states: Tensor,
+        log_health: Tensor,
+        inputs: DrivenInputs,
+        *,
+        derivatives: bool = True,
+        start: Cylinder | None = None,
+    ) -> Point:
+        """Rates and readings at given states.
+
+        Args:
+            states: (R, n, 3) p_im, p_em [Pa], omega_t [rad/s].
+            log_health: (R, 4) logarithms of the health values [log SI].
+            inputs: of shape (n,) or (R, n).
+            derivatives: also return the pointwise Jacobians.
+            start: warm start of the fixed point.
+
+        Returns:
+            The point values; R may be 1.
+        """
+        health = list(torch.exp(log_health).unsqueeze(1).unbind(-1))  # four of (R, 1)
+        cylinder = self.cylinder(states, health, inputs, start)
+        x = [*states.unbind(-1), *cylinder]
+        if not derivatives:
+            rates, readings, _ = _columns(self.model.quantities(*x, *inputs, self.with_health(health)))
+            return Point(torch.stack(rates, -1), torch.stack(readings, -1), cylinder)
+
+        shape = states.shape[:-1]
+        with torch.enable_grad():
+            point = [v.detach().expand(shape).clone().requires_grad_() for v in (*x, *health)]
+            q = self.model.quantities(*point[:5], *inputs, self.with_health(point[5:]))
+            columns = [column.expand(shape) for group in _columns(q) for column in group]
+            # Points don't mix: the gradient of a sum over points is each point's own row of the Jacobian.
+            rows = [
+                torch.autograd.grad(column.sum(), point, retain_graph=True, materialize_grads=True)
+                for column in columns
+            ]
+        # A health value moves by itself in the direction of its logarithm.
+        size = [1.0] * 5 + [v.detach() for v in point[5:]]
+        jacobian = torch.stack([torch.stack([g * s for g, s in zip(row, size, strict=True)], -1) for row in rows], -2)
+        total = _eliminate(jacobian)
+        value = torch.stack([column.detach() for column in columns[:6]], -1)
+        return Point(value[..., :3], value[..., 3:], cylinder, total[..., :3, :], total[..., 3:, :])
+
+
+def _columns(q: Any) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], tuple[Tensor, ...]]:
+    return (q.dp_im, q.dp_em, q.domega_t), (q.W_egr, q.T_em, q.W_c), (q.x_r_next, q.T_1_next)
+
+
+def _eliminate(jacobian: Tensor) -> Tensor:
+    """Total derivatives (R, n, 6, 7) from partial ones (R, n, 8, 9), rows 6-7 and columns 3-4 being the
+    fixed point."""
+    outer = torch.cat([jacobian[..., :3], jacobian[..., 5:]], -1)
+    gain = jacobian[..., 6:, 3:5]
+    a, b = 1.0 - gain[..., 0, 0], -gain[..., 0, 1]
+    c, d = -gain[..., 1, 0], 1.0 - gain[..., 1, 1]
+    det = (a * d - b * c).unsqueeze(-1)
+    rhs_x, rhs_t = outer[..., 6, :], outer[..., 7, :]
+    d_x = (d.unsqueeze(-1) * rhs_x - b.unsqueeze(-1) * rhs_t) / det
+    d_t = (a.unsqueeze(-1) * rhs_t - c.unsqueeze(-1) * rhs_x) / det
+    inner = jacobian[..., :6, 3:5]
+    return outer[..., :6, :] + inner[..., :1] * d_x.unsqueeze(-2) + inner[..., 1:] * d_t.unsqueeze(-2)
+
+
+class PhysicsResiduals(NamedTuple):
+    """Residuals of the five equations and the predicted readings, each (.., n).
+
+    p_im, p_em [Pa/s], omega_t [rad/s2], x_r [-], T_1 [K]; W_egr [kg/s], T_em [K], W_c [kg/s].
+    """
+
+    p_im: Tensor
+    p_em: Tensor
+    omega_t: Tensor
+    x_r: Tensor
+    T_1: Tensor
+    W_egr: Tensor
+    T_em: Tensor
+    W_c: Tensor
+
+
+def physics_residuals(
+    model: Any, states: tuple[Tensor, ...], rates: tuple[Tensor, ...], inputs: DrivenInputs, c: Constants
+) -> PhysicsResiduals:
+    """Residuals with x_r and T_1 as unknown functions of their own, as the paper has them.
+
+    Source: paper, appendix "Detailed loss function", r(p_im), r(p_em), r(omega_t), r(x_r), r(T_1).
+
+    Args:
+        model: `engine.bind("torch", ...)`.
+        states: p_im, p_em [Pa], omega_t [rad/s], x_r [-], T_1 [K], each (.., n).
+        rates: time derivatives of the first three [Pa/s, Pa/s, rad/s2].
+        inputs: driven inputs.
+        c: constants, health values as tensors.
+
+    Returns:
+        Residuals and predicted readings, differentiable.
+    """
+    q = model.quantities(*states, *inputs, c)
+    return PhysicsResiduals(
+        rates[0] - q.dp_im, rates[1] - q.dp_em, rates[2] - q.domega_t,
+        states[3] - q.x_r_next, states[4] - q.T_1_next, q.W_egr, q.T_em, q.W_c,
+    )  # fmt: skip

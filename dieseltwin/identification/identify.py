@@ -1,0 +1,65 @@
+"""One way to identify, whatever the method: segments in, an `Identification` out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from dieseltwin.errors import InputError
+from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.result import Identification
+from dieseltwin.settings.methods import find
+
+if TYPE_CHECKING:
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
+
+
+def identify_segments(
+    problems: Sequence[SegmentProblem],
+    method: str,
+    runs: int,
+    seed: int,
+    *,
+    maps: EmpiricalMaps | None = None,
+    bodies: Bodies | None = None,
+    operators: ActuatorOperators | None = None,
+    config: Any = None,
+    threshold: float = IDENTIFIABLE_BELOW,
+) -> Identification:
+    """Identify the health parameters of every segment with one method.
+
+    Args:
+        problems: segments of one recording.
+        method: one of `settings.methods.names()`.
+        runs: number of runs R (initialisations, dropout masks and source models) on each segment.
+        seed: seed of everything random in the method.
+        maps: learned empirical maps, or None for the exact formulae.
+        bodies: trained multi-head bodies (few-shot methods).
+        operators: trained actuator operators, or None for the exact actuators.
+        config: `IdentifyConfig` (`identify` of params.yaml), the method's own settings, or None for its defaults.
+        threshold: largest relative bound that counts as identifiable [-].
+
+    Returns:
+        Estimates of every segment and run, with their pooling.
+
+    Raises:
+        InputError: no segment, unknown method, a method whose extra is not installed, or fewer than one run.
+    """
+    if not problems:
+        raise InputError("segments", "none", "one or more", "give a recording that is at least one segment long")
+    if runs < 1:
+        raise InputError("runs", runs, "1 or more", "ask for at least one run")
+    chosen = find(method)
+    chosen.check_installed()
+    began = time.perf_counter()
+    estimates = chosen.estimate(
+        list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config
+    )
+    seconds = time.perf_counter() - began
+    segments = [replace(e, identifiable=e.bound <= threshold * e.centre) for e in estimates]
+    return Identification(method, tuple(segments), tuple(problems), seed, seconds, threshold)

@@ -1,0 +1,257 @@
+"""Few-shot estimator as printed: Adam on the heads of frozen bodies, the unknowns and the self-adaptive weights.
+
+Source: paper, section "Results: Few-shot transfer learning" and appendix "Detailed loss function". All runs of all
+segments are lanes of one tensor program. The derivative of a state is dh/dt W with dh/dt computed once; the eight Adam
+optimisers of the paper differ in nothing but their learning rate, and Adam works element by element, so one update
+over the concatenated unknowns with a rate for each is the same thing (the weights' rate is negative: they ascend).
+
+float32 is safe here: the loop's own noise (learning rates of 1e-3) is four orders above its rounding, and rates are
+sums of flows whose relative rounding of 1e-7 is 1e-3 of the least residual. Lanes never mix, but a product over more
+lanes is summed in another order: a batch equals its runs alone to rounding, not to the bit.
+
+Not printed, and chosen in `params.yaml` on validation driving: learning rates and the units of the residuals (see
+`losses`). Temperatures over 30 K: with 300 K the readings of T_em hardly count, x_r and T_1 wander and h_tot ends
+25-40 % off. The self-adaptive weights of 1e3 let the heads fit the noise, so the unknowns are regressed on noisy
+states and rates: A_egrmax stays 3 % low however long the loop runs, and h_tot drifts on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dieseltwin.engine import HEALTH, Actuation, actuate
+from dieseltwin.identification.bound import nominal_bound
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.result import SegmentEstimate
+from dieseltwin.identification.shooting import by_grid
+from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.paper.loops.averaging import TailMean
+from dieseltwin.paper.loops.compiled_loss import gradient_function
+from dieseltwin.paper.loops.few_shot_program import METHOD, AdamSettings, Lane, draw_lane, make_program, start_values
+from dieseltwin.paper.loops.losses import Weights
+
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
+"""Adam's own constants (Kingma & Ba 2014), left at their defaults by the paper."""
+CURVE_POINTS = 200
+"""Points of the curves that are kept."""
+STILL_BELOW = 0.01
+"""Relative change of every estimate within the last tenth of the epochs that counts as converged."""
+
+
+def estimate(
+    problems: Sequence[SegmentProblem],
+    runs: int,
+    seed: int,
+    *,
+    bodies: Any = None,
+    operators: Any = None,
+    maps: Any = None,
+    config: Any = None,
+    first_run: int = 0,
+) -> list[SegmentEstimate]:
+    """Estimate the health parameters of each segment with the paper's loop.
+
+    Args:
+        problems: segments; `problem.parameters` gives the known parameters and the start (laboratory values).
+        runs: runs R of each segment: other heads, weights, unknowns, map members, noise draws.
+        seed: seed of all draws; a run's draws depend on (seed, segment, run) alone, not on the batch it runs in.
+        bodies: trained bodies, or None for B-splines of the paper's widths.
+        operators: trained actuator operators, or None for the exact actuators.
+        maps: learned empirical maps, dropout on, or None for the exact formulae.
+        config: `identify` of params.yaml, the settings themselves, or None for the defaults.
+        first_run: number of the first run: runs 10-19 alone are those of a batch of 30.
+
+    Returns:
+        One estimate for each segment, in order; standard deviations are left to the spread of the members.
+    """
+    settings = AdamSettings.from_config(config)
+    results: dict[int, SegmentEstimate] = {}
+    for group in by_grid(problems):
+        began = time.perf_counter()
+        numbers = range(first_run, first_run + runs)
+        lanes = [draw_lane(problems[i], i, run, seed, settings) for i in group for run in numbers]
+        actuations = {i: actuate(problems[i].inputs, problems[i].parameters) for i in group}
+        found = [
+            train(lanes[a : a + settings.lanes], actuations, bodies, operators, maps, settings)
+            for a in range(0, len(lanes), settings.lanes)
+        ]
+        health = np.concatenate([f.health for f in found]).reshape(len(group), runs, -1, len(HEALTH))
+        states = np.concatenate([f.states for f in found]).reshape(len(group), runs, -1, 5)
+        loss = np.concatenate([f.loss for f in found]).reshape(len(group), runs, -1)
+        misfit = np.concatenate([f.misfit for f in found]).reshape(len(group), runs)
+        held_out = np.concatenate([f.held_out for f in found]).reshape(len(group), runs, -1)
+        final = np.concatenate([f.final for f in found]).reshape(len(group), runs, len(HEALTH))
+        seconds = (time.perf_counter() - began) / len(lanes)
+        for row, i in enumerate(group):
+            parts = (health[row], states[row], loss[row], misfit[row])
+            unseen = held_out[row] if settings.held_out_share > 0.0 else None
+            results[i] = estimate_of(
+                problems[i], *parts, final[row], settings.average_share, seconds, settings.epochs, unseen
+            )
+    return [results[i] for i in range(len(problems))]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What the loop found for L lanes.
+
+    Attributes:
+        health: (L, points, 4) parameters along the epochs [SI].
+        final: (L, 4) the result: the mean over the last share of the epochs [SI]. With readings held out the result is
+            in `health`, at the epoch that predicts them best.
+        states: (L, n, 5) p_im, p_em, omega_t, x_r, T_1 [SI].
+        loss: (L, points) total loss.
+        misfit: (L,) sum of squared data residuals over sigma, divided by their number.
+        held_out: (L, points) the same of the readings that no loss sees; zeros where there are none.
+    """
+
+    health: NDArray[np.float64]
+    final: NDArray[np.float64]
+    states: NDArray[np.float64]
+    loss: NDArray[np.float64]
+    misfit: NDArray[np.float64]
+    held_out: NDArray[np.float64]
+
+
+def train(
+    lanes: Sequence[Lane],
+    actuations: dict[int, Actuation],
+    bodies: Any,
+    operators: Any,
+    maps: Any,
+    settings: AdamSettings,
+    progress: Callable[[int], None] | None = None,
+) -> Trained:
+    """Run the loop over L lanes of one sample grid.
+
+    Args:
+        lanes: the runs.
+        actuations: of the segments, by their index.
+        bodies, operators, maps: as `estimate`.
+        settings: settings.
+        progress: called with the epoch now and then.
+
+    Returns:
+        Parameters, states and loss of each lane.
+    """
+    program = make_program(lanes, actuations, bodies, operators, maps, settings)
+    values, rates = start_values(lanes, program, settings)
+    count, n = len(lanes), program.n
+    at = np.cumsum([0, *program.widths()])
+    n_heads, n_down = int(at[-1]), int(at[-1]) + len(HEALTH)
+    first, second = torch.zeros_like(values), torch.zeros_like(values)
+    gradient = torch.zeros_like(values)
+    keep = np.unique(np.linspace(0, settings.epochs, min(CURVE_POINTS, settings.epochs + 1)).round().astype(int))
+    curve_health, curve_loss, curve_held_out = [], [], []
+    sigma = torch.tensor(np.stack([lane.problem.sigma[:5] for lane in lanes]), dtype=values.dtype)
+    mean = TailMean(settings.epochs, settings.average_share, values[:, n_heads:n_down])
+    best, least = values.clone(), torch.full((count,), float("inf"), dtype=values.dtype)
+
+    gradients = gradient_function(program, count * settings.epochs, settings.compiled)
+    masked = values[:, n_heads:n_down]
+    weights = Weights(values[:, n_down : n_down + 4 * n].view(count, 4, n), values[:, n_down + 4 * n :])
+
+    def outputs() -> list[Tensor]:
+        return [values[:, at[j] : at[j + 1]] @ program.columns[j] for j in range(5)]
+
+    for epoch in range(settings.epochs + 1):
+        mean.add(epoch, values[:, n_heads:n_down])
+        program.renew()
+        z = outputs()
+        adaptive = epoch < settings.weights_until_epoch
+        found = gradients(z, masked, weights, adaptive)
+        if epoch in keep:
+            curve_health.append(to_physical(masked, torch))
+            curve_loss.append(found.total)
+            curve_held_out.append(program.held_out_misfit(z, masked, sigma))
+            better = curve_held_out[-1] < least
+            best[better], least[better] = values[better], curve_held_out[-1][better]
+            if progress is not None:
+                progress(epoch)
+        if epoch == settings.epochs:
+            break
+        for j in range(5):
+            gradient[:, at[j] : at[j + 1]] = found.outputs[j] @ program.columns[j].T
+        gradient[:, n_heads:n_down] = found.masked
+        live = values.shape[1] if adaptive else n_down
+        if epoch == settings.late_from_epoch:
+            rates = settings.late_rates * rates
+        if found.weights is not None:
+            gradient[:, n_down : n_down + 4 * n] = found.weights.pointwise.view(count, -1)
+            gradient[:, n_down + 4 * n :] = found.weights.single
+        g, m, v = gradient[:, :live], first[:, :live], second[:, :live]
+        m.lerp_(g, 1.0 - BETA_1)
+        v.mul_(BETA_2).addcmul_(g, g, value=1.0 - BETA_2)
+        correct = (1.0 - BETA_2 ** (epoch + 1)) ** 0.5
+        step = m / (v.sqrt().add_(EPSILON * correct))
+        values[:, :live].addcmul_(step, rates[:live], value=-correct / (1.0 - BETA_1 ** (epoch + 1)))
+
+    if program.held_out is not None:
+        values.copy_(best)
+    with torch.no_grad():
+        z = outputs()
+        loss = program(z, masked, weights)
+        states, _ = program.states(z)
+    present = program.observed.present
+    scale = torch.tensor(program.observed.scales.channels, dtype=values.dtype)
+    pointwise = loss.mean_squares * present[..., :4].transpose(1, 2).sum(-1, keepdim=True)
+    t_em = loss.single[:, 0] * present[..., 4].sum(-1)
+    squares = torch.cat([pointwise.sum(-1), t_em[:, None]], 1) * (scale / sigma).square()
+    misfit = squares.sum(-1) / present.sum((1, 2)).clamp(min=1.0)
+    return Trained(
+        torch.stack(curve_health, 1).double().numpy(), mean.physical().numpy(),
+        torch.stack(states, -1).double().numpy(), torch.stack(curve_loss, 1).double().numpy(),
+        misfit.double().numpy(), torch.stack(curve_held_out, 1).double().numpy(),
+    )  # fmt: skip
+
+
+def estimate_of(
+    problem: SegmentProblem, health: NDArray[np.float64], states: NDArray[np.float64], loss: NDArray[np.float64],
+    misfit: NDArray[np.float64], final: NDArray[np.float64], average_share: float, seconds: float, epochs: int = 0,
+    held_out: NDArray[np.float64] | None = None,
+) -> SegmentEstimate:  # fmt: skip
+    """The runs of one segment as an estimate (also of the baseline and the multi-stage method).
+
+    Args:
+        problem: the segment.
+        health: (R, C, 4) health parameters along the training [m2, m2, -, W/(m2 K)]; loss: (R, C) along with it [-].
+        states: (R, n, 5) states after the last epoch [Pa, Pa, rad/s, -, K].
+        misfit: (R,) chi-square per sample [-]; seconds: wall seconds per run; epochs: trained.
+        final: (R, 4) mean of the health parameters over the last `average_share` of the epochs, the estimate. A run has
+            converged if it is within `STILL_BELOW` of the mean a tenth of the epochs earlier.
+        held_out: (R, C) misfit of readings that no loss saw: a run's parameters are those where it is least, and a
+            choice before the last epoch counts as converged.
+    """
+    points = health.shape[1]
+    width, lag = max(1, round(average_share * points)), max(2, points // 10) - 1
+    earlier = health[:, max(0, points - lag - width) : max(1, points - lag)].mean(axis=1)
+    chosen = np.full(len(health), points - 1)
+    if held_out is not None:
+        chosen = np.argmin(held_out, axis=1)
+        final = health[np.arange(len(health)), chosen]
+        earlier = health[:, -(lag + 1)]
+    finite = np.isfinite(final).all(axis=1) & np.isfinite(loss[:, -1])
+    still = finite & ((np.abs(final / earlier - 1.0) <= STILL_BELOW).all(axis=1) | (chosen < points - 1))
+    used = still if still.any() else (finite if finite.any() else np.ones_like(finite))
+    pooled_states = states[used].mean(axis=0)
+    bound = nominal_bound(problem, pooled_states)
+    nothing = np.full(final.shape, np.nan)
+    return SegmentEstimate(
+        t0_s=problem.t0_s, t1_s=problem.t1_s, time_s=problem.time_s, parameters=final, std=nothing,
+        interval_90=np.stack([nothing, nothing], -1), states=pooled_states, bound=bound.absolute,
+        identifiable=bound.identifiable(), converged=still, seconds_per_run=seconds, method=METHOD,
+        chi2_per_sample=misfit, state_samples=states[used], parameter_samples=final[used],
+        curves={
+            "epoch": np.linspace(0, epochs, loss.shape[1]).round(), "loss": loss.T,
+            **{name: health[..., i].T for i, name in enumerate(HEALTH)},
+            **({} if held_out is None else {"held_out_misfit": held_out.T}),
+        },
+    )  # fmt: skip

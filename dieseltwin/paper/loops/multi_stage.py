@@ -1,0 +1,145 @@
+"""Multi-stage transfer learning: `baseline` on the first segment, its networks and unknowns carried to the others.
+
+Source: paper, section "Multi-stage Transfer learning". A segment behind the first starts from the networks and unknowns
+that `baseline` found on the first one, each member from another source model, with fresh self-adaptive weights. Stage I
+(to epoch 20,000) trains everything, Stage II (to 30,000) the last layers, unknowns and weights, Stage III (to 35,000)
+the last layers and unknowns.
+
+Not printed, and chosen in `params.yaml`: the piecewise constant learning rates. Adam's moments are kept across stages.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.result import SegmentEstimate
+from dieseltwin.identification.shooting import by_grid
+from dieseltwin.paper.loops import baseline
+from dieseltwin.paper.loops.pinn_training import (
+    PinnSettings,
+    PinnTrained,
+    Stage,
+    estimates_of,
+    make_lanes,
+    settings_from,
+    train_lanes,
+)
+
+METHOD = "multi-stage"
+SETTINGS = PinnSettings(
+    stages=(
+        Stage(10000, "all", 2e-2, 2e-2, 1e-2),
+        Stage(20000, "all", 4e-3, 4e-3, 1e-2),
+        Stage(30000, "last", 4e-3, 4e-3, 1e-2),
+        Stage(35000, "last", 8e-4, 8e-4, 0.0),
+    )
+)
+"""The paper's stages; what is not printed as in `params.yaml`, where the reasons stand."""
+
+
+def estimate(
+    problems: Sequence[SegmentProblem],
+    runs: int,
+    seed: int,
+    *,
+    bodies: Any = None,
+    operators: Any = None,
+    maps: Any = None,
+    config: Any = None,
+) -> list[SegmentEstimate]:
+    """Estimate the health parameters of each segment, the first from scratch, the others from its models.
+
+    Args:
+        problems: segments of one recording, the first one is the source.
+        runs: runs R of each segment; run r starts from source model r.
+        seed: seed of all draws, as `baseline.estimate`.
+        bodies: not used.
+        operators: trained actuator operators, or None for the exact actuators.
+        maps: learned empirical maps, dropout on, or None for the exact formulae.
+        config: `identify` of params.yaml, whose settings of `baseline` rule the first segment; None for the defaults;
+            or `PinnSettings` for the segments behind the first, which is then trained with the defaults of `baseline`.
+
+    Returns:
+        One estimate for each segment, in order; standard deviations are left to the spread of the members.
+    """
+    settings = settings_from(config, METHOD, SETTINGS)
+    of_first = settings_from(None if isinstance(config, PinnSettings) else config, baseline.METHOD, baseline.SETTINGS)
+    return estimate_with(problems, runs, seed, settings, of_first, operators, maps)
+
+
+def estimate_with(
+    problems: Sequence[SegmentProblem],
+    runs: int,
+    seed: int,
+    settings: PinnSettings,
+    of_first: PinnSettings,
+    operators: Any = None,
+    maps: Any = None,
+) -> list[SegmentEstimate]:
+    """`estimate` with the settings of the first segment and of the others given apart."""
+    began = time.perf_counter()
+    source = train_lanes(make_lanes(problems, [0], runs, seed, of_first), operators, maps, of_first)
+    first = estimates_of(problems[:1], source, runs, began, METHOD, of_first.average_share)
+    return first + later_segments(problems, source_models(source, runs), runs, seed, settings, operators, maps)
+
+
+def later_segments(
+    problems: Sequence[SegmentProblem],
+    taken: tuple[Tensor, Tensor],
+    runs: int,
+    seed: int,
+    settings: PinnSettings,
+    operators: Any = None,
+    maps: Any = None,
+    first_run: int = 0,
+) -> list[SegmentEstimate]:
+    """Estimate the segments behind the first from source models.
+
+    Args:
+        problems: all segments of the recording.
+        taken: network weights (R, size) and masked unknowns (R, 4) of `source_models`.
+        runs, seed, operators, maps: as `estimate`.
+        settings: of the segments behind the first.
+        first_run: number of the first run, as `fewshot_adam.estimate`.
+
+    Returns:
+        One estimate for each segment but the first, in order.
+    """
+    results: dict[int, SegmentEstimate] = {}
+    for whole in by_grid(problems):
+        group = [i for i in whole if i > 0]
+        if not group:
+            continue
+        began = time.perf_counter()
+        lanes = make_lanes(problems, group, runs, seed, settings, first_run)
+        sources = (taken[0].repeat(len(group), 1), taken[1].repeat(len(group), 1))
+        found = train_lanes(lanes, operators, maps, settings, sources)
+        made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, settings.average_share)
+        results |= dict(zip(group, made, strict=True))
+    return [results[i] for i in range(1, len(problems))]
+
+
+def source_models(source: PinnTrained, runs: int) -> tuple[Tensor, Tensor]:
+    """Source model of each run.
+
+    Args:
+        source: `baseline` on the first segment, R' runs.
+        runs: runs R of a later segment.
+
+    Returns:
+        Network weights (R, size) and masked unknowns (R, 4): run r takes source r, or another one where it diverged;
+        where all diverged there is nothing better, and the runs will be reported as not converged.
+    """
+    health = np.isfinite(source.trained.health[:, -1]).all(axis=1) & np.isfinite(source.trained.loss[:, -1])
+    finite = torch.isfinite(source.weights).all(1).numpy() & health
+    usable = np.flatnonzero(finite) if finite.any() else np.arange(len(finite))
+    count = len(finite)
+    chosen = [r % count if finite[r % count] else usable[r % len(usable)] for r in range(runs)]
+    return source.weights[chosen], source.masked[chosen]

@@ -1,0 +1,386 @@
+"""The training loop of the hybrid PINN: stages of Adam on networks, unknowns and self-adaptive weights, over lanes.
+
+Source: paper, sections "A hybrid model using DeepONet and PINN" (two phases), "Multi-stage Transfer learning" (Stages
+I-III) and "Results: Multi-stage Transfer Learning" (starts, epochs). `baseline` and `multistage` differ in their stages
+and in where the networks and unknowns start. Loss, weights, masks, inputs and learned maps are those of
+`fewshot_program`; only the way from unknowns to linear outputs z is another one (`pinn_networks`).
+
+From Stage II on the hidden layers are frozen, so their outputs and rates are computed once for the rest of the run.
+As in `fewshot_adam`, several Adam optimisers with rates of their own are one update with a rate for each column.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dieseltwin.engine import actuate
+from dieseltwin.errors import InputError
+from dieseltwin.identification.few_shot.residuals import HEALTH, physics_residuals
+from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.result import SegmentEstimate
+from dieseltwin.identification.unknowns import START_SIGMA, to_physical
+from dieseltwin.paper.loops.averaging import TailMean
+from dieseltwin.paper.loops.few_shot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
+from dieseltwin.paper.loops.few_shot_program import Lane, Program, draw_lane, make_program
+from dieseltwin.paper.loops.losses import PAPER_WEIGHTS, Scales, Weights, starting_weights, weights_gradient
+from dieseltwin.paper.loops.pinn_networks import Hidden, StateNetworks
+
+if TYPE_CHECKING:
+    from dieseltwin.settings.params import IdentifyConfig
+
+T_WEIGHT_START = 1500.0
+"""Start of the weights of T_em and T_1 here (paper; in few-shot learning it is 20)."""
+PINN_WEIGHTS: Mapping[str, float] = {**PAPER_WEIGHTS, "T_em": T_WEIGHT_START, "T_1": T_WEIGHT_START}
+FIRST_LAYER_SLOPES = (2.0, 12.0)
+"""Slopes of the first layer at the start on time scaled to [-1, 1] (not printed)."""
+PHYSICS = ("p_im", "p_em", "omega_t", "x_r", "T_1")
+DATA = ("p_im", "p_em", "omega_t", "W_egr", "T_em")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A piece of the schedule with constant learning rates.
+
+    Attributes:
+        until_epoch: first epoch of the next stage.
+        layers: "all" or "last": which layers of the networks are trained.
+        rate_networks, rate_unknowns: learning rates; 0 freezes.
+        rate_weights: learning rate of the self-adaptive weights; 0 freezes them.
+    """
+
+    until_epoch: int
+    layers: str
+    rate_networks: float
+    rate_unknowns: float
+    rate_weights: float
+
+
+@dataclass(frozen=True)
+class PinnSettings:
+    """Settings that `baseline` and `multistage` share.
+
+    Attributes:
+        stages: the schedule (learning rates are not printed).
+        start_at: "lab" or "truth" (only to show how much that flatters).
+        start_sigma: spread of the starts in masked space [-] (paper: 0.2).
+        first_layer_slopes: start of the first layer, None for the plain start (neither is printed).
+        weight_start: alpha of the weights by channel (paper).
+        scales: units of the residuals (not printed).
+        fresh_dropout, average_share: as `AdamSettings`.
+        lanes: runs in one tensor program; an epoch has 5 ms of its own, whatever the number.
+        dtype: float32 or float64.
+    """
+
+    stages: tuple[Stage, ...]
+    start_at: str = "lab"
+    start_sigma: float = START_SIGMA
+    first_layer_slopes: tuple[float, float] | None = FIRST_LAYER_SLOPES
+    weight_start: Mapping[str, float] = field(default_factory=lambda: dict(PINN_WEIGHTS))
+    scales: Scales = field(default_factory=Scales)
+    fresh_dropout: bool = True
+    average_share: float = 0.1
+    lanes: int = 150
+    dtype: torch.dtype = torch.float32
+
+    def __post_init__(self) -> None:
+        ends = [stage.until_epoch for stage in self.stages]
+        if not ends or sorted(set(ends)) != ends or ends[0] < 1:
+            raise InputError("stages", f"until_epoch {ends}", "rising numbers", "mend identify.*.stages")
+        layers = [stage.layers for stage in self.stages]
+        if sorted(layers) != layers or not set(layers) <= {"all", "last"}:
+            raise InputError("stages", f"layers {layers}", "all first, then last", "mend identify.*.stages")
+
+    @property
+    def epochs(self) -> int:
+        """Epochs of all stages."""
+        return self.stages[-1].until_epoch
+
+
+def settings_from(config: IdentifyConfig | PinnSettings | None, method: str, default: PinnSettings) -> PinnSettings:
+    """Settings of one method from `identify` of params.yaml.
+
+    Args:
+        config: `IdentifyConfig`, the settings themselves, or None.
+        method: "baseline" or "multi-stage".
+        default: for None.
+
+    Returns:
+        The settings.
+    """
+    if isinstance(config, PinnSettings):
+        return config
+    if config is None:
+        return default
+    own = config.of(method).model_dump(exclude={"members"})
+    units = {"T_em": "scale_t_em_k", "rate": "scale_rates", "x_r": "scale_x_r"}
+    scales = Scales(**{name: own.pop(key) for name, key in units.items()})
+    stages = tuple(Stage(**stage) for stage in own.pop("stages"))
+    return PinnSettings(
+        stages=stages, start_at=config.start.at, start_sigma=config.start.sd_masked, scales=scales, **own
+    )
+
+
+@dataclass(frozen=True)
+class PinnTrained:
+    """What the loop found for L lanes.
+
+    Attributes:
+        trained: parameters, states, total loss and misfit.
+        epochs: (points,) epochs of the curves.
+        terms: losses without self-adaptive weights along the epochs, name -> (L, points).
+        weights: (L, size) network weights at the end.
+        masked: (L, 4) unknowns in masked space at the end.
+    """
+
+    trained: Trained
+    epochs: NDArray[np.int_]
+    terms: dict[str, NDArray[np.float64]]
+    weights: Tensor
+    masked: Tensor
+
+
+class _Columns:
+    """Where things stand in a lane's columns: networks, unknowns, pointwise weights, single weights."""
+
+    def __init__(self, networks: StateNetworks) -> None:
+        self.networks, self.n = networks, networks.n
+        self.unknowns = networks.size
+        self.pointwise = self.unknowns + len(HEALTH)
+        self.single = self.pointwise + 4 * self.n
+        self.end = self.single + 2
+
+    def masked(self, values: Tensor) -> Tensor:
+        return values[:, self.unknowns : self.pointwise]
+
+    def weights(self, values: Tensor) -> Weights:
+        return Weights(values[:, self.pointwise : self.single].view(-1, 4, self.n), values[:, self.single : self.end])
+
+    def live(self, stage: Stage) -> slice:
+        """Columns that a stage trains: one contiguous block."""
+        first = 0 if stage.layers == "all" else self.networks.hidden_size
+        return slice(first, self.end if stage.rate_weights > 0.0 else self.pointwise)
+
+    def rates(self, stage: Stage, dtype: torch.dtype) -> Tensor:
+        """Learning rate of each column; the weights climb, so theirs is negative."""
+        rates = torch.full((self.end,), -stage.rate_weights, dtype=dtype)
+        rates[: self.unknowns] = stage.rate_networks
+        rates[self.unknowns : self.pointwise] = stage.rate_unknowns
+        return rates
+
+
+def start_values(
+    lanes: Sequence[Lane], program: Program, networks: StateNetworks, settings: PinnSettings,
+    sources: tuple[Tensor, Tensor] | None = None,
+) -> Tensor:  # fmt: skip
+    """Starting columns of the lanes.
+
+    Args:
+        lanes: the runs.
+        program: their tensor program.
+        networks: their networks.
+        settings: settings.
+        sources: network weights (L, size) and masked unknowns (L, 4) to take over; None draws them.
+
+    Returns:
+        (L, M) networks, unknowns and fresh self-adaptive weights.
+    """
+    rows = []
+    for number, lane in enumerate(lanes):
+        generator = torch.Generator().manual_seed(lane.generator_seed)
+        if sources is None:
+            own, masked = networks.start(generator, settings.first_layer_slopes), torch.tensor(lane.masked)
+        else:
+            own, masked = sources[0][number].double(), sources[1][number].double()
+        readings = program.observed.readings[number : number + 1].double()
+        weights = starting_weights(readings, generator, settings.weight_start)
+        rows.append(torch.cat([own, masked, weights.pointwise.flatten(), weights.single.flatten()]))
+    return torch.stack(rows).to(settings.dtype)
+
+
+def train(
+    program: Program, networks: StateNetworks, values: Tensor, stages: Sequence[Stage], sigma: NDArray[np.float64],
+    progress: Callable[[int], None] | None = None, average_share: float = 0.0,
+) -> PinnTrained:  # fmt: skip
+    """Run the stages over L lanes of one sample grid.
+
+    Args:
+        program: loss of linear outputs, unknowns and weights.
+        networks: from weights to linear outputs.
+        values: (L, M) of `start_values`; changed in place.
+        stages: the schedule.
+        sigma: (L, 5) noise of the five channels [SI], for the misfit.
+        progress: called with the epoch now and then.
+        average_share: as `PinnSettings`.
+
+    Returns:
+        Parameters, states, losses and the networks at the end.
+    """
+    columns, epochs = _Columns(networks), stages[-1].until_epoch
+    first, second, gradient = (torch.zeros_like(values) for _ in range(3))
+    keep = np.unique(np.linspace(0, epochs, min(CURVE_POINTS, epochs + 1)).round().astype(int))
+    kept, curve = set(keep.tolist()), _Curve()
+    hidden: Hidden | None = None
+    mean = TailMean(epochs, average_share, columns.masked(values))
+    epoch = 0
+    for stage in stages:
+        live, rates = columns.live(stage), columns.rates(stage, values.dtype)
+        frozen = stage.layers == "last"
+        g, m, v, x = (t[:, live] for t in (gradient, first, second, values))
+        rates = rates[..., live]
+        while epoch < stage.until_epoch:
+            hidden = networks.hidden(values) if hidden is None or not frozen else hidden
+            program.renew()
+            z = [row.requires_grad_() for row in networks.outputs(values, hidden)]
+            masked = columns.masked(values).clone().requires_grad_()
+            weights = columns.weights(values)
+            loss = program(z, masked, weights)
+            if epoch in kept:
+                curve.add(program, z, masked, loss)
+                if progress is not None:
+                    progress(epoch)
+            *by_outputs, by_masked = torch.autograd.grad(loss.total.sum(), [*z, masked])
+            networks.gradient(values, hidden, by_outputs, gradient, last_only=frozen)
+            columns.masked(gradient).copy_(by_masked)
+            if stage.rate_weights > 0.0:
+                up, place = weights_gradient(loss, weights), columns.weights(gradient)
+                place.pointwise.copy_(up.pointwise)
+                place.single.copy_(up.single)
+            m.lerp_(g, 1.0 - BETA_1)
+            v.mul_(BETA_2).addcmul_(g, g, value=1.0 - BETA_2)
+            correct = (1.0 - BETA_2 ** (epoch + 1)) ** 0.5
+            x.addcmul_(m / v.sqrt().add_(EPSILON * correct), rates, value=-correct / (1.0 - BETA_1 ** (epoch + 1)))
+            epoch += 1
+            mean.add(epoch, columns.masked(values))
+    with torch.no_grad():
+        z = networks.outputs(values, networks.hidden(values))
+        masked = columns.masked(values)
+        loss = program(z, masked, columns.weights(values))
+        curve.add(program, z, masked, loss)
+        states, _ = program.states(z)
+        misfit = _misfit(program, loss, torch.tensor(sigma, dtype=values.dtype))
+    found = Trained(
+        torch.stack(curve.health, 1).double().numpy(), mean.physical().numpy(),
+        torch.stack(states, -1).double().numpy(), torch.stack(curve.loss, 1).double().numpy(),
+        misfit.double().numpy(), torch.zeros(len(misfit), len(curve.loss)).double().numpy(),
+    )  # fmt: skip
+    terms = {name: torch.stack(values, 1).double().numpy() for name, values in curve.terms.items()}
+    return PinnTrained(found, keep, terms, values[:, : networks.size].clone(), masked.clone())
+
+
+class _Curve:
+    """Parameters and losses at the epochs that are kept."""
+
+    def __init__(self) -> None:
+        self.health: list[Tensor] = []
+        self.loss: list[Tensor] = []
+        self.terms: dict[str, list[Tensor]] = {}
+
+    @torch.no_grad()
+    def add(self, program: Program, z: Sequence[Tensor], masked: Tensor, loss: Any) -> None:
+        physical = to_physical(masked, torch)
+        self.health.append(physical)
+        self.loss.append(loss.total.detach())
+        states, rates = program.states(z)
+        c = program.c._replace(**dict(zip(HEALTH, physical.unsqueeze(-1).unbind(1), strict=True)))
+        residuals = physics_residuals(program.model, states, rates, program.inputs, c)
+        terms = {
+            f"loss_physics_{name}": (r / scale).square().mean(-1)
+            for name, r, scale in zip(PHYSICS, residuals, program.observed.scales.physics, strict=False)
+        }
+        data = [*loss.mean_squares.sum(-1).unbind(-1), loss.single[:, 0]]
+        terms |= {f"loss_data_{name}": row for name, row in zip(DATA, data, strict=True)}
+        for name, row in terms.items():
+            self.terms.setdefault(name, []).append(row.detach())
+
+
+def _misfit(program: Program, loss: Any, sigma: Tensor) -> Tensor:
+    """Sum of squared data residuals over sigma, divided by their number, (L,)."""
+    present = program.observed.present
+    means = torch.cat([loss.mean_squares.sum(-1), loss.single[:, :1]], 1)
+    scale = sigma.new_tensor(program.observed.scales.channels)
+    return (means * present.sum(1) * (scale / sigma).square()).sum(-1) / present.sum((1, 2)).clamp(min=1.0)
+
+
+def make_lanes(
+    problems: Sequence[SegmentProblem], group: Sequence[int], runs: int, seed: int, settings: PinnSettings,
+    first_run: int = 0,
+) -> list[Lane]:  # fmt: skip
+    """Lanes of some segments, run by run from `first_run` on; a run's draws depend on (seed, segment, run) alone."""
+    numbers = range(first_run, first_run + runs)
+    return [draw_lane(problems[i], i, run, seed, settings) for i in group for run in numbers]  # type: ignore[arg-type]
+
+
+def train_lanes(
+    lanes: Sequence[Lane],
+    operators: Any,
+    maps: Any,
+    settings: PinnSettings,
+    sources: tuple[Tensor, Tensor] | None = None,
+) -> PinnTrained:
+    """Train lanes of one sample grid, `settings.lanes` at a time.
+
+    Args:
+        lanes: the runs.
+        operators: trained actuator operators, or None for the exact actuators.
+        maps: learned empirical maps, dropout on, or None for the exact formulae.
+        settings: settings.
+        sources: network weights (L, size) and masked unknowns (L, 4) to start from; None draws them.
+
+    Returns:
+        What was found for all lanes.
+    """
+    found = []
+    for a in range(0, len(lanes), settings.lanes):
+        part = lanes[a : a + settings.lanes]
+        actuations = {lane.index: actuate(lane.problem.inputs, lane.problem.parameters) for lane in part}
+        program = make_program(part, actuations, None, operators, maps, settings)  # type: ignore[arg-type]
+        networks = StateNetworks(part[0].problem.time_s, dtype=settings.dtype)
+        taken = None if sources is None else (sources[0][a : a + len(part)], sources[1][a : a + len(part)])
+        values = start_values(part, program, networks, settings, taken)
+        sigma = np.stack([lane.problem.sigma[:5] for lane in part])
+        found.append(train(program, networks, values, settings.stages, sigma, average_share=settings.average_share))
+    whole = Trained(*(np.concatenate([getattr(f.trained, n) for f in found]) for n in Trained.__dataclass_fields__))
+    terms = {name: np.concatenate([f.terms[name] for f in found]) for name in found[0].terms}
+    weights, masked = torch.cat([f.weights for f in found]), torch.cat([f.masked for f in found])
+    return PinnTrained(whole, found[0].epochs, terms, weights, masked)
+
+
+def estimates_of(
+    problems: Sequence[SegmentProblem], found: PinnTrained, runs: int, began: float, method: str,
+    average_share: float,
+) -> list[SegmentEstimate]:
+    """Estimates of segments whose runs follow each other in `found`.
+
+    Args:
+        problems: the segments, in the order of the lanes.
+        found: of `train_lanes`.
+        runs: runs of each segment.
+        began: `time.perf_counter()` when the work began [s].
+        method: name of the method.
+        average_share: of the training.
+
+    Returns:
+        One estimate for each segment, with curves: total loss and parameters of each run, the other losses over runs.
+    """
+    seconds = (time.perf_counter() - began) / (runs * len(problems))
+    results = []
+    for row, problem in enumerate(problems):
+        of = slice(row * runs, (row + 1) * runs)
+        t = found.trained
+        one = estimate_of(
+            problem, t.health[of], t.states[of], t.loss[of], t.misfit[of], t.final[of], average_share, seconds,
+            int(found.epochs[-1]),
+        )
+        curves = {"epoch": found.epochs.astype(np.float64), "loss": t.loss[of].T}
+        curves |= {name: t.health[of, :, i].T for i, name in enumerate(HEALTH)}
+        curves |= {name: values[of].mean(axis=0) for name, values in found.terms.items()}
+        results.append(replace(one, method=method, curves=curves))
+    return results

@@ -1,0 +1,1 @@
+"""The paper's own estimators, one module each, as `identification.methods`."""
