@@ -31,6 +31,7 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     from dieseltwin.recordings.datasets import HEALTH, MEASURED, laboratory_parameters
     from dieseltwin.recordings.reader import read_recording
     from dieseltwin.settings.params import EngineConfig, NoiseConfig
+    from dieseltwin.symbols import STATES
 
     config = _config(settings)
     parameters = laboratory_parameters(EngineConfig(**settings["engine"]))
@@ -46,9 +47,8 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     )
     last_s = recording.time_s[0] + 60.0 * config.minutes
     problems = [problem for problem in problems if problem.t0_s < last_s]
-    states = ["p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k"]
     at = np.searchsorted(clean["time_s"], [problem.t0_s for problem in problems])
-    initial = clean[states].to_numpy()[at]
+    initial = clean[list(STATES)].to_numpy()[at]
     known = [replace(problem, true_initial=row) for problem, row in zip(problems, initial, strict=True)]
     return known, clean[clean["time_s"] <= problems[-1].t1_s]
 

@@ -134,7 +134,7 @@ def test_a_forbidden_import_is_noticed(project_root: Path, tmp_path: Path) -> No
     """The contracts of pyproject.toml, run over a small house with a forbidden import in it."""
     (tmp_path / "pyproject.toml").write_bytes((project_root / "pyproject.toml").read_bytes())
     rooms = (
-        "cli", "report", "challenge", "calibration", "petrol", "identification", "recordings", "surrogates",
+        "cli", "paper", "report", "challenge", "calibration", "petrol", "identification", "recordings", "surrogates",
         "duty_cycles", "networks", "engine", "symbols", "settings", "atomic", "errors",
     )  # fmt: skip
     discovery = ("discover", "verdict", "options", "search", "laws", "likelihood", "twins")

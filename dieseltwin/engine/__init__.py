@@ -13,15 +13,8 @@ from dieseltwin.engine.parameters import (
     load_engine,
     parameter_batch,
 )
-from dieseltwin.engine.simulate import (
-    MEASURED,
-    STATES,
-    Observations,
-    quantities_frame,
-    settle,
-    simulate,
-    simulate_states,
-)
+from dieseltwin.engine.simulate import Observations, quantities_frame, settle, simulate, simulate_states
+from dieseltwin.symbols import MEASURED, STATES
 
 __all__ = [
     "DEFAULT_STEP_S", "HEALTH", "HEALTH_UNITS", "INPUT_COLUMNS", "MAPS", "MEASURED", "STATES",

@@ -10,8 +10,9 @@ from dieseltwin.engine.extended_terms import along, conditions_of, simulate_term
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate
 from dieseltwin.engine.parameters import EngineParameters, constants, parameter_batch
 from dieseltwin.engine.sensor_effects import slot_parts
-from dieseltwin.engine.simulate import MEASURED, actuate_like, numpy_model, settle
+from dieseltwin.engine.simulate import actuate_like, numpy_model, settle
 from dieseltwin.engine.terms import SENSOR_SLOTS, amounts, effect_terms
+from dieseltwin.symbols import MEASURED
 
 
 def extended_frame(states: np.ndarray, actuation: Actuation, parameters: EngineParameters) -> pd.DataFrame:

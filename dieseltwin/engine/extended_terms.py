@@ -16,9 +16,10 @@ from dieseltwin.engine.extended_model import ExtendedQuantities, Gas, Magnitudes
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.parameters import Constants, ParameterBatch
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
-from dieseltwin.engine.simulate import MEASURED, Observations, numpy_model
+from dieseltwin.engine.simulate import Observations, numpy_model
 from dieseltwin.engine.terms import REGION_COLUMNS, SENSOR_SLOTS, LawTerm, OneTerm, amounts, effect_terms, law_terms
 from dieseltwin.errors import InputError
+from dieseltwin.symbols import MEASURED
 
 LAW_SWEEPS = 8
 """Most rounds of the fixed point between laws and trajectory."""

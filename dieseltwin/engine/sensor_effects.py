@@ -11,9 +11,7 @@ from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.effect_catalogue import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import SENSOR_SLOTS, amounts, effect_terms
-
-SENSORS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s")
-"""Columns that sensors can see (`simulate.MEASURED`)."""
+from dieseltwin.symbols import MEASURED
 
 SENSOR_EFFECTS = tuple(name for name, effect in EFFECTS.items() if effect.kind == "sensor")
 
@@ -31,7 +29,7 @@ def apply_sensor_effects(
     time_s: np.ndarray,
     magnitudes: Mapping[str, np.ndarray],
     schedules: Mapping[str, np.ndarray] | None = None,
-    columns: tuple[str, ...] = SENSORS,
+    columns: tuple[str, ...] = MEASURED,
 ) -> np.ndarray:
     """Readings (B, n, C) under sensor effects; the lag first, then gains, then offsets. `measured` isn't changed.
 
@@ -72,7 +70,7 @@ def undo_sensor_terms(
     """Readings without the offsets and gains that the engine's terms know of, and the engine without these terms.
 
     Args:
-        measured: (.., n, 6) readings in the order of `SENSORS`.
+        measured: (.., n, 6) readings in the order of `symbols.MEASURED`.
         time_s: sample times, (n,) [s]; start_s: the recording's start; conditions: input columns, (n,) each.
         parameters: with terms; a `thermocouple_lag` can't be undone and stays.
     """
@@ -85,7 +83,7 @@ def undo_sensor_terms(
     out = np.array(measured, dtype=np.float64)
     for name, amount in zip(names, amounts(parameters.terms, names, time_s, start_s, conditions), strict=True):
         column, fault = slot_parts(name)
-        at = SENSORS.index(column)
+        at = MEASURED.index(column)
         out[..., at] = out[..., at] - amount if fault == "offset" else out[..., at] / (1.0 + amount)
     if not names:
         return out, parameters

@@ -17,12 +17,6 @@ from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate
 from dieseltwin.engine.parameters import Constants, EngineParameters, ParameterBatch, constants, parameter_batch
 from dieseltwin.errors import InputError
 
-MEASURED = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s")
-"""Columns that sensors can see, in the order of `Observations.measured`: the paper's five, and the compressor flow."""
-
-STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k")
-"""Order of `Observations.states`."""
-
 _MEASURED_AT = (0, 1, 2, 5, 6, 7)
 _SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
 _SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point

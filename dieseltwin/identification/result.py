@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.states import INTERVAL, StateSamples, segment_states
 from dieseltwin.identification.unknowns import HEALTH, UNITS
 
 Array = NDArray[np.float64]
 
 SCHEMA = 1
-INTERVAL = 0.90
-"""Probability of every reported interval (PROTOCOL.md)."""
 Z_90 = float(stats.norm.ppf(0.5 + INTERVAL / 2.0))
 """Half width of the 90 % interval in standard deviations."""
 MEMBERS_FOR_QUANTILES = 20
@@ -144,6 +143,15 @@ class SegmentEstimate:
             result[name] = ParameterSummary(mean, std, interval, float(self.bound[i]), known)
         return result
 
+    def states_over_time(self, problem: SegmentProblem) -> pd.DataFrame:
+        """States and derived quantities with the bands that the method's samples give; see `states.segment_states`."""
+        summary = self.summary()
+        health = {name: mean for name in HEALTH if (mean := summary[name].mean) is not None}
+        samples = None
+        if self.state_samples is not None and self.parameter_samples is not None:
+            samples = StateSamples(self.state_samples, self.parameter_samples)
+        return segment_states(problem, self.states, health, samples)
+
 
 @dataclass(frozen=True)
 class Identification:
@@ -251,10 +259,13 @@ class Identification:
 
     @property
     def states(self) -> pd.DataFrame:
-        """States and derived quantities over time with bands over runs; see `states.states_table`."""
-        from dieseltwin.identification.states import states_table
-
-        return states_table(self)
+        """States and derived quantities of every segment (column `segment`: 0, 1, ..); see `states.segment_states`."""
+        parts = []
+        for number, (segment, problem) in enumerate(zip(self.segments, self.problems, strict=True)):
+            table = segment.states_over_time(problem)
+            table.insert(0, "segment", number)
+            parts.append(table)
+        return pd.concat(parts, ignore_index=True)
 
 
 def intervals_from_log_std(values: Array, log_std: Array) -> tuple[Array, Array]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from dieseltwin.engine import HEALTH, actuate, quantities_frame
-from dieseltwin.identification.result import INTERVAL
+from dieseltwin.identification.problem import SegmentProblem
 
-if TYPE_CHECKING:
-    from dieseltwin.identification.problem import SegmentProblem
-    from dieseltwin.identification.result import Identification, SegmentEstimate
-
+INTERVAL = 0.90
+"""Probability of every reported interval and band."""
 LOW, HIGH = "_lo", "_hi"
 """Suffixes of the columns that hold the 90 % band."""
 
@@ -21,55 +21,52 @@ _INPUTS = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 _ACTUATORS = ("u_egr1_pct", "u_egr2_pct", "u_vgt_act_pct")
 
 
-def states_table(identification: Identification) -> pd.DataFrame:
-    """States and derived quantities of every segment.
+@dataclass(frozen=True)
+class StateSamples:
+    """Runs, or draws from their uncertainty, behind the band of a segment.
 
-    Args:
-        identification: result of any method.
-
-    Returns:
-        One row for each sample: `segment` (0, 1, ..), the columns of the reference traces in SI units
-        (inputs, states, flows, temperatures, efficiencies), and `<column>_lo`, `<column>_hi` where the
-        method kept
-        samples: the 90 % band over runs and their uncertainty.
+    Attributes:
+        states: (K, n, 5) p_im, p_em, omega_t, x_r, T_1 [Pa, Pa, rad/s, -, K].
+        parameters: (K, 4) health parameters that belong to them, in the order of `HEALTH`.
     """
-    parts = []
-    for i, (segment, problem) in enumerate(zip(identification.segments, identification.problems, strict=True)):
-        table = segment_table(segment, problem)
-        table.insert(0, "segment", i)
-        parts.append(table)
-    return pd.concat(parts, ignore_index=True)
+
+    states: NDArray[np.float64]
+    parameters: NDArray[np.float64]
 
 
-def segment_table(segment: SegmentEstimate, problem: SegmentProblem) -> pd.DataFrame:
-    """The table of one segment; see `states_table`.
+def segment_states(
+    problem: SegmentProblem,
+    states: NDArray[np.float64],
+    health: Mapping[str, float],
+    samples: StateSamples | None = None,
+) -> pd.DataFrame:
+    """States and derived quantities of one segment, with bands.
 
     Args:
-        segment: estimates of the segment.
-        problem: the problem they solve.
+        problem: the segment.
+        states: (n, 5) p_im, p_em, omega_t, x_r, T_1 of the pooled estimate [Pa, Pa, rad/s, -, K].
+        health: health parameters of the pooled estimate [m2, m2, -, W/(m2 K)].
+        samples: what the bands are read from; None leaves them out.
 
     Returns:
-        (n, columns) table.
+        One row for each sample: the columns of the reference traces in SI units (inputs, states, flows, temperatures,
+        efficiencies), and `<column>_lo`, `<column>_hi` with samples: the 90 % band over runs and their uncertainty.
     """
     actuation = actuate(problem.inputs, problem.parameters)
-    summary = segment.summary()
-    best = {name: summary[name].mean for name in HEALTH}
-    table = quantities_frame(segment.states, actuation, problem.parameters.replace(**best))
+    table = quantities_frame(states, actuation, problem.parameters.replace(**health))
     table["time_s"] = problem.time_s
-    if segment.state_samples is None or segment.parameter_samples is None:
+    if samples is None:
         return table
     columns = [c for c in table.columns if c not in _INPUTS + _ACTUATORS]
-    samples = np.stack(
+    drawn = np.stack(
         [
             quantities_frame(
-                states,
-                actuation,
-                problem.parameters.replace(**dict(zip(HEALTH, map(float, values), strict=True))),
+                path, actuation, problem.parameters.replace(**dict(zip(HEALTH, map(float, values), strict=True)))
             )[columns].to_numpy()
-            for states, values in zip(segment.state_samples, segment.parameter_samples, strict=True)
+            for path, values in zip(samples.states, samples.parameters, strict=True)
         ]
     )
-    low, high = np.quantile(samples, [0.5 - INTERVAL / 2.0, 0.5 + INTERVAL / 2.0], axis=0)
+    low, high = np.quantile(drawn, [0.5 - INTERVAL / 2.0, 0.5 + INTERVAL / 2.0], axis=0)
     bands = {f"{c}{LOW}": low[:, j] for j, c in enumerate(columns)}
     bands.update({f"{c}{HIGH}": high[:, j] for j, c in enumerate(columns)})
     return pd.concat([table, pd.DataFrame(bands)], axis=1)

@@ -22,10 +22,11 @@ import numpy as np
 
 from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
+from dieseltwin.symbols import MEASURED
 
 TIME = "time_s"
 INPUTS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
-SENSORS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k")
+SENSORS = MEASURED[:5]
 OPTIONAL_SENSORS = ("w_c_kg_s", "t_im_k")
 AMBIENT = ("p_amb_pa", "t_amb_k")
 

@@ -12,7 +12,7 @@ import pandas as pd
 from dieseltwin.atomic import atomic_path, write_json
 from dieseltwin.identification.curves import curves_table
 from dieseltwin.report.results import PARAMETERS, Results, method_from_document
-from dieseltwin.report.statistics import MEASURED_COLUMNS
+from dieseltwin.symbols import MEASURED
 
 if TYPE_CHECKING:
     from dieseltwin.identification.problem import SegmentProblem
@@ -27,7 +27,7 @@ def measured_table(problems: Sequence[SegmentProblem]) -> pd.DataFrame:
         part = pd.DataFrame({"time_s": problem.time_s})
         for column in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"):
             part[column] = np.asarray(getattr(problem.inputs, column))[start:]
-        for index, column in enumerate(MEASURED_COLUMNS):
+        for index, column in enumerate(MEASURED):
             part[column] = problem.measured[:, index]
         parts.append(part)
     # segments share their boundary sample
@@ -36,7 +36,7 @@ def measured_table(problems: Sequence[SegmentProblem]) -> pd.DataFrame:
 
 def noise_levels(problems: Sequence[SegmentProblem]) -> dict[str, float]:
     """Standard deviation of the noise of each measured column [SI]; the recording's, so the first segment's will do."""
-    return {column: float(value) for column, value in zip(MEASURED_COLUMNS, problems[0].sigma, strict=True)}
+    return {column: float(value) for column, value in zip(MEASURED, problems[0].sigma, strict=True)}
 
 
 def known_truth(problems: Sequence[SegmentProblem]) -> dict[str, float] | None:

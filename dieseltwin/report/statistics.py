@@ -10,9 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.report.results import PARAMETERS, Estimate, MethodResult, Results
-from dieseltwin.symbols import MEASURED_NAMES, SYMBOLS
+from dieseltwin.symbols import MEASURED
 
-MEASURED_COLUMNS = tuple(SYMBOLS[name].column for name in MEASURED_NAMES)
 Z_90 = 1.6448536269514722  # half width of a Gaussian 90 % interval in standard deviations
 
 
@@ -107,7 +106,7 @@ def residuals(
     left = measured.assign(_key=(measured["time_s"] * 1e4).round().astype("int64"))
     right = predicted.assign(_key=(predicted["time_s"] * 1e4).round().astype("int64"))
     joined = left.merge(right, on="_key", suffixes=("", "__predicted"))
-    for column in MEASURED_COLUMNS:
+    for column in MEASURED:
         sigma = results.sigma.get(column, math.nan)
         other = f"{column}__predicted" if f"{column}__predicted" in joined else column
         if column not in measured or column not in predicted or not (math.isfinite(sigma) and sigma > 0):

@@ -16,8 +16,8 @@ from dieseltwin.report import captions, quantities, style
 from dieseltwin.report.results import MethodResult, Results
 from dieseltwin.report.segment_axis import WIDTH_IN
 from dieseltwin.report.statistics import autocorrelation, band, odd_channels, residuals
+from dieseltwin.symbols import STATES
 
-STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k")
 FLOWS = ("w_egr_kg_s", "w_c_kg_s", "w_t_kg_s", "w_ei_kg_s", "t_em_k", "t_e_k")
 EMPIRICAL = ("eta_vol", "f_egr", "f_vgt_pi_t", "eta_tm", "eta_c", "phi_c")
 ACF_LAG_S = 4.0  # lags shown: several times the turbocharger's share of a sample, far below a segment

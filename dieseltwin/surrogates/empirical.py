@@ -179,30 +179,20 @@ class EmpiricalMaps:
         dtype: torch.dtype = torch.float64,
         slopes: bool = False,
     ) -> dict[str, Callable[..., Any]]:
-        """Functions of the engine's six signatures, for ``bind(backend, replace=...)``.
+        """Functions of the engine's six signatures for ``bind(backend, replace=...)``; compiled: `map_compiled`.
 
         Args:
-            backend: "torch", "numpy" or "numba" (compiled scalars; one member only).
+            backend: "torch" or "numpy".
             member: see `layers`. With several, the arguments are (..., R, n) or broadcast to that.
             generator: torch only: a fresh dropout mask for every point and call, as printed; leaves `member` alone.
             dtype: torch only: of weights and results.
             slopes: torch only: compute first derivatives with the values (`map_layers.ClosedForm`), which is quicker
                 where they are wanted; without it any order is right.
         """
-        if backend == "numba":
-            from dieseltwin.surrogates.map_compiled import numba_replacements
-
-            return numba_replacements(self, member)
         if backend not in ("torch", "numpy"):
-            raise unknown_name("backend", backend, ["torch", "numpy", "numba"])
+            raise unknown_name("backend", backend, ["torch", "numpy"])
         make = self._torch_map if backend == "torch" else self._numpy_map
         return {name: make(name, member, generator, dtype, slopes) for name in MAPS}
-
-    def simulator(self, member: int | None = None) -> Callable[..., Any]:
-        """`engine.simulate_states` with these maps in place of the formulae (improved only), compiled and batched."""
-        from dieseltwin.surrogates.map_compiled import compiled_simulator
-
-        return compiled_simulator(self, member)
 
     def _numpy_map(self, name: str, member: Any, *_: Any) -> Callable[..., np.ndarray]:
         form, item = bound_forms(self.kind, "numpy")[name], self.maps[name]

@@ -10,8 +10,9 @@ from pydantic import ValidationError
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.effects import ActuatorTerm, LawTerm, SensorTerm, Term
 from dieseltwin.engine.parameters import load_engine
-from dieseltwin.engine.sensor_effects import SENSOR_EFFECTS, SENSORS, slot_parts, undo_sensor_terms
+from dieseltwin.engine.sensor_effects import SENSOR_EFFECTS, slot_parts, undo_sensor_terms
 from dieseltwin.engine.terms import SENSOR_SLOTS
+from dieseltwin.symbols import MEASURED
 
 ENGINE = we2011.PARAMETERS
 
@@ -24,12 +25,12 @@ def _inputs() -> Inputs:
 
 def _readings(*terms: Term | SensorTerm | ActuatorTerm) -> np.ndarray:
     frame = simulate(_inputs(), ENGINE.replace(terms=terms), oxygen=False, initial=np.array([1.5e5, 1.8e5, 5000.0]))
-    return frame[list(SENSORS)].to_numpy()
+    return frame[list(MEASURED)].to_numpy()
 
 
 def test_every_sensor_effect_has_a_slot_and_files_keep_the_terms(tmp_path) -> None:  # type: ignore[no-untyped-def]
     assert set(SENSOR_EFFECTS) <= set(SENSOR_SLOTS)
-    assert len({slot_parts(slot) for slot in SENSOR_SLOTS}) == len(SENSOR_SLOTS) == 2 * len(SENSORS) + 1
+    assert len({slot_parts(slot) for slot in SENSOR_SLOTS}) == len(SENSOR_SLOTS) == 2 * len(MEASURED) + 1
     terms = (
         SensorTerm(sensor="omega_t_rad_s", fault="gain", magnitude=0.02, std=1e-3),
         ActuatorTerm(actuator="egr", fault="backlash", magnitude=4.0), LawTerm(point="W_t", coefficient=0.02, unit="-"),

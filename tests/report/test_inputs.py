@@ -22,8 +22,9 @@ from dieseltwin.report import (
     summary_table,
     write_report_inputs,
 )
-from dieseltwin.report.statistics import MEASURED_COLUMNS, odd_channels, residuals
+from dieseltwin.report.statistics import odd_channels, residuals
 from dieseltwin.report.timeseries import residual_figure
+from dieseltwin.symbols import MEASURED
 
 RUNS = 6
 SIGMA = np.array([4500.0, 5000.0, 60.0, 0.002, 20.0, 0.006])
@@ -44,7 +45,7 @@ def made_up(trace: pd.DataFrame, truth: Mapping[str, float] | None) -> Identific
     for t0 in (0.0, 60.0):
         rows = trace[(trace["time_s"] >= t0) & (trace["time_s"] <= t0 + 60.0)]
         columns = [rows[c].to_numpy() for c in ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")]
-        measured = rows[list(MEASURED_COLUMNS)].to_numpy() + SIGMA * rng.standard_normal((len(rows), 6))
+        measured = rows[list(MEASURED)].to_numpy() + SIGMA * rng.standard_normal((len(rows), 6))
         measured[:, 5] = np.nan  # five sensors
         problems.append(
             SegmentProblem(t0, t0 + 60.0, Inputs(*columns), measured, SIGMA, we2011.PARAMETERS, truth=truth)

@@ -15,7 +15,7 @@ from dieseltwin.settings.maps import MapsConfig
 from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
 from dieseltwin.surrogates.empirical_training import _with_a_slope, train_maps
-from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights
+from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights, numba_replacements
 
 KINDS = ("paper", "improved")
 C = constants(we2011.PARAMETERS)
@@ -325,7 +325,7 @@ def test_maps_replace_the_formulae_in_torch_and_numpy(trained, kind):
 
 @pytest.mark.parametrize(("kind", "name"), [("paper", "eta_c"), ("improved", "f_egr")])  # compiling takes seconds
 def test_compiled_scalars_equal_numpy(trained, kind, name):
-    function = trained[kind].replacements("numba", member=1)[name]
+    function = numba_replacements(trained[kind], member=1)[name]
     arguments = map_arguments(operating_points(5, 2), we2011.PARAMETERS)[name]
     expected = trained[kind].evaluate(name, *arguments, member=1)
     found = [function(*(float(a[row]) for a in arguments), C) for row in range(5)]
