@@ -89,15 +89,10 @@ def stacked(parts: Sequence[CanFrames]) -> CanFrames:
         [np.pad(part.data, ((0, 0), (0, width - part.data.shape[1])), constant_values=FILLER) for part in parts]
     )
     joined = CanFrames(
-        *(
-            np.concatenate([getter(part) for part in parts])
-            for getter in (
-                lambda part: part.time_s,
-                lambda part: part.identifier,
-                lambda part: part.extended,
-                lambda part: part.length,
-            )
-        ),
+        np.concatenate([part.time_s for part in parts]),
+        np.concatenate([part.identifier for part in parts]),
+        np.concatenate([part.extended for part in parts]),
+        np.concatenate([part.length for part in parts]),
         data,
     )
     return joined.take(np.argsort(joined.time_s, kind="stable"))

@@ -11,6 +11,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.layout import is_date
 
 DAY_S = 86400.0
+SAMPLE = 20  # rows that decide whether a column holds stamps; a bad one among them is a bad stamp
 _COLON_FRACTION = re.compile(r"(\d{1,2}:\d{2}:\d{2}):(\d{1,6})$")  # 12:00:00:250, hundredths or ms after a colon
 
 
@@ -22,8 +23,8 @@ def stamped_columns(frame: pd.DataFrame) -> list[str]:
         if pd.api.types.is_datetime64_any_dtype(column):
             found.append(str(name))
         elif column.dtype == object or pd.api.types.is_string_dtype(column):
-            sample = column.dropna().head(20)
-            if len(sample) and all(_is_stamp(value) for value in sample):
+            sample = column.dropna().head(SAMPLE)
+            if len(sample) and sum(_is_stamp(value) for value in sample) > 0.5 * len(sample):
                 found.append(str(name))
     return found
 

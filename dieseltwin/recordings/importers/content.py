@@ -51,7 +51,7 @@ _TEXT_STRANGERS: tuple[tuple[str, str, str], ...] = (
     (
         r"\s*VERSION\s+\"|(.*\n)*?BO_ \d+ \w+\s*:",
         "a DBC file, which describes a bus and holds no readings",
-        "give the trace, and this file by --dbc",
+        "give the trace, and name this file in its channel map (dbc: ...)",
     ),
 )
 _CANDUMP_LOG = re.compile(r"^\s*\(\d+\.\d+\)\s+\S+\s+[0-9A-Fa-f]{1,8}#", re.MULTILINE)

@@ -21,6 +21,7 @@ from dieseltwin.recordings.importers.layout import (
     Layout,
     find_layout,
     is_data_row,
+    is_date,
     is_missing,
     is_number,
 )
@@ -68,9 +69,10 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     twice = [name for name in dict.fromkeys(names) if name and names.count(name) > 1]
     if twice:  # pandas would rename the second one and say nothing
         raise InputError(f"{path}: column {twice[0]}", "a column given twice", "each name once", "drop one")
+    text, dropped = _without_tail(text, dialect)
+    if dropped:
+        notes.append(f"{dropped} lines of text at the end left out")
     frame = _numbers_of(path, text, dialect)
-    frame, dropped = _without_tail(frame)
-    notes.extend(dropped)
     if len(frame) == 0:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
     units = {name: unit for name, unit in zip(names, dialect.layout.units, strict=True) if name and unit}
@@ -94,7 +96,7 @@ def _decoded(path: Path, content: bytes) -> tuple[str, str]:
                 return content.decode(encoding), encoding
             except UnicodeDecodeError as error:
                 raise unreadable(path, "CSV", error) from None
-    head = content[:4096]
+    head = content[:4096].rstrip(b"\0")
     if head.count(0) > 0.2 * len(head):
         return content.decode(
             "utf-16-le" if head[1::2].count(0) > head[0::2].count(0) else "utf-16-be", "replace"
@@ -237,24 +239,14 @@ def _text_row(text: str, filled_rows: int) -> int:
     return 0
 
 
-def _without_tail(frame: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
-    """The table without lines of text at its end ('End of measurement')."""
+def _without_tail(text: str, dialect: Dialect) -> tuple[str, int]:
+    """The text without lines of words at its end ('End of measurement'), and how many there were."""
     dropped = 0
-    while len(frame) > 1:
-        last = frame.iloc[-1]
-        filled = [value for value in last if not pd.isna(value)]
-        if len(filled) != 1 or not isinstance(filled[0], str) or is_number(filled[0]):
+    text = text.rstrip()
+    while "\n" in text:
+        rest, _, last = text.rpartition("\n")
+        filled = [cell for cell in _cells([last], dialect.separator)[0] if cell.strip()]
+        if len(filled) != 1 or is_number(filled[0]) or is_date(filled[0]):
             break
-        frame = frame.iloc[:-1]
-        dropped += 1
-    if not dropped:
-        return frame, []
-    return frame.apply(_numbers_again), [f"{dropped} lines of text at the end left out"]
-
-
-def _numbers_again(column: pd.Series) -> pd.Series:
-    """A column that only the dropped text had made one of text."""
-    try:
-        return pd.to_numeric(column)
-    except (ValueError, TypeError):
-        return column
+        text, dropped = rest.rstrip(), dropped + 1
+    return text + "\n", dropped

@@ -29,7 +29,7 @@ def read_excel(path: Path) -> RawChannels:
         sheets = {sheet.title: [tuple(row) for row in sheet.iter_rows(values_only=True)] for sheet in book.worksheets}
         book.close()
     except Exception as error:  # openpyxl lets errors of zip, XML and its own classes through
-        raise unreadable(path, "Excel workbook", error) from None
+        raise unreadable(path, "Excel", error) from None
     tables = {title: (rows, layout) for title, rows in sheets.items() if (layout := _layout(rows)) is not None}
     if not tables:
         raise InputError(

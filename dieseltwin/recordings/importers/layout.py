@@ -21,11 +21,11 @@ _DATE = re.compile(
 _MISSING_WORDS = """nan na n/a #n/a #n/v #nv null none nil - -- --- inf -inf +inf 1.#qnan -1.#ind 1.#inf #wert!
 #value! #div/0! #ref! #bezug! invalid ungültig error err snv nodata ?"""
 MISSING = frozenset(_MISSING_WORDS.split()) | {"", "no data"}
-_UNIT_LIST = """s sec ms us µs min h 1/min min-1 rpm u/min 1/s hz rad/s krpm kpa pa hpa mbar bar psi mpa degc °c c k degf
-°f grdc mg/hub mg/cyc mg/cycle mg/stroke mg/str mg/h mg/inj mm3 mm3/hub mm³ mm3/stroke kg/h kg/s g/s g/h l/h lph l/min gph
-kg/min % pct percent prozent - [-] 1 nm n.m n*m n·m kw w ps hp v mv a km/h m/s mph ppm g/kwh g km m deg °ca degca kelvin
-celsius state bool none enum mm mg ratio lambda -- count date time text string kg/hr lb/min lb/hr bar_a bar_g kpa_a kpa_g
-kpaa kpag barg bara bar(a) bar(g) psia psig mg/asp m3/h m³/h nm3/h mg/r mg/rev"""
+_UNIT_LIST = """s sec ms us µs min h 1/min min-1 rpm u/min 1/s hz rad/s krpm kpa pa hpa mbar bar psi mpa degc °c c k
+degf °f grdc mg/hub mg/cyc mg/cycle mg/stroke mg/str mg/h mg/inj mm3 mm3/hub mm³ mm3/stroke kg/h kg/s g/s g/h l/h lph
+l/min gph kg/min % pct percent prozent - [-] 1 nm n.m n*m n·m kw w ps hp v mv a km/h m/s mph ppm g/kwh g km m deg °ca
+degca kelvin celsius state bool none enum mm mg ratio lambda -- count date time text string kg/hr lb/min lb/hr bar_a
+bar_g kpa_a kpa_g kpaa kpag barg bara bar(a) bar(g) psia psig mg/asp m3/h m³/h nm3/h mg/r mg/rev"""
 _UNIT_WORDS = frozenset(_UNIT_LIST.split())
 # units that also end ordinary names (p_c, T_k, flow_min), so that they say nothing there
 _AMBIGUOUS_LIST = "1 - c h k s a m g v w time date none state count text string min ratio lambda mm enum bool"
@@ -92,7 +92,7 @@ def find_layout(rows: Sequence[Sequence[str]]) -> Layout | None:
     width = _width(rows[first])
     above = [row for row in range(first) if _is_heading(rows[row], width)]
     # headings stand in one block on top of the numbers; a gap ends the block
-    block = []
+    block: list[int] = []
     for row in reversed(above):
         if block and block[-1] - row > 1 and any(cell.strip() for cell in rows[row + 1]):
             break

@@ -46,7 +46,7 @@ def read_matlab(path: Path) -> RawChannels:
     except NotImplementedError:
         return read_hdf5(path)
     except Exception as error:  # scipy lets zlib, struct and its own errors through
-        raise unreadable(path, "MATLAB file", error) from None
+        raise unreadable(path, "MATLAB", error) from None
     tree = {str(name): _plain(value) for name, value in content.items() if not name.startswith("__")}
     opaque = sorted(name for name, value in content.items() if type(value).__name__ == "MatlabOpaque")
     return _assembled(path, "MATLAB", tree, opaque or (["None"] if "None" in content else []))
@@ -92,7 +92,7 @@ def read_hdf5(path: Path) -> RawChannels:
             tree = tree_of(file)
             kind = "MATLAB 7.3" if any("MATLAB_class" in item.attrs for item in file.values()) else "HDF5"
     except (OSError, KeyError, ValueError, RuntimeError) as error:
-        raise unreadable(path, "MATLAB 7.3 file", error) from None
+        raise unreadable(path, "MATLAB 7.3", error) from None
     return _assembled(path, kind, tree, opaque)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -37,16 +40,18 @@ def read_mdf(
         from asammdf import MDF
     except ImportError:
         raise missing_library(path, "an MDF file", "asammdf") from None
-    try:
-        with MDF(path, memory="full", raise_on_multiple_occurrences=False) as mdf:
-            kind = f"MDF {mdf.version}"
-            frames = _bus_frames(mdf)
-            notes: list[str] = []
-            signals = list(_signals(mdf, wanted, notes))
-    except InputError:
-        raise
-    except Exception as error:  # asammdf lets struct, zlib, mmap and its own errors through
-        raise unreadable(path, "MDF file", error) from None
+    problem = ""
+    notes: list[str] = []
+    with _quiet_disposal():
+        try:
+            with MDF(path, memory="full", raise_on_multiple_occurrences=False) as mdf:
+                kind = f"MDF {mdf.version}"
+                frames = _bus_frames(mdf)
+                signals = list(_signals(mdf, wanted, notes))
+        except Exception as error:  # asammdf lets struct, zlib, mmap and its own errors through
+            problem = str(error) or type(error).__name__
+    if problem:
+        raise unreadable(path, "MDF", problem)
     if not signals and frames is None and wanted is None:
         raise InputError(
             str(path),
@@ -55,6 +60,18 @@ def read_mdf(
             "check the export" + (f" ({notes[0]})" if notes else ""),
         )
     return kind, signals, frames, notes
+
+
+@contextmanager
+def _quiet_disposal() -> Iterator[None]:
+    """asammdf's half-made object of a broken file complains once more, on stderr, when Python throws it away."""
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+        gc.collect()
+    finally:
+        sys.unraisablehook = before
 
 
 def _bus_frames(mdf: Any) -> CanFrames | None:

@@ -19,6 +19,7 @@ from dieseltwin.recordings.importers.mdf import read_mdf
 from dieseltwin.recordings.importers.parquet import read_parquet
 from dieseltwin.recordings.importers.signals import RawChannels, Signal, unique_names
 
+DBC_HINT = "name its DBC in the channel map (dbc: bus.dbc); `dieseltwin channels FILE --dbc bus.dbc` writes one"
 TRACES = {"candump": "candump trace", "asc": "ASC trace", "blf": "BLF trace", "trc": "TRC trace"}
 
 
@@ -84,7 +85,7 @@ def _from_frames(path: Path, kind: str, frames: CanFrames, database: Path | None
             str(path),
             f"a {kind} of {frames.size} frames, {count} identifiers, none of J1939's engine groups",
             "a J1939 trace, or any trace with its DBC",
-            "give the DBC by --dbc",
+            DBC_HINT,
         )
     signals, notes = j1939.decode(frames)
     if not signals:
