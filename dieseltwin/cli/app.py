@@ -16,6 +16,7 @@ import typer
 
 from dieseltwin import __version__
 from dieseltwin.cli.challenge import challenge_app
+from dieseltwin.cli.channels import channels_command
 from dieseltwin.cli.data import data_app
 from dieseltwin.cli.early import check_there
 from dieseltwin.cli.effects import EffectOption, show_effects
@@ -41,6 +42,7 @@ app.add_typer(engine_app, name="engine")
 app.add_typer(params_app, name="params")
 app.add_typer(challenge_app, name="challenge")
 app.add_typer(data_app, name="data")
+app.command("channels")(channels_command)
 app.command("effects")(show_effects)
 app.command("calibrate")(calibrate_command)
 app.command("imply")(imply_command)

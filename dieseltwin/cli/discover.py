@@ -107,6 +107,7 @@ def run_discover(
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
     source = _read(recording, channels, parameters)
     used, notes = check_recording(source, parameters, asked["sensors"])
+    notes = [*(f"note: {note}" for note in source.notes), *notes]
     core = _core()
     options = core.options(
         sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=map_tolerance, seed=seed

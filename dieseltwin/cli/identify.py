@@ -133,8 +133,9 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[str]:
         "u_vgt_pct": parameters.u_vgt_range,
     }
     counts = rows_out_of_range(source.columns, ranges)
-    return [f"note: {count} of {len(source.time_s)} rows of {name} are outside the engine's range "
-            f"{ranges[name][0]:g} to {ranges[name][1]:g}" for name, count in counts.items()]
+    read = [f"note: {note}" for note in source.notes]
+    return read + [f"note: {count} of {len(source.time_s)} rows of {name} are outside the engine's range "
+                   f"{ranges[name][0]:g} to {ranges[name][1]:g}" for name, count in counts.items()]
 
 
 def misfits(document: Mapping[str, Any]) -> list[str]:

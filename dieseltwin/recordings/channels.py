@@ -8,7 +8,9 @@ A channel map is a YAML file, one entry a channel, foreign name first::
     EGR_pos: {column: u_egr_pct, scale: 100.0}      # ours = scale * theirs + offset
     P_rail_gauge: {column: p_em_pa, unit: kPa, offset: 101325}   # offset in our unit, added last
 
-Columns that already carry our names need no entry. Everything is SI (and %, mg/cycle, rpm) after the reader.
+Columns that already carry our names need no entry. What follows from other channels is computed: see `derived`. The
+key `dbc:` names the DBC of a CAN trace, beside the map or by its full path. `dieseltwin channels FILE --out map.yaml`
+writes a first map. Everything is SI (and %, mg/cycle, rpm) after the reader.
 """
 
 from __future__ import annotations
@@ -19,12 +21,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.derived import DERIVATIONS, DIESEL_KG_L, Constants, Derivation
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
 from dieseltwin.symbols import MEASURED
 
 TIME = "time_s"
+DATABASE_KEY = "dbc"  # key of a channel map that names a database of CAN messages instead of a channel
+DATABASE_SUFFIXES = (".dbc", ".arxml", ".kcd", ".sym")
 INPUTS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 SENSORS = MEASURED[:5]
 OPTIONAL_SENSORS = ("w_c_kg_s", "t_im_k")
@@ -64,7 +70,8 @@ CONVERSIONS: Mapping[str, Mapping[str, tuple[float, float]]] = {
         "C": (1.0, _KELVIN_AT_0_C),
         "degF": (5.0 / 9.0, _KELVIN_AT_0_C - 32.0 * 5.0 / 9.0),
     },
-    "kg/s": {"kg/s": (1.0, 0.0), "g/s": (1e-3, 0.0), "kg/h": (1.0 / 3600.0, 0.0)},
+    "kg/s": {"kg/s": (1.0, 0.0), "g/s": (1e-3, 0.0), "kg/h": (1.0 / 3600.0, 0.0), "kg/min": (1.0 / 60.0, 0.0),
+             "lb/min": (0.45359237 / 60.0, 0.0)},
     "rad/s": {"rad/s": (1.0, 0.0), "rpm": (_RPM_TO_RAD_S, 0.0), "krpm": (1e3 * _RPM_TO_RAD_S, 0.0)},
     "rpm": {"rpm": (1.0, 0.0), "1/s": (60.0, 0.0), "Hz": (60.0, 0.0), "rad/s": (1.0 / _RPM_TO_RAD_S, 0.0)},
     "%": {"%": (1.0, 0.0), "fraction": (100.0, 0.0), "1": (100.0, 0.0)},
@@ -89,20 +96,100 @@ def known_columns() -> tuple[str, ...]:
 
 
 class ChannelEntry(StrictModel):
-    """One entry of a channel map: ours = scale(unit) * scale * theirs + offset(unit) + offset."""
+    """One entry of a channel map: ours = scale(unit) * scale * theirs + offset(unit) + offset.
+
+    With `via` the formula of that name comes last: ours = formula(scale(unit) * scale * theirs + offset, others).
+    """
 
     column: str
     unit: str | None = None
     scale: float = 1.0
     offset: float = 0.0
+    via: str | None = None
+    cylinders: int | None = Field(default=None, ge=1, le=32)
+    density_kg_l: float = Field(default=DIESEL_KG_L, gt=0.5, lt=1.2)
+    ambient_pa: float | None = Field(default=None, gt=3e4, lt=2e5)
+
+    @property
+    def derivation(self) -> Derivation | None:
+        """The formula named by `via`, None without."""
+        return None if self.via is None else DERIVATIONS[self.via]
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Our columns that the formula takes besides."""
+        if self.derivation is None:
+            return ()
+        return tuple(name for name in self.derivation.needs if not (name == "p_amb_pa" and self.ambient_pa is not None))
+
+    def converted(self, values: np.ndarray) -> np.ndarray:
+        """Values (n,) in our unit, or in the one that the formula takes."""
+        scale, offset = 1.0, 0.0
+        if self.derivation is not None:
+            scale = 1.0 if self.unit is None else self.derivation.units[self.unit]
+        elif self.unit is not None:
+            scale, offset = CONVERSIONS[unit_of(self.column) or ""][self.unit]
+        return scale * self.scale * np.asarray(values, dtype=np.float64) + (offset + self.offset)
+
+    def derived(self, converted: np.ndarray, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Our column (n,) from converted values and the other columns at the same times."""
+        if self.derivation is None:
+            return converted
+        constants = Constants(self.cylinders, self.density_kg_l, self.ambient_pa)
+        return self.derivation.formula(converted, columns, constants)
 
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Foreign name -> entry; `source` names the file in messages."""
+    """Foreign name -> entry; `source` names the file in messages, `database` is the DBC of a CAN trace."""
 
     entries: Mapping[str, ChannelEntry]
     source: str = "channel map"
+    database: Path | None = None
+
+    def in_order(self) -> list[tuple[str, ChannelEntry]]:
+        """The entries, computed ones after those that they need.
+
+        Raises:
+            InputError: two formulas need each other.
+        """
+        ordered = [(name, entry) for name, entry in self.entries.items() if entry.via is None]
+        waiting = [(name, entry) for name, entry in self.entries.items() if entry.via is not None]
+        computed = {entry.column for _, entry in waiting}
+        while waiting:
+            ready = [(name, entry) for name, entry in waiting if not computed.intersection(entry.needs)]
+            if not ready:
+                raise InputError(f"{self.source}: channel {waiting[0][0]!r}", "formulas that need each other",
+                                 "one of them measured", "drop one `via`")
+            ordered.extend(ready)
+            computed -= {entry.column for _, entry in ready}
+            waiting = [item for item in waiting if item not in ready]
+        return ordered
+
+    def refuse_unknown(self, names: Sequence[str], where: str) -> None:
+        """Every foreign name must be in the file.
+
+        Raises:
+            InputError: one is not.
+        """
+        missing = [name for name in self.entries if name not in names]
+        if missing:
+            name = missing[0]
+            raise InputError(f"{self.source}: channel {name!r}", f"no such column in {where}", listed(list(names)),
+                             did_you_mean(name, list(names)))
+
+    def refuse_unmet(self, name: str, entry: ChannelEntry, given: Iterable[str]) -> None:
+        """What a formula needs must be mapped too.
+
+        Raises:
+            InputError: it isn't.
+        """
+        absent = [need for need in entry.needs if need not in set(given)]
+        if absent:
+            hint = " or give ambient_pa in this line" if absent[0] == "p_amb_pa" else ""
+            raise InputError(f"{self.source}: channel {name!r}, via {entry.via}", f"no column {absent[0]}",
+                             f"{entry.column} by {entry.via} needs {listed(entry.needs)}",
+                             f"map a channel to {absent[0]}{hint}")
 
     def apply(self, columns: Mapping[str, np.ndarray], where: str) -> dict[str, np.ndarray]:
         """Rename and convert columns; the ones without an entry pass through.
@@ -114,19 +201,11 @@ class ChannelMap:
         Raises:
             InputError: a foreign name is not in the file, or two columns would get the same name.
         """
-        missing = [name for name in self.entries if name not in columns]
-        if missing:
-            name = missing[0]
-            raise InputError(
-                f"{self.source}: channel {name!r}",
-                f"no such column in {where}",
-                listed(list(columns)),
-                did_you_mean(name, list(columns)),
-            )
+        self.refuse_unknown(list(columns), where)
         renamed: dict[str, np.ndarray] = {
             name: values for name, values in columns.items() if name not in self.entries
         }
-        for name, entry in self.entries.items():
+        for name, entry in self.in_order():
             if entry.column in renamed:
                 raise InputError(
                     f"{self.source}: channel {name!r}",
@@ -134,26 +213,25 @@ class ChannelMap:
                     "one source for each column",
                     "drop one of the two",
                 )
-            renamed[entry.column] = _convert(columns[name], entry)
+            self.refuse_unmet(name, entry, renamed)
+            renamed[entry.column] = entry.derived(entry.converted(columns[name]), renamed)
         return renamed
 
 
-def _convert(values: np.ndarray, entry: ChannelEntry) -> np.ndarray:
-    scale, offset = 1.0, 0.0
-    if entry.unit is not None:
-        scale, offset = CONVERSIONS[unit_of(entry.column) or ""][entry.unit]
-    return scale * entry.scale * np.asarray(values, dtype=np.float64) + (offset + entry.offset)
-
-
 def channel_map(content: Mapping[str, Any], source: str = "channel map") -> ChannelMap:
-    """Build a map from {foreign name: our column, or {column, unit, scale, offset}}.
+    """Build a map from {foreign name: our column, or {column, unit, scale, offset, via, ...}}; `dbc` is no channel.
 
     Raises:
         InputError: unknown column, unit or key; two foreign names for one column.
     """
     entries: dict[str, ChannelEntry] = {}
     taken: dict[str, str] = {}
+    database = content.get(DATABASE_KEY)
+    if not isinstance(database, str) or Path(database).suffix.lower() not in DATABASE_SUFFIXES:
+        database = None  # a channel that happens to be called so
     for name, value in content.items():
+        if name == DATABASE_KEY and database is not None:
+            continue
         place = f"{source}: channel {str(name)!r}"
         if isinstance(value, str):
             value = {"column": value}
@@ -170,7 +248,7 @@ def channel_map(content: Mapping[str, Any], source: str = "channel map") -> Chan
             )
         taken[entry.column] = str(name)
         entries[str(name)] = entry
-    return ChannelMap(entries, source)
+    return ChannelMap(entries, source, None if database is None else Path(source).parent / database)
 
 
 def _check_entry(place: str, entry: ChannelEntry) -> None:
@@ -178,6 +256,9 @@ def _check_entry(place: str, entry: ChannelEntry) -> None:
     if entry.column not in known_columns() and ours is None:
         # further channels are welcome, but only with a unit in the name: everything else is a typing error
         raise unknown_name(place, entry.column, known_columns())
+    if entry.via is not None:
+        _check_derivation(place, entry)
+        return
     if entry.unit is None:
         return
     allowed: Sequence[str] = list(CONVERSIONS.get(ours or "", {}))
@@ -188,6 +269,21 @@ def _check_entry(place: str, entry: ChannelEntry) -> None:
             listed(allowed) or "no unit: this column has none",
             "take one of these or give scale and offset",
         )
+
+
+def _check_derivation(place: str, entry: ChannelEntry) -> None:
+    derivation = DERIVATIONS.get(entry.via or "")
+    if derivation is None:
+        raise unknown_name(f"{place}: via", entry.via or "", list(DERIVATIONS))
+    if entry.column not in derivation.gives:
+        raise InputError(f"{place}: via {entry.via}", entry.column, listed(derivation.gives),
+                         "change the column or drop via")
+    if entry.unit is not None and entry.unit not in derivation.units:
+        raise InputError(f"{place}: unit", repr(entry.unit), listed(list(derivation.units)),
+                         "take one of these or give scale and offset")
+    if derivation.cylinders and entry.cylinders is None:
+        raise InputError(f"{place}: via {entry.via}", "no number of cylinders", "cylinders: 4, 6, ...",
+                         "add it to this line")
 
 
 def read_channel_map(path: str | Path) -> ChannelMap:

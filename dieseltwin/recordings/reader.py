@@ -1,4 +1,4 @@
-"""Recordings: reader, writer, segments. CSV or Parquet, 5-100 Hz, time stamps used as they are, SI inside.
+"""Recordings: reader, writer, segments. Any format of `importers`, 1-100 Hz, time stamps used as they are, SI inside.
 
 Column names and units are DISCOVERY's recording format (`channels.known_columns`); foreign names and units come in
 through a channel map. Rows below 300 rpm and gaps over 1 s split a recording into pieces, and pieces are cut into
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -20,14 +20,22 @@ import pandas as pd
 from dieseltwin.atomic import atomic_path
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.channels import AMBIENT, INPUTS, SENSORS, TIME, ChannelMap, foreign_hint, read_channel_map
+from dieseltwin.recordings.channels import AMBIENT, INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
+from dieseltwin.recordings.named_columns import import_columns, numbers
 from dieseltwin.recordings.plausibility import check_plausible
+from dieseltwin.recordings.raster import own_readings
 from dieseltwin.settings.strict import listed
 
-SLOWEST_HZ, FASTEST_HZ = 5.0, 100.0
+SLOWEST_HZ, FASTEST_HZ = 1.0, 100.0
+FULL_HZ = 5.0  # below, the gas path's transients are not seen
 RATE_TOLERANCE = 1.15  # time stamps jitter, and a logger that says 5 Hz gives 4.6
 CRANKING_RPM = 300.0  # the engine is not running below this speed
+SLOW_ROWS = (
+    "what happens between them is unknown. Actuators and manifolds settle within it, so dead times, lags and play are "
+    "out of reach and quick transients count as noise; areas, efficiencies and leaks are told by slow driving"
+)
 LONGEST_GAP_S = 1.0
+JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
 HISTORY_S = 2.0  # of inputs kept before a segment: dead time and ten time constants of the slowest actuator are 1.4 s
 MINIMUM_ROWS = 10  # of a segment; fewer hold no information on four parameters and three states
 CSV_SUFFIXES, PARQUET_SUFFIXES = (".csv", ".txt"), (".parquet", ".pq")
@@ -69,6 +77,7 @@ class Recording:
         p_amb_pa, t_amb_k: median of the ambient columns, the engine's values where absent [Pa], [K].
         path: where it was read from, None for one made in memory.
         sha256: of the file, or of the columns for one made in memory.
+        notes: what reading did to the file and what it costs, one sentence each.
     """
 
     time_s: np.ndarray
@@ -77,6 +86,7 @@ class Recording:
     t_amb_k: float
     path: Path | None = None
     sha256: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -103,7 +113,8 @@ class Recording:
         if rows.size == 0:
             return ()
         stopped = np.cumsum(np.asarray(self.columns["n_e_rpm"] < CRANKING_RPM))
-        breaks = (np.diff(self.time_s[rows]) > LONGEST_GAP_S) | (np.diff(stopped[rows]) > 0)
+        longest = max(LONGEST_GAP_S, JITTER * float(np.median(np.diff(self.time_s))))
+        breaks = (np.diff(self.time_s[rows]) > longest) | (np.diff(stopped[rows]) > 0)
         starts = np.r_[0, np.flatnonzero(breaks) + 1]
         ends = np.r_[np.flatnonzero(breaks), rows.size - 1]
         return tuple(slice(int(rows[a]), int(rows[b]) + 1) for a, b in zip(starts, ends, strict=True))
@@ -213,7 +224,7 @@ def recording(
                 f"{where}: column {name}", f"none ({listed(list(columns))})", "this column", foreign_hint(name, columns)
             )
     needed = (TIME, *INPUTS, *sensors, *MEASURED, *AMBIENT)
-    columns = {name: _numbers(name, values, where, name in needed) for name, values in columns.items()
+    columns = {name: numbers(name, values, where, name in needed) for name, values in columns.items()
                if name in needed or np.issubdtype(values.dtype, np.number)}
     time = columns[TIME]
     if time.size < 2:
@@ -222,6 +233,9 @@ def recording(
     _check_running(columns["n_e_rpm"], where)
     t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
     check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
+    notes = _held_unread(columns)
+    if not any_rate and 1.0 / float(np.median(np.diff(time))) < FULL_HZ / RATE_TOLERANCE:
+        notes.append(f"{1.0 / float(np.median(np.diff(time))):.3g} rows per second: {SLOW_ROWS}")
     for values in columns.values():
         values.setflags(write=False)
     return Recording(
@@ -231,21 +245,20 @@ def recording(
         t_amb_k=t_amb,
         path=path,
         sha256=_digest(columns) if sha256 is None else sha256,
+        notes=tuple(notes),
     )
 
 
-def _numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndarray:
-    try:
-        numbers = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        numeric = pd.to_numeric(pd.Series(values), errors="coerce").to_numpy(dtype=np.float64)
-        bad = np.flatnonzero(~np.isfinite(numeric) & ~pd.isna(values))
-        row = int(bad[0]) if bad.size else 0
-        raise InputError(
-            f"{where}: column {name}, data row {row + 1}", repr(values[row]), "numbers with a decimal point",
-            "mend or empty this cell",
-        ) from None
-    return np.where(np.isfinite(numbers), numbers, np.nan) if needed else numbers
+def _held_unread(columns: dict[str, np.ndarray]) -> list[str]:
+    """Mask the repeated rows of sensors that were read more slowly than the table goes; say so."""
+    notes = []
+    for name in (name for name in MEASURED if name in columns):
+        read = own_readings(columns[name])
+        if read is not None:
+            every = columns[name].size / np.count_nonzero(read)
+            columns[name] = np.where(read, columns[name], np.nan)
+            notes.append(f"{name} is held: a new reading every {every:.3g} rows, the repeated ones count as missing")
+    return notes
 
 
 def _check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
@@ -290,45 +303,6 @@ def _digest(columns: Mapping[str, np.ndarray]) -> str:
     return digest.hexdigest()
 
 
-def read_table(path: str | Path) -> pd.DataFrame:
-    """Read a CSV (comma, semicolon or tab) or Parquet file as it is.
-
-    Raises:
-        InputError: no such file, not readable, truncated, empty, or another kind of file.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in CSV_SUFFIXES + PARQUET_SUFFIXES:
-        raise InputError(str(path), f"a file ending in {suffix or 'nothing'}", listed(CSV_SUFFIXES + PARQUET_SUFFIXES),
-                         "convert it to CSV or Parquet")
-    if not path.is_file():
-        raise InputError(str(path), "a folder" if path.is_dir() else "no such file", "a CSV or Parquet file",
-                         "check the path")
-    try:
-        if path.stat().st_size == 0:
-            raise InputError(str(path), "an empty file", "a header and rows", "record again or copy it again")
-        table = _read_csv(path) if suffix in CSV_SUFFIXES else pd.read_parquet(path)
-    except (OSError, ValueError, UnicodeDecodeError, pd.errors.ParserError) as error:
-        kind = "CSV" if suffix in CSV_SUFFIXES else "Parquet"
-        raise InputError(str(path), f"no readable {kind} ({str(error)[:120]})", f"a whole {kind} file",
-                         "copy or export it again (is it truncated?)") from None
-    if len(table) == 0:
-        raise InputError(str(path), "no rows", "a header and rows", "record again")
-    return table
-
-
-def _read_csv(path: Path) -> pd.DataFrame:
-    with path.open(encoding="utf-8-sig") as file:
-        header = file.readline()
-    separator = max(",;\t", key=header.count)
-    names = [name.strip().strip('"') for name in header.split(separator)]
-    twice = [name for name in dict.fromkeys(names) if name and names.count(name) > 1]
-    if twice:  # pandas would rename the second one and say nothing
-        raise InputError(f"{path}: column {twice[0]}", "a column given twice", "each name once", "drop one")
-    table = pd.read_csv(path, sep=separator, encoding="utf-8-sig", float_precision="round_trip")
-    return table.rename(columns=lambda name: str(name).strip())
-
-
 def read_recording(
     path: str | Path,
     channels: ChannelMap | str | Path | None = None,
@@ -340,7 +314,7 @@ def read_recording(
     """Read and validate a recording.
 
     Args:
-        path: CSV or Parquet file.
+        path: CSV, Parquet, Excel, MATLAB, MDF or a CAN trace.
         channels: channel map or its YAML file for foreign names and units.
         engine: gives ambient values where the columns are absent.
         sensors: columns that must be there besides time and inputs; () to read inputs only.
@@ -350,15 +324,11 @@ def read_recording(
         InputError: one line saying what is wrong with the file.
     """
     path = Path(path)
-    table = read_table(path)
-    columns = {str(name): table[name].to_numpy() for name in table.columns}
-    if channels is not None:
-        mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
-        numeric = {name: _numbers(name, values, str(path), True) if name in mapping.entries else values
-                   for name, values in columns.items()}
-        columns = mapping.apply(numeric, str(path))
+    imported = import_columns(path, channels)
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
-    return recording(columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors, any_rate=any_rate)
+    made = recording(imported.columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors,
+                     any_rate=any_rate)
+    return replace(made, notes=(*imported.notes, *made.notes))
 
 
 def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:

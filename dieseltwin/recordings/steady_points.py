@@ -20,8 +20,9 @@ from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint, read_channel_map
+from dieseltwin.recordings.importers.read import read_raw
+from dieseltwin.recordings.named_columns import import_columns
 from dieseltwin.recordings.plausibility import check_plausible
-from dieseltwin.recordings.reader import read_table
 from dieseltwin.settings.strict import listed
 
 STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em_k")
@@ -137,11 +138,7 @@ def read_points(
         InputError: one line saying what is wrong with the file.
     """
     path = Path(path)
-    table = read_table(path)
-    columns = {str(name): table[name].to_numpy() for name in table.columns}
-    if channels is not None:
-        mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
-        columns = mapping.apply(columns, str(path))
+    columns = dict(import_columns(path, channels).columns)
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     origin = "points"
     if TIME in columns:
@@ -152,7 +149,10 @@ def read_points(
 
 def has_time(path: str | Path, channels: ChannelMap | str | Path | None = None) -> bool:
     """Whether a table is a recording (it has `time_s`, by a channel map too, or something called time) or points."""
-    names = [str(name) for name in read_table(path).columns]
+    raw = read_raw(path)
+    if raw.table is None:
+        return True  # channels with their own times
+    names = raw.names
     if channels is not None:
         mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
         if any(entry.column == TIME and name in names for name, entry in mapping.entries.items()):

@@ -22,7 +22,7 @@ from dieseltwin.challenge.records import CaseRow
 from dieseltwin.challenge.run import plain, read_manifest
 from dieseltwin.challenge.seal import SEALED
 from dieseltwin.engine import we2011
-from dieseltwin.recordings.reader import read_table
+from dieseltwin.recordings.named_columns import read_table
 
 FOLDER = "baselines"
 BASELINES = ("health only", "Kalman", "neural")

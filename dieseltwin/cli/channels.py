@@ -1,0 +1,63 @@
+"""`dieseltwin channels FILE`: what a file holds, which of our quantities each channel could be, and a map to edit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dieseltwin.errors import InputError
+
+MAP_SUFFIXES = (".yaml", ".yml")
+
+
+def channels_command(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="CSV, Parquet, Excel, MATLAB, MDF, or a CAN trace (J1939, or a DBC).")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="MAP", help="Channel map to write (.yaml), for --channels.")
+    ] = None,
+    dbc: Annotated[Path | None, typer.Option("--dbc", metavar="FILE", help="DBC of a CAN trace.")] = None,
+    cylinders: Annotated[
+        int | None, typer.Option("--cylinders", metavar="N", min=1, max=32, help="Of the engine; 6 is assumed.")
+    ] = None,
+) -> None:
+    """Say what is in a file, guess which channel is which quantity, and write a channel map to edit."""
+    for line in run_channels(file, out, dbc=dbc, cylinders=cylinders):
+        typer.echo(line)
+
+
+def run_channels(
+    file: Path, out: Path | None = None, *, dbc: Path | None = None, cylinders: int | None = None
+) -> Iterator[str]:
+    """Lines to print; the map is written last.
+
+    Args:
+        file: to look into.
+        out: channel map to write, None only prints.
+        dbc: database of a CAN trace.
+        cylinders: of the engine, for fuel and air per stroke; None assumes six.
+
+    Raises:
+        InputError: a file that cannot be read, or a map that cannot be written.
+    """
+    from dieseltwin.atomic import atomic_path
+    from dieseltwin.recordings.guess.propose import propose
+    from dieseltwin.recordings.guess.words import channel_lines, guess_lines, map_text
+    from dieseltwin.recordings.importers.read import read_raw
+
+    if out is not None and out.suffix.lower() not in MAP_SUFFIXES:
+        raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(MAP_SUFFIXES),
+                         "choose one of them")  # fmt: skip
+    proposal = propose(read_raw(file, dbc), cylinders, dbc)
+    yield from channel_lines(proposal)
+    yield ""
+    yield from guess_lines(proposal)
+    if out is not None:
+        with atomic_path(out) as temporary:
+            temporary.write_text(map_text(proposal), encoding="utf-8")
+        yield ""
+        yield f"channel map: {out} (check every line)"

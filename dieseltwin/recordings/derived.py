@@ -1,0 +1,192 @@
+"""Quantities that follow from others: absolute from gauge pressure, fuel per stroke from fuel per hour, and so on.
+
+A channel map names them with `via`::
+
+    Boost:    {column: p_im_pa, unit: kPa, via: gauge}                                 # needs p_amb_pa
+    FuelRate: {column: u_delta_mg, unit: L/h, via: fuel_rate, cylinders: 6}            # needs n_e_rpm
+    EGR_Rate: {column: w_egr_kg_s, unit: "%", via: egr_rate}                           # needs w_c_kg_s
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+DIESEL_KG_L = 0.835  # density of diesel at 15 degC [kg/L]: the middle of EN 590 (0.820 to 0.845), +-1.5 %
+STOICHIOMETRIC = 14.57  # air to fuel by mass [-], the published engine's AF_s
+STROKES = 120.0  # s/min times revolutions a cycle: n_e/120 cycles a second of a four-stroke engine
+SLOWEST_RPM = 100.0  # below, fuel per stroke from fuel per hour means nothing: missing
+
+Columns = Mapping[str, np.ndarray]
+_MASS_RATE = {
+    "kg/s": 1.0,
+    "g/s": 1e-3,
+    "kg/h": 1.0 / 3600.0,
+    "g/h": 1e-3 / 3600.0,
+    "kg/min": 1.0 / 60.0,
+    "lb/h": 0.45359237 / 3600.0,
+}
+_VOLUME_RATE = {"L/h": 1.0 / 3600.0, "L/s": 1.0, "L/min": 1.0 / 60.0, "mL/s": 1e-3, "gal/h": 3.785411784 / 3600.0}
+_PRESSURE = {"Pa": 1.0, "hPa": 1e2, "mbar": 1e2, "kPa": 1e3, "bar": 1e5, "MPa": 1e6, "psi": 6894.757293168361}
+_SHARE = {"%": 0.01, "fraction": 1.0, "1": 1.0}
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What a formula takes from the channel map.
+
+    Attributes:
+        cylinders: number of cylinders [-].
+        density_kg_l: of the fuel [kg/L].
+        ambient_pa: where the file has no ambient pressure [Pa].
+    """
+
+    cylinders: int | None
+    density_kg_l: float
+    ambient_pa: float | None
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """One way from a foreign channel to one of our columns.
+
+    Attributes:
+        name: as written in `via`.
+        gives: our columns that it can give.
+        needs: our columns that it takes besides, at the same times.
+        units: foreign unit -> factor to the unit of `value`.
+        cylinders: whether the number of cylinders must be given.
+        formula: (value (n,), columns, constants) -> ours (n,).
+        words: what is done, for notes and maps.
+    """
+
+    name: str
+    gives: tuple[str, ...]
+    needs: tuple[str, ...]
+    units: Mapping[str, float]
+    cylinders: bool
+    formula: Callable[[np.ndarray, Columns, Constants], np.ndarray]
+    words: str
+
+
+def _gauge(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    return value + _ambient(columns, constants)
+
+
+def _pressure_ratio(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    return value * _ambient(columns, constants)
+
+
+def _ambient(columns: Columns, constants: Constants) -> np.ndarray | float:
+    return columns["p_amb_pa"] if constants.ambient_pa is None else constants.ambient_pa
+
+
+def _above_intake(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    return value + columns["p_im_pa"]
+
+
+def _per_stroke(flow_kg_s: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    """Fuel per cylinder and cycle [mg] of a flow [kg/s]: 1e6 W_f 120/(n_e n_cyl), Eq. (A.5) turned round."""
+    speed = columns["n_e_rpm"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fuel = 1e6 * flow_kg_s * STROKES / (speed * (constants.cylinders or 1))
+    return np.where(speed >= SLOWEST_RPM, fuel, np.nan)
+
+
+def _fuel_volume_rate(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    return _per_stroke(value * constants.density_kg_l, columns, constants)
+
+
+def _fuel_volume(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    return value * constants.density_kg_l  # mm3 times kg/L is mg
+
+
+def _egr_rate(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    """W_egr = x W_c/(1 - x), for x = W_egr/(W_c + W_egr)."""
+    return np.where(value < 1.0, value * columns["w_c_kg_s"] / np.maximum(1.0 - value, 1e-3), np.nan)
+
+
+def _air_per_stroke(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    return value * columns["n_e_rpm"] * (constants.cylinders or 1) / STROKES
+
+
+def _lambda(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fuel = np.where(value > 0.0, columns["w_c_kg_s"] / (value * STOICHIOMETRIC), np.nan)
+    return _per_stroke(fuel, columns, constants)
+
+
+_TABLE = (
+    Derivation(
+        "gauge", ("p_im_pa", "p_em_pa"), ("p_amb_pa",), _PRESSURE, False, _gauge, "gauge pressure plus ambient pressure"
+    ),
+    Derivation(
+        "pressure_ratio",
+        ("p_im_pa", "p_em_pa"),
+        ("p_amb_pa",),
+        {"1": 1.0},
+        False,
+        _pressure_ratio,
+        "pressure ratio times ambient pressure",
+    ),
+    Derivation(
+        "above_intake",
+        ("p_em_pa",),
+        ("p_im_pa",),
+        _PRESSURE,
+        False,
+        _above_intake,
+        "pressure difference over the EGR path plus intake pressure",
+    ),
+    Derivation(
+        "fuel_rate",
+        ("u_delta_mg",),
+        ("n_e_rpm",),
+        _MASS_RATE,
+        True,
+        _per_stroke,
+        "fuel flow over engine speed and cylinders",
+    ),
+    Derivation(
+        "fuel_volume_rate",
+        ("u_delta_mg",),
+        ("n_e_rpm",),
+        _VOLUME_RATE,
+        True,
+        _fuel_volume_rate,
+        "fuel volume flow times density over engine speed and cylinders",
+    ),
+    Derivation(
+        "fuel_volume", ("u_delta_mg",), (), {"mm3/cycle": 1.0}, False, _fuel_volume, "injected volume times density"
+    ),
+    Derivation(
+        "egr_rate",
+        ("w_egr_kg_s",),
+        ("w_c_kg_s",),
+        _SHARE,
+        False,
+        _egr_rate,
+        "EGR share x of the air flow: x W_c/(1 - x)",
+    ),
+    Derivation(
+        "air_per_stroke",
+        ("w_c_kg_s",),
+        ("n_e_rpm",),
+        {"mg/cycle": 1e-6, "g/cycle": 1e-3, "kg/cycle": 1.0},
+        True,
+        _air_per_stroke,
+        "air per stroke times engine speed and cylinders",
+    ),
+    Derivation(
+        "lambda",
+        ("u_delta_mg",),
+        ("n_e_rpm", "w_c_kg_s"),
+        {"1": 1.0},
+        True,
+        _lambda,
+        f"air flow over lambda and {STOICHIOMETRIC:g}, over engine speed and cylinders",
+    ),
+)
+DERIVATIONS: Mapping[str, Derivation] = {derivation.name: derivation for derivation in _TABLE}

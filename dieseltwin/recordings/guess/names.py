@@ -1,0 +1,103 @@
+"""What names say, by the vocabulary in `data/channel_names.yaml`: English, German, abbreviations, numbers of J1939."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import yaml
+
+_UMLAUTS = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "é": "e", "è": "e", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"}
+)
+_SPN = re.compile(r"\bspn[ :#-]*(\d{2,6})\b", re.IGNORECASE)
+_BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]")
+_PART = re.compile(r"<([A-Z_]+)>")
+LATER_SPN = 0.03  # of the score for each number that stands before it
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """One thing that a channel can be.
+
+    Attributes:
+        name: in words ("fuel volume flow").
+        column: our column that it gives.
+        dimensions: of units that fit.
+        says: (pattern over the words, score 0 to 1).
+        rules_out: pattern over the words.
+        spns: numbers of J1939 that are this, best first.
+    """
+
+    name: str
+    column: str
+    dimensions: tuple[str, ...]
+    says: tuple[tuple[re.Pattern[str], float], ...]
+    rules_out: re.Pattern[str]
+    spns: tuple[int, ...]
+
+    def score(self, name: str, words: str, spn: int | None) -> float:
+        """How clearly a channel's number or name says this, 0 to 1."""
+        if spn is not None:
+            return 1.0 - LATER_SPN * self.spns.index(spn) if spn in self.spns else 0.0
+        if name == self.column:
+            return 1.0
+        if self.rules_out.search(words):
+            return 0.0
+        return max((score for pattern, score in self.says if pattern.search(words)), default=0.0)
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """All meanings, and the dimensions that words allow where a file gives no unit."""
+
+    meanings: tuple[Meaning, ...]
+    kinds: Mapping[str, re.Pattern[str]]
+
+    def kinds_of(self, words: str) -> frozenset[str]:
+        """Dimensions that a name allows."""
+        return frozenset(kind for kind, pattern in self.kinds.items() if pattern.search(words))
+
+
+@cache
+def vocabulary() -> Vocabulary:
+    """The vocabulary as it stands in the package."""
+    text = resources.files("dieseltwin").joinpath("data/channel_names.yaml").read_text(encoding="utf-8")
+    content = yaml.safe_load(text)
+
+    def pattern(expression: str) -> re.Pattern[str]:
+        return re.compile(_PART.sub(lambda part: content["parts"][part.group(1)], expression))
+
+    meanings = tuple(
+        Meaning(
+            name,
+            entry["column"],
+            tuple(entry["units"]),
+            tuple((pattern(each), float(score)) for score, patterns in entry["says"].items() for each in patterns),
+            pattern(entry["rules_out"]),
+            tuple(entry.get("spns", ())),
+        )
+        for name, entry in content["meanings"].items()
+    )
+    return Vocabulary(meanings, {kind: pattern(expression) for kind, expression in content["kinds"].items()})
+
+
+def words_of(name: str) -> str:
+    """A name as lower-case words between blanks: 'InjCtl_qSetUnBal' -> 'inj ctl q set un bal'."""
+    text = _BRACKETS.sub(" ", name.translate(_UMLAUTS))
+    text = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", text)
+    text = re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", text)
+    text = re.sub(r"([A-Za-z]{3,})(\d)", r"\1 \2", text)  # turbo1, but p2 and T31 stay
+    text = re.sub(r"[^A-Za-z0-9]+", " ", text).strip().lower()
+    return re.sub(r"\s+", " ", text)
+
+
+def spn_of(name: str, given: int | None) -> int | None:
+    """The J1939 number of a channel: the file's own, or one that the name spells ('SPN 102', 'EEC1_SPN190')."""
+    if given is not None:
+        return given
+    found = _SPN.search(name.replace("_", " "))
+    return int(found.group(1)) if found else None

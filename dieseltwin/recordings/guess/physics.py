@@ -1,0 +1,238 @@
+"""Do the guesses agree with each other as the channels of one engine must? And which unit does, where several could.
+
+Balances need no engine file: the displacement that speed, intake state and flows imply must be one number, more
+pressure must stand before the EGR valve than behind it, a turbocharger turns faster the higher the pressure ratio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dieseltwin.recordings.guess.facts import Facts
+from dieseltwin.recordings.guess.reading import Reading
+from dieseltwin.recordings.importers.signals import Signal
+
+R_AIR = 287.0  # J/(kg K)
+VOLUMETRIC_EFFICIENCY = 0.9  # +-0.1 for every charged diesel
+POINTS = 2000  # on which the channels meet
+DISPLACEMENT_L = (0.6, 30.0)
+TOO_GOOD = 0.014  # two flow meters and the true eta_vol together scatter more
+COMPUTED = ("it may be computed from boost and speed in the control unit, and can't show an intake leak then")
+STEADY_DISPLACEMENT = 0.15  # standard deviation over mean: eta_vol itself moves by about 0.05
+SMOKE_LIMIT, LEANEST = 15.0, 250.0  # air to fuel: below, a diesel smokes black; above, it does not fire
+USUAL_LOADED = (15.0, 42.0)  # air to fuel in the richest tenth of driving
+NOMINAL_AIR_K, NOMINAL_AMBIENT_PA, NOMINAL_AMBIENT_K = 320.0, 1.0e5, 295.0
+EGR_FLOWS = 0.05  # of the air flow
+BACKWARDS = 0.2  # share of rows with EGR in which p_em may lie below p_im: sensors of 1 to 2 %
+MOVES = 0.06  # relative standard deviation from which a channel says something
+TURBO_AGREES = 0.4  # rank correlation with the pressure ratio
+HEAT = (4.6, 16.0)  # K per mg/cycle and litre of a cylinder, real engines (see `plausibility`)
+LEAST_LOADED_MG, FULL_LOAD_MG_L = 20.0, 60.0  # below, no load at all; a diesel's full load per litre of cylinder
+WHEEL_RADIUS_M = (0.018, 0.075)  # of turbine wheels, for the tip speed that a pressure ratio takes
+CLEAR_SIGN = 0.3  # rank correlation from which a direction is told
+STIRRED_PCT = 2.0  # standard deviation of a position that says something
+FLOWS_BELOW = 0.9  # p_amb over p_em: nearer to 1 the area is all noise
+
+
+class Meeting:
+    """The guessed channels in SI at the same times, under the current choice of units."""
+
+    def __init__(self, signals: Mapping[str, Signal], facts: Mapping[str, Facts], cylinders: int) -> None:
+        self.signals, self.facts, self.cylinders = signals, facts, cylinders
+        self._times = _common_times(signals)
+
+    def columns(self, chosen: Mapping[str, tuple[str, Reading]]) -> dict[str, np.ndarray]:
+        """Our column -> values on the common times, formulas applied where what they need is there."""
+        raw = {column: (reading.entry, reading.entry.converted(self._at(self.signals[name])))
+               for column, (name, reading) in chosen.items()}  # fmt: skip
+        found = {column: values for column, (entry, values) in raw.items() if entry.via is None}
+        found.setdefault("p_amb_pa", np.full(self._size, NOMINAL_AMBIENT_PA))
+        for _ in raw:
+            for column, (entry, values) in raw.items():
+                if column not in found and all(need in found for need in entry.needs):
+                    found[column] = entry.derived(values, found)
+        return found
+
+    @property
+    def _size(self) -> int:
+        return POINTS if self._times is None else self._times.size
+
+    def _at(self, signal: Signal) -> np.ndarray:
+        if self._times is None or signal.time_s is None:
+            return np.resize(signal.values, self._size)
+        there = np.isfinite(signal.values)
+        return np.interp(self._times, signal.time_s[there], signal.values[there])
+
+
+def _common_times(signals: Mapping[str, Signal]) -> np.ndarray | None:
+    spans = [(s.time_s[0], s.time_s[-1]) for s in signals.values() if s.time_s is not None and s.time_s.size > 1]
+    if not spans:
+        return None
+    start, end = max(a for a, _ in spans), min(b for _, b in spans)
+    if end <= start:
+        start, end = min(a for a, _ in spans), max(b for _, b in spans)
+    return np.linspace(start, end, POINTS)
+
+
+def misfit(columns: Mapping[str, np.ndarray], cylinders: int) -> float:
+    """How badly the columns disagree, for the choice between units; 0 where nothing disagrees."""
+    total = 0.0
+    ratio = air_to_fuel(columns, cylinders)
+    if ratio is not None:
+        rich = float(np.quantile(ratio, 0.1))
+        total += abs(np.log(rich / np.clip(rich, *USUAL_LOADED)))
+    size = displacement(columns)
+    if size is not None:
+        litres = float(np.median(size)) * 1e3
+        total += abs(np.log(litres / np.clip(litres, *DISPLACEMENT_L)))
+        total += max(0.0, float(np.std(size) / np.mean(size)) - STEADY_DISPLACEMENT)
+    heat = heat_per_fuel(columns, cylinders)
+    if heat is not None:
+        total += abs(np.log(max(heat, 0.1) / np.clip(max(heat, 0.1), *HEAT)))
+    if {"p_em_pa", "p_im_pa", "w_egr_kg_s"} <= set(columns):
+        total += backwards(columns)
+    speed, ratio_p = columns.get("omega_t_rad_s"), _pressure_ratio(columns)
+    if speed is not None and ratio_p is not None:
+        # the work of a pressure ratio is about 0.65 of the squared tip speed
+        head = np.sqrt(np.maximum(2.0 * 1005.0 * 300.0 * (np.maximum(ratio_p, 1.02) ** 0.2857 - 1.0) / 0.65, 1.0))
+        radius = float(np.median(head / np.maximum(speed, 1.0)))
+        total += abs(np.log(radius / np.clip(radius, *WHEEL_RADIUS_M)))
+    return total
+
+
+def air_to_fuel(columns: Mapping[str, np.ndarray], cylinders: int) -> np.ndarray | None:
+    """Air to fuel by mass where fuel is injected, (m,); None without both flows or fuel."""
+    if not {"w_c_kg_s", "u_delta_mg", "n_e_rpm"} <= set(columns):
+        return None
+    fuel = 1e-6 * columns["u_delta_mg"] * cylinders * columns["n_e_rpm"] / 120.0
+    usable = np.isfinite(fuel) & (columns["u_delta_mg"] > 5.0) & (columns["w_c_kg_s"] > 0.0)
+    return columns["w_c_kg_s"][usable] / fuel[usable] if np.count_nonzero(usable) > 20 else None
+
+
+def displacement(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Displacement that the flows imply at a volumetric efficiency of 0.9, (m,) [m3]: 120 R T (W_c+W_egr)/(0.9 p n)."""
+    if not {"w_c_kg_s", "n_e_rpm", "p_im_pa"} <= set(columns):
+        return None
+    flow = columns["w_c_kg_s"] + columns.get("w_egr_kg_s", 0.0)
+    temperature = columns.get("t_im_k", np.full(flow.size, NOMINAL_AIR_K))
+    usable = (columns["n_e_rpm"] > 400.0) & (columns["p_im_pa"] > 2e4) & np.isfinite(flow) & (flow > 0.0)
+    if np.count_nonzero(usable) < 20:
+        return None
+    size = 120.0 * R_AIR * temperature * flow / (VOLUMETRIC_EFFICIENCY * columns["p_im_pa"] * columns["n_e_rpm"])
+    return size[usable]
+
+
+def heat_per_fuel(columns: Mapping[str, np.ndarray], cylinders: int) -> float | None:
+    """Exhaust temperature over ambient per fuel at medium load [K per mg/cycle and litre of a cylinder], see `HEAT`.
+
+    Without flows that say the displacement, the richest driving is taken for 60 mg per litre.
+    """
+    if not {"t_em_k", "u_delta_mg"} <= set(columns):
+        return None
+    fuel, size = columns["u_delta_mg"], displacement(columns)
+    most = float(np.nanquantile(fuel, 0.98))
+    medium = (fuel > 0.3 * most) & (fuel < 0.8 * most) & np.isfinite(columns["t_em_k"])
+    if most < LEAST_LOADED_MG or np.count_nonzero(medium) < 20:
+        return None
+    litres = most / FULL_LOAD_MG_L if size is None else 1e3 * float(np.median(size)) / cylinders
+    return float(np.median((columns["t_em_k"][medium] - NOMINAL_AMBIENT_K) / fuel[medium])) * litres
+
+
+def backwards(columns: Mapping[str, np.ndarray]) -> float:
+    """Share of the rows with EGR in which the pressure behind the valve is the higher one."""
+    flows = columns["w_egr_kg_s"] > EGR_FLOWS * columns.get("w_c_kg_s", np.full(columns["w_egr_kg_s"].size, 0.1))
+    if np.count_nonzero(flows) < 20:
+        return 0.0
+    return float(np.mean(columns["p_em_pa"][flows] < columns["p_im_pa"][flows]))
+
+
+def _pressure_ratio(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    return columns["p_im_pa"] / columns["p_amb_pa"] if "p_im_pa" in columns else None
+
+
+def _ranks_agree(a: np.ndarray, b: np.ndarray) -> float:
+    first, second = (np.argsort(np.argsort(values)).astype(np.float64) for values in (a, b))
+    return float(np.corrcoef(first, second)[0, 1])
+
+
+def _moves(values: np.ndarray) -> bool:
+    mean = float(np.nanmean(np.abs(values)))
+    return mean > 0.0 and float(np.nanstd(values)) > MOVES * mean
+
+
+def agreements(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Reasons and warnings by column, from the balances."""
+    reasons: dict[str, list[str]] = {}
+    warnings: dict[str, list[str]] = {}
+
+    def note(where: dict[str, list[str]], names: tuple[str, ...], text: str) -> None:
+        for name in names:
+            if name in columns:
+                where.setdefault(name, []).append(text)
+
+    size = displacement(columns)
+    if size is not None:
+        litres, spread = float(np.median(size)) * 1e3, float(np.std(size) / np.mean(size))
+        flows = ("w_c_kg_s", "w_egr_kg_s", "p_im_pa", "n_e_rpm")
+        if DISPLACEMENT_L[0] <= litres <= DISPLACEMENT_L[1] and spread <= 2.0 * STEADY_DISPLACEMENT:
+            text = f"air balance: {litres:.3g} L of displacement at eta_vol 0.9, steady to {spread:.1%}"
+            note(reasons, flows, text)
+            if spread < TOO_GOOD and _moves(columns["w_c_kg_s"]) and "w_egr_kg_s" in columns:
+                note(warnings, ("w_c_kg_s",), f"the air balance closes to {spread:.1%}, better than meters: {COMPUTED}")
+        else:
+            text = "one of the flows, the pressure or their units is not what it seems"
+            note(warnings, flows, f"air balance: {litres:.3g} L of displacement, unsteady by {spread:.0%}: {text}")
+    ratio = air_to_fuel(columns, cylinders)
+    if ratio is not None:
+        rich = float(np.quantile(ratio, 0.1))
+        good = SMOKE_LIMIT * 0.8 <= rich <= LEANEST
+        note(reasons if good else warnings, ("u_delta_mg", "w_c_kg_s"), f"air to fuel from {rich:.3g}"
+             + ("" if good else ": a diesel lies above 15; check units and the number of cylinders"))
+    if {"p_em_pa", "p_im_pa", "w_egr_kg_s"} <= set(columns):
+        share = backwards(columns)
+        if share > BACKWARDS:
+            text = f"EGR flows although p_em lies below p_im in {share:.0%} of its rows: gauge against absolute?"
+            note(warnings, ("p_em_pa", "p_im_pa"), text)
+        else:
+            note(reasons, ("p_em_pa",), "above p_im where EGR flows")
+    ratio_p = _pressure_ratio(columns)
+    if "omega_t_rad_s" in columns and ratio_p is not None and _moves(ratio_p) and _moves(columns["omega_t_rad_s"]):
+        agrees = _ranks_agree(columns["omega_t_rad_s"], ratio_p)
+        note(reasons if agrees >= TURBO_AGREES else warnings, ("omega_t_rad_s",),
+             f"rises with the pressure ratio (rank correlation {agrees:.2f})" if agrees >= TURBO_AGREES
+             else f"doesn't rise with the pressure ratio (rank correlation {agrees:.2f})")
+    if "t_em_k" in columns and "u_delta_mg" in columns and _moves(columns["u_delta_mg"]):
+        agrees = _ranks_agree(columns["t_em_k"], np.nan_to_num(columns["u_delta_mg"]))
+        if agrees > TURBO_AGREES / 2.0:
+            note(reasons, ("t_em_k",), f"rises with fuel (rank correlation {agrees:.2f})")
+    return reasons, warnings
+
+
+def reversed_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
+    """Positions that seem to count the other way (0 open), with the reason."""
+    found = {}
+    if {"u_egr_pct", "w_egr_kg_s"} <= set(columns) and _moves(columns["u_egr_pct"]):
+        agrees = _ranks_agree(columns["u_egr_pct"], columns["w_egr_kg_s"])
+        if agrees < -CLEAR_SIGN:
+            found["u_egr_pct"] = f"EGR flow falls while it rises (rank correlation {agrees:.2f}): 0 seems to be open"
+    area = turbine_area(columns)
+    if area is not None and "u_vgt_pct" in columns and float(np.nanstd(columns["u_vgt_pct"])) > STIRRED_PCT:
+        usable = np.isfinite(area)
+        agrees = _ranks_agree(columns["u_vgt_pct"][usable], area[usable]) if np.count_nonzero(usable) > 50 else 0.0
+        if agrees < -CLEAR_SIGN:
+            found["u_vgt_pct"] = (f"the turbine's flow area falls while it rises (rank correlation {agrees:.2f}): "
+                                  "100 seems shut")  # fmt: skip
+    return found
+
+
+def turbine_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Area of the turbine as a nozzle up to a factor, W sqrt(T)/(p_em sqrt(1 - Pi^2)); NaN where it hardly flows."""
+    if not {"p_em_pa", "w_c_kg_s"} <= set(columns):
+        return None
+    ratio = columns["p_amb_pa"] / np.maximum(columns["p_em_pa"], 1.0)
+    temperature = columns.get("t_em_k", np.full(ratio.size, 700.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        area = columns["w_c_kg_s"] * np.sqrt(temperature) / (columns["p_em_pa"] * np.sqrt(1.0 - ratio**2))
+    return np.where(ratio < FLOWS_BELOW, area, np.nan)

@@ -1,0 +1,223 @@
+"""A channel map for a file nobody has seen before: candidates by name, unit and range, then by physics."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from dieseltwin.recordings.channels import ChannelMap, unit_of
+from dieseltwin.recordings.guess.facts import Facts, clock_of, facts_of, signals_of
+from dieseltwin.recordings.guess.names import Meaning, spn_of, vocabulary, words_of
+from dieseltwin.recordings.guess.physics import Meeting, agreements, misfit, reversed_positions
+from dieseltwin.recordings.guess.reading import Reading, reading_of
+from dieseltwin.recordings.guess.units import Unit, understood
+from dieseltwin.recordings.importers.signals import RawChannels, Signal
+from dieseltwin.symbols import BY_COLUMN
+
+LEAST_SCORE = 0.4  # of name times unit times range, for a guess
+CLOSE = 0.12  # a second channel as near as that is named in a warning
+UNLIKELIER = 0.05  # of misfit, for each unit that stands before in the order of likelihood
+MOST_CHOICES = 512  # combinations of units that physics looks at
+DEFAULT_CYLINDERS = 6
+FROZEN, MOSTLY_MISSING = 0.6, 0.7  # factors on the score of a channel that never moves, or is hardly there
+MAY_STAND_STILL = ("p_amb_pa", "t_amb_k", "t_im_k", "u_egr_pct", "u_vgt_pct")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One channel as one quantity.
+
+    Attributes:
+        channel: the file's name.
+        meaning: what it would be.
+        reading: unit and formula, with reasons and warnings.
+        score: name times unit and range, 0 to 1.
+    """
+
+    channel: str
+    meaning: Meaning
+    reading: Reading
+    score: float
+
+    @property
+    def column(self) -> str:
+        """Our column."""
+        return self.meaning.column
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What a file holds and what it could be.
+
+    Attributes:
+        raw: the file as read.
+        facts: channel -> figures.
+        guesses: our column -> the chosen candidate, warnings and reasons complete.
+        others: channel -> what else it could be, channels that are not chosen included.
+        clock: column of a table that is its time, and its unit in s.
+        cylinders: number used for fuel and air per stroke, and whether somebody gave it.
+        cylinders_given: False where the number is an assumption.
+        database: DBC that the trace was read with.
+    """
+
+    raw: RawChannels
+    facts: Mapping[str, Facts]
+    guesses: Mapping[str, Candidate]
+    others: Mapping[str, tuple[Candidate, ...]]
+    clock: tuple[str, float] | None
+    cylinders: int
+    cylinders_given: bool
+    database: Path | None
+
+    def channel_map(self) -> ChannelMap:
+        """The guesses as a map that a reader takes."""
+        entries = {candidate.channel: candidate.reading.entry for candidate in self.guesses.values()}
+        return ChannelMap(entries, "proposal", self.database)
+
+
+def propose(raw: RawChannels, cylinders: int | None = None, database: Path | None = None) -> Proposal:
+    """Guess which channel is which of our quantities.
+
+    Args:
+        raw: a file as its importer read it.
+        cylinders: of the engine; None assumes six and says so.
+        database: DBC that the trace was read with, for the map.
+    """
+    signals = signals_of(raw)
+    clock = clock_of(raw)
+    facts = {name: facts_of(signal) for name, signal in signals.items()}
+    count = DEFAULT_CYLINDERS if cylinders is None else cylinders
+    candidates = [
+        candidate for name, fact in facts.items() if clock is None or name != clock[0]
+        for candidate in _candidates(fact, count)
+    ]  # fmt: skip
+    chosen = _assigned(candidates)
+    chosen = _by_physics(chosen, signals, facts, count)
+    chosen = {column: _warned(candidate, facts[candidate.channel], candidates, cylinders is not None)
+              for column, candidate in chosen.items()}  # fmt: skip
+    taken = {candidate.channel: candidate for candidate in chosen.values()}
+    others: dict[str, tuple[Candidate, ...]] = {}
+    for candidate in sorted(candidates, key=lambda c: -c.score):
+        used = taken.get(candidate.channel)
+        if used is None or used.meaning is not candidate.meaning:
+            others[candidate.channel] = (*others.get(candidate.channel, ()), candidate)
+    return Proposal(raw, facts, chosen, others, clock, count, cylinders is not None, database)
+
+
+def _candidates(fact: Facts, cylinders: int) -> list[Candidate]:
+    if fact.readings < 2:
+        return []
+    words, spn = words_of(fact.name), spn_of(fact.name, fact.spn)
+    unit = understood(fact.unit)
+    found = []
+    for meaning in vocabulary().meanings:
+        if fact.name in BY_COLUMN and fact.name != meaning.column:
+            continue  # another quantity of our own nomenclature
+        score = meaning.score(fact.name, words, spn)
+        if score <= 0.0:
+            continue
+        own = _own_unit(fact, meaning)
+        if own is None and unit is None and spn is None and not set(meaning.dimensions) & vocabulary().kinds_of(words):
+            continue
+        reading = reading_of(fact, meaning, own or unit, words, cylinders)
+        if reading is None:
+            continue
+        score *= reading.factor
+        if fact.frozen and meaning.column not in MAY_STAND_STILL:
+            score *= FROZEN
+        if fact.missing > 0.5 and fact.step_s is None:
+            score *= MOSTLY_MISSING
+        if score >= LEAST_SCORE:
+            said = f"SPN {spn} is {meaning.name}" if spn is not None else f"the name says {meaning.name}"
+            found.append(Candidate(fact.name, meaning, replace(reading, reasons=(said, *reading.reasons)), score))
+    return found
+
+
+def _own_unit(fact: Facts, meaning: Meaning) -> Unit | None:
+    """The unit that our own column names carry."""
+    return understood(unit_of(fact.name)) if fact.name == meaning.column else None
+
+
+def _assigned(candidates: Sequence[Candidate]) -> dict[str, Candidate]:
+    """The best candidate for every column, each channel once; the order of the file decides between equals."""
+    chosen: dict[str, Candidate] = {}
+    used: set[str] = set()
+    for candidate in sorted(candidates, key=lambda c: -c.score):
+        if candidate.column not in chosen and candidate.channel not in used:
+            chosen[candidate.column] = candidate
+            used.add(candidate.channel)
+    return chosen
+
+
+def _by_physics(chosen: Mapping[str, Candidate], signals: Mapping[str, Signal], facts: Mapping[str, Facts],
+                cylinders: int) -> dict[str, Candidate]:
+    """Units that several columns allow are chosen together, so that balances hold; then what agrees is said."""
+    wanted = {candidate.channel: signals[candidate.channel] for candidate in chosen.values()}
+    meeting = Meeting(wanted, facts, cylinders)
+    options = {column: (candidate.reading, *candidate.reading.alternatives) for column, candidate in chosen.items()}
+    open_columns = [column for column, readings in options.items() if len(readings) > 1]
+    best = {column: readings[0] for column, readings in options.items()}
+    if open_columns:
+        products = itertools.islice(itertools.product(*(options[column] for column in open_columns)), MOST_CHOICES)
+        trials = [{**best, **dict(zip(open_columns, product, strict=True))} for product in products]
+        misfits = [
+            misfit(meeting.columns(_named(chosen, trial)), cylinders)
+            + UNLIKELIER * sum(options[column].index(trial[column]) for column in open_columns)
+            + UNLIKELIER * 2 * _flows_differ(trial)
+            for trial in trials
+        ]
+        best = trials[misfits.index(min(misfits))]
+    result = {}
+    for column, candidate in chosen.items():
+        reading = best[column]
+        if reading is not candidate.reading:
+            reading = replace(reading, reasons=(candidate.reading.reasons[0], "the balances fit best with this unit"))
+        result[column] = replace(candidate, reading=reading)
+    columns = meeting.columns(_named(result, {column: c.reading for column, c in result.items()}))
+    for column, text in reversed_positions(columns).items():
+        candidate = result[column]
+        entry = candidate.reading.entry
+        mirrored = entry.model_copy(update={"scale": -entry.scale, "offset": 100.0 - entry.offset})
+        warning = f"{text}; turned round (100 minus it): check with the actuator's data sheet"
+        result[column] = replace(candidate, reading=replace(candidate.reading, entry=mirrored).with_warning(warning))
+    reasons, warnings = agreements(columns, cylinders)
+    return {
+        column: replace(candidate, reading=replace(
+            candidate.reading, reasons=(*candidate.reading.reasons, *reasons.get(column, ())),
+            warnings=(*candidate.reading.warnings, *warnings.get(column, ()))))
+        for column, candidate in result.items()
+    }  # fmt: skip
+
+
+def _flows_differ(readings: Mapping[str, Reading]) -> bool:
+    """Whether air and EGR flow would be in different units: no logger does that."""
+    units = {readings[name].entry.unit for name in ("w_c_kg_s", "w_egr_kg_s")
+             if name in readings and readings[name].entry.via is None}  # fmt: skip
+    return len(units) > 1
+
+
+def _named(chosen: Mapping[str, Candidate], readings: Mapping[str, Reading]) -> dict[str, tuple[str, Reading]]:
+    return {column: (chosen[column].channel, reading) for column, reading in readings.items()}
+
+
+def _warned(candidate: Candidate, fact: Facts, candidates: Sequence[Candidate], cylinders_given: bool) -> Candidate:
+    """Add what the candidate's own figures and its rivals give cause to check."""
+    reading = candidate.reading
+    rivals = [c for c in candidates if c.column == candidate.column and c.channel != candidate.channel
+              and c.meaning is candidate.meaning and c.score > candidate.score - CLOSE]  # fmt: skip
+    if rivals and fact.spn is None:  # J1939's numbers have an order of their own
+        reading = reading.with_warning(f"{' and '.join(repr(c.channel) for c in rivals[:3])} could be it as well")
+    doubts = [c for c in candidates if c.channel == candidate.channel and c.column != candidate.column
+              and c.score > candidate.score - CLOSE]  # fmt: skip
+    if doubts:
+        reading = reading.with_warning(f"the name could also mean {doubts[0].meaning.name}")
+    if candidate.score < 0.7 and not reading.warnings:
+        reading = reading.with_warning("the name says little: check")
+    if fact.frozen and candidate.column not in MAY_STAND_STILL:
+        reading = reading.with_warning(f"frozen at {fact.low:.6g}")
+    entry = reading.entry
+    if entry.derivation is not None and entry.derivation.cylinders and not cylinders_given:
+        reading = reading.with_warning(f"{entry.cylinders} cylinders are assumed: give --cylinders")
+    return replace(candidate, reading=reading)

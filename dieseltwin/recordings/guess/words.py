@@ -1,0 +1,172 @@
+"""A proposal in words: a table of the channels, the guesses with their reasons, what is missing and what that costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import yaml
+
+from dieseltwin.recordings.channels import AMBIENT, INPUTS, SENSORS, TIME
+from dieseltwin.recordings.derived import DIESEL_KG_L
+from dieseltwin.recordings.guess.facts import Facts
+from dieseltwin.recordings.guess.propose import Candidate, Proposal
+from dieseltwin.symbols import symbol
+
+ORDER = (*INPUTS, *SENSORS, "w_c_kg_s", "t_im_k", *AMBIENT, "torque_nm")
+NAME_WIDTH = 44
+
+# What the twin cannot tell without a channel. The pairs that then look alike were measured on concealed machines.
+COSTS: Mapping[str, str] = {
+    "n_e_rpm": "without engine speed nothing can be simulated or fitted",
+    "u_delta_mg": "without fuel nothing can be simulated or fitted; fuel per hour would do, or air flow and lambda",
+    "u_egr_pct": "without the EGR valve's position nothing can be simulated; if there is none, add a column of zeros",
+    "u_vgt_pct": "without the VGT's position nothing can be simulated; for a fixed turbine, add a constant column",
+    "p_im_pa": "boost leak, volumetric efficiency and charge cooler loss are then out of reach",
+    "p_em_pa": "A_vgtmax then hangs on turbo speed and boost, A_egrmax on the EGR flow alone; exhaust leak and "
+    "back-pressure are out of reach",
+    "omega_t_rad_s": "the shaft is then unseen: friction of its bearings and losses of compressor and turbine "
+    "efficiency can't be told from A_vgtmax",
+    "w_egr_kg_s": "A_egrmax then shows in pressures only; a clogged or leaking EGR valve looks like a change of "
+    "cylinder flow",
+    "t_em_k": "eta_sc and h_tot can then hardly be told apart, and injector drift hides behind both",
+    "w_c_kg_s": "a boost leak then looks like a loss of compressor efficiency; compressor flow loss is out of reach",
+    "t_im_k": "the engine file's constant stands in; charge cooler loss and EGR heating show through flows only",
+    "p_amb_pa": "the engine file's value stands in: at 1000 m that is 11 kPa wrong in every pressure ratio",
+    "t_amb_k": "the engine file's value stands in: 10 K change compressor flow and speed by 1.7 %",
+}
+
+
+def channel_lines(proposal: Proposal) -> Iterator[str]:
+    """What is in the file: one line a channel."""
+    raw = proposal.raw
+    yield f"{raw.path}: {raw.kind}, {len(proposal.facts)} channels of numbers"
+    for note in raw.notes:
+        yield f"  {note}"
+    if proposal.clock is not None:
+        yield f"  time is {proposal.clock[0]!r}, in units of {proposal.clock[1]:g} s"
+    elif raw.table is not None:
+        yield "  no column of time: steady points, or name it in the channel map"
+    yield ""
+    yield f"{'channel':<{NAME_WIDTH}} {'unit':<9} {'rate':>8} {'low':>10} {'median':>10} {'high':>10}  remarks"
+    for fact in proposal.facts.values():
+        rate = "" if fact.step_s is None else f"{1.0 / fact.step_s:.4g} Hz" if fact.step_s > 0.0 else "?"
+        yield (f"{fact.name[:NAME_WIDTH]:<{NAME_WIDTH}} {(fact.unit or '')[:9]:<9} {rate:>8} {fact.low:>10.5g} "
+               f"{fact.median:>10.5g} {fact.high:>10.5g}  {', '.join(remarks(fact))}").rstrip()  # fmt: skip
+
+
+def remarks(fact: Facts) -> list[str]:
+    """What strikes about a channel."""
+    found = []
+    if fact.readings == 0:
+        found.append("no reading at all")
+    if fact.frozen:
+        found.append("never changes")
+    elif fact.resolution is not None:
+        found.append(f"steps of {fact.resolution:.4g}")
+    if fact.held_rows is not None:
+        found.append(f"held over {fact.held_rows:.3g} rows")
+    if fact.gaps:
+        found.append(f"{fact.gaps} gaps, the longest {fact.longest_gap_s:.3g} s")
+    if 0.0 < fact.missing < 1.0:
+        found.append(f"{fact.missing:.0%} missing")
+    return found
+
+
+def guess_lines(proposal: Proposal) -> Iterator[str]:
+    """What each of our quantities could be, why, and what to check; then what is missing and what it costs."""
+    for column in ORDER:
+        candidate = proposal.guesses.get(column)
+        if candidate is None:
+            continue
+        yield f"{column:<14} {candidate.channel}{how(candidate)}"
+        yield f"{'':<14}   because {'; '.join(candidate.reading.reasons)}"
+        for warning in candidate.reading.warnings:
+            yield f"{'':<14}   CHECK: {warning}"
+    for column in missing(proposal):
+        yield f"{column:<14} not found: {COSTS[column]}"
+        for name, others in proposal.others.items():
+            rival = next((c for c in others if c.column == column), None)
+            if rival is not None:
+                yield f"{'':<14}   could be {name} ({rival.meaning.name}), which is taken for something else"
+
+
+def how(candidate: Candidate) -> str:
+    """' [kPa], gauge pressure plus ambient pressure': unit and formula of a guess."""
+    entry = candidate.reading.entry
+    unit = f" [{entry.unit}]" if entry.unit else ""
+    turned = ", turned round" if entry.scale < 0.0 else ""
+    return f"{unit}{turned}" if entry.derivation is None else f"{unit}, computed: {entry.derivation.words}"
+
+
+def missing(proposal: Proposal) -> list[str]:
+    """Our columns that nobody gives, in the order of their weight."""
+    return [column for column in ORDER if column not in proposal.guesses and column in COSTS]
+
+
+def needed_but_unmapped(proposal: Proposal) -> dict[str, list[str]]:
+    """Columns that formulas of the proposal need and nobody gives -> the columns that need them."""
+    found: dict[str, list[str]] = {}
+    for column, candidate in proposal.guesses.items():
+        for need in candidate.reading.entry.needs:
+            if need not in proposal.guesses:
+                found.setdefault(need, []).append(column)
+    return found
+
+
+def map_text(proposal: Proposal) -> str:
+    """The channel map as YAML with comments, ready to edit and to give to `--channels`."""
+    raw = proposal.raw
+    lines = [
+        f"# Channel map of {raw.path.name} ({raw.kind}), a first guess of `dieseltwin channels`.",
+        f"# Check every line, then: dieseltwin identify {raw.path.name} --channels THIS_FILE ...",
+        "# unit: of the channel; scale, offset: ours = scale * theirs + offset; via: a formula (docs/formats.md).",
+    ]
+    if proposal.database is not None:
+        lines.append(f"dbc: {_scalar(str(proposal.database.resolve()))}")
+    if proposal.clock is not None and proposal.clock[0] != TIME:
+        name, scale = proposal.clock
+        unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 60.0: "min", 3600.0: "h"}[scale]
+        lines.append(f"{_scalar(name)}: {{column: {TIME}, unit: {unit}}}")
+    unmet = needed_but_unmapped(proposal)
+    for column in ORDER:
+        if column in proposal.guesses:
+            lines.extend(_entry_lines(proposal.guesses[column], unmet))
+    lines.extend(f"# {column} not found: {COSTS[column]}" for column in missing(proposal))
+    taken = {candidate.channel for candidate in proposal.guesses.values()}
+    clock = proposal.clock[0] if proposal.clock is not None else None
+    rest = [fact for name, fact in proposal.facts.items() if name not in taken and name != clock]
+    if rest:
+        lines.append("# Not used:")
+        lines.extend(f"#   {_scalar(fact.name)}  {fact.low:.4g} to {fact.high:.4g} {fact.unit or ''}".rstrip()
+                     for fact in rest)  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _entry_lines(candidate: Candidate, unmet: Mapping[str, list[str]]) -> Iterator[str]:
+    entry = candidate.reading.entry
+    yield f"# {symbol(candidate.column).meaning}: {'; '.join(candidate.reading.reasons)}"
+    for warning in candidate.reading.warnings:
+        yield f"# CHECK: {warning}"
+    parts = [f"column: {entry.column}"]
+    if entry.unit is not None:
+        parts.append(f"unit: {_scalar(entry.unit)}")
+    if entry.scale != 1.0:
+        parts.append(f"scale: {entry.scale:g}")
+    if entry.offset != 0.0:
+        parts.append(f"offset: {entry.offset:.10g}")
+    if entry.via is not None:
+        parts.append(f"via: {entry.via}")
+        if entry.cylinders is not None:
+            parts.append(f"cylinders: {entry.cylinders}")
+        if entry.via.startswith("fuel_volume"):
+            parts.append(f"density_kg_l: {DIESEL_KG_L}")
+        if "p_amb_pa" in entry.needs and "p_amb_pa" in unmet:
+            yield "# CHECK: no ambient pressure in the file; sea level is assumed"
+            parts.append("ambient_pa: 101325")
+    yield f"{_scalar(candidate.channel)}: {{{', '.join(parts)}}}"
+
+
+def _scalar(text: str) -> str:
+    """A YAML scalar on one line, quoted where it must be."""
+    dumped = yaml.safe_dump(text, default_flow_style=True, allow_unicode=True, width=10_000)
+    return dumped.removesuffix("\n...\n").strip()

@@ -1,0 +1,217 @@
+"""Frames of a CAN trace: candump text (both kinds), Vector ASC and BLF, PEAK TRC; BLF, ASC and TRC by python-can."""
+
+from __future__ import annotations
+
+import io
+import re
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.importers.content import Content
+from dieseltwin.recordings.importers.signals import missing_library, unreadable
+
+FILLER = 0xFF  # bytes beyond a frame's length: "not available" in J1939
+# (000.005001)  can0  18FEDF00   [8]  8A A0 28 7D 7D FF FF F5
+_COLUMNS = re.compile(
+    r"^\s*\((?:[\d-]+ )?(?P<time>[\d.:]+)\)\s+(?P<bus>\S+)\s+(?:[TRX-]+\s+)?(?P<id>[0-9A-Fa-f]{3,8})\s+"
+    r"\[(?P<length>\d+)\](?P<data>(?:\s+[0-9A-Fa-f]{2})*)"
+)
+# (1436509052.249713) can0 18FEDF00#8AA0287D7DFFFFF5
+_COMPACT = re.compile(
+    r"^\s*\((?P<time>\d+\.\d+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]{3,8})#(?P<fd>#[0-9A-Fa-f])?(?P<data>[0-9A-Fa-f.]*)"
+)
+_ERROR_FLAG = 0x20000000
+
+
+@dataclass(frozen=True)
+class CanFrames:
+    """n data frames in the order of the trace.
+
+    Attributes:
+        time_s: (n,) [s] as in the trace.
+        identifier: (n,) 11 or 29 bits.
+        extended: (n,) whether it has 29 bits.
+        length: (n,) bytes of data.
+        data: (n, width) bytes, 0xFF beyond the length.
+        notes: what was left out.
+    """
+
+    time_s: np.ndarray
+    identifier: np.ndarray
+    extended: np.ndarray
+    length: np.ndarray
+    data: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of frames."""
+        return int(self.time_s.size)
+
+    @classmethod
+    def of(
+        cls,
+        time_s: np.ndarray,
+        identifier: np.ndarray,
+        extended: np.ndarray,
+        length: np.ndarray,
+        data: np.ndarray,
+        notes: Sequence[str] = (),
+    ) -> CanFrames:
+        """Frames with everything beyond their length filled up."""
+        length = np.minimum(np.asarray(length, dtype=np.int64), data.shape[1])
+        filled = np.where(np.arange(data.shape[1])[None, :] < length[:, None], data, FILLER).astype(np.uint8)
+        return cls(
+            np.asarray(time_s, dtype=np.float64),
+            np.asarray(identifier, dtype=np.uint32),
+            np.asarray(extended, dtype=bool),
+            length,
+            filled,
+            tuple(notes),
+        )
+
+    def take(self, chosen: np.ndarray) -> CanFrames:
+        """The frames of a mask or index array."""
+        return CanFrames(
+            self.time_s[chosen], self.identifier[chosen], self.extended[chosen], self.length[chosen], self.data[chosen]
+        )
+
+
+def stacked(parts: Sequence[CanFrames]) -> CanFrames:
+    """Several buses or groups as one trace in time order."""
+    width = max(part.data.shape[1] for part in parts)
+    data = np.vstack(
+        [np.pad(part.data, ((0, 0), (0, width - part.data.shape[1])), constant_values=FILLER) for part in parts]
+    )
+    joined = CanFrames(
+        np.concatenate([part.time_s for part in parts]),
+        np.concatenate([part.identifier for part in parts]),
+        np.concatenate([part.extended for part in parts]),
+        np.concatenate([part.length for part in parts]),
+        data,
+    )
+    return joined.take(np.argsort(joined.time_s, kind="stable"))
+
+
+def read_frames(path: Path, content: Content) -> CanFrames:
+    """Read the frames of a trace.
+
+    Raises:
+        InputError: no frame in it, no time stamps, or python-can is missing for a format that needs it.
+    """
+    if content.format == "candump":
+        text = content.bytes_of(path).decode("latin-1")
+        frames = _from_text(path, text.splitlines())
+    else:
+        frames = _from_python_can(path, content)
+    if frames.size == 0:
+        raise InputError(str(path), "a CAN trace without any data frame", "frames with time stamps", "record again")
+    return frames
+
+
+def _from_text(path: Path, lines: Iterable[str]) -> CanFrames:
+    times: list[float] = []
+    identifiers: list[int] = []
+    extended: list[bool] = []
+    payloads: list[bytes] = []
+    other = broken = 0
+    for line in lines:
+        found = _COLUMNS.match(line) or _COMPACT.match(line)
+        if found is None:
+            broken += bool(line.strip()) and not line.lstrip().startswith("#")
+            continue
+        if "#R" in line or "remote request" in line or int(found["id"], 16) & _ERROR_FLAG:
+            other += 1
+            continue
+        times.append(_seconds(found["time"]))
+        identifiers.append(int(found["id"], 16))
+        extended.append(len(found["id"]) > 3)
+        payloads.append(bytes.fromhex(found["data"].replace(" ", "").replace(".", "")))
+    if not times:
+        raise InputError(
+            str(path),
+            "a CAN trace without times",
+            "a time in brackets in every line",
+            "record with `candump -L` or `candump -t a`",
+        )
+    notes = [f"{other} remote and error frames left out"] if other else []
+    if broken:
+        notes.append(f"{broken} lines that are no frame left out")
+    return _packed(times, identifiers, extended, payloads, notes)
+
+
+def _seconds(stamp: str) -> float:
+    """'029.997509' or '12:30:01.25' in s."""
+    total = 0.0
+    for part in stamp.split(":"):
+        total = 60.0 * total + float(part)
+    return total
+
+
+def _packed(
+    times: Sequence[float],
+    identifiers: Sequence[int],
+    extended: Sequence[bool],
+    payloads: Sequence[bytes],
+    notes: Sequence[str],
+) -> CanFrames:
+    width = max(8, max((len(payload) for payload in payloads), default=8))
+    joined = b"".join(payload.ljust(width, bytes([FILLER])) for payload in payloads)
+    data = np.frombuffer(joined, dtype=np.uint8).reshape(len(payloads), width)
+    return CanFrames.of(
+        np.array(times),
+        np.array(identifiers, dtype=np.uint32),
+        np.array(extended, dtype=bool),
+        np.array([len(payload) for payload in payloads], dtype=np.int64),
+        data,
+        notes,
+    )
+
+
+def _from_python_can(path: Path, content: Content) -> CanFrames:
+    kind = {"blf": "BLF trace", "asc": "ASC trace", "trc": "TRC trace"}[content.format]
+    try:
+        import can
+    except ImportError:
+        raise missing_library(path, f"a {kind}", "python-can") from None
+    readers = {"blf": can.BLFReader, "asc": can.ASCReader, "trc": can.TRCReader}
+    times: list[float] = []
+    identifiers: list[int] = []
+    extended: list[bool] = []
+    payloads: list[bytes] = []
+    other, notes = 0, []
+    try:
+        for message in _messages(readers[content.format], path, content):
+            if message.is_error_frame or message.is_remote_frame:
+                other += 1
+                continue
+            times.append(message.timestamp)
+            identifiers.append(message.arbitration_id)
+            extended.append(message.is_extended_id)
+            payloads.append(bytes(message.data))
+    except Exception as error:  # python-can lets struct, zlib and its own errors through
+        if not times:
+            raise unreadable(path, kind, error) from None
+        notes.append(f"the trace ends broken after {times[-1] - times[0]:.6g} s ({' '.join(str(error).split())[:60]})")
+    if other:
+        notes.append(f"{other} remote and error frames left out")
+    return _packed(times, identifiers, extended, payloads, notes)
+
+
+def _messages(reader: type, path: Path, content: Content) -> Iterator:
+    if content.data is None:
+        with reader(str(path)) as messages:
+            yield from messages
+    elif content.format == "asc":
+        yield from reader(io.StringIO(content.data.decode("latin-1")))
+    else:
+        with tempfile.NamedTemporaryFile(suffix=f".{content.format}") as unpacked:
+            unpacked.write(content.data)
+            unpacked.flush()
+            with reader(unpacked.name) as messages:
+                yield from messages

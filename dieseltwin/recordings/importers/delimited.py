@@ -1,0 +1,252 @@
+"""Text tables of any dialect: , ; tab | or blanks between, decimal comma, UTF-8/16 or Windows, units, preambles."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.importers.clock import seconds_from_stamps
+from dieseltwin.recordings.importers.layout import (
+    LOOKED_AT,
+    MISSING,
+    Layout,
+    find_layout,
+    is_data_row,
+    is_date,
+    is_missing,
+    is_number,
+)
+from dieseltwin.recordings.importers.signals import RawChannels, unreadable
+
+SEPARATORS = (",", ";", "\t", "|")
+_COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?$")
+_POINT_NUMBER = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?$")
+_POINT_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+$")  # 1.234,5
+_COMMA_THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d+$")  # 1,234.5
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a text file writes its table.
+
+    Attributes:
+        separator: between cells; r"\\s+" for blanks.
+        decimal: "." or ",".
+        thousands: between groups of three digits, None without.
+        layout: rows of names, units and numbers, counted without blank lines.
+    """
+
+    separator: str
+    decimal: str
+    thousands: str | None
+    layout: Layout
+
+
+def read_delimited(path: Path, content: bytes) -> RawChannels:
+    """Read a text table.
+
+    Raises:
+        InputError: no table, no names, a name twice, or rows of different lengths.
+    """
+    text, encoding = _decoded(path, content)
+    text, skipped = _without_marks(text)
+    lines = _first_lines(text)
+    if not lines:
+        raise InputError(str(path), "no rows", "a header and rows", "record again")
+    dialect = _dialect(path, lines)
+    notes = [] if encoding.startswith("utf-8") else [f"read as {encoding}"]
+    notes.extend(skipped)
+    names = dialect.layout.names
+    twice = [name for name in dict.fromkeys(names) if name and names.count(name) > 1]
+    if twice:  # pandas would rename the second one and say nothing
+        raise InputError(f"{path}: column {twice[0]}", "a column given twice", "each name once", "drop one")
+    text, dropped = _without_tail(text, dialect)
+    if dropped:
+        notes.append(f"{dropped} lines of text at the end left out")
+    frame = _numbers_of(path, text, dialect)
+    if len(frame) == 0:
+        raise InputError(str(path), "no rows", "a header and rows", "record again")
+    units = {name: unit for name, unit in zip(names, dialect.layout.units, strict=True) if name and unit}
+    frame, stamp_units, stamp_notes = seconds_from_stamps(frame, str(path))
+    words = []
+    if dialect.decimal == ",":
+        words.append("decimal comma")
+    if units:
+        words.append("a row of units")
+    if dialect.layout.header:
+        words.append(f"names in row {dialect.layout.header + 1}")
+    if words:
+        notes.append("read with " + ", ".join(words))
+    return RawChannels(path, "CSV", table=frame, units={**units, **stamp_units}, notes=(*notes, *stamp_notes))
+
+
+def _decoded(path: Path, content: bytes) -> tuple[str, str]:
+    for mark, encoding in ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
+        if content.startswith(mark):
+            try:
+                return content.decode(encoding), encoding
+            except UnicodeDecodeError as error:
+                raise unreadable(path, "CSV", error) from None
+    head = content[:4096].rstrip(b"\0")
+    if head.count(0) > 0.2 * len(head):
+        return content.decode(
+            "utf-16-le" if head[1::2].count(0) > head[0::2].count(0) else "utf-16-be", "replace"
+        ), "utf-16"
+    try:
+        return content.decode("utf-8"), "utf-8"
+    except UnicodeDecodeError:
+        return content.decode("cp1252", "replace"), "Windows-1252"
+
+
+def _without_marks(text: str) -> tuple[str, list[str]]:
+    """The text without Excel's 'sep=;' line, comment lines and zero bytes."""
+    notes: list[str] = []
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if "\0" in text:
+        text = text.replace("\0", "")
+        notes.append("zero bytes left out (the logger lost power?)")
+    if re.match(r"\s*\"?sep=.\"?\n", text, re.IGNORECASE):
+        text = text.split("\n", 1)[1]
+    head = text[:100_000].split("\n")
+    comments = [line for line in head if line.lstrip().startswith(("#", "//")) and not _holds_names(line, head)]
+    if comments:
+        text = re.sub(r"^[ \t]*(#|//).*\n?", "", text, flags=re.MULTILINE)
+        notes.append(f"{len(comments)} comment lines left out")
+    return text, notes
+
+
+def _holds_names(line: str, head: Sequence[str]) -> bool:
+    """'# time;n_e;...' right above the numbers is the row of names."""
+    index = head.index(line)
+    following = next((row for row in head[index + 1 :] if row.strip()), "")
+    if following.lstrip().startswith("#"):
+        return False
+    return any(line.count(mark) > 0 and line.count(mark) == following.count(mark) for mark in SEPARATORS)
+
+
+def _first_lines(text: str) -> list[str]:
+    lines = []
+    for line in io.StringIO(text):
+        if line.strip():
+            lines.append(line.rstrip("\n"))
+        if len(lines) >= LOOKED_AT:
+            break
+    return lines
+
+
+def _cells(lines: Sequence[str], separator: str) -> list[list[str]]:
+    if separator == r"\s+":
+        return [line.split() for line in lines]
+    return [list(row) for row in csv.reader(lines, delimiter=separator)]
+
+
+def _dialect(path: Path, lines: Sequence[str]) -> Dialect:
+    best: tuple[float, str, Layout, list[list[str]]] | None = None
+    for separator in (*SEPARATORS, r"\s+"):
+        try:
+            rows = _cells(lines, separator)
+        except csv.Error:
+            continue
+        layout = find_layout(rows)
+        if layout is None or (
+            separator == r"\s+" and any(len(row) != len(layout.names) for row in rows[layout.first_data :])
+        ):
+            continue
+        data = [row for row in rows[layout.first_data :] if is_data_row(row)]
+        width = sum(1 for name in layout.names if name)
+        told = [cell for row in data for cell in row if not is_missing(cell)]
+        share = sum(is_number(cell) for cell in told) / max(len(told), 1)
+        ragged = sum(len(row) != len(data[0]) for row in data) / max(len(data), 1)
+        score = min(width, 50) * (share - ragged) - (0.5 if separator == r"\s+" else 0.0)
+        if width >= 2 and (best is None or score > best[0]):
+            best = (score, separator, layout, rows)
+    if best is None:
+        raise _no_table(path, lines)
+    _, separator, layout, rows = best
+    cells = [cell.strip() for row in rows[layout.first_data :] for cell in row]
+    commas, points = (sum(bool(pattern.match(cell)) for cell in cells) for pattern in (_COMMA_NUMBER, _POINT_NUMBER))
+    grouped_point = any(_POINT_THOUSANDS.match(cell) for cell in cells)
+    grouped_comma = any(_COMMA_THOUSANDS.match(cell) for cell in cells)
+    if grouped_point and not grouped_comma:
+        return Dialect(separator, ",", ".", layout)
+    if commas > points and separator != ",":
+        return Dialect(separator, ",", None, layout)
+    return Dialect(separator, ".", "," if grouped_comma else None, layout)
+
+
+def _no_table(path: Path, lines: Sequence[str]) -> InputError:
+    for separator in SEPARATORS:
+        rows = _cells(lines, separator)
+        if len(rows[0]) >= 2 and is_data_row(rows[0]):
+            return InputError(
+                str(path), "numbers in the first row", "names in the first row", "put the column names in the first row"
+            )
+        if len(rows) == 1 and len(rows[0]) >= 2:
+            return InputError(str(path), "no rows", "a header and rows", "record again")
+    return InputError(
+        str(path),
+        "no readable CSV (no row of names above rows of numbers)",
+        "a table of two columns or more",
+        "export it again as CSV",
+    )
+
+
+def _numbers_of(path: Path, text: str, dialect: Dialect) -> pd.DataFrame:
+    layout = dialect.layout
+    names = [name or f"column {i + 1}" for i, name in enumerate(layout.names)]
+    missing = sorted({spelling for word in MISSING for spelling in (word, word.upper(), word.capitalize())})
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # more cells than names: pandas would drop them
+            frame = pd.read_csv(
+                io.StringIO(text), sep=dialect.separator, header=None, names=names, index_col=False,
+                skiprows=_text_row(text, layout.first_data), decimal=dialect.decimal, thousands=dialect.thousands,
+                float_precision="round_trip", na_values=missing, skipinitialspace=True, low_memory=False,
+            )  # fmt: skip
+    except pd.errors.ParserWarning:
+        raise InputError(f"{path}: first row of numbers", f"more than {len(names)} cells",
+                         f"{len(names)}, as in the row of names", "mend the row of names") from None  # fmt: skip
+    except (ValueError, pd.errors.ParserError) as error:
+        raise unreadable(path, "CSV", error) from None
+    for name in [name for name, given in zip(names, layout.names, strict=True) if not given]:
+        frame = frame.drop(columns=name) if frame[name].isna().all() or _is_count(frame[name]) else frame
+    return frame
+
+
+def _is_count(column: pd.Series) -> bool:
+    """A column without a name that counts the rows: somebody's index."""
+    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
+    return bool(len(values) > 1 and np.all(np.diff(values) == 1.0))
+
+
+def _text_row(text: str, filled_rows: int) -> int:
+    """Line number of the text at which `filled_rows` lines that are not blank have passed."""
+    seen = 0
+    for number, line in enumerate(io.StringIO(text)):
+        if line.strip():
+            if seen == filled_rows:
+                return number
+            seen += 1
+    return 0
+
+
+def _without_tail(text: str, dialect: Dialect) -> tuple[str, int]:
+    """The text without lines of words at its end ('End of measurement'), and how many there were."""
+    dropped = 0
+    text = text.rstrip()
+    while "\n" in text:
+        rest, _, last = text.rpartition("\n")
+        filled = [cell for cell in _cells([last], dialect.separator)[0] if cell.strip()]
+        if len(filled) != 1 or is_number(filled[0]) or is_date(filled[0]):
+            break
+        text, dropped = rest.rstrip(), dropped + 1
+    return text + "\n", dropped

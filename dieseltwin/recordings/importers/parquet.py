@@ -1,0 +1,37 @@
+"""Parquet tables, with units from the columns' metadata where somebody wrote them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pyarrow.parquet as pq
+
+from dieseltwin.recordings.importers.clock import seconds_from_stamps
+from dieseltwin.recordings.importers.signals import RawChannels, unreadable
+
+UNIT_KEYS = (b"unit", b"units", b"Unit")
+
+
+def read_parquet(path: Path) -> RawChannels:
+    """Read a Parquet table; an index that has a name becomes a column.
+
+    Raises:
+        InputError: not readable, or date stamps that are none.
+    """
+    try:
+        frame = pd.read_parquet(path)
+        schema = pq.read_schema(path)
+    except (OSError, ValueError) as error:
+        raise unreadable(path, "Parquet", error) from None
+    if frame.index.name is not None or isinstance(frame.index, pd.DatetimeIndex):
+        frame = frame.reset_index(names=str(frame.index.name or "time"))
+    units = {}
+    for field in schema:
+        metadata = field.metadata or {}
+        unit = next((metadata[key].decode("utf-8", "replace") for key in UNIT_KEYS if key in metadata), "")
+        if unit:
+            units[str(field.name)] = unit
+    frame.columns = [str(name) for name in frame.columns]
+    frame, stamp_units, notes = seconds_from_stamps(frame, str(path))
+    return RawChannels(path, "Parquet", table=frame, units={**units, **stamp_units}, notes=tuple(notes))

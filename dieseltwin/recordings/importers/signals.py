@@ -1,0 +1,94 @@
+"""What an importer returns: channels as the file has them, each with its own times, name and unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.errors import InputError
+
+INSTALL = "pip install 'dieseltwin[formats]'"
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One channel on its own raster.
+
+    Attributes:
+        name: as the file calls it (unique in the file).
+        unit: as the file writes it; None where the file says none.
+        time_s: (n,) times of the readings [s], in the order of the file; None where no clock is known (steady points).
+        values: (n,) float64 [unit], NaN where the file says missing, not available or error.
+        origin: where in the file it stands ("SPN 102 in PGN 65270 from address 0", "sheet Messung").
+        spn: its number in SAE J1939, None for other files.
+    """
+
+    name: str
+    unit: str | None
+    time_s: np.ndarray | None
+    values: np.ndarray
+    origin: str = ""
+    spn: int | None = None
+
+
+@dataclass(frozen=True)
+class RawChannels:
+    """Everything that a file holds, before any channel map.
+
+    Attributes:
+        path: the file.
+        kind: its format in words ("CSV", "MDF 4.10", "J1939 trace").
+        signals: name -> channel. Empty where `table` holds the content.
+        table: the rows of a file that is one table, in the file's own names; None for files of several rasters.
+        units: name -> unit, where the file says it.
+        notes: what the importer did or left out, one sentence each.
+    """
+
+    path: Path
+    kind: str
+    signals: Mapping[str, Signal] = field(default_factory=dict)
+    table: pd.DataFrame | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels as the file calls them."""
+        return tuple(self.signals) if self.table is None else tuple(str(name) for name in self.table.columns)
+
+    def with_notes(self, *notes: str) -> RawChannels:
+        """The same channels with further notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+
+def unique_names(signals: Sequence[Signal]) -> dict[str, Signal]:
+    """Name -> signal; a name met again gets its origin added, so that each can be told in a channel map."""
+    found: dict[str, Signal] = {}
+    for signal in signals:
+        name = signal.name if signal.name not in found else f"{signal.name} ({signal.origin})"
+        count = 2
+        while name in found:
+            name, count = f"{signal.name} ({signal.origin}, {count})", count + 1
+        found[name] = replace(signal, name=name)
+    return found
+
+
+def missing_library(path: Path, kind: str, library: str) -> InputError:
+    """The one line for a format whose library is not installed."""
+    return InputError(
+        str(path), f"{kind}, and no package {library} to read it with", f"{library} installed", f"install it: {INSTALL}"
+    )
+
+
+def unreadable(
+    path: Path, kind: str, error: object, do: str = "copy or export it again (is it truncated?)"
+) -> InputError:
+    """The one line for a file of a known format that its library cannot read."""
+    text = " ".join(str(error).split())[:120]
+    return InputError(
+        str(path), f"no readable {kind} ({text})" if text else f"no readable {kind}", f"a whole {kind} file", do
+    )

@@ -1,0 +1,90 @@
+"""From a file to columns in our names: the importer reads, the channel map names and converts, rasters are joined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import ChannelMap, channel_map, read_channel_map
+from dieseltwin.recordings.importers.read import read_raw
+from dieseltwin.recordings.raster import on_one_raster, quantities
+
+
+def read_table(path: str | Path) -> pd.DataFrame:
+    """Read a file that is one table (CSV of any dialect, Parquet, Excel, MATLAB vectors) in its own names.
+
+    Raises:
+        InputError: no such file, not readable, truncated, empty, or channels on several rasters.
+    """
+    raw = read_raw(path)
+    if raw.table is None:
+        raise InputError(
+            str(path), f"{raw.kind} with channels on their own rasters", "one table", "give a recording's table"
+        )
+    return raw.table
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Columns of a file in our names, not yet checked.
+
+    Attributes:
+        columns: our names (and the file's own where nobody maps them) -> (n,).
+        notes: what was done to get there, one sentence each.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    notes: tuple[str, ...]
+
+
+def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = None) -> Imported:
+    """Read a file of any format and name its columns by a channel map; several rasters are put onto one.
+
+    Raises:
+        InputError: one line saying what is wrong with the file or the map.
+    """
+    mapping = (
+        channel_map({})
+        if channels is None
+        else channels
+        if isinstance(channels, ChannelMap)
+        else read_channel_map(channels)
+    )
+    raw = read_raw(path, mapping.database, set(mapping.entries) or None)
+    if raw.table is None:
+        columns, notes = on_one_raster(quantities(raw, mapping), str(path))
+        return Imported(columns, (*raw.notes, *notes))
+    columns = {str(name): raw.table[name].to_numpy() for name in raw.table.columns}
+    if not mapping.entries:
+        return Imported(columns, raw.notes)
+    numeric = {
+        name: numbers(name, values, str(path), True) if name in mapping.entries else values
+        for name, values in columns.items()
+    }
+    return Imported(mapping.apply(numeric, str(path)), raw.notes)
+
+
+def numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndarray:
+    """A column (n,) as float64; with `needed` every infinity is missing, too.
+
+    Raises:
+        InputError: text in it, with its row.
+    """
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        numeric = pd.to_numeric(pd.Series(values), errors="coerce").to_numpy(dtype=np.float64)
+        bad = np.flatnonzero(~np.isfinite(numeric) & ~pd.isna(values))
+        row = int(bad[0]) if bad.size else 0
+        raise InputError(
+            f"{where}: column {name}, data row {row + 1}",
+            repr(values[row]),
+            "numbers with a decimal point",
+            "mend or empty this cell",
+        ) from None
+    return np.where(np.isfinite(found), found, np.nan) if needed else found

@@ -1,0 +1,179 @@
+"""`dieseltwin channels`: right first guesses on foreign names, never a wrong one without a warning, maps that work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from foreign import AMBIENT, FILES, TO, Foreign, drive, expected, written
+
+from dieseltwin.cli.app import main
+from dieseltwin.recordings.channels import channel_map
+from dieseltwin.recordings.guess.facts import clock_of, facts_of, signals_of
+from dieseltwin.recordings.guess.names import words_of
+from dieseltwin.recordings.guess.propose import Proposal, propose
+from dieseltwin.recordings.guess.units import understood
+from dieseltwin.recordings.guess.words import map_text
+from dieseltwin.recordings.importers.read import read_raw
+from dieseltwin.recordings.importers.signals import Signal
+from dieseltwin.recordings.reader import read_recording
+
+REFERENCE = Path(__file__).parents[2] / "reference" / "field_random_300s.csv"
+CLOSE = 0.02  # of the mean: a guess is right when its values are, unit, offset and formula included
+WANTED_SHARE = 0.9
+TITLES = [file.title for file in FILES]
+
+
+@pytest.fixture(scope="module")
+def known() -> dict[str, np.ndarray]:
+    return drive(pd.read_csv(REFERENCE))
+
+
+def proposed(file: Foreign, known: dict[str, np.ndarray], folder: Path) -> Proposal:
+    path = folder / "drive.csv"
+    path.write_text(written(file, known))
+    return propose(read_raw(path), cylinders=6)
+
+
+def judged(file: Foreign, proposal: Proposal, known: dict[str, np.ndarray]) -> tuple[list[str], list[str], list[str]]:
+    """Columns guessed right, guessed wrong with a warning, and wrong without."""
+    right, warned, silent = [], [], []
+    signals, truth = signals_of(proposal.raw), expected(file)
+    for column, candidate in proposal.guesses.items():
+        entry = candidate.reading.entry
+        values = entry.derived(entry.converted(signals[candidate.channel].values), known)
+        error = np.nanmedian(np.abs(values - known[column])) / np.abs(known[column]).mean()
+        if truth.get(column) == candidate.channel and error < CLOSE:
+            right.append(column)
+        else:
+            (warned if candidate.reading.warnings else silent).append(column)
+    return right, warned, silent
+
+
+@pytest.mark.parametrize("title", TITLES)
+def test_no_wrong_guess_without_a_warning(tmp_path, known, title):
+    file = FILES[TITLES.index(title)]
+    _, _, silent = judged(file, proposed(file, known, tmp_path), known)
+    assert silent == []
+
+
+def test_nine_of_ten_first_guesses_are_right(tmp_path, known):
+    right = sum(len(judged(file, proposed(file, known, tmp_path), known)[0]) for file in FILES)
+    asked = sum(len(expected(file)) for file in FILES)
+    assert len(FILES) == 20 and asked > 200
+    assert right / asked >= WANTED_SHARE
+
+
+@pytest.mark.parametrize(
+    "title",
+    ["a German test bench", "J1939 by number", "American units, gauge", "a generating set",
+     "a service tool, VGT in percent closed", "German, flows as shares and per stroke"],
+)  # fmt: skip
+def test_the_map_is_one_that_the_reader_takes(tmp_path, known, title, capsys):
+    file = FILES[TITLES.index(title)]
+    (tmp_path / "drive.csv").write_text(written(file, known))
+    assert main(["channels", str(tmp_path / "drive.csv"), "--out", str(tmp_path / "map.yaml"), "--cylinders", "6"]) == 0
+    assert "channel map:" in capsys.readouterr().out
+    sensors = [column for column in expected(file) if column in ("p_im_pa", "p_em_pa", "omega_t_rad_s", "t_em_k")]
+    made = read_recording(tmp_path / "drive.csv", tmp_path / "map.yaml", sensors=sensors)
+    for column in expected(file):
+        error = np.nanmedian(np.abs(made.columns[column] - known[column])) / np.abs(known[column]).mean()
+        assert error < CLOSE, column
+    np.testing.assert_allclose(made.time_s, known["time_s"], atol=1e-9)
+
+
+def test_a_missing_quantity_is_named_with_its_cost(tmp_path, known, capsys):
+    file = FILES[TITLES.index("an OBD app on a phone")]
+    (tmp_path / "drive.csv").write_text(written(file, known))
+    assert main(["channels", str(tmp_path / "drive.csv")]) == 0
+    said = capsys.readouterr().out
+    assert "omega_t_rad_s  not found: the shaft is then unseen" in said
+    assert "u_vgt_pct      not found" in said and "p_em_pa        not found" in said
+    assert "6 cylinders are assumed: give --cylinders" in said
+
+
+def test_gauge_exhaust_pressure_is_told_by_physics(tmp_path, known):
+    """Nothing in name, unit or range says gauge; absolute it would lie below the intake pressure while EGR flows."""
+    loaded = known["p_em_pa"] > AMBIENT + 70e3
+    frame = pd.DataFrame({
+        "time_s": np.arange(np.count_nonzero(loaded)) * 0.2, "p_im_pa": known["p_im_pa"][loaded],
+        "Exhaust Pressure (kPa)": (known["p_em_pa"][loaded] - AMBIENT) / 1e3, "w_egr_kg_s": known["w_egr_kg_s"][loaded],
+        "w_c_kg_s": known["w_c_kg_s"][loaded], "n_e_rpm": known["n_e_rpm"][loaded],
+    })  # fmt: skip
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    guess = propose(read_raw(tmp_path / "drive.csv")).guesses["p_em_pa"].reading
+    assert guess.entry.via == "gauge" and any("gauge" in warning for warning in guess.warnings)
+
+
+def test_a_flow_computed_by_the_control_unit_is_suspected(tmp_path, known):
+    speed_density = 0.9 * known["p_im_pa"] * 12.7e-3 * known["n_e_rpm"] / (120.0 * 287.0 * known["t_im_k"])
+    frame = pd.DataFrame({name: known[name] for name in ("time_s", "n_e_rpm", "p_im_pa", "t_im_k", "w_egr_kg_s")})
+    for flow, suspected in ((speed_density - known["w_egr_kg_s"], True), (known["w_c_kg_s"], False)):
+        frame.assign(w_c_kg_s=flow).to_csv(tmp_path / "drive.csv", index=False)
+        warnings = propose(read_raw(tmp_path / "drive.csv")).guesses["w_c_kg_s"].reading.warnings
+        assert any("control unit" in warning for warning in warnings) == suspected
+
+
+def test_a_wrong_unit_in_the_file_is_noticed(tmp_path, known):
+    frame = pd.DataFrame({"time_s": known["time_s"], "Boost pressure [kPa]": TO["mbar"](known["p_im_pa"])})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    guess = propose(read_raw(tmp_path / "drive.csv")).guesses["p_im_pa"].reading
+    assert guess.entry.unit == "hPa" and any("the file says kPa" in warning for warning in guess.warnings)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("InjCtl_qSetUnBal", "inj ctl q set un bal"), ("AGR-Ventil [%]", "agr ventil"), ("pBoost", "p boost"),
+     ("EngTurbo1Speed", "eng turbo 1 speed"), ("T_31", "t 31"), ("Kühlmittel", "kuehlmittel"), ("MAF", "maf")],
+)  # fmt: skip
+def test_names_are_cut_into_words(name, words):
+    assert words_of(name) == words
+
+
+@pytest.mark.parametrize(
+    ("spelling", "dimension", "ours", "gauge"),
+    [("1/min", "rotation", "rpm", None), ("mg/Hub", "per cycle", "mg/cycle", None), ("psig", "pressure", "psi", True),
+     ("bar(a)", "pressure", "bar", False), ("kPa abs", "pressure", "kPa", False), ("°C", "temperature", "degC", None),
+     ("kg/hr", "mass flow", "kg/h", None), ("furlong", "unknown", "furlong", None)],
+)  # fmt: skip
+def test_units_are_understood(spelling, dimension, ours, gauge):
+    unit = understood(spelling)
+    assert unit is not None and (unit.dimension, unit.ours, unit.gauge) == (dimension, ours, gauge)
+    assert understood("-") is None
+
+
+def test_facts_of_a_channel():
+    time = np.r_[np.arange(0.0, 10.0, 0.1), np.arange(15.0, 20.0, 0.1)]
+    values = np.round(100.0 + 20.0 * np.sin(time), 0) // 2 * 2
+    values[5] = np.nan
+    facts = facts_of(Signal("p", "kPa", time, values))
+    assert facts.step_s == pytest.approx(0.1) and facts.gaps == 1 and facts.longest_gap_s == pytest.approx(5.1)
+    assert facts.resolution == pytest.approx(2.0) and not facts.frozen
+    assert facts.missing == pytest.approx(1.0 / time.size)
+    assert facts_of(Signal("x", None, time, np.full(time.size, 3.0))).frozen
+
+
+def test_milliseconds_are_told_from_seconds(tmp_path, known):
+    for scale, expected_scale in ((1.0, 1.0), (1e3, 1e-3)):
+        frame = pd.DataFrame({"Time": known["time_s"] * scale, "RPM": known["n_e_rpm"]})
+        frame.to_csv(tmp_path / "drive.csv", index=False)
+        assert clock_of(read_raw(tmp_path / "drive.csv")) == ("Time", expected_scale)
+
+
+def test_a_map_survives_awkward_names(tmp_path, known):
+    frame = pd.DataFrame({"time_s": known["time_s"], "Engine: speed, 'actual' [rpm] #1": known["n_e_rpm"]})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    proposal = propose(read_raw(tmp_path / "drive.csv"))
+    again = channel_map(yaml.safe_load(map_text(proposal)))
+    assert again.entries["Engine: speed, 'actual' [rpm] #1"].column == "n_e_rpm"
+
+
+def test_nothing_is_written_for_a_file_that_cannot_be_read(tmp_path, capsys):
+    (tmp_path / "drive.csv").write_text("<html></html>")
+    assert main(["channels", str(tmp_path / "drive.csv"), "--out", str(tmp_path / "map.yaml")]) == 2
+    assert not (tmp_path / "map.yaml").exists()
+    assert main(["channels", str(tmp_path / "drive.csv"), "--out", str(tmp_path / "map.txt")]) == 2
+    assert "\n" not in capsys.readouterr().err.strip().split("\n")[0]

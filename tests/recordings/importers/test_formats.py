@@ -1,0 +1,250 @@
+"""One simulated drive, written by every format's own library, gives the same recording."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.importers.read import read_raw
+from dieseltwin.recordings.reader import read_recording
+
+REFERENCE = Path(__file__).parents[2] / "reference"
+COLUMNS = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s",
+           "w_egr_kg_s", "t_em_k", "w_c_kg_s"]  # fmt: skip
+UNITS = {"time_s": "s", "n_e_rpm": "rpm", "p_im_pa": "Pa", "t_em_k": "K"}
+WRITERS: dict[str, Callable[[pd.DataFrame, Path], None]] = {}
+
+
+@pytest.fixture(scope="module")
+def drive() -> pd.DataFrame:
+    """A minute of simulated driving at 5 Hz."""
+    return pd.read_csv(REFERENCE / "field_random_300s.csv")[COLUMNS][:301]
+
+
+def writer(name: str):
+    def registered(function):
+        WRITERS[name] = function
+        return function
+
+    return registered
+
+
+@writer("comma.csv")
+def _(drive, path):
+    drive.to_csv(path, index=False)
+
+
+@writer("german.csv")
+def _(drive, path):
+    drive.to_csv(path, index=False, sep=";", decimal=",", encoding="utf-16")
+
+
+@writer("packed.csv.gz")
+def _(drive, path):
+    path.write_bytes(gzip.compress(drive.to_csv(index=False, sep="\t").encode("utf-8-sig")))
+
+
+@writer("units.txt")
+def _(drive, path):
+    rows = drive.to_csv(index=False, sep=";").split("\n")
+    rows.insert(1, ";".join(f"[{UNITS.get(name, '-')}]" for name in drive))
+    path.write_text("Test bench 3\nDate;01.05.2024\n\n" + "\n".join(rows))
+
+
+@writer("drive.parquet")
+def _(drive, path):
+    drive.to_parquet(path)
+
+
+@writer("drive.xlsx")
+def _(drive, path):
+    pytest.importorskip("openpyxl")
+    with pd.ExcelWriter(path) as book:
+        pd.DataFrame({"about": ["bench 3"]}).to_excel(book, sheet_name="Info", index=False)
+        drive.to_excel(book, sheet_name="Messung", index=False, startrow=3)
+
+
+@writer("version5.mat")
+def _(drive, path):
+    scipy.io.savemat(path, {name: drive[name].to_numpy() for name in drive})
+
+
+@writer("structure.mat")
+def _(drive, path):
+    scipy.io.savemat(path, {"data": {name: drive[name].to_numpy()[:, None] for name in drive}}, do_compression=True)
+
+
+@writer("version4.mat")
+def _(drive, path):
+    scipy.io.savemat(path, {name: drive[name].to_numpy() for name in drive}, format="4")
+
+
+@writer("simulink.mat")
+def _(drive, path):
+    signals = np.array([{"values": drive[name].to_numpy(), "label": name} for name in COLUMNS[1:]], dtype=object)
+    scipy.io.savemat(path, {"out": {"time": drive["time_s"].to_numpy(), "signals": signals}})
+
+
+@writer("version73.mat")
+def _(drive, path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name in drive:
+            vector = file.create_dataset(name, data=drive[name].to_numpy()[None, :])
+            vector.attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def _measurement(drive, path, version: str, one_group: bool) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    signals = [
+        asammdf.Signal(drive[name].to_numpy(), drive["time_s"].to_numpy(), name=name, unit=UNITS.get(name, ""))
+        for name in COLUMNS[1:]
+    ]
+    with asammdf.MDF(version=version) as mdf:
+        for group in [signals] if one_group else [[signal] for signal in signals]:
+            mdf.append(group)
+        mdf.save(path, overwrite=True, compression=0 if one_group else 2)
+
+
+@writer("version3.mdf")
+def _(drive, path):
+    _measurement(drive, path, "3.30", one_group=True)
+
+
+@writer("version4.mf4")
+def _(drive, path):
+    _measurement(drive, path, "4.10", one_group=False)
+
+
+BUS = """VERSION ""
+BU_: ECU
+{messages}
+"""
+
+
+def _bus(drive: pd.DataFrame, folder: Path) -> tuple[Path, list]:
+    """A DBC with one double per column, and the drive as frames."""
+    can = pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    messages = [
+        f'BO_ {256 + i} M{i}: 8 ECU\n SG_ {name} : 0|64@1- (1,0) [0|0] "{UNITS.get(name, "")}" ECU'
+        for i, name in enumerate(COLUMNS[1:])
+    ]
+    kinds = "\n".join(f"SIG_VALTYPE_ {256 + i} {name} : 2;" for i, name in enumerate(COLUMNS[1:]))
+    database = folder / "bus.dbc"
+    database.write_text(BUS.format(messages="\n\n".join(messages)) + "\n" + kinds + "\n")
+    frames = [
+        can.Message(timestamp=time, arbitration_id=256 + i, is_extended_id=False, data=struct.pack("<d", value))
+        for time, row in zip(drive["time_s"], drive[COLUMNS[1:]].to_numpy(), strict=True) for i, value in enumerate(row)
+    ]  # fmt: skip
+    return database, frames
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_gives_the_same_recording(tmp_path, drive, name):
+    path = tmp_path / name
+    WRITERS[name](drive, path)
+    made = read_recording(path)
+    for column in COLUMNS:
+        np.testing.assert_array_equal(made.columns[column], drive[column], err_msg=column)
+    assert len(made.segments(60.0)) == 1
+
+
+@pytest.mark.parametrize("ending", ["blf", "asc", "log"])
+def test_a_trace_with_its_dbc_gives_the_same_recording(tmp_path, drive, ending):
+    can = pytest.importorskip("can")
+    _, frames = _bus(drive, tmp_path)
+    path = tmp_path / f"drive.{ending}"
+    with can.Logger(path) as log:
+        for frame in frames:
+            log.on_message_received(frame)
+    (tmp_path / "map.yaml").write_text("dbc: bus.dbc\n")
+    made = read_recording(path, tmp_path / "map.yaml")
+    for column in COLUMNS[1:]:
+        np.testing.assert_allclose(made.columns[column], drive[column], rtol=0, atol=0, err_msg=column)
+    np.testing.assert_allclose(made.time_s - made.time_s[0], drive["time_s"], atol=2e-6)  # what the formats resolve
+    assert read_raw(path, tmp_path / "bus.dbc").signals["p_im_pa"].unit == "Pa"
+
+
+def test_the_content_decides_not_the_ending(tmp_path, drive):
+    drive.to_parquet(tmp_path / "drive.csv")
+    drive.to_csv(tmp_path / "drive.parquet", index=False)
+    for name in ("drive.csv", "drive.parquet"):
+        np.testing.assert_array_equal(read_recording(tmp_path / name).columns["t_em_k"], drive["t_em_k"])
+
+
+def test_units_come_along(tmp_path, drive):
+    for name in ("units.txt", "version4.mf4"):
+        WRITERS[name](drive, tmp_path / name)
+    assert read_raw(tmp_path / "units.txt").units["t_em_k"] == "K"
+    assert read_raw(tmp_path / "version4.mf4").signals["p_im_pa"].unit == "Pa"
+
+
+def test_a_missing_library_is_one_line_that_says_what_to_install(tmp_path, drive, monkeypatch):
+    WRITERS["drive.xlsx"](drive, tmp_path / "drive.xlsx")
+    WRITERS["version4.mf4"](drive, tmp_path / "version4.mf4")
+    for module in ("openpyxl", "asammdf"):
+        monkeypatch.setitem(__import__("sys").modules, module, None)
+    for name in ("drive.xlsx", "version4.mf4"):
+        with pytest.raises(InputError, match=r"pip install 'dieseltwin\[formats\]'") as error:
+            read_recording(tmp_path / name)
+        assert "\n" not in str(error.value)
+
+
+def test_slow_sensors_stay_slow(tmp_path):
+    """Turbo speed at 1 Hz and boost at 2 Hz beside inputs at 50 Hz: rows at 5 Hz, nothing held between the readings."""
+    asammdf = pytest.importorskip("asammdf")
+    reference = pd.read_csv(REFERENCE / "field_random_300s.csv")
+
+    def sampled(name: str, step: float, phase: float = 0.0) -> object:
+        time = np.arange(phase, 120.0, step)
+        values = np.interp(time, reference["time_s"], reference[name])
+        return asammdf.Signal(values, time, name=name)
+
+    steps = {"n_e_rpm": 0.02, "u_delta_mg": 0.02, "u_egr_pct": 0.1, "u_vgt_pct": 0.1, "p_em_pa": 0.1, "p_im_pa": 0.5,
+             "omega_t_rad_s": 1.0, "w_egr_kg_s": 0.05, "t_em_k": 0.5}  # fmt: skip
+    with asammdf.MDF(version="4.10") as mdf:
+        for name, step in steps.items():
+            mdf.append(sampled(name, step))
+        mdf.save(tmp_path / "rasters.mf4")
+    made = read_recording(tmp_path / "rasters.mf4")
+    np.testing.assert_allclose(np.diff(made.time_s), 0.2)
+    present = {name: int(np.isfinite(made.columns[name]).sum()) for name in steps}
+    assert present["omega_t_rad_s"] == pytest.approx(120, abs=1) and present["p_im_pa"] == pytest.approx(240, abs=1)
+    assert present["p_em_pa"] == len(made.time_s)
+    turbo = np.flatnonzero(np.isfinite(made.columns["omega_t_rad_s"]))
+    truth = np.interp(made.time_s[turbo], reference["time_s"], reference["omega_t_rad_s"])
+    np.testing.assert_allclose(made.columns["omega_t_rad_s"][turbo], truth, rtol=1e-6)
+    assert any("omega_t_rad_s every 1 s" in note for note in made.notes)
+
+
+def test_a_held_channel_of_a_table_counts_at_its_own_readings_only(drive):
+    from dieseltwin.recordings.reader import recording
+
+    held = drive.assign(omega_t_rad_s=drive["omega_t_rad_s"].to_numpy()[(np.arange(len(drive)) // 5) * 5])
+    made = recording(held)
+    present = np.isfinite(made.columns["omega_t_rad_s"])
+    np.testing.assert_array_equal(np.flatnonzero(present), np.arange(0, len(drive), 5))
+    assert any("omega_t_rad_s is held" in note for note in made.notes)
+    assert recording(drive).notes == ()
+
+
+def test_one_hertz_is_accepted_and_says_what_it_costs(drive):
+    from dieseltwin.recordings.reader import recording
+
+    slow = drive.iloc[::5].reset_index(drop=True)
+    made = recording(slow)
+    assert len(made.pieces()) == 1
+    assert any("1 rows per second" in note and "out of reach" in note for note in made.notes)
+    with pytest.raises(InputError, match="rows per second"):
+        recording(drive.iloc[::10].reset_index(drop=True))

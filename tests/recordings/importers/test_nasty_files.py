@@ -1,0 +1,152 @@
+"""Files as people really have them: each read right, or refused in one line. The list is the documentation."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.importers.read import read_raw
+
+TIME, SPEED = [0.0, 0.1, 0.2, 0.3], [1000.0, 1001.5, 1002.0, 1003.25]
+
+
+def rows(separator: str = ";", decimal: str = ",", time=TIME) -> str:
+    pairs = (f"{t if isinstance(t, str) else f'{t:.1f}'}{separator}{n:.2f}\n" for t, n in zip(time, SPEED, strict=True))
+    return "".join(pairs).replace(".", decimal) if decimal != "." and not isinstance(time[0], str) else "".join(pairs)
+
+
+HEAD = "Zeit;Drehzahl\n"
+READ: dict[str, tuple[str, bytes]] = {
+    "decimal comma and semicolons": ("a.csv", (HEAD + rows()).encode()),
+    "Excel's mark of UTF-8": ("a.csv", ("Zeit,Drehzahl\n" + rows(",", ".")).encode("utf-8-sig")),
+    "UTF-16 with tabs, as Excel saves 'Unicode text'": ("a.txt", ("Zeit\tDrehzahl\n" + rows("\t")).encode("utf-16")),
+    "UTF-16 without a mark": ("a.csv", ("Zeit\tDrehzahl\n" + rows("\t")).encode("utf-16-le")),
+    "Windows-1252 umlauts and a degree sign": ("a.csv", ("Prüfstand 3 °C\n" + HEAD + rows()).encode("cp1252")),
+    "gzip": ("a.csv.gz", gzip.compress((HEAD + rows()).encode())),
+    "gzip that lost its ending": ("a.csv", gzip.compress((HEAD + rows()).encode())),
+    "a row of units in brackets": ("a.csv", (HEAD + "[s];[1/min]\n" + rows()).encode()),
+    "a row of units below, INCA's preamble above": (
+        "a.ascii", ("Version: 7.2\nRecorder;default\nDatum;01.05.2024\n\n" + HEAD + "s;1/min\n\n" + rows()).encode()),
+    "an oscilloscope's units under the names": (
+        "a.csv", ('"Zeit","Drehzahl"\n"(s)","(rpm)"\n\n' + rows(",", ".")).encode()),
+    "Excel's line sep=;": ("a.csv", ("sep=;\n" + HEAD + rows()).encode()),
+    "comments above": ("a.csv", ("# logger 4.2\n# car 17\nZeit,Drehzahl\n" + rows(",", ".")).encode()),
+    "the names in a comment": ("a.csv", ("# Zeit,Drehzahl\n" + rows(",", ".")).encode()),
+    "thousands by points": ("a.csv", (HEAD + "0,0;1.000,00\n0,1;1.001,50\n0,2;1.002,00\n0,3;1.003,25\n").encode()),
+    "thousands by commas, in quotes": (
+        "a.csv", b'Zeit,Drehzahl\n0.0,"1,000.00"\n0.1,"1,001.50"\n0.2,"1,002.00"\n0.3,"1,003.25"\n'),
+    "blanks between columns of fixed width": ("a.txt", ("Zeit  Drehzahl\n" + rows("   ", ".")).encode()),
+    "old Mac line ends": ("a.csv", (HEAD + rows()).replace("\n", "\r").encode()),
+    "a separator at the end of every line": ("a.csv", (HEAD + rows()).replace("\n", ";\n").encode()),
+    "pandas' index in front": (
+        "a.csv", b",Zeit,Drehzahl\n" + b"".join(b"%d,%.1f,%.2f\n" % (i, t, n) for i, (t, n) in
+                                              enumerate(zip(TIME, SPEED, strict=True)))),
+    "words at the end": ("a.csv", (HEAD + rows() + "End of measurement\n").encode()),
+    "zeros at the end, the logger lost power": ("a.csv", (HEAD + rows()).encode() + b"\0" * 300),
+    "German date stamps": ("a.csv", (HEAD + rows(time=[f"01.05.2024 23:59:59,{i}" for i in (6, 7, 8, 9)])).encode()),
+    "ISO stamps in UTC": ("a.csv", ("Zeit,Drehzahl\n" + rows(",", ".", [f"2024-05-01T10:00:00.{i}Z" for i in range(4)])
+                                    ).encode()),
+    "times of day across midnight": ("a.csv", ("Zeit,Drehzahl\n" + rows(
+        ",", ".", ["23:59:59.8", "23:59:59.9", "00:00:00.0", "00:00:00.1"])).encode()),
+    "date and time in two columns": ("a.csv", ("Datum;Zeit;Drehzahl\n" + rows(
+        ";", ".", [f"01.05.2024;12:00:00.{i}" for i in range(4)])).encode()),
+    "a CSV called .xlsx": ("a.xlsx", (HEAD + rows()).encode()),
+    "a text column beside": ("a.csv", (HEAD.strip() + ";Kommentar\n" + rows().replace("\n", ";IDLE\n")).encode()),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", READ)
+def test_read_right(tmp_path, what):
+    name, content = READ[what]
+    (tmp_path / name).write_bytes(content)
+    table = read_raw(tmp_path / name).table
+    assert table is not None
+    np.testing.assert_allclose(table["Zeit"].to_numpy(dtype=float), TIME, atol=1e-9)
+    np.testing.assert_allclose(table["Drehzahl"].to_numpy(dtype=float), SPEED)
+    if "unit" in what:
+        assert read_raw(tmp_path / name).units == {"Zeit": "s", "Drehzahl": "rpm" if "scope" in what else "1/min"}
+
+
+@pytest.mark.parametrize("word", ["", "NaN", "n/a", "#N/A", "---", "1.#QNAN", "INVALID", "#DIV/0!", "null"])
+def test_every_word_for_no_reading_is_missing(tmp_path, word):
+    (tmp_path / "a.csv").write_text(f"Zeit;Drehzahl;p\n0,0;1000;1\n0,1;{word};2\n0,2;1002;3\n0,3;1003;4\n")
+    table = read_raw(tmp_path / "a.csv").table
+    assert table is not None and np.isnan(table["Drehzahl"][1]) and table["Drehzahl"].notna().sum() == 3
+
+
+def zipped(**files: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name.replace("__", "/"), content)
+    return buffer.getvalue()
+
+
+def timetable() -> bytes:
+    buffer = io.BytesIO()
+    scipy.io.savemat(buffer, {"text": "only words"})
+    return buffer.getvalue()
+
+
+REFUSED: dict[str, tuple[str, bytes, str]] = {
+    "empty": ("a.csv", b"", "empty"),
+    "names only": ("a.csv", b"Zeit;Drehzahl\n", "no rows"),
+    "numbers without names": ("a.csv", b"0,1000\n1,1001\n2,1002\n", "names in the first row"),
+    "one column": ("a.csv", b"n\n1\n2\n3\n", "two columns"),
+    "a name twice": ("a.csv", b"t,n,n\n0,1,2\n1,2,3\n", "twice"),
+    "rows of different lengths": ("a.csv", b"a,b\n1,2\n1,2\n1,2,3,4\n", "line 4"),
+    "prose": ("a.csv", b"Dear colleague,\nplease find attached\nthe measurement.\n", "no readable CSV"),
+    "a web page": ("a.csv", b"<!DOCTYPE html><html><body>log in</body></html>", "web page"),
+    "JSON": ("a.json", b'[{"t": 0}]', "JSON"),
+    "a PDF": ("a.pdf", b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n", "PDF"),
+    "a picture": ("a.png", b"\x89PNG\r\n\x1a\n" + bytes(50), "picture"),
+    "a Git LFS pointer": ("a.mf4", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
+    "old Excel": ("a.xls", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600), "save it as .xlsx"),
+    "a zip with a CSV": ("a.zip", zipped(**{"a.csv": b"t,n\n0,1\n"}), "unpack"),
+    "binary Excel": ("a.xlsb", zipped(xl__workbook_bin=b"").replace(b"workbook_bin", b"workbook.bin"), "xlsb"),
+    "a broken gzip": ("a.csv.gz", gzip.compress(b"t,n\n" + b"0,1\n" * 5000)[:60], "gzip"),
+    "a truncated MDF": ("a.mf4", b"MDF     4.10    " + bytes(200), "MDF"),
+    "half a MATLAB file": (
+        "a.mat", b"MATLAB 5.0 MAT-file, Platform".ljust(124) + b"\x00\x01IM" + b"\x0f\0\0\0\xff", "MATLAB"),
+    "a MATLAB file of words": ("a.mat", timetable(), "vectors"),
+    "HDF5 that stops": ("a.mat", b"\x89HDF\r\n\x1a\n" + bytes(40), "7.3"),
+    "nothing but zeros": ("a.blf", bytes(5000), "zero"),
+    "noise": ("a.bin", bytes(range(256)) * 20, "binary"),
+    "a BLF that stops": ("a.blf", b"LOGG" + bytes(20), "BLF"),
+    "a DBC in place of the trace": ("a.dbc", b'VERSION ""\n\nBO_ 100 M: 8 X\n', "describes a bus"),
+    "a CAN trace without times": ("a.log", b"  can0  18FEF600   [8]  FF 28 55 2E FF 60 5A FF\n" * 5, "times"),
+    "Parquet that stops": ("a.parquet", b"PAR1" + bytes(30), "Parquet"),
+    "a stamp that is none": (
+        "a.csv", b"t,n\n2024-05-01 10:00:00,1\n2024-05-01 10:00:01,2\nyesterday,3\n", "data row 3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_a_measurement_cut_in_the_middle_is_one_line_and_nothing_on_stderr(tmp_path, version, capfd):
+    asammdf = pytest.importorskip("asammdf")
+    whole, path = tmp_path / "whole.mf4", tmp_path / "half.mf4"
+    with asammdf.MDF(version=version) as mdf:
+        mdf.append(asammdf.Signal(np.arange(5000.0), np.arange(5000.0), name="n_e"))
+        whole = mdf.save(whole, overwrite=True)
+    path.write_bytes(whole.read_bytes()[:30_000])
+    with pytest.raises(InputError, match="MDF") as error:
+        read_raw(path)
+    assert "\n" not in str(error.value) and capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_refused_in_one_line(tmp_path, what):
+    name, content, word = REFUSED[what]
+    path: Path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError) as error:
+        read_raw(path)
+    message = str(error.value)
+    assert name in message and word in message and "\n" not in message and len(message) < 400, message
