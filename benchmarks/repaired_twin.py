@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.engine import HEALTH, INPUT_COLUMNS, MEASURED, EngineParameters, Inputs, simulate, we2011
-from dieseltwin.engine.effects import Term
+from dieseltwin.engine.terms import Term
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
 from dieseltwin.paper.loops import baseline

@@ -23,7 +23,8 @@ from dieseltwin.calibration.imply import Answerer, Guess, guess_of
 from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.repair import Repair
 from dieseltwin.calibration.steady_model import SteadyModel
-from dieseltwin.engine.parameters import EngineParameters, load_engine
+from dieseltwin.engine.engine_files import load_engine
+from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 
 FORMAT = 1

@@ -19,7 +19,7 @@ from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.sensors import NOISE_REL, SENSORS, SensorSet, shown
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, load_discrepancy
 from dieseltwin.engine import Inputs, simulate, we2011
-from dieseltwin.engine.parameters import load_engine
+from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.terms import OneTerm, Term
 
 SETTLED_ROWS = 25  # of the start, left out

@@ -10,7 +10,7 @@ from dieseltwin.discovery.likelihood.score import effect_responses, score, secan
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
 from dieseltwin.engine import HEALTH, EngineParameters
-from dieseltwin.engine.effects import Term
+from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.noise import Noise, estimate_noise
 from dieseltwin.recordings.reader import Recording
 

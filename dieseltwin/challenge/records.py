@@ -18,8 +18,8 @@ from dieseltwin.challenge.run import FAILED, RESULTS
 from dieseltwin.challenge.seal import SEALED, file_sha256
 from dieseltwin.discovery.verdict.document import FILE_NAME, NONE_OF_THESE, Discrepancy, load_discrepancy
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
-from dieseltwin.engine.effects import Term
-from dieseltwin.engine.parameters import load_engine
+from dieseltwin.engine.engine_files import load_engine
+from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.reader import Recording, read_recording
 
 COUNTED_RATIO = 3.0

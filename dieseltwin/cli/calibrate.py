@@ -14,7 +14,8 @@ from dieseltwin.atomic import atomic_folder, check_writable, write_json
 from dieseltwin.cli.petrol import BASE as PETROL
 from dieseltwin.cli.petrol import is_petrol_base, run_calibrate_petrol
 from dieseltwin.engine import we2011
-from dieseltwin.engine.parameters import EngineParameters, load_engine
+from dieseltwin.engine.engine_files import load_engine
+from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import refuse_options
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -36,10 +35,10 @@ def show_effects(
 
 
 def json_lines() -> Iterator[str]:
-    """The catalogue as strict JSON: a list of objects, every attribute of `engine.effects.Effect`."""
+    """The catalogue as strict JSON: a list of objects, the attributes of `engine.effect.Effect`."""
     from dieseltwin.engine.effects import EFFECTS
 
-    yield json.dumps([asdict(effect) for effect in EFFECTS.values()], indent=2, ensure_ascii=False, allow_nan=False)
+    yield json.dumps([effect.document() for effect in EFFECTS.values()], indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def table_lines() -> Iterator[str]:
@@ -62,7 +61,8 @@ def with_effects(parameters: EngineParameters, options: Sequence[str] | None) ->
     Raises:
         InputError: not NAME=VALUE, an unknown name, a value that is no number or impossible, a name given twice.
     """
-    from dieseltwin.engine.effects import EFFECTS, Term
+    from dieseltwin.engine.effects import EFFECTS
+    from dieseltwin.engine.terms import Term
 
     terms = {}
     for option in options or ():

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from dieseltwin.engine.manifolds import X_OC as _OXYGEN_OF_AIR
-from dieseltwin.engine.parameters import CONSTANT_NAMES, Constants
+from dieseltwin.engine.model_constants import CONSTANT_NAMES, Constants
 
 
 def _cache_folder() -> str:
@@ -28,7 +28,7 @@ def _cache_folder() -> str:
     """
     here = Path(__file__).parent
     digest = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
-    for source in sorted(here.glob("*.py")):
+    for source in sorted(here.rglob("*.py")):
         digest.update(source.name.encode() + source.read_bytes())
     name = digest.hexdigest()[:16]
     places = [

@@ -31,10 +31,11 @@ from dieseltwin.engine._compiled import (
     load_constants,
 )
 from dieseltwin.engine.binding import bind
-from dieseltwin.engine.extended_model import Gas, Magnitudes, Signals
-from dieseltwin.engine.parameters import CONSTANT_NAMES
+from dieseltwin.engine.effects import DRIFTS, GAS_LAG, STATE_EFFECTS, Magnitudes
+from dieseltwin.engine.model_constants import CONSTANT_NAMES
+from dieseltwin.engine.quantities import Gas, OperatingPoint, Signals
 
-N_EFFECTS, N_POINTS = len(Magnitudes._fields), len(Signals._fields)
+N_EFFECTS, N_POINTS = len(STATE_EFFECTS), len(Signals._fields)
 N_OUT = 9  # p_im, p_em, omega_t, x_r, T_1, T_gas, W_egr, T_em, W_c
 
 # Rows of the flat work array, in units of LANES.
@@ -47,21 +48,22 @@ SIGNAL = EFFECT + N_EFFECTS  # value at the sample before
 SLOPE = SIGNAL + N_POINTS  # change until the sample after
 CONSTANT = SLOPE + N_POINTS
 
-INERTIA = Magnitudes._fields.index("exhaust_thermal_inertia")
-CLOGGING = Magnitudes._fields.index("egr_clogging")
+INERTIA = STATE_EFFECTS.index(GAS_LAG)
+GROWS = np.array(DRIFTS)
 
 
 @numba.njit(**_INLINED)
-def _free_inlet(p_im, omega_t, factor, scale, m, c):  # type: ignore[no-untyped-def]
-    return scale * c.p_amb
+def _free_inlet(x, m, s, c):  # type: ignore[no-untyped-def]
+    return c.p_amb * (1.0 + s.p_bc)
 
 
 @numba.njit(**_INLINED)
-def _free_outlet(p_em, T_em, u_vgt, factor, scale, m, c):  # type: ignore[no-untyped-def]
-    return scale * c.p_amb
+def _free_outlet(x, T_em, m, s, c):  # type: ignore[no-untyped-def]
+    return c.p_amb * (1.0 + s.p_es)
 
 
 _free_model = bind("numba", {"inlet_pressure": _free_inlet, "outlet_pressure": _free_outlet})
+driven = _model.driven
 intake_side = _free_model.intake_side
 exhaust_side = _free_model.exhaust_side
 charge_constants = _model.charge_constants
@@ -69,8 +71,8 @@ cylinder_sweep = _model.cylinder_sweep
 exhaust_to_intake_ratio = _model.exhaust_to_intake_ratio
 
 
-def _loader(name: str, kind: type, first: int, moving: bool = False) -> Any:
-    fields = [f"work[{first + j} * lanes + k]" for j in range(len(kind._fields))]  # type: ignore[attr-defined]
+def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
+    fields = [f"work[{first + j} * lanes + k]" for j in range(len(kind._fields))]
     if moving:
         slopes = [f"fraction * work[{SLOPE + j} * lanes + k]" for j in range(len(fields))]
         fields = [f"{value} + {slope}" for value, slope in zip(fields, slopes, strict=True)]
@@ -92,19 +94,19 @@ def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
         c = load_constants(work, CONSTANT * LANES + k, LANES)
         m = load_magnitudes(work, k, LANES, fraction)
         s = load_signals(work, k, LANES, fraction)
-        p_im = work[k]
-        p_em = work[LANES + k]
-        omega_t = work[2 * LANES + k]
+        given = OperatingPoint(
+            work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k],
+            work[INPUT * LANES + k], work[(INPUT + 1) * LANES + k], work[(INPUT + 2) * LANES + k],
+            work[(INPUT + 3) * LANES + k],
+        )  # fmt: skip
+        x = driven(given, m, s, c)
         gas = Gas(work[GAS * LANES + k], work[GAIN * LANES + k], work[CARRY * LANES + k])
-        i = intake_side(
-            p_im, p_em, omega_t, gas.T, work[INPUT * LANES + k], work[(INPUT + 1) * LANES + k],
-            work[(INPUT + 2) * LANES + k], work[(INPUT + 3) * LANES + k], m, s, c,
-        )  # fmt: skip
+        i = intake_side(x, gas, m, s, c)
         warm = cylinder_sweep(
-            exhaust_to_intake_ratio(p_em, p_im), i.W_ei, i.W_f, work[3 * LANES + k], work[4 * LANES + k],
-            charge_constants(i, s, c),
-        )  # fmt: skip
-        q = exhaust_side(i, p_im, p_em, omega_t, warm.x_r, warm.T_1, gas, m, s, c)
+            exhaust_to_intake_ratio(x.p_em, x.p_im), i.W_ei, i.W_f, x.x_r, x.T_1, charge_constants(i, x, m, s, c)
+        )
+        x = OperatingPoint(x.p_im, x.p_em, x.omega_t, warm.x_r, warm.T_1, x.n_e, x.u_delta, x.u_egr, x.u_vgt)
+        q = exhaust_side(i, x, gas, m, s, c)
         work[3 * LANES + k] = q.x_r_next
         work[4 * LANES + k] = q.T_1_next
         work[GAS * LANES + k] = q.T_em
@@ -126,7 +128,7 @@ def load_interval(  # type: ignore[no-untyped-def]
     """Magnitudes at sample i and the signals from there to the next sample."""
     following = min(i + 1, time.shape[0] - 1)
     for e in range(N_EFFECTS):
-        since = max(time[i] - start, 0.0) if e == CLOGGING else 1.0
+        since = max(time[i] - start, 0.0) if GROWS[e] else 1.0
         for k in range(LANES):
             work[(EFFECT + e) * LANES + k] = schedules[schedule_of_lane[k], e, i] * since * magnitudes[e, k]
     for p in range(N_POINTS):
@@ -288,7 +290,7 @@ T_GAS_START = 700.0  # K, start of the fixed point of the gas temperature
 P_AMB = CONSTANT_NAMES.index("p_amb")
 
 integrate_free = numba.njit(cache=True, **_OPTIONS)(_integrate_extended)
-"""Integrate a block without air_filter_restriction and back_pressure, whose laws are implicit."""
+"""Integrate a block without the effects of `effects.IMPLICIT`."""
 
 _evaluate_restricted = numba.njit(**_OPTIONS)(
     _variant(_evaluate, "_restricted", LANES, intake_side=_model.intake_side, exhaust_side=_model.exhaust_side)

@@ -4,31 +4,41 @@ An equation is written once, over the primitives of `array_namespace`, and calls
 names. `bind` copies the functions with another globals dictionary, in which the primitives (and, if wished, single
 equations) are replaced. A namespace argument would do the same for numpy and torch, but numba can't compile
 functions that are passed around in an object; globals are what it understands.
+
+The composition (`model`) is bound twice: with the laws of the effects in its hooks, and without them, as the published
+model.
 """
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import math
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, get_type_hints
 
 from dieseltwin.engine import (
     actuators,
     array_namespace,
     cylinder,
-    effect_laws,
+    effects,
     egr,
-    extended_model,
+    hooks,
     manifolds,
     model,
+    model_constants,
+    nozzle,
     parameters,
+    quantities,
     turbocharger,
+    without_effects,
 )
+from dieseltwin.engine.effect import Effect
 from dieseltwin.errors import DieselTwinError
 
-_MODULES = (manifolds, cylinder, egr, turbocharger, actuators, model, effect_laws, extended_model)
+_LEAVES = (manifolds, cylinder, egr, turbocharger, actuators, nozzle)
 MAPS = ("eta_vol", "f_egr", "F_vgt_Pi_t", "eta_tm", "eta_c", "Phi_c")
 """The six empirical maps that a learned surrogate may replace (paper, table of surrogates)."""
 
@@ -36,6 +46,8 @@ COMPILED: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "f
 """Options of a compiled equation: without forced inlining the 80 constants travel through memory at every call."""
 
 Backend = Literal["numpy", "torch", "numba"]
+Function = Callable[..., Any]
+Scope = dict[str, Any]
 
 
 class Model(types.SimpleNamespace):
@@ -47,16 +59,71 @@ class Model(types.SimpleNamespace):
     settle_cylinder: Callable[..., Any]
 
 
-def equations() -> dict[str, Callable[..., Any]]:
+def functions_of(module: types.ModuleType) -> dict[str, types.FunctionType]:
+    """The functions that a module defines."""
+    return {
+        name: value
+        for name, value in vars(module).items()
+        if isinstance(value, types.FunctionType) and value.__module__ == module.__name__
+    }
+
+
+def effect_modules() -> tuple[types.ModuleType, ...]:
+    """The modules of the effects that enter at quantities."""
+    names = (n for n, e in effects.EFFECTS.items() if e.enters.through == "quantity")
+    return tuple(importlib.import_module(f"{effects.__name__}.{name}") for name in names)
+
+
+def equations() -> dict[str, Function]:
     """Every equation of the engine by name (the numpy functions as written)."""
-    found: dict[str, Callable[..., Any]] = {}
-    for module in _MODULES:
-        for name, value in vars(module).items():
-            if isinstance(value, types.FunctionType) and value.__module__ == module.__name__:
-                if name in found:
-                    raise DieselTwinError(f"equation {name} is defined twice")
-                found[name] = value
+    found: dict[str, Function] = {}
+    for module in (*_LEAVES, model, *effect_modules()):
+        for name, value in functions_of(module).items():
+            if name in found:
+                raise DieselTwinError(f"equation {name} is defined twice")
+            found[name] = value
     return found
+
+
+def hook_source(hook: Function, entering: Sequence[Effect]) -> str:
+    """Text of a hook's function that applies the laws of effects.
+
+    Raises:
+        DieselTwinError: a law that names what the hook doesn't know.
+    """
+    quantity, *known = inspect.signature(hook).parameters
+    expressions = {name: f"c.{name}" for name in model_constants.CONSTANT_NAMES}
+    for name, kind in get_type_hints(hook).items():
+        if isinstance(kind, type) and issubclass(kind, tuple) and kind is not model_constants.Constants:
+            expressions |= {field: f"{name}.{field}" for field in kind._fields}  # type: ignore[attr-defined]
+    expressions |= {name: name for name in known}
+    lines = [f"def {hook.__name__}({', '.join((quantity, *known))}):"]
+    for effect in entering:
+        if effect.change is None:
+            raise DieselTwinError(f"effect {effect.name} enters at {effect.enters.name} without a law")
+        unknown = [name for name in effect.arguments if name not in expressions]
+        if unknown:
+            raise DieselTwinError(f"effect {effect.name}: its law names {unknown}; at {quantity} there are "
+                                  f"{sorted(set(expressions) - set(model_constants.CONSTANT_NAMES))}")  # fmt: skip
+        arguments = ", ".join((quantity, f"m.{effect.name}", *(expressions[name] for name in effect.arguments)))
+        lines.append(f"    {quantity} = {effect.change.__name__}({arguments})")
+    return "\n".join((*lines, f"    return {quantity}\n"))
+
+
+def hook_sources() -> dict[str, str]:
+    """Name -> text of all hooks with the laws of the effects that enter there.
+
+    Raises:
+        DieselTwinError: an effect that enters where there is no hook.
+    """
+    names = functions_of(hooks)
+    for effect in effects.EFFECTS.values():
+        if effect.enters.through == "quantity" and f"at_{effect.enters.name}" not in names:
+            raise DieselTwinError(f"effect {effect.name} enters at {effect.enters.name!r}; known: {', '.join(names)}")
+    return {
+        name: hook_source(hook, [effects.EFFECTS[n] for n in effects.effects_at(name.removeprefix("at_"))])
+        for name, hook in names.items()
+    }
 
 
 def _numba_primitives() -> dict[str, Any]:
@@ -84,8 +151,8 @@ def _numba_primitives() -> dict[str, Any]:
 
     def constructor(name: str, **changes: str) -> Any:
         # Written out: numba can't call `_replace` of a NamedTuple.
-        fields = ", ".join(changes.get(field, f"c.{field}") for field in parameters.CONSTANT_NAMES)
-        scope: dict[str, Any] = {"Constants": parameters.Constants, "__name__": __name__}
+        fields = ", ".join(changes.get(field, f"c.{field}") for field in model_constants.CONSTANT_NAMES)
+        scope: dict[str, Any] = {"Constants": model_constants.Constants, "__name__": __name__}
         exec(f"def {name}(c, {', '.join(changes.values())}):\n    return Constants({fields})\n", scope)
         return numba.njit(**options)(scope[name])
 
@@ -106,7 +173,39 @@ def _cached_numba_primitives() -> dict[str, Any]:
     return _numba_primitives()
 
 
-def bind(backend: Backend, replace: Mapping[str, Callable[..., Any]] | None = None) -> Model:
+def primitives_of(backend: Backend) -> dict[str, Any]:
+    """The primitives of a backend by name."""
+    if backend == "numpy":
+        return {name: getattr(array_namespace, name) for name in array_namespace.PRIMITIVES}
+    if backend == "torch":
+        return array_namespace.torch_primitives()
+    if backend == "numba":
+        return _cached_numba_primitives()
+    raise DieselTwinError(f"unknown backend {backend!r}; allowed: numpy, torch, numba")
+
+
+def _named_values(module: types.ModuleType) -> Scope:
+    """Constants (limiters), result types and tuples of numbers that a module's functions name."""
+    return {
+        name: value
+        for name, value in vars(module).items()
+        if isinstance(value, (int, float)) or (isinstance(value, type) and issubclass(value, tuple))
+        or (isinstance(value, tuple) and hasattr(value, "_fields"))
+    }  # fmt: skip
+
+
+def _in_scope(function: Any, scope: Scope, backend: Backend) -> Function:
+    copy = types.FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
+    copy.__doc__ = function.__doc__
+    copy.__module__ = scope["__name__"]
+    if backend == "numba":
+        import numba
+
+        return numba.njit(**COMPILED)(copy)  # type: ignore[no-any-return]
+    return copy
+
+
+def bind(backend: Backend, replace: Mapping[str, Function] | None = None) -> Model:
     """The model's equations over a backend, with some of them replaced.
 
     Args:
@@ -117,35 +216,42 @@ def bind(backend: Backend, replace: Mapping[str, Callable[..., Any]] | None = No
     Raises:
         DieselTwinError: unknown backend or equation name.
     """
-    functions = equations()
     replace = dict(replace or {})
-    unknown = sorted(set(replace) - set(functions))
+    unknown = sorted(set(replace) - set(equations()))
     if unknown:
         raise DieselTwinError(f"can't replace unknown equations {unknown}; the empirical maps are {MAPS}")
-    if backend == "numpy":
-        primitives: dict[str, Any] = {name: getattr(array_namespace, name) for name in array_namespace.PRIMITIVES}
-    elif backend == "torch":
-        primitives = array_namespace.torch_primitives()
-    elif backend == "numba":
-        primitives = _cached_numba_primitives()
-    else:
-        raise DieselTwinError(f"unknown backend {backend!r}; allowed: numpy, torch, numba")
+    shared: Scope = {"__builtins__": __builtins__, "__name__": __name__}  # numba's cache imports it
+    for module in (*_LEAVES, quantities, model_constants, model):
+        shared |= _named_values(module)
+    shared |= primitives_of(backend)
 
-    shared: dict[str, Any] = {"__builtins__": __builtins__, "__name__": __name__}  # numba's cache imports it
-    for module in _MODULES:  # constants (limiters) and result types that the functions name
-        for name, value in vars(module).items():
-            if isinstance(value, (int, float)) or (isinstance(value, type) and issubclass(value, tuple)):
-                shared[name] = value
-    shared.update(primitives)
-    bound: dict[str, Any] = {}
-    for name, function in functions.items():
-        copy = types.FunctionType(function.__code__, shared, name, function.__defaults__)
-        copy.__doc__ = function.__doc__
-        copy.__module__ = shared["__name__"]
-        if backend == "numba":
-            import numba
+    def bound(module: types.ModuleType, scope: Scope) -> Scope:
+        """The module's functions in a scope, which then holds them too."""
+        own = {name: replace.get(name) or _in_scope(f, scope, backend) for name, f in functions_of(module).items()}
+        scope.update(own)
+        return own
 
-            copy = numba.njit(**COMPILED)(copy)
-        bound[name] = replace.get(name, copy)
-    shared.update(bound)
-    return Model(**bound, constants=parameters.constants)
+    leaves: Scope = {}
+    for module in _LEAVES:
+        leaves |= bound(module, shared)
+    for module in effect_modules():  # constants of an effect are its own
+        laws = bound(module, {**shared, **_named_values(module)})
+        leaves |= laws
+    full, plain = {**shared, **leaves}, dict(shared)
+    for name, text in hook_sources().items():
+        exec(compile(text, f"<{name}>", "exec"), full)
+        full[name] = _in_scope(full[name], full, backend)
+    composed = bound(model, full)
+    bound(hooks, plain)
+    published = bound(model, plain)
+    plain.update({
+        name: _in_scope(function, plain, backend) for name, function in functions_of(without_effects).items()
+    })
+    composed["quantities"] = published["quantities"]
+    return Model(**leaves, **composed, constants=parameters.constants)
+
+
+@lru_cache(maxsize=1)
+def numpy_model() -> Model:
+    """The equations over numpy arrays."""
+    return bind("numpy")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dieseltwin.engine.array_namespace import Array, exp, maximum, minimum, positive_power, root
-from dieseltwin.engine.parameters import Constants
+from dieseltwin.engine.model_constants import Constants
 
 X_R_MAX = 1.0  # limiter: residual gas fraction in [0, 1]
 T_1_MIN = 273.0  # K, limiter of the published simulation

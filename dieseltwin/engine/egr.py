@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dieseltwin.engine.array_namespace import Array, maximum, minimum, root
-from dieseltwin.engine.parameters import Constants
+from dieseltwin.engine.model_constants import Constants
 
 
 def egr_valve_position(u_egr1: Array, u_egr2: Array, c: Constants) -> Array:

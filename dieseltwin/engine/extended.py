@@ -4,24 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from dieseltwin.engine._compiled import LANES
 from dieseltwin.engine._compiled_extended import N_OUT, integrate_free, integrate_restricted
-from dieseltwin.engine.effect_catalogue import POINTS, STATE_EFFECTS
+from dieseltwin.engine.effects import IMPLICIT, STATE_EFFECTS
 from dieseltwin.engine.inputs import Actuation
+from dieseltwin.engine.observations import Observations, pool, thread_count
 from dieseltwin.engine.parameters import ParameterBatch
-from dieseltwin.engine.simulate import Observations, _pool, thread_count
+from dieseltwin.engine.quantities import POINTS
 from dieseltwin.errors import InputError
 
 EXTENDED_STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k", "t_gas_k")
 """Order of the states of `simulate_extended`; the last is the gas temperature that heats the EGR or lags."""
-
-IMPLICIT = ("back_pressure", "air_filter_restriction")
-"""Effects whose law is solved at every evaluation: lanes with them run in a kernel of their own, half as fast."""
 
 _MEASURED_AT = (0, 1, 2, 6, 7, 8)
 
@@ -40,7 +36,7 @@ class Extension:
         lane_point: (B,) index into `POINTS` of one further signal per lane, -1 for none; None: none.
         lane_signal: (B, n) values of these further signals.
         restarts: (W,) ascending sample indices, the first 0, at which p_im, p_em, omega_t start anew.
-        start_s: start of the recording, from which `egr_clogging` counts; None: the first sample [s].
+        start_s: start of the recording, from which drifts count; None: the first sample [s].
     """
 
     magnitudes: np.ndarray | None = None
@@ -146,7 +142,7 @@ def simulate_extended(
 
     out = np.empty((lanes, n, N_OUT))
     implicit = magnitudes[[STATE_EFFECTS.index(name) for name in IMPLICIT]]
-    restricted = (implicit != 0.0).any(axis=0)
+    restricted = (implicit != 0.0).any(axis=0)  # lanes with implicit laws run in a kernel of their own, half as fast
 
     def run(block: tuple[Callable[..., None], np.ndarray]) -> None:
         integrate, rows = block
@@ -169,15 +165,8 @@ def simulate_extended(
     ]
     threads = thread_count() if threads is None else threads
     if threads > 1 and len(blocks) > 1:
-        list(_pool(threads).map(run, blocks))
+        list(pool(threads).map(run, blocks))
     else:
         for block in blocks:
             run(block)
     return Observations(out[..., :6], out[..., _MEASURED_AT])
-
-
-def extended_frame(*args: Any, **kwargs: Any) -> pd.DataFrame:
-    """`extended_frame.extended_frame`, under the name by which it is looked for here."""
-    from dieseltwin.engine.extended_frame import extended_frame as frame
-
-    return frame(*args, **kwargs)

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.engine._compiled import follow_lanes
-from dieseltwin.engine.binding import Model
-from dieseltwin.engine.effect_catalogue import POINTS, STATE_EFFECTS
+from dieseltwin.engine.binding import Model, numpy_model
+from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.extended import Extension, simulate_extended
-from dieseltwin.engine.extended_model import ExtendedQuantities, Gas, Magnitudes, Signals
 from dieseltwin.engine.inputs import Actuation
-from dieseltwin.engine.parameters import Constants, ParameterBatch
+from dieseltwin.engine.model_constants import Constants
+from dieseltwin.engine.observations import Observations
+from dieseltwin.engine.parameters import ParameterBatch
+from dieseltwin.engine.quantities import POINTS, ExtendedQuantities, Gas, OperatingPoint, Signals
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
-from dieseltwin.engine.simulate import Observations, numpy_model
 from dieseltwin.engine.terms import REGION_COLUMNS, SENSOR_SLOTS, LawTerm, OneTerm, amounts, effect_terms, law_terms
 from dieseltwin.errors import InputError
 from dieseltwin.symbols import MEASURED
@@ -122,7 +123,8 @@ def simulate_lanes(
 
 
 def _is_constant(term: Any) -> bool:
-    return term.onset_s is None and not term.region and term.slot != "egr_clogging"
+    drifts = term.slot in EFFECTS and EFFECTS[term.slot].drifts
+    return term.onset_s is None and not term.region and not drifts
 
 
 def _one_by_one(batch: ParameterBatch) -> Iterator[ParameterBatch]:
@@ -191,7 +193,7 @@ def law_variables(q: ExtendedQuantities, states: Mapping[str, Any], c: Constants
 
 
 def quantities_under(
-    model: Model, states: Mapping[str, Any], gas: Gas, m: Magnitudes, laws: Sequence[LawTerm], factors: Sequence[Any],
+    model: Model, states: Mapping[str, Any], gas: Gas, m: Any, laws: Sequence[LawTerm], factors: Sequence[Any],
     c: Constants, power: Power = np.power, sweeps: int = POINT_SWEEPS, newton: bool = False,
 ) -> tuple[ExtendedQuantities, Signals]:  # fmt: skip
     """`quantities_extended` with law terms evaluated on its own quantities.
@@ -207,17 +209,15 @@ def quantities_under(
         newton: rounds by the secant of each signal: where a law's quantity answers its own signal strongly (a filter at
             high flow, W_c against p_bc) plain rounds swing about the solution.
     """
-    order = ("p_im", "p_em", "omega_t", "x_r", "T_1")
-    inputs = ("n_e", "u_delta", "u_egr", "u_vgt")
-    arguments = (*(states[n] for n in order), gas, *(states[n] for n in inputs), m)
+    x = OperatingPoint(*(states[name] for name in OperatingPoint._fields))
     s = Signals(*([0.0] * len(POINTS)))
-    q = model.quantities_extended(*arguments, s, c)
+    q = model.quantities_extended(x, gas, m, s, c)
     last: tuple[Signals, Signals] | None = None
     for _ in range(sweeps if laws else 0):
         new = signals_of(laws, factors, law_variables(q, states, c), power)
         following = new if last is None or not newton else Signals(*map(_by_secant, *last, s, new))
         last, s = (s, new), following
-        q = model.quantities_extended(*arguments, s, c)
+        q = model.quantities_extended(x, gas, m, s, c)
     return q, s
 
 
@@ -226,6 +226,18 @@ def _by_secant(s_0: Any, f_0: Any, s_1: Any, f_1: Any) -> Any:
     change = s_1 - s_0
     slope = np.minimum((f_1 - f_0) * change / (change * change + _LEAST_CHANGE), _STEEPEST)
     return s_1 + (f_1 - s_1) / (1.0 - slope)
+
+
+def magnitudes_at(
+    terms: Terms, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]
+) -> Any:
+    """Magnitudes of the effects in the right-hand side at the samples, (n,) each, drifts as rate times time.
+
+    Args: as of `terms.amounts`.
+    """
+    rows = amounts(terms, STATE_EFFECTS, time_s, start_s, conditions)
+    rows[np.array(DRIFTS)] *= np.maximum(time_s - start_s, 0.0)
+    return Magnitudes(*rows)
 
 
 def along(
@@ -241,10 +253,9 @@ def along(
         c: constants; arrays of shape (B, 1) for several lanes.
     """
     start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
-    n_e, u_delta, u_egr, u_vgt = actuation.grid[:, np.concatenate([[0], np.cumsum(2 * actuation.steps)])]
-    m = Magnitudes(*amounts(terms, STATE_EFFECTS, actuation.time_s, start, conditions))
-    inertia = m.exhaust_thermal_inertia
-    m = m._replace(egr_clogging=m.egr_clogging * np.maximum(actuation.time_s - start, 0.0))
+    n_e, u_delta, u_egr, u_vgt = actuation.at_samples()
+    m = magnitudes_at(terms, actuation.time_s, start, conditions)
+    inertia = getattr(m, GAS_LAG)
     laws = law_terms(terms)
     factors = [law.factor(actuation.time_s, start, conditions) for law in laws]
     p_im, p_em, omega_t, x_r, T_1 = np.moveaxis(states[..., :5], -1, 0)

@@ -1,4 +1,4 @@
-"""Inputs of the model over time, and the actuator states that follow from them alone."""
+"""Inputs of the model over time, and what holds the actuator states that follow from them alone (`actuation`)."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dieseltwin.engine._compiled import follow_lags
-from dieseltwin.engine.effect_catalogue import ACTUATOR_EFFECTS
-from dieseltwin.engine.egr import egr_valve_position
-from dieseltwin.engine.parameters import EngineParameters, constants
+from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 
 DEFAULT_STEP_S = 0.0125
@@ -134,6 +131,10 @@ class Actuation:
     u_egr: np.ndarray
     grid: np.ndarray = field(repr=False)
 
+    def at_samples(self) -> np.ndarray:
+        """n_e, u_delta, u~_egr, u~_vgt at the samples, (4, n)."""
+        return self.grid[:, np.concatenate([[0], np.cumsum(2 * self.steps)])]
+
 
 def half_step_times(time: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Times of every half integration step, (2 N + 1,) [s]."""
@@ -143,48 +144,8 @@ def half_step_times(time: np.ndarray, steps: np.ndarray) -> np.ndarray:
     return np.append(starts + offsets * widths, time[-1])
 
 
-def _delayed_lags(
-    time: np.ndarray, u: np.ndarray, delay: float, taus: tuple[float, ...], wanted: np.ndarray
-) -> np.ndarray:
-    """States of first-order lags behind a dead time at the wanted times, shape (len(taus), len(wanted)) [%]."""
-    start = min(time[0], wanted[0])
-    breaks = time + delay
-    merged = np.union1d(breaks[(breaks > start) & (breaks < wanted[-1])], np.append(wanted, start))
-    delayed = np.interp(merged, breaks, u)  # the first value holds before the first sample
-    states = follow_lags(merged, delayed, np.asarray(taus, dtype=np.float64))
-    return states[:, np.searchsorted(merged, wanted)]
-
-
-def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.ndarray = DEFAULT_STEP_S) -> Actuation:
-    """Exact actuator states at the samples and at the half integration steps.
-
-    Args:
-        inputs: inputs with their history.
-        parameters: gives dead times, lags and K_egr (A.16-A.18, A.25), and terms on the actuators.
-        step_s: largest integration step [s], one for all or one per sample interval, (n - 1,).
-    """
-    if any(getattr(term, "slot", None) in ACTUATOR_EFFECTS for term in parameters.terms):
-        from dieseltwin.engine.actuator_effects import actuate_terms
-
-        return actuate_terms(inputs, parameters, step_s)
-    if not (np.isfinite(step_s) & (np.asarray(step_s) > 0)).all():
-        raise InputError(
-            "integration step", got=repr(step_s), allowed="a positive time in s", do=f"use {DEFAULT_STEP_S}"
-        )
-    time = inputs.segment_time_s
-    steps = steps_between(time, step_s)
-    half = half_step_times(time, steps)
-    p = parameters
-    u_egr1, u_egr2 = _delayed_lags(inputs.time_s, inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2), half)
-    (u_vgt,) = _delayed_lags(inputs.time_s, inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,), half)
-    u_egr = egr_valve_position(u_egr1, u_egr2, constants(p))
-    grid = np.stack(
-        [
-            np.interp(half, inputs.time_s, inputs.n_e_rpm),
-            np.interp(half, inputs.time_s, inputs.u_delta_mg),
-            u_egr,
-            u_vgt,
-        ]
-    )
-    at = np.concatenate([[0], np.cumsum(2 * steps)])
-    return Actuation(time, steps, inputs, u_egr1[at], u_egr2[at], u_vgt[at], u_egr[at], np.ascontiguousarray(grid))
+def actuate_like(actuation: Actuation, fine_inputs: Inputs) -> Actuation:
+    """An actuation that also has samples at every integration step of `actuation`, with its actuator states."""
+    steps = np.ones(fine_inputs.time_s.size - 1, dtype=np.int64)
+    u_egr, u_vgt = actuation.grid[2, ::2], actuation.grid[3, ::2]
+    return Actuation(fine_inputs.time_s, steps, fine_inputs, u_egr, u_egr, u_vgt, u_egr, actuation.grid)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dieseltwin.engine.array_namespace import Array, maximum
-from dieseltwin.engine.parameters import Constants
+from dieseltwin.engine.model_constants import Constants
 
 X_OC = 0.2314  # oxygen mass fraction of ambient air [-] (Wahlström & Eriksson 2011, Sec. 2)
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from dieseltwin.engine.model_constants import CONSTANT_NAMES, PUBLISHED, Constants, derived
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
-from dieseltwin.settings.strict import read_mapping
 
 HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 """The four health parameters, in the order of every array that holds them."""
@@ -101,14 +99,15 @@ class EngineParameters(BaseModel):
 
     def replace(self, **changes: Any) -> EngineParameters:
         """A copy with the named parameters changed; raises InputError for an unknown name or a value out of range."""
-        return _validated({**self.model_dump(), **changes}, source="engine parameters")
+        return validated({**self.model_dump(), **changes}, source="engine parameters")
 
     def health(self) -> np.ndarray:
         """The health parameters in the order of `HEALTH`, shape (4,)."""
         return np.array([getattr(self, name) for name in HEALTH])
 
 
-def _validated(values: Mapping[str, Any], source: str) -> EngineParameters:
+def validated(values: Mapping[str, Any], source: str) -> EngineParameters:
+    """Parameters from values by name; raises InputError with `source` for an unknown name or a value out of range."""
     known = list(EngineParameters.model_fields)
     for key in values:
         if key not in known:
@@ -130,19 +129,6 @@ def _validated(values: Mapping[str, Any], source: str) -> EngineParameters:
         ) from None
 
 
-def load_engine(path: str | Path, base: EngineParameters | None = None) -> EngineParameters:
-    """Engine parameters from a YAML file that overrides any parameter of `base` (default: the published set).
-
-    Raises InputError for an unreadable file, an unknown name or a value out of range.
-    """
-    if base is None:
-        from dieseltwin.engine.we2011 import PARAMETERS
-
-        base = PARAMETERS
-    document = read_mapping(path)
-    return _validated({**base.model_dump(), **document}, source=f"engine file {path}")
-
-
 _VECTORS: dict[str, tuple[str, ...]] = {
     "c_vol": ("c_vol1", "c_vol2", "c_vol3"),
     "c_egr": ("c_egr1", "c_egr2", "c_egr3"),
@@ -154,127 +140,12 @@ _VECTORS: dict[str, tuple[str, ...]] = {
 }
 
 
-class Constants(NamedTuple):
-    """The scalars that the equations read: published parameters and, last, factors that depend on them alone.
-
-    Every field is a float, or an array or tensor that broadcasts against the states.
-    """
-
-    c_pa: Any
-    c_va: Any
-    c_pe: Any
-    R_a: Any
-    R_e: Any
-    gamma_a: Any
-    gamma_e: Any
-    T_amb: Any
-    p_amb: Any
-    T_im: Any
-    V_im: Any
-    V_em: Any
-    V_d: Any
-    r_c: Any
-    n_cyl: Any
-    q_HV: Any
-    eta_sc: Any
-    x_cv: Any
-    h_tot: Any
-    d_pipe: Any
-    l_pipe: Any
-    n_pipe: Any
-    c_vol1: Any
-    c_vol2: Any
-    c_vol3: Any
-    A_egrmax: Any
-    Pi_egropt: Any
-    c_egr1: Any
-    c_egr2: Any
-    c_egr3: Any
-    tau_egr1: Any
-    tau_egr2: Any
-    K_egr: Any
-    tau_degr: Any
-    A_vgtmax: Any
-    K_t: Any
-    c_f1: Any
-    c_f2: Any
-    c_vgt1: Any
-    c_vgt2: Any
-    tau_vgt: Any
-    tau_dvgt: Any
-    J_t: Any
-    R_t: Any
-    R_c: Any
-    eta_tmmax: Any
-    BSR_opt: Any
-    c_m1: Any
-    c_m2: Any
-    c_m3: Any
-    omega_tlin: Any
-    c_mlin: Any
-    eta_cmax: Any
-    a_1: Any
-    a_2: Any
-    a_3: Any
-    W_copt: Any
-    pi_copt: Any
-    c_pi: Any
-    c_omega_psi1: Any
-    c_omega_psi2: Any
-    c_omega_psi3: Any
-    c_omega_phi1: Any
-    c_omega_phi2: Any
-    c_omega_phi3: Any
-    c_psi2: Any
-    c_phi2: Any
-    AF_s: Any
-    gamma_cyl: Any
-    eta_igch: Any
-    c_fric1: Any
-    c_fric2: Any
-    c_fric3: Any
-    inverse_gamma_a: Any
-    compression_heating: Any
-    pipe_area: Any
-    turbine_exponent: Any
-    wheel_volume: Any
-    u_egr_vertex: Any
-    otto_efficiency: Any
-    choking_a: Any
-    choking_e: Any
-
-
-CONSTANT_NAMES = Constants._fields
-_DERIVED = Constants._fields[Constants._fields.index("inverse_gamma_a") :]
-_PUBLISHED = tuple(name for name in CONSTANT_NAMES if name not in _DERIVED)
-
-
-def _derived(v: Mapping[str, Any]) -> dict[str, Any]:
-    """Factors of parameters alone, computed once instead of at every right-hand side."""
-    return {
-        "inverse_gamma_a": 1.0 / v["gamma_a"],
-        "compression_heating": v["r_c"] ** (v["gamma_a"] - 1.0),  # T_2/T_1 of the isentropic compression
-        "pipe_area": math.pi * v["d_pipe"] * v["l_pipe"] * v["n_pipe"],  # m2
-        "turbine_exponent": 1.0 - 1.0 / v["gamma_e"],
-        "wheel_volume": math.pi * v["R_c"] ** 3,  # m3
-        "u_egr_vertex": -v["c_egr2"] / (2.0 * v["c_egr1"]),  # %
-        "otto_efficiency": 1.0 - v["r_c"] ** (1.0 - v["gamma_cyl"]),
-        "choking_a": _choking(v["gamma_a"]),
-        "choking_e": _choking(v["gamma_e"]),
-    }
-
-
-def _choking(gamma: Any) -> Any:
-    """Pressure quotient at which an isentropic nozzle chokes [-]."""
-    return (2.0 / (gamma + 1.0)) ** (gamma / (gamma - 1.0))
-
-
 def _scalars(parameters: EngineParameters) -> dict[str, float]:
     values: dict[str, float] = {}
     for name, value in parameters.model_dump().items():
         if name in _VECTORS:
             values.update(zip(_VECTORS[name], value, strict=True))
-        elif name in _PUBLISHED:
+        elif name in PUBLISHED:
             values[name] = float(value)
     return values
 
@@ -282,7 +153,7 @@ def _scalars(parameters: EngineParameters) -> dict[str, float]:
 def constants(parameters: EngineParameters) -> Constants:
     """The constants of one parameter set, all floats. Use ``._replace(A_egrmax=tensor)`` for unknowns."""
     values = _scalars(parameters)
-    return Constants(**values, **_derived(values))
+    return Constants(**values, **derived(values))
 
 
 @dataclass(frozen=True)
@@ -333,8 +204,8 @@ def parameter_batch(parameters: EngineParameters, size: int | None = None, **col
     batch = lengths.pop() if lengths else (size or 1)
     values: dict[str, Any] = {name: np.full(batch, value) for name, value in _scalars(parameters).items()}
     for name, column in columns.items():
-        if name not in _PUBLISHED:
-            close = difflib.get_close_matches(name, _PUBLISHED, n=1)
+        if name not in PUBLISHED:
+            close = difflib.get_close_matches(name, PUBLISHED, n=1)
             raise InputError(
                 "parameter batch: unknown parameter",
                 got=repr(name),
@@ -342,6 +213,6 @@ def parameter_batch(parameters: EngineParameters, size: int | None = None, **col
                 do=f"did you mean {close[0]!r}?" if close else "see `dieseltwin engine show`",
             )
         values[name] = np.asarray(column, dtype=np.float64).reshape(batch)
-    values.update(_derived(values))
+    values.update(derived(values))
     rows = np.array([values[name] for name in CONSTANT_NAMES], dtype=np.float64)
     return ParameterBatch(rows, parameters.terms)

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.engine._compiled import follow_lanes
-from dieseltwin.engine.effect_catalogue import EFFECTS
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import SENSOR_SLOTS, amounts, effect_terms
 from dieseltwin.symbols import MEASURED
-
-SENSOR_EFFECTS = tuple(name for name, effect in EFFECTS.items() if effect.kind == "sensor")
 
 
 def slot_parts(slot: str) -> tuple[str, str]:
@@ -21,7 +19,7 @@ def slot_parts(slot: str) -> tuple[str, str]:
     if ":" in slot:
         column, _, fault = slot.partition(":")
         return column, fault
-    return EFFECTS[slot].site.removeprefix("sensor:"), slot.rsplit("_", 1)[1]
+    return EFFECTS[slot].enters.name, EFFECTS[slot].enters.operator
 
 
 def apply_sensor_effects(
@@ -70,7 +68,7 @@ def undo_sensor_terms(
     """Readings without the offsets and gains that the engine's terms know of, and the engine without these terms.
 
     Args:
-        measured: (.., n, 6) readings in the order of `symbols.MEASURED`.
+        measured: (.., n, 6) readings in the order of `MEASURED`.
         time_s: sample times, (n,) [s]; start_s: the recording's start; conditions: input columns, (n,) each.
         parameters: with terms; a `thermocouple_lag` can't be undone and stays.
     """

@@ -10,7 +10,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
-from dieseltwin.engine.effect_catalogue import ADDED_AT, EFFECTS, POINTS
+from dieseltwin.engine.effect import Entry, Operator
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.nozzle import choking_quotient
+from dieseltwin.engine.quantities import ADDED_AT, POINTS
 
 Region = dict[str, tuple[float, float]]
 """Input column -> (low, high): where a term acts."""
@@ -113,14 +116,12 @@ SENSOR_UNITS = {
 LAGGING_SENSOR = "t_em_k"
 """The one whose reading may lag (a sheathed thermocouple)."""
 
-_SLOTS = {
-    (effect.site, name.rsplit("_", 1)[1]): name for name, effect in EFFECTS.items() if effect.site.startswith("sensor:")
-}
+_BY_ENTRY = {effect.enters: name for name, effect in EFFECTS.items() if effect.enters.through in ("reading", "command")}
 
 
-def sensor_slot(sensor: str, fault: str) -> str:
+def sensor_slot(sensor: str, fault: Operator) -> str:
     """Where a fault of a sensor acts: the catalogue's effect that does the same, else `<column>:<fault>`."""
-    return _SLOTS.get((f"sensor:{sensor}", fault), f"{sensor}:{fault}")
+    return _BY_ENTRY.get(Entry("reading", sensor, fault), f"{sensor}:{fault}")
 
 
 SENSOR_SLOTS = tuple(
@@ -183,7 +184,7 @@ class ActuatorTerm(_Limited):
     @property
     def slot(self) -> str:
         """Where it acts."""
-        return f"{self.actuator}_{self.fault}"
+        return _BY_ENTRY[Entry("command", self.actuator, self.fault if self.fault == "dead_time" else "play")]
 
     @property
     def law(self) -> str:
@@ -244,7 +245,7 @@ class LawGroup(BaseModel):
 
 
 _NOZZLE_GAMMA = 1.4  # its value moves the shape by less than 2 % (air, exhaust gas)
-_CRITICAL = (2.0 / (_NOZZLE_GAMMA + 1.0)) ** (_NOZZLE_GAMMA / (_NOZZLE_GAMMA - 1.0))
+_CRITICAL = choking_quotient(_NOZZLE_GAMMA)
 
 
 def _nozzle(ratio: Any, power: Any) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect, FoundRegion, HealthValue
 from dieseltwin.engine.effects import EFFECTS
@@ -46,54 +45,6 @@ _UNITS: Mapping[str, tuple[str, float]] = {
 }
 
 
-@dataclass(frozen=True)
-class EffectWords:
-    """How one effect is said.
-
-    Attributes:
-        phrase: with {m} where the magnitude goes.
-        plain: a dimensionless magnitude that is no share: shown as it is, not in percent.
-        at_flow: flow at which a quadratic restriction is also given as a pressure [kg/s].
-    """
-
-    phrase: str
-    plain: bool = False
-    at_flow: float | None = None
-
-
-EFFECT_WORDS: Mapping[str, EffectWords] = {
-    "boost_leak": EffectWords("a boost leak of {m}"),
-    "exhaust_leak": EffectWords("an exhaust leak of {m}"),
-    "back_pressure": EffectWords("a back-pressure behind the turbine of {m}", at_flow=0.3),
-    "air_filter_restriction": EffectWords("a restriction of the air filter of {m}", at_flow=0.4),
-    "charge_cooler_loss": EffectWords("a charge cooler that misses its full effectiveness by {m}"),
-    "egr_heating": EffectWords("heating of the charge by warm EGR (f = {m})", plain=True),
-    "bearing_friction": EffectWords("bearing friction of the turbocharger of {m}"),
-    "exhaust_thermal_inertia": EffectWords("a thermal inertia of the exhaust of {m}"),
-    "thermocouple_lag": EffectWords("a lag of the exhaust thermocouple of {m}"),
-    "egr_backlash": EffectWords("a play of {m} in the EGR actuator"),
-    "vgt_backlash": EffectWords("a play of {m} in the VGT actuator"),
-    "egr_valve_leak": EffectWords("an EGR valve that leaks by {m} of its largest area when shut"),
-    "egr_clogging": EffectWords("an EGR valve that clogs by {m}"),
-    "vgt_offset": EffectWords("an offset of the VGT position of {m}"),
-    "injector_drift": EffectWords("a drift of the injected mass of {m}"),
-    "compressor_efficiency_loss": EffectWords("a loss of compressor efficiency of {m}"),
-    "turbine_efficiency_loss": EffectWords("a loss of turbine efficiency of {m}"),
-    "compressor_flow_loss": EffectWords("a loss of compressor flow of {m}"),
-    "volumetric_efficiency_residual": EffectWords(
-        "a volumetric efficiency that falls with p_em/p_im (k = {m})", plain=True
-    ),
-    "blow_by": EffectWords("blow-by of {m} of the cylinder flow"),
-    "p_im_offset": EffectWords("an offset of the p_im reading of {m}"),
-    "p_em_offset": EffectWords("an offset of the p_em reading of {m}"),
-    "p_em_gain": EffectWords("a gain error of the p_em reading of {m}"),
-    "w_egr_gain": EffectWords("a gain error of the W_egr reading of {m}"),
-    "w_c_gain": EffectWords("a gain error of the W_c reading of {m}"),
-    "t_em_gain": EffectWords("a gain error of the T_em reading of {m}"),
-    "egr_dead_time": EffectWords("a dead time of the EGR actuator longer by {m}"),
-    "vgt_dead_time": EffectWords("a dead time of the VGT actuator longer by {m}"),
-}
-
 # shares of a full input range above which a region is no restriction worth a word
 _REGION_RANGES: Mapping[str, tuple[str, str, float]] = {
     "n_e_rpm": ("n_e", "rpm", 1500.0),
@@ -134,7 +85,7 @@ def site_words(site: str) -> str:
 
 def display_unit(name: str, unit: str | None) -> tuple[str, float]:
     """Shown unit of an effect's magnitude and the factor from `unit` to it."""
-    entry = EFFECT_WORDS.get(name)
+    entry = EFFECTS.get(name)
     if unit is None or (entry is not None and entry.plain):
         return "", 1.0
     return _UNITS.get(unit, (unit, 1.0))
@@ -159,7 +110,7 @@ def magnitude_words(
         text = quantities.significant(value, digits)
     text = text.replace("-", "−") if value < 0 and "e" not in text else text
     text = f"{text} {shown}".rstrip()
-    entry = EFFECT_WORDS.get(name)
+    entry = EFFECTS.get(name)
     if extra and entry is not None and entry.at_flow is not None:
         pressure = 1e-3 * magnitude * entry.at_flow**2
         text += f" ({quantities.significant(pressure, 2)} kPa at {entry.at_flow:g} kg/s)"
@@ -170,7 +121,7 @@ def effect_words(effect: FoundEffect) -> str:
     """A named effect with its magnitude, to follow "there is"."""
     magnitude = math.nan if effect.magnitude is None else effect.magnitude
     size = magnitude_words(effect.name, magnitude, effect.std, effect.unit)
-    entry = EFFECT_WORDS.get(effect.name)
+    entry = EFFECTS.get(effect.name)
     if entry is None:
         return f"{effect.name.replace('_', ' ')} of {size}"
     return entry.phrase.format(m=size)
@@ -179,7 +130,7 @@ def effect_words(effect: FoundEffect) -> str:
 def least_words(name: str, smallest: float) -> str | None:
     """The smallest visible magnitude of an effect ("a boost leak of 3.1 mm²"); None for an unknown name."""
     unit = unit_of(name)
-    entry = EFFECT_WORDS.get(name)
+    entry = EFFECTS.get(name)
     if unit is None or entry is None:
         return None
     return entry.phrase.format(m=magnitude_words(name, smallest, None, unit, digits=2))

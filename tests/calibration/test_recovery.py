@@ -16,7 +16,7 @@ from dieseltwin.calibration.saved import calibration_sidecar, write_calibration
 from dieseltwin.calibration.steady_twin import SteadyTwin
 from dieseltwin.discovery.twins.interface import Twin, single
 from dieseltwin.engine import we2011
-from dieseltwin.engine.parameters import load_engine
+from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.recordings.steady_points import read_points
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 

@@ -26,7 +26,7 @@ from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.curves import Curves, Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
-from dieseltwin.engine.parameters import load_engine
+from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording
 

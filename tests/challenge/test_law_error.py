@@ -14,7 +14,7 @@ from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.engine import HEALTH, we2011
-from dieseltwin.engine.effects import ActuatorTerm, LawTerm, SensorTerm, Term
+from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
 from tests.report import synthetic_discovery as synthetic
 
 ENGINE = we2011.PARAMETERS

@@ -16,7 +16,8 @@ from dieseltwin.challenge.plant_effects import FAMILIES, Fault
 from dieseltwin.challenge.routes import ECU, UNSTABLE_RPM, draw_driving
 from dieseltwin.challenge.sensors import SENSORS, SensorSet, ar1, quantised, read, shown
 from dieseltwin.engine import Inputs, simulate, we2011
-from dieseltwin.engine.effects import EFFECTS, Term
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.terms import Term
 
 LABORATORY = we2011.PARAMETERS.model_dump()
 START = np.array([1.05e5, 1.1e5, 2000.0])

@@ -21,7 +21,8 @@ from dieseltwin.discovery.verdict import checks
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
 from dieseltwin.engine import EngineParameters, Inputs, load_engine, simulate, we2011
-from dieseltwin.engine.effects import EFFECTS, SITES, Term
+from dieseltwin.engine.effects import EFFECTS, SITES
+from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.report import discovery_page
 

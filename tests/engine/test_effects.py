@@ -8,17 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dieseltwin.engine import Inputs, actuate, bind, constants, we2011
-from dieseltwin.engine.actuator_effects import actuate_lanes, actuate_with, play
-from dieseltwin.engine.effect_laws import leak_flow, nozzle_flow_factor
-from dieseltwin.engine.effects import EFFECTS, POINTS, SITES, STATE_EFFECTS
-from dieseltwin.engine.extended_model import ExtendedQuantities, Gas, Magnitudes, Signals, quantities_extended
-from dieseltwin.engine.model import Quantities, quantities
+from dieseltwin.engine.actuation import actuate_lanes, actuate_with, play
+from dieseltwin.engine.effects import EFFECTS, SITES, STATE_EFFECTS, Magnitudes
+from dieseltwin.engine.model import quantities
+from dieseltwin.engine.nozzle import leak_flow, nozzle_flow_factor
+from dieseltwin.engine.quantities import POINTS, ExtendedQuantities, Gas, OperatingPoint, Quantities, Signals
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.errors import InputError
 
 C = constants(we2011.PARAMETERS)
 STATES = (np.array([1.4e5, 2.2e5]), np.array([1.7e5, 2.8e5]), np.array([5000.0, 8000.0]), 0.03, 330.0)
 INPUTS = (1200.0, np.array([80.0, 150.0]), 30.0, 45.0)
+MODEL = bind("numpy")
 NONE = Magnitudes(*([0.0] * len(STATE_EFFECTS)))
 QUIET = Signals(*([0.0] * len(POINTS)))
 # what each effect does to dp_im, dp_em, domega_t, W_egr, T_em, W_c at fixed states; None: either sign
@@ -45,7 +46,7 @@ SIGNS: dict[str, tuple[int | None, ...]] = {
 def _at(m: Magnitudes = NONE, s: Signals = QUIET, sweeps: int = 30) -> ExtendedQuantities:
     x_r, T_1, T = STATES[3], STATES[4], np.full(2, 700.0)
     for _ in range(sweeps):
-        q = quantities_extended(*STATES[:3], x_r, T_1, Gas(T, 1.0, 0.0), *INPUTS, m, s, C)
+        q = MODEL.quantities_extended(OperatingPoint(*STATES[:3], x_r, T_1, *INPUTS), Gas(T, 1.0, 0.0), m, s, C)
         x_r, T_1, T = q.x_r_next, q.T_1_next, q.T_em
     return q
 
@@ -55,8 +56,11 @@ def _magnitude(name: str) -> float:
 
 
 def test_without_effects_the_quantities_are_the_published_ones() -> None:
-    plain = quantities(*STATES, *INPUTS, C)
-    extended = quantities_extended(*STATES, Gas(700.0, 1.0, 0.0), *INPUTS, NONE, QUIET, C)
+    """With the laws at zero, without them, and as the composition is written."""
+    plain = MODEL.quantities(*STATES, *INPUTS, C)
+    extended = MODEL.quantities_extended(OperatingPoint(*STATES, *INPUTS), Gas(700.0, 1.0, 0.0), NONE, QUIET, C)
+    for name, as_written, bound in zip(Quantities._fields, quantities(*STATES, *INPUTS, C), plain, strict=True):
+        np.testing.assert_allclose(as_written, bound, rtol=1e-9, err_msg=name)
     for name in Quantities._fields:
         np.testing.assert_allclose(getattr(extended, name), getattr(plain, name), rtol=1e-13, err_msg=name)
 
@@ -106,7 +110,8 @@ def test_implicit_laws_hold(k_out: float, k_in: float, load: float, signal: floa
     m = NONE._replace(back_pressure=k_out, air_filter_restriction=k_in)
     s = QUIET._replace(p_es=signal, p_bc=-abs(signal))
     gas = Gas(700.0, 0.0, 700.0)
-    q = quantities_extended(p_im, p_em, omega_t, 0.03, 330.0, gas, 1300.0, 30 + 150 * load, 20.0, 50.0, m, s, C)
+    x = OperatingPoint(p_im, p_em, omega_t, 0.03, 330.0, 1300.0, 30 + 150 * load, 20.0, 50.0)
+    q = MODEL.quantities_extended(x, gas, m, s, C)
     assert q.p_es == pytest.approx((1 + signal) * (C.p_amb + k_out * q.W_t**2 * q.T_em / 700.0), rel=1e-6)
     assert q.p_bc == pytest.approx((1 - abs(signal)) * (C.p_amb - k_in * q.W_c**2), rel=1e-6)
 
@@ -139,9 +144,9 @@ def test_torch_agrees_and_has_gradients() -> None:
     inputs = [torch.tensor(np.broadcast_to(v, (2,)).copy(), dtype=torch.float64) for v in INPUTS]
     sizes = {name: torch.tensor(_magnitude(name), dtype=torch.float64, requires_grad=True) for name in STATE_EFFECTS}
     gas = Gas(torch.full((2,), 700.0, dtype=torch.float64), 1.0, 0.0)
-    q = model.quantities_extended(*states, gas, *inputs, Magnitudes(**sizes), QUIET, C)
+    q = model.quantities_extended(OperatingPoint(*states, *inputs), gas, Magnitudes(**sizes), QUIET, C)
     m = Magnitudes(**{name: _magnitude(name) for name in STATE_EFFECTS})
-    expected = quantities_extended(*STATES, Gas(700.0, 1.0, 0.0), *INPUTS, m, QUIET, C)
+    expected = MODEL.quantities_extended(OperatingPoint(*STATES, *INPUTS), Gas(700.0, 1.0, 0.0), m, QUIET, C)
     for name in ExtendedQuantities._fields:
         np.testing.assert_allclose(getattr(q, name).detach().numpy(), getattr(expected, name), rtol=1e-9, err_msg=name)
     (q.dp_im.sum() / 1e5 + q.dp_em.sum() / 1e5 + q.domega_t.sum()).backward()

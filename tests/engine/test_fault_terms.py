@@ -8,11 +8,11 @@ import yaml
 from pydantic import ValidationError
 
 from dieseltwin.engine import Inputs, simulate, we2011
-from dieseltwin.engine.effects import ActuatorTerm, LawTerm, SensorTerm, Term
-from dieseltwin.engine.parameters import load_engine
-from dieseltwin.engine.sensor_effects import SENSOR_EFFECTS, slot_parts, undo_sensor_terms
-from dieseltwin.engine.terms import SENSOR_SLOTS
+from dieseltwin.engine.effects import SENSOR_EFFECTS
+from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.symbols import MEASURED
+from dieseltwin.engine.sensor_effects import slot_parts, undo_sensor_terms
+from dieseltwin.engine.terms import SENSOR_SLOTS, ActuatorTerm, LawTerm, SensorTerm, Term
 
 ENGINE = we2011.PARAMETERS
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
-from dieseltwin.engine.effects import Term
+from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 from dieseltwin.identification.few_shot.term_model import TermModel
 from dieseltwin.identification.identify import identify_segments

@@ -19,9 +19,10 @@ from dieseltwin.engine import (
     simulate_states,
     we2011,
 )
-from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS, LawTerm, Term
+from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.extended_terms import along
 from dieseltwin.engine.sensor_effects import undo_sensor_terms
+from dieseltwin.engine.terms import LawTerm, Term
 from dieseltwin.identification.few_shot.residuals import PointModel, driven_inputs
 from dieseltwin.identification.few_shot.term_model import TermModel
 

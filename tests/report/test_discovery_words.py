@@ -7,7 +7,7 @@ import synthetic_discovery as synthetic
 
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine.effects import EFFECTS, SITES
-from dieseltwin.report.discovery_words import EFFECT_WORDS, magnitude_words, sentence, site_words
+from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words
 
 OFFSET = {
     "name": "p_im_offset", "probability": 0.99, "equivalent_names": [], "law": "reading + b", "magnitude": -1250.0,
@@ -95,10 +95,10 @@ def test_the_share_explained_and_what_is_left_are_said() -> None:
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_every_effect_has_words_and_a_size_with_a_unit(name: str) -> None:
     effect = EFFECTS[name]
-    assert "{m}" in EFFECT_WORDS[name].phrase
+    assert "{m}" in EFFECTS[name].phrase
     size = magnitude_words(name, 2.0 * effect.tolerance, 0.2 * effect.tolerance, effect.unit)
     assert "±" in size and "e-" not in size
-    plain = EFFECT_WORDS[name].plain
+    plain = EFFECTS[name].plain
     assert plain == (not any(u in size for u in ("mm²", "kPa", "%", "µN m s", " s"))), size
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.twins.diesel import EngineTwin
-from dieseltwin.engine.effects import ActuatorTerm, LawGroup, LawTerm, SensorTerm, Term
-from dieseltwin.engine.terms import OneTerm
+from dieseltwin.engine.effects import EFFECTS, GAS_LAG
+from dieseltwin.engine.terms import ActuatorTerm, LawGroup, LawTerm, OneTerm, SensorTerm, Term
 
 _WRITTEN = ("power", "time", "ratio", "orifice", "difference", "head", "above_one", "share", "bump")
 
@@ -79,8 +79,8 @@ def _operator_term(form: Form) -> Term | ActuatorTerm | None:
     if effect is not None:
         actuator, fault = effect.split("_", 1)
         return ActuatorTerm(actuator=actuator, fault=fault, magnitude=size)  # type: ignore[arg-type]
-    if (kind, form.point) == ("lag", "T_em"):
-        return Term(effect="exhaust_thermal_inertia", magnitude=size)
+    if (kind, form.point) == ("lag", EFFECTS[GAS_LAG].enters.name):
+        return Term(effect=GAS_LAG, magnitude=size)
     return None
 
 

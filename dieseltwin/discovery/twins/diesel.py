@@ -15,11 +15,13 @@ from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffnes
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
 from dieseltwin.discovery.twins.windows import piece_start, windows_of, without_gaps
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
-from dieseltwin.engine.actuator_effects import actuate_lanes
-from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS
-from dieseltwin.engine.extended import Extension, extended_frame, simulate_extended
+from dieseltwin.engine.actuation import actuate_lanes
+from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
+from dieseltwin.engine.extended import Extension, simulate_extended
+from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.inputs import INPUT_COLUMNS
 from dieseltwin.engine.parameters import parameter_batch
+from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import Observations, settle
 from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, Term, effect_terms, law_terms
@@ -70,9 +72,8 @@ class EngineTwin:
     """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
 
     command_operators: Mapping[tuple[str, str], str] = {
-        ("dead_time", "u_egr"): "egr_dead_time", ("dead_time", "u_vgt"): "vgt_dead_time",
-        ("play", "u_egr"): "egr_backlash", ("play", "u_vgt"): "vgt_backlash",
-    }  # fmt: skip
+        (e.enters.operator, f"u_{e.enters.name}"): e.name for e in EFFECTS.values() if e.enters.through == "command"
+    }
     """Operators of a law that act on an actuator's command, before its lags: (kind, point) -> effect that does it."""
 
     own_schedules = True
@@ -141,7 +142,7 @@ class EngineTwin:
                 e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
             )
             for e in EFFECTS.values()
-            if e.kind != "sensor" or e.site.removeprefix("sensor:") in self.channels
+            if e.enters.through != "reading" or e.enters.name in self.channels
         }
         self._known = known_terms(self.engine.terms, self.recording_time_s, self.conditions)
         self._laws = law_terms(self.engine.terms)
@@ -308,7 +309,7 @@ class EngineTwin:
 
     def _actuations(self, combined: Mapping[str, Array], schedules: Mapping[str, Array]) -> list[Actuation] | None:
         """Of every lane where an effect acts on a command; None where none does."""
-        moving = {name: combined[name] for name in ACTUATOR_EFFECTS if name in combined and np.any(combined[name])}
+        moving = {name: combined[name] for name in ACTUATION_EFFECTS if name in combined and np.any(combined[name])}
         if not moving:
             return None
         return lane_actuations(self.inputs, self.engine, moving, schedules, self._plain, self._step_s)

@@ -14,7 +14,7 @@ import numpy as np
 
 from dieseltwin.discovery.twins.interface import Array, Lanes, Point, some_lanes
 from dieseltwin.engine import EngineParameters, Inputs
-from dieseltwin.engine.actuator_effects import actuate_lanes
+from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.simulate import Observations
 from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, LawTerm

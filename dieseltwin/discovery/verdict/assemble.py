@@ -31,7 +31,8 @@ from dieseltwin.discovery.verdict.findings import finite
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine import EngineParameters
-from dieseltwin.engine.effects import EFFECTS, Term
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.reader import Recording
 
 

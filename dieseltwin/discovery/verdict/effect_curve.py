@@ -7,8 +7,8 @@ smaller than the whole model says what it stands for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import LawCurve
 from dieseltwin.engine import EngineParameters, constants
+from dieseltwin.engine.effect import Curve, Effect, unchanged
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.simulate import numpy_model
+from dieseltwin.errors import DieselTwinError
 
 BINS = 7
 _DIFFERENCE = 0.02  # of the magnitude, for the response to a bin
@@ -29,72 +30,15 @@ _QUANTILES = (0.02, 0.98)  # of the argument over which bins lie
 Variables = Mapping[str, Array]
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """How an effect is drawn: over what, and as what (None: as its magnitude)."""
-
-    x_name: str
-    x: Callable[[Variables], Array]
-    y: Callable[[float, Variables, EngineParameters], Array] | None = None
-    unit: str = ""
-
-
-def _boost_leak(area: float, v: Variables, engine: EngineParameters) -> Array:
+def change_by(effect: Effect, magnitude: float, variables: Variables, engine: EngineParameters) -> Array:
+    """By how much an effect's law changes its quantity along a trajectory, (n,), from the published model's value."""
+    if effect.change is None:
+        raise DieselTwinError(f"effect {effect.name} has no law to draw")
     c = constants(engine)
-    choking = (2.0 / (c.gamma_a + 1.0)) ** (c.gamma_a / (c.gamma_a - 1.0))
-    return numpy_model().leak_flow(area, v["p_im"], v["T_im"], c.p_amb, c.R_a, c.gamma_a, choking)
-
-
-def _exhaust_leak(area: float, v: Variables, engine: EngineParameters) -> Array:
-    c = constants(engine)
-    choking = (2.0 / (c.gamma_e + 1.0)) ** (c.gamma_e / (c.gamma_e - 1.0))
-    return numpy_model().leak_flow(area, v["p_em"], v["T_em"], c.p_amb, c.R_e, c.gamma_e, choking)
-
-
-def _back_pressure(k: float, v: Variables, engine: EngineParameters) -> Array:
-    return numpy_model().restricted_outlet_pressure(k, v["W_t"], v["T_em"], engine.p_amb) - engine.p_amb
-
-
-def _filter(k: float, v: Variables, engine: EngineParameters) -> Array:
-    return engine.p_amb - numpy_model().restricted_inlet_pressure(k, v["W_c"], engine.p_amb)
-
-
-def _cooler(loss: float, v: Variables, engine: EngineParameters) -> Array:
-    return numpy_model().cooler_temperature_rise(loss, v["T_c"], engine.T_amb)
-
-
-def _mixing(f: float, v: Variables, engine: EngineParameters) -> Array:
-    return numpy_model().mixing_temperature_rise(f, v["T_em"], engine.T_im, v["W_c"], v["W_egr"])
-
-
-def _friction(c_f: float, v: Variables, engine: EngineParameters) -> Array:
-    return numpy_model().friction_power(c_f, v["omega_t"])
-
-
-_SHOWN: Mapping[str, _Shown] = {
-    "boost_leak": _Shown("p_im/p_amb", lambda v: v["p_im"] / v["p_amb"], _boost_leak, "kg/s"),
-    "exhaust_leak": _Shown("p_em/p_amb", lambda v: v["p_em"] / v["p_amb"], _exhaust_leak, "kg/s"),
-    "back_pressure": _Shown("W_t", lambda v: v["W_t"], _back_pressure, "Pa"),
-    "air_filter_restriction": _Shown("W_c", lambda v: v["W_c"], _filter, "Pa"),
-    "charge_cooler_loss": _Shown("T_c", lambda v: v["T_c"], _cooler, "K"),
-    "egr_heating": _Shown("W_egr", lambda v: v["W_egr"], _mixing, "K"),
-    "bearing_friction": _Shown("omega_t", lambda v: v["omega_t"], _friction, "W"),
-    "egr_valve_leak": _Shown("u_egr", lambda v: v["u_egr"]),
-    "egr_clogging": _Shown("t", lambda v: v["t"]),
-    "vgt_offset": _Shown("u_vgt", lambda v: v["u_vgt"]),
-    "injector_drift": _Shown("u_delta", lambda v: v["u_delta"]),
-    "compressor_efficiency_loss": _Shown("W_c", lambda v: v["W_c"]),
-    "turbine_efficiency_loss": _Shown("W_t", lambda v: v["W_t"]),
-    "compressor_flow_loss": _Shown("p_im/p_amb", lambda v: v["p_im"] / v["p_amb"]),
-    "volumetric_efficiency_residual": _Shown("p_em/p_im", lambda v: v["p_em"] / v["p_im"]),
-    "blow_by": _Shown("n_e", lambda v: v["n_e"]),
-    "p_im_offset": _Shown("p_im", lambda v: v["p_im"]),
-    "p_em_offset": _Shown("p_em", lambda v: v["p_em"]),
-    "p_em_gain": _Shown("p_em", lambda v: v["p_em"]),
-    "w_egr_gain": _Shown("W_egr", lambda v: v["W_egr"]),
-    "w_c_gain": _Shown("W_c", lambda v: v["W_c"]),
-    "t_em_gain": _Shown("T_em", lambda v: v["T_em"]),
-}
+    known = {**c._asdict(), **variables, "c": c}
+    before = unchanged(effect.enters.name, c)
+    after = effect.change(before, magnitude, *(known[name] for name in effect.arguments))
+    return np.asarray(after - before)
 
 
 def effect_curves(at: Linearisation, engine: EngineParameters) -> list[LawCurve]:
@@ -110,25 +54,25 @@ def effect_curves(at: Linearisation, engine: EngineParameters) -> list[LawCurve]
     variables = at.twin.variables(at.fit.lanes())
     curves = []
     for index, name in enumerate(at.fit.candidate.names):
-        shown = _SHOWN.get(name)
+        effect = EFFECTS.get(name)
         magnitude = float(at.fit.magnitudes[index])
-        if shown is None or magnitude == 0.0 or not at.twin.hypotheses[name].smooth:
+        if effect is None or effect.curve is None or magnitude == 0.0 or not at.twin.hypotheses[name].smooth:
             continue
-        x = shown.x(variables)
+        x = effect.curve.argument(variables)
         acts = _acting(at, name)
         if np.ptp(x[acts]) <= 1e-9 * max(1.0, float(np.abs(x[acts]).max())):
             continue
         knots, share, share_std = _freed(at, index, x, acts)
         std = float(at.fit.std[len(at.twin.parameters) + index])
         relative = 0.0 if not np.isfinite(std) else std / abs(magnitude)
-        grid, curve = _averaged(shown, magnitude, variables, engine, x, acts)
+        grid, curve = _averaged(effect, effect.curve, magnitude, variables, engine, x, acts)
         on_knots = np.interp(knots, grid, curve)
         half = _BAND * relative * np.abs(curve)
         curves.append(
             LawCurve(
-                name=name, x_name=shown.x_name, x=grid, curve=curve, low=curve - half, high=curve + half,
+                name=name, x_name=effect.curve.over, x=grid, curve=curve, low=curve - half, high=curve + half,
                 points_x=knots, points_y=on_knots * (1.0 + share), points_std=np.abs(on_knots) * share_std,
-                unit=shown.unit or EFFECTS[name].unit,
+                unit=effect.curve.unit or effect.unit,
             )
         )  # fmt: skip
     return curves
@@ -141,14 +85,15 @@ def _acting(at: Linearisation, name: str) -> np.ndarray:
 
 
 def _averaged(
-    shown: _Shown, magnitude: float, variables: Variables, engine: EngineParameters, x: Array, acts: np.ndarray
-) -> tuple[Array, Array]:
+    effect: Effect, drawn: Curve, magnitude: float, variables: Variables, engine: EngineParameters, x: Array,
+    acts: np.ndarray,
+) -> tuple[Array, Array]:  # fmt: skip
     """The law averaged over narrow bins of its argument, (g,) and (g,): it may depend on more than one variable."""
-    if shown.y is None:
+    if drawn.unit is None:
         low, high = np.quantile(x[acts], _QUANTILES)
         grid = np.linspace(low, high, 2)
         return grid, np.full(2, magnitude)
-    y = np.broadcast_to(shown.y(magnitude, variables, engine), x.shape)
+    y = np.broadcast_to(drawn.sign * change_by(effect, magnitude, variables, engine), x.shape)
     edges = np.unique(np.quantile(x[acts], np.linspace(0.0, 1.0, _GRID + 1)))
     place = np.clip(np.searchsorted(edges, x[acts], side="right") - 1, 0, edges.size - 2)
     used = np.unique(place)

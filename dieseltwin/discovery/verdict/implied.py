@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import EngineParameters, actuate
-from dieseltwin.engine.effects import EFFECTS, LawTerm, Term
-from dieseltwin.engine.extended import extended_frame
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.extended_terms import simulate_terms
 from dieseltwin.engine.parameters import parameter_batch
-from dieseltwin.engine.terms import OneTerm
+from dieseltwin.engine.terms import LawTerm, OneTerm, Term
 from dieseltwin.recordings.reader import Recording
 
 _GIVEN = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")

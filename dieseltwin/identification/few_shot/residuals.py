@@ -53,9 +53,8 @@ def driven_inputs(actuation: Actuation, dtype: torch.dtype = torch.float64) -> D
     Returns:
         Tensors of shape (n,).
     """
-    rows = slice(actuation.inputs.n_history, None)
     columns = (
-        actuation.inputs.n_e_rpm[rows], actuation.inputs.u_delta_mg[rows], actuation.u_egr, actuation.u_vgt
+        *actuation.at_samples(),
     )  # fmt: skip
     return DrivenInputs(*(torch.tensor(c, dtype=dtype) for c in columns))
 

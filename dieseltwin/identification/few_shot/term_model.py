@@ -15,10 +15,11 @@ from torch import Tensor
 
 from dieseltwin.engine import Actuation, Constants, EngineParameters, bind
 from dieseltwin.engine.actuators import actuator_update
-from dieseltwin.engine.effects import STATE_EFFECTS
-from dieseltwin.engine.extended_model import ExtendedQuantities, Gas, Magnitudes
+from dieseltwin.engine.effect import Entry
+from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, HEATED_BY_GAS, STATE_EFFECTS, Magnitudes, effects_at
 from dieseltwin.engine.extended_terms import conditions_of, quantities_under
-from dieseltwin.engine.terms import amounts, law_terms
+from dieseltwin.engine.quantities import ExtendedQuantities, Gas
+from dieseltwin.engine.terms import LAGGING_SENSOR, amounts, law_terms
 
 STATIC_SWEEPS = 3
 """Rounds of the fixed point between the gas temperature and the EGR that it heats; a round leaves a fiftieth."""
@@ -48,16 +49,19 @@ class TermModel:
         dtype: torch.dtype = torch.float64,
     ) -> None:
         base = bind("torch", replace=maps)
-        solved = {name: _implicit(getattr(base, name), getattr(base, defect)) for name, defect in IMPLICIT.items()}
+        solved = {
+            name: _implicit(getattr(base, name), getattr(base, defect), pressure)
+            for name, (defect, pressure) in IMPLICIT.items()
+        }
         self.model, self.pointwise = bind("torch", replace={**(maps or {}), **solved}), pointwise
         self.laws = law_terms(parameters.terms)
-        names = (*STATE_EFFECTS, "thermocouple_lag")
+        names = (*STATE_EFFECTS, *READING_LAGS)
         rows, factors, times = [], [], []
         for actuation in actuations:
             start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
             time = actuation.time_s
             row = amounts(parameters.terms, names, time, start, conditions)
-            row[names.index("egr_clogging")] *= np.maximum(time - start, 0.0)
+            row[: len(STATE_EFFECTS)][np.array(DRIFTS)] *= np.maximum(time - start, 0.0)
             rows.append(row)
             factors.append([law.factor(time, start, conditions) for law in self.laws])
             times.append(time - start)
@@ -73,7 +77,7 @@ class TermModel:
         self._factors = [tensor([f[j] for f in factors]) for j in range(len(self.laws))]
         self._time = tensor(times)
         step = np.diff(actuations[0].time_s)
-        self._inertia = _lag_matrices([row[names.index("exhaust_thermal_inertia")] for row in rows], step, dtype)
+        self._inertia = _lag_matrices([row[names.index(GAS_LAG)] for row in rows], step, dtype)
         self._thermocouple = _lag_matrices([row[-1] for row in rows], step, dtype)
 
     def quantities(
@@ -100,7 +104,7 @@ class TermModel:
             return quantities_under(self.model, states, gas, m, self.laws, factors, c, torch.pow, LAW_SWEEPS)[0]
 
         T_gas: Any = torch.full_like(p_im, GAS_START_K)
-        heated = isinstance(m.egr_heating, Tensor)
+        heated = any(isinstance(getattr(m, name), Tensor) for name in HEATED_BY_GAS)
         inertia = self._inertia if count > 1 else None
         q = at(Gas(T_gas, 1.0, 0.0))
         for _ in range(STATIC_SWEEPS if heated else int(inertia is not None)):
@@ -132,20 +136,23 @@ class TermModel:
         return q
 
 
-IMPLICIT = {"inlet_pressure": "inlet_defect", "outlet_pressure": "outlet_defect"}
-"""Equations that are solved by iteration, and what they bring to zero."""
+_LAG_OF_READING = Entry("reading", LAGGING_SENSOR, "lag")
+READING_LAGS = tuple(name for name, effect in EFFECTS.items() if effect.enters == _LAG_OF_READING)
+"""The lag of the reading of the exhaust temperature."""
+
+IMPLICIT = {"inlet_pressure": ("inlet_defect", "p_bc"), "outlet_pressure": ("outlet_defect", "p_es")}
+"""Equations that are solved by iteration, what they bring to zero, and the pressure that they give."""
 
 SLOPE_STEP = 1e-3  # of the pressure, for the derivative of the defect: above the rounding of single precision
 
 
-def _implicit(solve: Callable[..., Tensor], defect: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """A solved equation whose derivative is that of the implicit function, and which is skipped without its effect."""
+def _implicit(solve: Callable[..., Tensor], defect: Callable[..., Tensor], pressure: str) -> Callable[..., Tensor]:
+    """A solved equation whose derivative is that of the implicit function, and which is skipped without its effects."""
 
     def solved(*arguments: Any) -> Any:
-        *_, scale, m, c = arguments
-        size = m.air_filter_restriction if solve.__name__ == "inlet_pressure" else m.back_pressure
-        if not isinstance(size, Tensor):
-            return scale * c.p_amb
+        *_, m, s, c = arguments
+        if not any(isinstance(getattr(m, name), Tensor) for name in effects_at(pressure)):
+            return c.p_amb * (1.0 + getattr(s, pressure))
         with torch.no_grad():
             root = solve(*arguments)
             step = SLOPE_STEP * root

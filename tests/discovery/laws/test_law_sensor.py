@@ -21,7 +21,8 @@ from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search.stepwise import metric_of
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Twin, single
-from dieseltwin.engine.effects import ADDED_AT, POINTS, ActuatorTerm, LawTerm, SensorTerm, Term
+from dieseltwin.engine.quantities import ADDED_AT, POINTS
+from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
 from tests.discovery.toy import Toy
 
 

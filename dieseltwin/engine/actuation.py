@@ -1,4 +1,7 @@
-"""Effects between command and actuator: play and further dead time, exact for commands that run linearly."""
+"""Actuator states from commands: dead time and lags, and the effects before them; exact for commands that run linearly.
+
+Effects enter a command as play or further dead time, an input of the engine as a lag (`effect.Entry`).
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dieseltwin.engine._compiled import follow_lags, follow_play
-from dieseltwin.engine.effect_catalogue import ACTUATOR_EFFECTS
+from dieseltwin.engine._compiled import follow_lags, follow_lanes, follow_play
+from dieseltwin.engine.effect import Entry, Operator, Through
+from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
 from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, half_step_times, steps_between
 from dieseltwin.engine.parameters import EngineParameters, constants
 from dieseltwin.engine.terms import REGION_COLUMNS, amounts
 from dieseltwin.errors import InputError
+
+_BY_ENTRY = {EFFECTS[name].enters: name for name in ACTUATION_EFFECTS}
 
 
 def play(time_s: np.ndarray, u: np.ndarray, width: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
@@ -49,6 +55,17 @@ def _behind_dead_time(
     return merged, delayed
 
 
+def _behind_lag(
+    time: np.ndarray, values: np.ndarray, tau: float, factor: np.ndarray | None, wanted: np.ndarray
+) -> np.ndarray:
+    """A signal behind a lag of tau [s], settled at its start, at the wanted times; tau is multiplied by factor (n,)."""
+    merged = np.union1d(time, wanted)
+    at = np.clip(np.searchsorted(time, merged, side="left") - 1, 0, time.size - 1)  # the interval that ends there
+    taus = np.full(merged.size, tau) if factor is None else tau * factor[at]
+    lagged = follow_lanes(merged, np.interp(merged, time, values)[None], np.ascontiguousarray(taus[None]))[0]
+    return lagged[np.searchsorted(merged, wanted)]
+
+
 def actuate_with(
     inputs: Inputs,
     parameters: EngineParameters,
@@ -56,20 +73,22 @@ def actuate_with(
     schedules: Mapping[str, np.ndarray] | None = None,
     step_s: float | np.ndarray = DEFAULT_STEP_S,
 ) -> Actuation:
-    """`inputs.actuate` under effects on the commands.
+    """`actuate` under effects on commands and inputs.
 
     Args:
         inputs: inputs with their history; for play give the whole recording before, as its output has a memory.
         parameters: dead times, lags and K_egr.
-        magnitudes: names of `ACTUATOR_EFFECTS` -> magnitude; others are not looked at.
+        magnitudes: names of `ACTUATION_EFFECTS` -> magnitude; others are not looked at.
         schedules: name -> factor of the magnitude per row of `inputs` (history included), held until the next.
         step_s: largest integration step [s].
 
     Raises:
-        InputError: a negative or non-finite magnitude.
+        InputError: a negative or non-finite magnitude, or a step that is no positive time.
     """
+    if not (np.isfinite(step_s) & (np.asarray(step_s) > 0)).all():
+        raise InputError("integration step", repr(step_s), "a positive time in s", f"use {DEFAULT_STEP_S}")
     schedules = schedules or {}
-    for name in ACTUATOR_EFFECTS:
+    for name in ACTUATION_EFFECTS:
         value = magnitudes.get(name, 0.0)
         if not (np.isfinite(value) and value >= 0.0):
             raise InputError(f"effect {name}", got=repr(value), allowed="0 or more", do="correct the magnitude")
@@ -78,21 +97,29 @@ def actuate_with(
     half = half_step_times(time, steps)
     p = parameters
 
-    def follow(kind: str, command: np.ndarray, delay: float, taus: tuple[float, ...]) -> np.ndarray:
-        width = magnitudes.get(f"{kind}_backlash", 0.0)
+    def effect(through: Through, kind: str, operator: Operator) -> tuple[float, np.ndarray | None]:
+        name = _BY_ENTRY.get(Entry(through, kind, operator), "")
+        return magnitudes.get(name, 0.0), schedules.get(name)
+
+    def positions(kind: str, command: np.ndarray, delay: float, taus: tuple[float, ...]) -> np.ndarray:
+        width, acts = effect("command", kind, "play")
         knots, values = inputs.time_s, command
         if width > 0.0:
-            knots, values = play(knots, values, width * schedules.get(f"{kind}_backlash", np.ones(command.size)))
-        name = f"{kind}_dead_time"
-        merged, delayed = _behind_dead_time(
-            knots, values, delay, magnitudes.get(name, 0.0), schedules.get(name), inputs.time_s, half
-        )
+            knots, values = play(knots, values, width if acts is None else width * acts)
+        more, acts = effect("command", kind, "dead_time")
+        merged, delayed = _behind_dead_time(knots, values, delay, more, acts, inputs.time_s, half)
         return follow_lags(merged, delayed, np.asarray(taus, dtype=np.float64))[:, np.searchsorted(merged, half)]
 
-    u_egr1, u_egr2 = follow("egr", inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2))
-    (u_vgt,) = follow("vgt", inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,))
+    def input_at_half_steps(kind: str, values: np.ndarray) -> np.ndarray:
+        tau, acts = effect("input", kind, "lag")
+        if tau == 0.0:
+            return np.interp(half, inputs.time_s, values)
+        return _behind_lag(inputs.time_s, values, tau, acts, half)
+
+    u_egr1, u_egr2 = positions("egr", inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2))
+    (u_vgt,) = positions("vgt", inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,))
     u_egr = egr_valve_position(u_egr1, u_egr2, constants(p))
-    n_e, u_delta = (np.interp(half, inputs.time_s, u) for u in (inputs.n_e_rpm, inputs.u_delta_mg))
+    n_e, u_delta = input_at_half_steps("n_e", inputs.n_e_rpm), input_at_half_steps("u_delta", inputs.u_delta_mg)
     grid = np.ascontiguousarray(np.stack([n_e, u_delta, u_egr, u_vgt]))
     at = np.concatenate([[0], np.cumsum(2 * steps)])
     return Actuation(time, steps, inputs, u_egr1[at], u_egr2[at], u_vgt[at], u_egr[at], grid)
@@ -110,10 +137,10 @@ def actuate_lanes(
 
     Args:
         inputs, parameters, schedules, step_s: as in `actuate_with`.
-        magnitudes: effect name -> (B,) magnitudes; names that aren't in `ACTUATOR_EFFECTS` are not looked at.
+        magnitudes: effect name -> (B,) magnitudes; names that aren't in `ACTUATION_EFFECTS` are not looked at.
         size: number of lanes B.
     """
-    columns = {name: np.broadcast_to(magnitudes[name], (size,)) for name in ACTUATOR_EFFECTS if name in magnitudes}
+    columns = {name: np.broadcast_to(magnitudes[name], (size,)) for name in ACTUATION_EFFECTS if name in magnitudes}
     made: dict[tuple[float, ...], Actuation] = {}
     lanes = []
     for lane in range(size):
@@ -124,13 +151,18 @@ def actuate_lanes(
     return lanes
 
 
-def actuate_terms(
-    inputs: Inputs, parameters: EngineParameters, step_s: float | np.ndarray = DEFAULT_STEP_S
-) -> Actuation:
-    """`inputs.actuate` under the parameters' terms on the actuators, which count from `inputs.recording_start_s`."""
+def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.ndarray = DEFAULT_STEP_S) -> Actuation:
+    """Exact actuator states at the samples and at the half integration steps.
+
+    Args:
+        inputs: inputs with their history.
+        parameters: gives dead times, lags and K_egr (A.16-A.18, A.25), and terms on commands and inputs, which count
+            from `inputs.recording_start_s`.
+        step_s: largest integration step [s], one for all or one per sample interval, (n - 1,).
+    """
     start, conditions = inputs.recording_start_s, {name: getattr(inputs, name) for name in REGION_COLUMNS}
-    rows = amounts(parameters.terms, ACTUATOR_EFFECTS, inputs.time_s, start, conditions)
-    used = {name: row for name, row in zip(ACTUATOR_EFFECTS, rows, strict=True) if row.any()}
+    rows = amounts(parameters.terms, ACTUATION_EFFECTS, inputs.time_s, start, conditions)
+    used = {name: row for name, row in zip(ACTUATION_EFFECTS, rows, strict=True) if row.any()}
     magnitudes = {name: float(row.max()) for name, row in used.items()}
     schedules = {name: row / row.max() for name, row in used.items() if row.min() < row.max()}
     return actuate_with(inputs, parameters, magnitudes, schedules, step_s)

@@ -1,0 +1,74 @@
+"""The effects that the published model leaves out: one file each, found by walking this package.
+
+A file is one effect (`effect.Effect`), named like its module. Effects that enter at the same quantity act in the order
+of their names.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections import namedtuple
+from typing import Any
+
+from dieseltwin.engine.effect import SITES, Effect
+from dieseltwin.errors import DieselTwinError
+
+
+def _found() -> dict[str, Effect]:
+    found: dict[str, Effect] = {}
+    for name in sorted(module.name for module in pkgutil.iter_modules(__path__)):
+        effect = importlib.import_module(f"{__name__}.{name}").EFFECT
+        if effect.name != name or effect.site not in SITES:
+            raise DieselTwinError(f"effect {effect.name!r} at {effect.site!r} in {name}.py: name it so, at a site")
+        found[name] = effect
+    for effect in found.values():
+        unknown = sorted(set(effect.confused_with) - set(found))
+        if unknown:
+            raise DieselTwinError(f"effect {effect.name}: confused with {unknown}, which are no effects")
+    return found
+
+
+EFFECTS: dict[str, Effect] = _found()
+"""All effects by name, in the order of their names."""
+
+
+def _entering(*through: str) -> tuple[str, ...]:
+    return tuple(name for name, effect in EFFECTS.items() if effect.enters.through in through)
+
+
+STATE_EFFECTS = _entering("quantity", "gas")
+"""Effects inside the right-hand side, in the order of `Magnitudes` and of `extended.Extension.magnitudes`."""
+
+ACTUATION_EFFECTS = _entering("command", "input")
+"""Effects on what drives the engine, before the right-hand side."""
+
+SENSOR_EFFECTS = _entering("reading")
+"""Effects on readings alone."""
+
+GAS_LAG = next(name for name, effect in EFFECTS.items() if effect.enters.through == "gas")
+"""The effect by which the gas temperature in the exhaust manifold lags; there is one such state."""
+
+DRIFTS = tuple(EFFECTS[name].drifts for name in STATE_EFFECTS)
+"""Which of `STATE_EFFECTS` grow with time."""
+
+_tuple_type: Any = namedtuple  # mypy wants the fields written out
+Magnitudes = _tuple_type("Magnitudes", STATE_EFFECTS, module=__name__)
+"""Magnitudes of `STATE_EFFECTS` at a moment [their units]; a drift's is rate times time."""
+
+
+def effects_at(quantity: str) -> tuple[str, ...]:
+    """Names of the effects that enter at a quantity of `hooks`."""
+    return tuple(n for n, e in EFFECTS.items() if e.enters.through == "quantity" and e.enters.name == quantity)
+
+
+HEATED_BY_GAS = tuple(name for name in effects_at("T_im") if "T_em" in EFFECTS[name].arguments)
+"""Effects by which the exhaust gas heats the charge: its temperature is then a fixed point."""
+
+IMPLICIT = (*effects_at("p_bc"), *effects_at("p_es"))
+"""Effects whose law is solved at every evaluation: the flow that it asks for answers it."""
+
+__all__ = [
+    "ACTUATION_EFFECTS", "DRIFTS", "EFFECTS", "GAS_LAG", "HEATED_BY_GAS", "IMPLICIT", "SENSOR_EFFECTS", "SITES",
+    "STATE_EFFECTS", "Effect", "Magnitudes", "effects_at",
+]  # fmt: skip

@@ -1,0 +1,44 @@
+"""What a simulation gives, and the threads it may use."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from dieseltwin.errors import InputError
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Simulated states and sensor signals of B lanes at n sample times.
+
+    Attributes:
+        states: p_im, p_em [Pa], omega_t [rad/s], x_r [-], T_1 [K]; shape (B, n, 5).
+        measured: in the order of `symbols.MEASURED`; shape (B, n, 6).
+    """
+
+    states: np.ndarray
+    measured: np.ndarray
+
+
+def thread_count() -> int:
+    """Threads for batches: DIESELTWIN_THREADS, or else the processors this process may use."""
+    configured = os.environ.get("DIESELTWIN_THREADS")
+    if configured:
+        try:
+            return max(1, int(configured))
+        except ValueError:
+            raise InputError(
+                "DIESELTWIN_THREADS", got=repr(configured), allowed="a whole number of threads", do="set or unset it"
+            ) from None
+    return len(os.sched_getaffinity(0))
+
+
+@lru_cache(maxsize=1)
+def pool(threads: int) -> ThreadPoolExecutor:
+    """The threads of all simulations."""
+    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="dieseltwin")
