@@ -1,4 +1,4 @@
-"""The plant's actuators before the right-hand side: play and dead time of the command, then lags, on the fine grid."""
+"""The plant's actuators and injection before the right-hand side: play, dead time, lags, on the fine grid."""
 
 from __future__ import annotations
 
@@ -21,6 +21,18 @@ def lag(u, step, tau):  # type: ignore[no-untyped-def]
     ramp = (1.0 - keep) / ratio  # share of the slope's response that is still missing at the step's end
     for i in range(u.size - 1):
         out[i + 1] = keep * out[i] + (ramp - keep) * u[i] + (1.0 - ramp) * u[i + 1]
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def sluggish(u, step, taus):  # type: ignore[no-untyped-def]
+    """u (n,) behind a lag whose time constant changes (n,), 0 for none; each step with u's mean over it."""
+    out = np.empty_like(u)
+    out[0] = u[0]
+    for i in range(1, u.size):
+        keep = np.exp(-step / taus[i]) if taus[i] > 0.0 else 0.0
+        mean = 0.5 * (u[i - 1] + u[i]) if taus[i] > 0.0 else u[i]
+        out[i] = keep * out[i - 1] + (1.0 - keep) * mean
     return out
 
 
@@ -50,3 +62,13 @@ def fine_command(
     if width.any():
         command = play(command, width)
     return np.interp(fine_s - dead_time_s - extra, fine_s, command)
+
+
+def fine_fuel(fine_s: np.ndarray, driving: Driving, faults: Sequence[Fault]) -> np.ndarray:
+    """Injected mass at the fine times [mg/cycle], behind its signal where it is late."""
+    fuel = np.interp(fine_s, driving.time_s, driving.u_delta_mg)
+    tau = np.zeros(fine_s.size)
+    for fault in faults:
+        if fault.effect == "fuel_lag":
+            tau += fault.magnitude * schedule(fault, fine_s, driving)
+    return sluggish(fuel, fine_s[1] - fine_s[0], tau) if tau.any() else fuel

@@ -96,7 +96,7 @@ def make_plans(n: int, seed: int, *, sensors: int = 6, healthy_only: bool = Fals
         raise InputError("challenge: --sensors", sensors, "5 (the paper's) or 6 (with w_c)", "choose one")
     rng = np.random.default_rng([seed, _PLAN])
     kinds: list[Kind] = ["healthy"] * n if healthy_only else _mixed(n, rng)
-    catalogue = [f for f in FAMILIES.values() if f.catalogued and not _blind(f, sensors)]
+    catalogue = [f for f in FAMILIES.values() if f.catalogued and f.dealt and not _blind(f, sensors)]
     hidden = [f for f in FAMILIES.values() if not f.catalogued]
     decks = {
         "any": _Deck(catalogue, rng),

@@ -15,7 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from dieseltwin.challenge.actuators import fine_command, lag
+from dieseltwin.challenge.actuators import fine_command, fine_fuel, lag
 from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.challenge.plant_constants import plant_constants
@@ -25,6 +25,7 @@ STEP_S = 0.005
 """Integration step [s]: half the fastest time constant (p_em, 11 ms)."""
 
 SAMPLE_S = 0.2
+T_WALL = 360.0  # K, of the ports that heat the charge
 SOLVED = 1e-10  # kg/s, of the flows through filter and back-pressure
 WARM_UP_S = 40.0
 """Seconds of the first inputs, held, before a recording begins: actuators, pressures and most of the turbo settle."""
@@ -39,7 +40,7 @@ OUTPUTS = (
 _E = {name: k for k, name in enumerate(KERNEL_EFFECTS)}
 (E_BOOST_LEAK, E_EXHAUST_LEAK, E_BACK_PRESSURE, E_FILTER, E_COOLER, E_EGR_HEATING, E_FRICTION, E_GAS_LAG, E_VALVE_LEAK,
  E_CLOGGING, E_VGT_OFFSET, E_INJECTOR, E_ETA_C, E_ETA_T, E_W_C, E_ETA_VOL, E_BLOW_BY, E_COUPLE_LAG, E_WINDAGE,
- E_PORT_HEAT, E_AFTERBURN) = range(len(KERNEL_EFFECTS))  # fmt: skip
+ E_PORT_HEAT, E_AFTERBURN, E_PICKUP) = range(len(KERNEL_EFFECTS))  # fmt: skip
 
 
 @numba.njit(inline="always", error_model="numpy")
@@ -150,7 +151,7 @@ def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps,
     x_r, T_1, T_im = carry[0], carry[1], carry[2]
     cooled = c.T_im + e[E_COOLER] * c.T_amb * heating / eta_c
     W_ei, W_eo, T_em, T_gas, W_egr = 0.0, 0.0, 0.0, 0.0, 0.0
-    if e[E_EGR_HEATING] > 0.0:
+    if e[E_EGR_HEATING] > 0.0 or e[E_PICKUP] > 0.0:
         sweeps += 2
     else:
         T_im = cooled
@@ -173,6 +174,9 @@ def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps,
         W_egr = egr_factor / np.sqrt(T_em * c.R_e)
         if e[E_EGR_HEATING] > 0.0:
             T_im = cooled + e[E_EGR_HEATING] * (T_em - cooled) * W_egr / (W_c + W_egr)
+        if e[E_PICKUP] > 0.0:  # the walls' heat goes into what the cylinders draw
+            come = T_im if e[E_EGR_HEATING] > 0.0 else cooled
+            T_im = come + e[E_PICKUP] * (T_WALL - come) / (W_ei * c.c_pa)
     carry[0], carry[1], carry[2] = x_r, T_1, T_im
 
     # turbine, before a back-pressure that is solved: the flow falls with the pressure that it makes
@@ -319,7 +323,7 @@ def run_plant(
     maps = MapErrors.none() if maps is None else maps
     inputs = np.empty((4, fine_s.size))
     inputs[0] = np.interp(fine_s, driving.time_s, driving.n_e_rpm)
-    inputs[1] = np.interp(fine_s, driving.time_s, driving.u_delta_mg)
+    inputs[1] = fine_fuel(fine_s, driving, faults)
     egr = fine_command(fine_s, driving, "egr", float(parameters["tau_degr"]), faults)
     vgt = fine_command(fine_s, driving, "vgt", float(parameters["tau_dvgt"]), faults)
     overshoot = float(parameters["K_egr"])

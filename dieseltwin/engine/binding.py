@@ -11,9 +11,9 @@ model.
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import math
+import sys
 import types
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
@@ -69,9 +69,8 @@ def functions_of(module: types.ModuleType) -> dict[str, types.FunctionType]:
 
 
 def effect_modules() -> tuple[types.ModuleType, ...]:
-    """The modules of the effects that enter at quantities."""
-    names = (n for n, e in effects.EFFECTS.items() if e.enters.through == "quantity")
-    return tuple(importlib.import_module(f"{effects.__name__}.{name}") for name in names)
+    """The modules of the effects that have a law."""
+    return tuple(sys.modules[effect.change.__module__] for effect in effects.EFFECTS.values() if effect.change)
 
 
 def equations() -> dict[str, Function]:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dieseltwin.engine import Inputs, actuate, bind, constants, we2011
 from dieseltwin.engine.actuation import actuate_lanes, actuate_with, play
-from dieseltwin.engine.effects import EFFECTS, SITES, STATE_EFFECTS, Magnitudes
+from dieseltwin.engine.effects import EFFECTS, GAS_LAG, SITES, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.model import quantities
 from dieseltwin.engine.nozzle import leak_flow, nozzle_flow_factor
 from dieseltwin.engine.quantities import POINTS, ExtendedQuantities, Gas, OperatingPoint, Quantities, Signals
@@ -30,6 +30,7 @@ SIGNS: dict[str, tuple[int | None, ...]] = {
     "air_filter_restriction": (-1, 0, 1, 0, 0, -1),
     "charge_cooler_loss": (1, None, None, None, 1, 0),
     "egr_heating": (1, None, None, None, 1, 0),
+    "intake_heat_pickup": (1, None, None, None, 1, 0),
     "bearing_friction": (0, 0, -1, 0, 0, 0),
     "egr_valve_leak": (1, -1, 0, 1, 0, 0),
     "egr_clogging": (-1, 1, 0, -1, 0, 0),
@@ -72,7 +73,7 @@ def test_catalogue_is_complete_and_consistent() -> None:
         assert all(effect.limits[0] < size <= effect.limits[1] for size in effect.sizes) and effect.sizes
         assert set(effect.confused_with) <= set(EFFECTS) - {effect.name}
         assert effect.tolerance * 10 <= effect.limits[1], effect.name  # what the benchmark draws
-    assert len(EFFECTS) == 28 and set(SIGNS) | {"exhaust_thermal_inertia"} == set(STATE_EFFECTS)
+    assert set(SIGNS) | {GAS_LAG} == set(STATE_EFFECTS)
 
 
 @pytest.mark.parametrize("name", SIGNS)
@@ -205,6 +206,21 @@ def test_dead_time_delays_by_its_magnitude_and_from_its_onset() -> None:
     at = np.searchsorted(inputs.time_s, 9.9)
     np.testing.assert_allclose(half.u_egr[:at], plain.u_egr[:at], atol=1e-9)
     np.testing.assert_allclose(half.u_egr[-20:], longer.u_egr[-20:], atol=1e-3)
+
+
+def test_fuel_behind_its_lag_is_exact_and_begins_at_its_onset() -> None:
+    time = np.arange(0.0, 10.01, 0.2)
+    fuel = np.interp(time, [0.0, 2.0, 4.0, 10.0], [60.0, 60.0, 120.0, 120.0])  # a ramp of 30 mg/s
+    inputs = Inputs(time, np.full(time.size, 1200.0), fuel, np.full(time.size, 30.0), np.full(time.size, 50.0))
+    late = actuate_with(inputs, we2011.PARAMETERS, {"fuel_lag": 0.8}).at_samples()
+    t = time[10:21] - 2.0
+    np.testing.assert_allclose(late[1, 10:21], 60.0 + 30.0 * (t - 0.8 * (1.0 - np.exp(-t / 0.8))), rtol=1e-9)
+    plain = actuate(inputs, we2011.PARAMETERS).at_samples()
+    np.testing.assert_array_equal(late[[0, 2, 3]], plain[[0, 2, 3]])
+    acts = (time >= 3.0 - 1e-9).astype(float)
+    from_onset = actuate_with(inputs, we2011.PARAMETERS, {"fuel_lag": 0.8}, {"fuel_lag": acts}).at_samples()[1]
+    np.testing.assert_allclose(from_onset[:16], plain[1, :16], rtol=1e-12)
+    assert from_onset[17] < plain[1, 17] and abs(from_onset[-1] - 120.0) < 0.1
 
 
 def test_lanes_share_actuations() -> None:

@@ -50,6 +50,17 @@ _LAW_SETTLED = 1e-5  # change of a law's signal relative to its size
 _ACTUATORS_REST_S = 1.5  # after a gap, until dead time and lags have forgotten what is not known
 
 
+def hypotheses_of(channels: Sequence[str]) -> dict[str, Hypothesis]:
+    """The effects that may explain a recording with these sensors, by name."""
+    return {
+        e.name: Hypothesis(
+            e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
+        )
+        for e in EFFECTS.values()
+        if e.enters.through != "reading" or e.enters.name in channels
+    }
+
+
 class EngineTwin:
     """`discovery.twin.Twin` of the diesel engine over one recording.
 
@@ -137,13 +148,7 @@ class EngineTwin:
             )
             for name, facts in ((name, POINT_FACTS[name]) for name in POINTS)
         )  # fmt: skip
-        self.hypotheses: Mapping[str, Hypothesis] = {
-            e.name: Hypothesis(
-                e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
-            )
-            for e in EFFECTS.values()
-            if e.enters.through != "reading" or e.enters.name in self.channels
-        }
+        self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels)
         self._known = known_terms(self.engine.terms, self.recording_time_s, self.conditions)
         self._laws = law_terms(self.engine.terms)
         self._law_signals: dict[str, Array] = {}
@@ -359,10 +364,11 @@ class EngineTwin:
         omega, T_em = frame["omega_t_rad_s"].to_numpy(), frame["t_em_k"].to_numpy()
         p_es, p_bc = frame["p_es_pa"].to_numpy(), frame["p_bc_pa"].to_numpy()
         W_c, W_egr = frame["w_c_kg_s"].to_numpy(), frame["w_egr_kg_s"].to_numpy()
+        n_e, u_delta = actuation.at_samples()[:2]
         Pi_t = np.minimum(p_es / p_em, 0.9999)
         velocity = np.sqrt(2.0 * c.c_pe * T_em * (1.0 - Pi_t ** (1.0 - 1.0 / c.gamma_e)))
         out = {
-            "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": self.inputs.n_e_rpm, "u_delta": self.inputs.u_delta_mg,
+            "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": n_e, "u_delta": u_delta,
             "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em,
             "T_im": frame["t_im_k"].to_numpy(), "T_c": frame["t_c_k"].to_numpy(), "T_e": frame["t_e_k"].to_numpy(),
             "p_es": p_es, "p_bc": p_bc, "W_c": W_c, "W_t": frame["w_t_kg_s"].to_numpy(), "W_egr": W_egr,

@@ -35,15 +35,11 @@ def stiffness(states: Array, actuation: Actuation, engine: EngineParameters) -> 
         actuation: inputs and actuators at the samples.
         engine: the engine.
     """
-    model, c, inputs = numpy_model(), constants(engine), actuation.inputs
-    rows = slice(inputs.n_history, None)
+    model, c = numpy_model(), constants(engine)
     p_im, p_em, omega_t, x_r, T_1 = states[:, :5].T
 
     def rates(intake: float, exhaust: float) -> Array:
-        q = model.quantities(
-            p_im + intake, p_em + exhaust, omega_t, x_r, T_1, inputs.n_e_rpm[rows], inputs.u_delta_mg[rows],
-            actuation.u_egr, actuation.u_vgt, c,
-        )  # fmt: skip
+        q = model.quantities(p_im + intake, p_em + exhaust, omega_t, x_r, T_1, *actuation.at_samples(), c)
         return np.stack([q.dp_im, q.dp_em], axis=-1)
 
     here = rates(0.0, 0.0)

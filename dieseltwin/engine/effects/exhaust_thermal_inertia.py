@@ -12,10 +12,10 @@ EFFECT = Effect(
     symbol="tau",
     unit="s",
     tolerance=0.1,
-    limits=(0.0, 4.0),
-    sizes=(0.08, 0.4, 2.0),
+    limits=(0.0, 60.0),
+    sizes=(0.1, 0.4, 2.0, 10.0, 30.0),
     smooth=False,
     confused_with=("thermocouple_lag",),
     phrase="a thermal inertia of the exhaust of {m}",
-    source="heat stored in the manifold's wall",
+    source="heat stored in the manifold's wall: seconds for thin steel, a minute for cast iron",
 )
