@@ -21,8 +21,8 @@ from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.extended_terms import along, simulate_terms
+from dieseltwin.engine.inputs import actuate_like
 from dieseltwin.engine.quantities import ADDED_AT, POINTS, Signals
-from dieseltwin.engine.simulate import actuate_like
 from dieseltwin.engine.terms import LawTerm, Term
 from dieseltwin.errors import InputError
 

@@ -10,9 +10,9 @@ from pydantic import ValidationError
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.effects import SENSOR_EFFECTS
 from dieseltwin.engine.engine_files import load_engine
-from dieseltwin.symbols import MEASURED
 from dieseltwin.engine.sensor_effects import slot_parts, undo_sensor_terms
 from dieseltwin.engine.terms import SENSOR_SLOTS, ActuatorTerm, LawTerm, SensorTerm, Term
+from dieseltwin.symbols import MEASURED
 
 ENGINE = we2011.PARAMETERS
 
