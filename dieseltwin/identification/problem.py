@@ -16,13 +16,13 @@ from dieseltwin.errors import InputError
 Array = NDArray[np.float64]
 
 PAPER_NOISE: tuple[float, ...] = (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
-"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and W_c (PROTOCOL, Noise) [-]."""
+"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and, of our own, W_c [-]."""
 
 NOISE_FLOOR: tuple[float, ...] = (200.0, 200.0, 5.0, 5e-4, 1.0, 1e-3)
 """Smallest noise that is believed [Pa, Pa, rad/s, kg/s, K, kg/s].
 
 About 0.1 % of full scale (0.5 % for the EGR venturi). Noise that is a percentage of a vanishing flow pretends
-information: without a floor a recording with a shut EGR valve would claim to know A_egrmax (ESTIMATION.md). The floor
+information: without a floor a recording with a shut EGR valve would claim to know A_egrmax. The floor
 is far below the paper's percentages wherever a channel carries a signal.
 """
 
@@ -58,7 +58,7 @@ class NoiseLevels:
     def from_signals(
         cls, signals: ArrayLike, relative: ArrayLike = PAPER_NOISE, floor: ArrayLike = NOISE_FLOOR
     ) -> NoiseLevels:
-        """Percentages of the mean over the whole recording, as PROTOCOL.md defines the noise.
+        """Percentages of the mean over the whole recording: the noise that the paper adds.
 
         Args:
             signals: (n, 6) clean (or measured) channels of the whole recording, NaN where absent.

@@ -98,7 +98,7 @@ def start_centre(parameters: Any, truth: Any | None, start_at: str) -> NDArray[n
 def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float = START_SIGMA) -> NDArray[np.float64]:
     """Draw starting values of the unknowns: Gaussian in masked space around a centre.
 
-    The centre is the laboratory set, as PROTOCOL says; only the extra set of runs that repeats the paper's "near the
+    The centre is the laboratory set: nobody knows the truth. Only the extra set of runs that repeats the paper's "near the
     true values" passes the truth.
 
     Args:

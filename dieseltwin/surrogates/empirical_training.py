@@ -1,7 +1,7 @@
 """Training of the six empirical maps on simulated laboratory recordings.
 
 Labels are the recordings' own columns with Gaussian noise of 3 % of the mean absolute label (paper, section "Neural
-network surrogates for empirical formulae"; PROTOCOL "Noise"). Both kinds see the same noisy labels, but for
+network surrogates for empirical formulae"). Both kinds see the same noisy labels, but for
 f_egr: Case-I as printed, all four cases in improved.
 """
 

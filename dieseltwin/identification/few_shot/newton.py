@@ -23,13 +23,12 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import cautious_bound, states_within
 from dieseltwin.identification.few_shot.collocation import Collocation, Data
 from dieseltwin.identification.few_shot.damped_newton import Runs, minimise, ridge
-from dieseltwin.identification.few_shot.defects import STEP_S, Defects, Windows, defects, simulate_windows, windows_for
-from dieseltwin.identification.few_shot.heads import Heads, heads_for
-from dieseltwin.identification.few_shot.process_noise import calibrate
+from dieseltwin.identification.few_shot.defects import STEP_S, Defects, defects, simulate_windows, windows_for
+from dieseltwin.identification.few_shot.heads import heads_for
+from dieseltwin.identification.few_shot.process_noise import Setting, calibrate
 from dieseltwin.identification.few_shot.residuals import (
     N_HEALTH,
     Cylinder,
-    DrivenInputs,
     PointModel,
     driven_inputs,
     told_inputs,
@@ -56,25 +55,6 @@ CONVERGED_BELOW = 0.1
 """Decrement that counts as converged [standard deviations]."""
 
 
-@dataclass(frozen=True)
-class Setting:
-    """Everything about one segment that its runs share.
-
-    Attributes:
-        problem: the segment.
-        actuation: at the step of the windows' simulation.
-        heads, inputs, windows: of the segment.
-        exact: the model that the simulator integrates.
-    """
-
-    problem: SegmentProblem
-    actuation: Actuation
-    heads: Heads
-    inputs: DrivenInputs
-    windows: Windows
-    exact: PointModel
-
-
 def estimate(
     problems: Sequence[SegmentProblem],
     runs: int,
@@ -94,7 +74,7 @@ def estimate(
         bodies: trained bodies (`conditioned`), or None for B-splines of the paper's widths.
         operators: trained actuator operators, or None for the exact actuators.
         maps: learned empirical maps, one member (or dropout realisation) a run, or None for the exact formulae.
-        config: `params.identify`, its section `newton`, `NewtonSettings` or None.
+        config: `identify` of params.yaml, the settings themselves, or None for the defaults.
 
     Returns:
         One estimate for each segment, in order. Standard deviations and 90 % intervals of the logarithms come from the
@@ -169,11 +149,7 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
         The solution.
     """
     problem, heads = setting.problem, setting.heads
-    noise = calibrate(
-        heads, setting.inputs, model, setting.exact, setting.windows, setting.actuation, problem.parameters,
-        sigma=torch.from_numpy(problem.sigma[:3]), defect_share=settings.defect_share, floor_share=settings.floor_share,
-        noticed_share=settings.noticed_share,
-    )  # fmt: skip
+    noise = calibrate(setting, model, settings)
     weights = torch.where(torch.isnan(readings), 0.0, 1.0) / torch.from_numpy(problem.sigma)
     clean = torch.nan_to_num(readings)
     collocation = Collocation(heads, setting.inputs, model)
