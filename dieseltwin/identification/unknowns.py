@@ -98,8 +98,8 @@ def start_centre(parameters: Any, truth: Any | None, start_at: str) -> NDArray[n
 def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float = START_SIGMA) -> NDArray[np.float64]:
     """Draw starting values of the unknowns: Gaussian in masked space around a centre.
 
-    The centre is the laboratory set: nobody knows the truth. Only the extra set of runs that repeats the paper's "near the
-    true values" passes the truth.
+    The centre is the laboratory set: nobody knows the truth. Only the extra set of runs that repeats the paper's "near
+    the true values" passes the truth.
 
     Args:
         centre: (4,) values around which to start [m2, m2, -, W/(m2 K)].
