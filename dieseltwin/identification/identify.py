@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
@@ -29,7 +29,7 @@ def identify_segments(
     maps: EmpiricalMaps | None = None,
     bodies: Bodies | None = None,
     operators: ActuatorOperators | None = None,
-    config: Any = None,
+    config: object = None,
 ) -> Identification:
     """Identify the health parameters of every segment with one method.
 

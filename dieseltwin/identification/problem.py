@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from dieseltwin.engine import INPUT_COLUMNS, MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.sensor_effects import undo_sensor_terms
 from dieseltwin.errors import InputError
+
+if TYPE_CHECKING:
+    from dieseltwin.recordings.reader import Recording, Segment
 
 Array = NDArray[np.float64]
 
@@ -195,7 +198,7 @@ class SegmentProblem:
 
 
 def problem_from_segment(
-    segment: Any,
+    segment: Segment,
     parameters: EngineParameters,
     noise: NoiseLevels,
     *,
@@ -245,7 +248,7 @@ def problem_from_segment(
 
 
 def problems_from_recording(
-    recording: Any,
+    recording: Recording,
     parameters: EngineParameters,
     *,
     noise: NoiseLevels | None = None,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dieseltwin.engine import HEALTH
+from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 
 __all__ = ["HEALTH", "SCALES", "START_SIGMA", "UNITS", "health_of", "start_centre", "starts", "to_masked",
@@ -73,7 +74,7 @@ def to_masked(physical: ArrayLike) -> NDArray[np.float64]:
     return masked
 
 
-def health_of(parameters: Any) -> NDArray[np.float64]:
+def health_of(parameters: EngineParameters | Mapping[str, float]) -> NDArray[np.float64]:
     """Take the four health values out of a parameter set.
 
     Args:
@@ -82,12 +83,14 @@ def health_of(parameters: Any) -> NDArray[np.float64]:
     Returns:
         (4,) values [m2, m2, -, W/(m2 K)].
     """
-    if hasattr(parameters, "keys"):
-        return np.array([float(parameters[name]) for name in HEALTH])
-    return np.array([float(getattr(parameters, name)) for name in HEALTH])
+    if isinstance(parameters, EngineParameters):
+        return parameters.health()
+    return np.array([float(parameters[name]) for name in HEALTH])
 
 
-def start_centre(parameters: Any, truth: Any | None, start_at: str) -> NDArray[np.float64]:
+def start_centre(
+    parameters: EngineParameters, truth: Mapping[str, float] | None, start_at: str
+) -> NDArray[np.float64]:
     """Centre of the starts: the engine file's health parameters, (4,) [m2, m2, -, W/(m2 K)].
 
     `start_at` "truth" takes the true ones, where a recording knows them; others start at the file's all the same.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -38,6 +38,12 @@ from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
 from dieseltwin.identification.unknowns import health_of, start_centre, starts
 
+if TYPE_CHECKING:
+    from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
+
 BLOCK = 10
 """Runs that are iterated together: the batched products of ten runs stay within the cache."""
 LEAST_STATE = (5e4, 5e4, 200.0)
@@ -60,10 +66,10 @@ def estimate(
     runs: int,
     seed: int,
     *,
-    bodies: Any = None,
-    operators: Any = None,
-    maps: Any = None,
-    config: Any = None,
+    bodies: Bodies | None = None,
+    operators: ActuatorOperators | None = None,
+    maps: EmpiricalMaps | None = None,
+    config: IdentifyConfig | NewtonSettings | None = None,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with second-order few-shot steps.
 
@@ -91,7 +97,9 @@ def estimate(
     return results
 
 
-def prepare(problem: SegmentProblem, bodies: Any = None, operators: Any = None) -> Setting:
+def prepare(
+    problem: SegmentProblem, bodies: Bodies | None = None, operators: ActuatorOperators | None = None
+) -> Setting:
     """Heads, inputs and windows of one segment."""
     actuation = actuate(problem.inputs, problem.parameters, STEP_S)
     inputs = driven_inputs(actuation)
@@ -108,7 +116,7 @@ def prepare(problem: SegmentProblem, bodies: Any = None, operators: Any = None) 
 
 
 def point_model(
-    parameters: EngineParameters, maps: Any, runs: Sequence[int], actuation: Actuation | None = None
+    parameters: EngineParameters, maps: EmpiricalMaps | None, runs: Sequence[int], actuation: Actuation | None = None
 ) -> PointModel:
     """The estimator's equations for the runs with these numbers, each with its own member of learned maps."""
     if maps is None:
@@ -241,7 +249,8 @@ def _log_std(state: Runs) -> Tensor:
 
 
 def _segment(
-    problem: SegmentProblem, begin: NDArray[np.float64], bodies: Any, operators: Any, maps: Any,
+    problem: SegmentProblem, begin: NDArray[np.float64], bodies: Bodies | None, operators: ActuatorOperators | None,
+    maps: EmpiricalMaps | None,
     settings: NewtonSettings, began: float,
 ) -> SegmentEstimate:  # fmt: skip
     setting = prepare(problem, bodies, operators)
@@ -281,7 +290,12 @@ def _segment(
 
 
 def _solved(
-    setting: Setting, maps: Any, readings: Tensor, begin: Tensor, members: list[int], settings: NewtonSettings
+    setting: Setting,
+    maps: EmpiricalMaps | None,
+    readings: Tensor,
+    begin: Tensor,
+    members: list[int],
+    settings: NewtonSettings,
 ) -> tuple[Solution, Tensor]:
     model = point_model(setting.problem.parameters, maps, members, setting.actuation)
     found = solve(setting, model, readings, begin, settings)

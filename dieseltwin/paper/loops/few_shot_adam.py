@@ -20,7 +20,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -38,6 +38,12 @@ from dieseltwin.paper.loops.compiled_loss import gradient_function
 from dieseltwin.paper.loops.few_shot_program import METHOD, AdamSettings, Lane, draw_lane, make_program, start_values
 from dieseltwin.paper.loops.losses import Weights
 
+if TYPE_CHECKING:
+    from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
+
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 """Adam's own constants (Kingma & Ba 2014), left at their defaults by the paper."""
 CURVE_POINTS = 200
@@ -51,10 +57,10 @@ def estimate(
     runs: int,
     seed: int,
     *,
-    bodies: Any = None,
-    operators: Any = None,
-    maps: Any = None,
-    config: Any = None,
+    bodies: Bodies | None = None,
+    operators: ActuatorOperators | None = None,
+    maps: EmpiricalMaps | None = None,
+    config: IdentifyConfig | AdamSettings | None = None,
     first_run: int = 0,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with the paper's loop.
@@ -131,9 +137,9 @@ class Trained:
 def train(
     lanes: Sequence[Lane],
     actuations: dict[int, Actuation],
-    bodies: Any,
-    operators: Any,
-    maps: Any,
+    bodies: Bodies | None,
+    operators: ActuatorOperators | None,
+    maps: EmpiricalMaps | None,
     settings: AdamSettings,
     progress: Callable[[int], None] | None = None,
 ) -> Trained:

@@ -35,6 +35,8 @@ from dieseltwin.paper.loops.pinn_networks import Hidden, StateNetworks
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
 
 T_WEIGHT_START = 1500.0
 """Start of the weights of T_em and T_1 here (paper; in few-shot learning it is 20)."""
@@ -320,8 +322,8 @@ def make_lanes(
 
 def train_lanes(
     lanes: Sequence[Lane],
-    operators: Any,
-    maps: Any,
+    operators: ActuatorOperators | None,
+    maps: EmpiricalMaps | None,
     settings: PinnSettings,
     sources: tuple[Tensor, Tensor] | None = None,
 ) -> PinnTrained:
