@@ -65,9 +65,9 @@ def run(where: str, root: Path, members: int, *, kill: bool = False) -> tuple[st
                     "case": case, "members": members, "noise_seed": 1, "seed": 2, "start": "lab", "channels": channels,
                     "held_out_share": 0.0, "weight_share": 1.0, "scale_x_r": None, "first": 0, "runs": members,
                 }  # fmt: skip
-                own = own_settings(settings, "classical")
+                own, step = own_settings(settings, "classical"), ensembles.STEPS["classical"]
                 pending.append(
-                    ensembles.classical.submit(field=field, settings=own, what=what, kind=f"{case}-{name}")
+                    step.submit(method="classical", field=field, settings=own, what=what, kind=f"{case}-{name}")
                 )
         return hashlib.sha256(" ".join(waiting.result().sha256 for waiting in pending).encode()).hexdigest()
 

@@ -119,9 +119,9 @@ def measured(costs: Costs) -> Costs:
     own["identify"]["minutes"] = 20.0
     problems, _ = methods.problems_of(ROOT / "data" / "field", own)
     config = methods._config(own)
-    identify_segments(problems[:1], "classical", 1, 0, config=config, threshold=0.25)
+    identify_segments(problems[:1], "classical", 1, 0, config=config)
     began = time.process_time()
-    identify_segments(problems, "classical", 3, 1, config=config, threshold=0.25)
+    identify_segments(problems, "classical", 3, 1, config=config)
     classical_s = (time.process_time() - began) / len(problems) / 3
     print(f"measured here: classical {classical_s:.4f} CPU s a minute and start, a process starts in {start_s:.1f} s")
     return replace(costs, classical_s=classical_s, start_s=start_s)

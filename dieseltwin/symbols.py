@@ -1,8 +1,8 @@
 """The nomenclature: every quantity's symbol, file column, unit, plausible range and equation, each once.
 
 Recordings validate their columns against it, figures and tables take their labels from it, MLflow metrics are named by
-`Symbol.name`. Equation numbers are those of the paper's appendix (Nath et al., Appendix A); "NOTES" marks what the
-published simulation (Wahlstrom & Eriksson 2011) has beyond the printed equations.
+`Symbol.name`. Equation numbers are those of the paper's appendix (Nath et al., Appendix A); "published" marks what
+the published simulation (Wahlstrom & Eriksson 2011) has beyond the printed equations.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Symbol:
         unit: SI unit for people ("Pa"; "-" where dimensionless).
         low, high: the range that any engine of this kind stays in [unit]; a recording whose median lies outside is in
             another unit or not this quantity.
-        equation: where it is defined ("A.1"; several by comma), "input", "parameter" or "NOTES".
+        equation: where it is defined ("A.1"; several by comma), "input", "parameter" or "published".
         latex: the symbol for figures, without dollar signs.
         meaning: a few words.
     """
@@ -86,11 +86,11 @@ _TABLE: tuple[Symbol, ...] = (
     Symbol("W_c", "w_c_kg_s", "kg/s", 0.0, 2.0, "A.48", "W_c", "compressor flow"),
     Symbol("Phi_c", "phi_c", "-", 0.0, 0.6, "A.49", r"\Phi_c", "volumetric flow coefficient"),
     # beyond the printed equations
-    Symbol("X_Oim", "x_oim", "-", 0.0, 0.25, "NOTES", "X_{Oim}", "oxygen mass fraction, intake manifold"),
-    Symbol("X_Oem", "x_oem", "-", 0.0, 0.25, "NOTES", "X_{Oem}", "oxygen mass fraction, exhaust manifold"),
-    Symbol("lambda", "lambda", "-", 0.0, 1e6, "NOTES", r"\lambda", "air to stoichiometric air"),
-    Symbol("egr_fraction", "egr_fraction", "-", 0.0, 1.0, "NOTES", r"W_{egr}/(W_c+W_{egr})", "EGR fraction"),
-    Symbol("M_e", "torque_nm", "N m", -2000.0, 6000.0, "NOTES", "M_e", "engine torque"),
+    Symbol("X_Oim", "x_oim", "-", 0.0, 0.25, "published", "X_{Oim}", "oxygen mass fraction, intake manifold"),
+    Symbol("X_Oem", "x_oem", "-", 0.0, 0.25, "published", "X_{Oem}", "oxygen mass fraction, exhaust manifold"),
+    Symbol("lambda", "lambda", "-", 0.0, 1e6, "published", r"\lambda", "air to stoichiometric air"),
+    Symbol("egr_fraction", "egr_fraction", "-", 0.0, 1.0, "published", r"W_{egr}/(W_c+W_{egr})", "EGR fraction"),
+    Symbol("M_e", "torque_nm", "N m", -2000.0, 6000.0, "published", "M_e", "engine torque"),
     Symbol("T_im", "t_im_k", "K", 230.0, 500.0, "input", "T_{im}", "intake manifold temperature"),
     # ambient
     Symbol("p_amb", "p_amb_pa", "Pa", 5e4, 1.3e5, "input", "p_{amb}", "ambient pressure"),

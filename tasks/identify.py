@@ -77,11 +77,10 @@ def identified(
 
     config = _config(settings)
     problems, _ = problems_of(field, settings)
-    threshold = config.identifiable_bound_rel
     learned = load_networks(networks)
     if not find(method).with_epochs:  # it compiles on its first use: seconds per run are those of a warm machine
-        identify_segments(problems[:1], method, 1, seed, config=config, threshold=threshold, **learned)
-    found = identify_segments(problems, method, runs, seed, config=config, threshold=threshold, **learned)
+        identify_segments(problems[:1], method, 1, seed, config=config, **learned)
+    found = identify_segments(problems, method, runs, seed, config=config, **learned)
     for name, content in (("identification.json", found.to_json()), ("runtime.json", found.runtime())):
         (out / name).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     found.states.to_parquet(out / "states.parquet", index=False)

@@ -100,18 +100,20 @@ def maps(
     from dieseltwin.recordings.datasets import laboratory_parameters
     from dieseltwin.settings.maps import MapsConfig
     from dieseltwin.settings.params import EngineConfig
-    from dieseltwin.surrogates.empirical_training import train_maps
+    from dieseltwin.surrogates.empirical_training import MapData, train_maps
 
     cases, unseen = _cases(lab), _cases(field)
     trained = train_maps(
-        cases,
+        MapData(
+            cases,
+            finer=_cases(fine),
+            held_out={name: frame for name, frame in unseen.items() if name.endswith("_clean")},
+            engine=laboratory_parameters(EngineConfig(**engine)),
+        ),
         MapsConfig(**config),
         seed,
         kind,  # type: ignore[arg-type]
-        eta_tm_cases=_cases(fine),
         label_noise_rel=label_noise_rel,
-        parameters=laboratory_parameters(EngineConfig(**engine)),
-        held_out={name: frame for name, frame in unseen.items() if name.endswith("_clean")},
         progress=lambda part, share: progress(share, 1.0),
     )
     trained.save(out / "maps.pt")

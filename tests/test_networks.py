@@ -13,6 +13,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.networks import (
     MLP,
     CausalityDeepONet,
+    DeepONetSizes,
     MultiHead,
     load_network,
     network_from_spec,
@@ -145,7 +146,9 @@ def test_a_spread_first_layer_makes_a_well_conditioned_basis() -> None:
 
 
 def deeponet(n: int = 12, **options) -> CausalityDeepONet:  # type: ignore[no-untyped-def]
-    return CausalityDeepONet(n, 2, input_hidden=(9,), n_basis=6, generator=generator(), **options)
+    return CausalityDeepONet(
+        n, 2, sizes=DeepONetSizes(input_hidden=(9,), n_basis=6), generator=generator(), **options
+    )
 
 
 def test_the_future_does_not_change_the_past() -> None:

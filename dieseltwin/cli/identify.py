@@ -85,7 +85,6 @@ def run_identify(
             runs,
             settings.seed if seed is None else seed,
             config=settings.identify,
-            threshold=settings.identify.identifiable_bound_rel,
             **networks,
         )
         about = {"params_sha256": settings.sha256, "recording_sha256": source.sha256, "notes": notes}

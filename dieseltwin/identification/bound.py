@@ -23,7 +23,7 @@ from dieseltwin.identification.shooting import (
 Array = NDArray[np.float64]
 
 IDENTIFIABLE_BELOW = 0.25
-"""Largest relative bound that counts as identifiable (PROTOCOL.md, Bound)."""
+"""Largest relative bound that counts as identifiable: a known parameter is known to a quarter of its value."""
 
 NO_INFORMATION = 100.0
 """A relative bound beyond this is reported as infinite: the readings say nothing about the parameter."""
@@ -33,8 +33,7 @@ NO_INFORMATION = 100.0
 class Bound:
     """Cramer-Rao bound of one segment: smallest standard deviation of an unbiased estimator.
 
-    Four parameters and three initial states are free, actuators are known, noise is Gaussian with `problem.sigma`
-    (PROTOCOL.md, Bound).
+    Four parameters and three initial states are free, actuators are known, noise is Gaussian with `problem.sigma`.
 
     Attributes:
         absolute: (4,) standard deviation of the health parameters [m2, m2, -, W/(m2 K)]; infinite without

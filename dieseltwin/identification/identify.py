@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification
 from dieseltwin.settings.methods import find
+from dieseltwin.settings.params import IdentifyConfig
 
 if TYPE_CHECKING:
     from dieseltwin.surrogates.bodies import Bodies
@@ -28,8 +29,7 @@ def identify_segments(
     maps: EmpiricalMaps | None = None,
     bodies: Bodies | None = None,
     operators: ActuatorOperators | None = None,
-    config: Any = None,
-    threshold: float = IDENTIFIABLE_BELOW,
+    config: object = None,
 ) -> Identification:
     """Identify the health parameters of every segment with one method.
 
@@ -41,8 +41,8 @@ def identify_segments(
         maps: learned empirical maps, or None for the exact formulae.
         bodies: trained multi-head bodies (few-shot methods).
         operators: trained actuator operators, or None for the exact actuators.
-        config: `IdentifyConfig` (`identify` of params.yaml), the method's own settings, or None for its defaults.
-        threshold: largest relative bound that counts as identifiable [-].
+        config: `IdentifyConfig` (`identify` of params.yaml, which also says from which relative bound on a parameter
+            counts as identifiable), the method's own settings, or None for its defaults.
 
     Returns:
         Estimates of every segment and run, with their pooling.
@@ -56,6 +56,7 @@ def identify_segments(
         raise InputError("runs", runs, "1 or more", "ask for at least one run")
     chosen = find(method)
     chosen.check_installed()
+    threshold = config.identifiable_bound_rel if isinstance(config, IdentifyConfig) else IDENTIFIABLE_BELOW
     began = time.perf_counter()
     estimates = chosen.estimate(
         list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config

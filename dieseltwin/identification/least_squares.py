@@ -69,13 +69,25 @@ class Fit:
     converged: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class Box:
+    """Where unknowns may go.
+
+    Attributes:
+        lower, upper: (m,) or (L, m) limits that trial points are clipped to; equal ones pin an unknown.
+        step_max: (m,) largest change of an unknown in one step.
+    """
+
+    lower: Array
+    upper: Array
+    step_max: Array
+
+
 def levenberg_marquardt(
     linearise: Linearise,
     start: Array,
+    box: Box,
     *,
-    lower: Array,
-    upper: Array,
-    step_max: Array,
     tolerance: float,
     iterations_max: int,
     interest: slice = ALL,
@@ -90,8 +102,7 @@ def levenberg_marquardt(
     Args:
         linearise: evaluates chosen problems.
         start: (L, m) first values.
-        lower, upper: (m,) or (L, m) box that trial points are clipped to.
-        step_max: (m,) largest change of an unknown in one step.
+        box: where the unknowns may go.
         tolerance: largest decrement that counts as converged [standard deviations].
         iterations_max: most evaluations after the first.
         interest: unknowns whose convergence is judged; the others are nuisances, which may rest at a kink.
@@ -100,6 +111,7 @@ def levenberg_marquardt(
     Returns:
         The best point of each problem.
     """
+    lower, upper, step_max = box.lower, box.upper, box.step_max
     count = len(start)
     everything = np.arange(count)
     lower, upper = np.broadcast_to(lower, start.shape), np.broadcast_to(upper, start.shape)

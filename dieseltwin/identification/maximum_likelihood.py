@@ -14,6 +14,7 @@ from dieseltwin.engine import settle
 from dieseltwin.identification.bound import cautious_bound
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.least_squares import (
+    Box,
     Fit,
     concatenated,
     covariance,
@@ -135,7 +136,7 @@ def estimate(
     result: dict[int, SegmentEstimate] = {}
     for group in by_grid(problems):
         shooting = Shooting(tuple(problems[i] for i in group), simulator)
-        # Loads or compiles the kernel, so that the time taken is that of warm runs (PROTOCOL.md, Runs).
+        # Loads or compiles the kernel, so that the time taken is that of warm runs.
         shooting.simulate(np.zeros(2, dtype=np.int64), begin[group[0]][[0, 0]])
         began = time.perf_counter()
         fit = fit_runs(shooting, np.stack([begin[i] for i in group]), settings)
@@ -184,9 +185,7 @@ def fit_runs(
         return levenberg_marquardt(
             ShootingRuns(shooting, segment[rows], readings[rows], errors),
             at,
-            lower=low,
-            upper=high,
-            step_max=STEP_MAX,
+            Box(low, high, STEP_MAX),
             tolerance=settings.tolerance,
             iterations_max=settings.iterations_max,
             interest=slice(0, N_HEALTH),

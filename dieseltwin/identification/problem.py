@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,16 +13,19 @@ from dieseltwin.engine import INPUT_COLUMNS, MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.sensor_effects import undo_sensor_terms
 from dieseltwin.errors import InputError
 
+if TYPE_CHECKING:
+    from dieseltwin.recordings.reader import Recording, Segment
+
 Array = NDArray[np.float64]
 
 PAPER_NOISE: tuple[float, ...] = (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
-"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and W_c (PROTOCOL, Noise) [-]."""
+"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and, of our own, W_c [-]."""
 
 NOISE_FLOOR: tuple[float, ...] = (200.0, 200.0, 5.0, 5e-4, 1.0, 1e-3)
 """Smallest noise that is believed [Pa, Pa, rad/s, kg/s, K, kg/s].
 
 About 0.1 % of full scale (0.5 % for the EGR venturi). Noise that is a percentage of a vanishing flow pretends
-information: without a floor a recording with a shut EGR valve would claim to know A_egrmax (ESTIMATION.md). The floor
+information: without a floor a recording with a shut EGR valve would claim to know A_egrmax. The floor
 is far below the paper's percentages wherever a channel carries a signal.
 """
 
@@ -58,7 +61,7 @@ class NoiseLevels:
     def from_signals(
         cls, signals: ArrayLike, relative: ArrayLike = PAPER_NOISE, floor: ArrayLike = NOISE_FLOOR
     ) -> NoiseLevels:
-        """Percentages of the mean over the whole recording, as PROTOCOL.md defines the noise.
+        """Percentages of the mean over the whole recording: the noise that the paper adds.
 
         Args:
             signals: (n, 6) clean (or measured) channels of the whole recording, NaN where absent.
@@ -195,7 +198,7 @@ class SegmentProblem:
 
 
 def problem_from_segment(
-    segment: Any,
+    segment: Segment,
     parameters: EngineParameters,
     noise: NoiseLevels,
     *,
@@ -245,7 +248,7 @@ def problem_from_segment(
 
 
 def problems_from_recording(
-    recording: Any,
+    recording: Recording,
     parameters: EngineParameters,
     *,
     noise: NoiseLevels | None = None,

@@ -145,7 +145,7 @@ class ShootingRuns:
         """Cost, gradient and Gauss-Newton Hessian of chosen runs.
 
         The Jacobian comes from forward differences: eight simulations (one nominal, seven perturbed) in lockstep that
-        start from the same fixed-point guess of x_r and T_1; other starts would bias eta_sc and h_tot (ESTIMATION.md).
+        start from the same fixed-point guess of x_r and T_1; other starts would bias eta_sc and h_tot.
         A run that keeps its Jacobian costs one simulation.
 
         Args:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dieseltwin.engine import HEALTH
+from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 
 __all__ = ["HEALTH", "SCALES", "START_SIGMA", "UNITS", "health_of", "start_centre", "starts", "to_masked",
@@ -73,7 +74,7 @@ def to_masked(physical: ArrayLike) -> NDArray[np.float64]:
     return masked
 
 
-def health_of(parameters: Any) -> NDArray[np.float64]:
+def health_of(parameters: EngineParameters | Mapping[str, float]) -> NDArray[np.float64]:
     """Take the four health values out of a parameter set.
 
     Args:
@@ -82,12 +83,14 @@ def health_of(parameters: Any) -> NDArray[np.float64]:
     Returns:
         (4,) values [m2, m2, -, W/(m2 K)].
     """
-    if hasattr(parameters, "keys"):
-        return np.array([float(parameters[name]) for name in HEALTH])
-    return np.array([float(getattr(parameters, name)) for name in HEALTH])
+    if isinstance(parameters, EngineParameters):
+        return parameters.health()
+    return np.array([float(parameters[name]) for name in HEALTH])
 
 
-def start_centre(parameters: Any, truth: Any | None, start_at: str) -> NDArray[np.float64]:
+def start_centre(
+    parameters: EngineParameters, truth: Mapping[str, float] | None, start_at: str
+) -> NDArray[np.float64]:
     """Centre of the starts: the engine file's health parameters, (4,) [m2, m2, -, W/(m2 K)].
 
     `start_at` "truth" takes the true ones, where a recording knows them; others start at the file's all the same.
@@ -98,8 +101,8 @@ def start_centre(parameters: Any, truth: Any | None, start_at: str) -> NDArray[n
 def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float = START_SIGMA) -> NDArray[np.float64]:
     """Draw starting values of the unknowns: Gaussian in masked space around a centre.
 
-    The centre is the laboratory set, as PROTOCOL says; only the extra set of runs that repeats the paper's "near the
-    true values" passes the truth.
+    The centre is the laboratory set: nobody knows the truth. Only the extra set of runs that repeats the paper's "near
+    the true values" passes the truth.
 
     Args:
         centre: (4,) values around which to start [m2, m2, -, W/(m2 K)].

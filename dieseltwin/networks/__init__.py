@@ -6,12 +6,12 @@ neural networks"). A network is made of its `spec()` (plain JSON) and its state 
 keep both in one file that is written atomically.
 """
 
-from dieseltwin.networks.deeponet import CausalityDeepONet, soft_clip, soft_clip_slope
+from dieseltwin.networks.deeponet import CausalityDeepONet, DeepONetSizes, soft_clip, soft_clip_slope
 from dieseltwin.networks.files import load_network, load_state, network_from_spec, save_network, save_state
 from dieseltwin.networks.multi_head import MultiHead
 from dieseltwin.networks.perceptron import ACTIVATIONS, MLP, no_dropout, stack_members
 
 __all__ = [
-    "ACTIVATIONS", "MLP", "CausalityDeepONet", "MultiHead", "load_network", "load_state", "network_from_spec",
-    "no_dropout", "save_network", "save_state", "soft_clip", "soft_clip_slope", "stack_members",
+    "ACTIVATIONS", "MLP", "CausalityDeepONet", "DeepONetSizes", "MultiHead", "load_network", "load_state",
+    "network_from_spec", "no_dropout", "save_network", "save_state", "soft_clip", "soft_clip_slope", "stack_members",
 ]  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
@@ -11,6 +12,23 @@ from torch import Tensor, nn
 
 from dieseltwin.errors import InputError
 from dieseltwin.networks.perceptron import MLP
+
+
+@dataclass(frozen=True)
+class DeepONetSizes:
+    """Structure of a causality DeepONet.
+
+    Attributes:
+        input_hidden, initial_hidden, trunk_hidden: widths of the hidden layers.
+        n_basis: number of terms in the sum.
+        activation: of all hidden layers.
+    """
+
+    input_hidden: tuple[int, ...] = (40, 40)
+    initial_hidden: tuple[int, ...] = (20,)
+    trunk_hidden: tuple[int, ...] = (40, 40)
+    n_basis: int = 40
+    activation: str = "tanh"
 
 
 class CausalityDeepONet(nn.Module):
@@ -25,9 +43,7 @@ class CausalityDeepONet(nn.Module):
     Args:
         n_times: samples in a window.
         outputs: number of outputs (each has two branches).
-        input_hidden, initial_hidden, trunk_hidden: widths of the hidden layers.
-        n_basis: number of terms in the sum.
-        activation: of all hidden layers.
+        sizes: of the branches and the trunk.
         clip_sharpness: of the soft clip, see `soft_clip`.
         memory: None for the paper's initial weights in the input branches. Else those of lag k fade as
             exp(-k / memory), keeping their total variance: most of a long history says nothing new.
@@ -43,11 +59,7 @@ class CausalityDeepONet(nn.Module):
         n_times: int,
         outputs: int,
         *,
-        input_hidden: Sequence[int] = (40, 40),
-        initial_hidden: Sequence[int] = (20,),
-        trunk_hidden: Sequence[int] = (40, 40),
-        n_basis: int = 40,
-        activation: str = "tanh",
+        sizes: DeepONetSizes | None = None,
         clip_sharpness: float = 1000.0,
         memory: float | None = None,
         trunk_slopes: tuple[float, float] | None = None,
@@ -59,25 +71,21 @@ class CausalityDeepONet(nn.Module):
             raise InputError("n_times, outputs", (n_times, outputs), ">= 2 and >= 1", "correct them")
         self.n_times = int(n_times)
         self.outputs = int(outputs)
-        self.input_hidden = tuple(input_hidden)
-        self.initial_hidden = tuple(initial_hidden)
-        self.trunk_hidden = tuple(trunk_hidden)
-        self.n_basis = int(n_basis)
-        self.activation = activation
+        self.sizes = sizes = DeepONetSizes() if sizes is None else sizes
         self.clip_sharpness = float(clip_sharpness)
         self.memory = memory
         self.trunk_slopes = trunk_slopes
 
         def make(widths: Sequence[int]) -> MLP:
-            return MLP(widths, activation, generator=generator, dtype=dtype)
+            return MLP(widths, sizes.activation, generator=generator, dtype=dtype)
 
         self.input_branches = nn.ModuleList(
-            make((n_times, *self.input_hidden, n_basis)) for _ in range(outputs)
+            make((n_times, *sizes.input_hidden, sizes.n_basis)) for _ in range(outputs)
         )
         self.initial_branches = nn.ModuleList(
-            make((1, *self.initial_hidden, n_basis)) for _ in range(outputs)
+            make((1, *sizes.initial_hidden, sizes.n_basis)) for _ in range(outputs)
         )
-        self.trunk = make((1, *self.trunk_hidden, n_basis))
+        self.trunk = make((1, *sizes.trunk_hidden, sizes.n_basis))
         # between the limits, where the soft clip lets gradients through
         self.offset = nn.Parameter(torch.full((outputs,), 0.5, dtype=dtype))
         with torch.no_grad():
@@ -99,16 +107,24 @@ class CausalityDeepONet(nn.Module):
             "kind": "CausalityDeepONet",
             "n_times": self.n_times,
             "outputs": self.outputs,
-            "input_hidden": list(self.input_hidden),
-            "initial_hidden": list(self.initial_hidden),
-            "trunk_hidden": list(self.trunk_hidden),
-            "n_basis": self.n_basis,
-            "activation": self.activation,
+            "input_hidden": list(self.sizes.input_hidden),
+            "initial_hidden": list(self.sizes.initial_hidden),
+            "trunk_hidden": list(self.sizes.trunk_hidden),
+            "n_basis": self.sizes.n_basis,
+            "activation": self.sizes.activation,
             "clip_sharpness": self.clip_sharpness,
             "memory": self.memory,
             "trunk_slopes": None if self.trunk_slopes is None else list(self.trunk_slopes),
             "dtype": str(self.offset.dtype).removeprefix("torch."),
         }
+
+    @classmethod
+    def from_spec(cls, **spec: Any) -> CausalityDeepONet:
+        """A network of the structure that `spec` described."""
+        own: dict[str, Any] = {f.name: spec.pop(f.name) for f in fields(DeepONetSizes)}
+        for name in ("input_hidden", "initial_hidden", "trunk_hidden"):
+            own[name] = tuple(own[name])
+        return cls(sizes=DeepONetSizes(**own), **spec)
 
     def times(self) -> Tensor:
         """Sample times of a window scaled to [-1, 1], (n_times, 1)."""

@@ -52,7 +52,7 @@ def load_state(path: str | Path) -> tuple[dict[str, Any], dict[str, Any]]:
 _KINDS: Mapping[str, Callable[..., nn.Module]] = {
     "MLP": MLP,
     "MultiHead": MultiHead,
-    "CausalityDeepONet": CausalityDeepONet,
+    "CausalityDeepONet": CausalityDeepONet.from_spec,
 }
 
 

@@ -27,7 +27,7 @@ class DiscoverConfig(StrictModel):
 
 
 class ProofConfig(StrictModel):
-    """The concealed benchmark (DISCOVERY.md, "Proof")."""
+    """The concealed benchmark (docs/benchmark.md)."""
 
     cases: PositiveInt
     seed: NonNegativeInt

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import dieseltwin
 from dieseltwin.errors import InputError
 from dieseltwin.settings.extras import require
 from dieseltwin.settings.names import unknown_name
@@ -133,9 +132,9 @@ def in_order() -> tuple[Method, ...]:
 
 def _modules() -> dict[str, str]:
     """Method -> module, in the order of the rooms' names."""
-    package = dieseltwin.__name__
+    package = __name__.partition(".")[0]
     return {
         path.stem.replace("_", "-"): f"{package}.{path.parts[-3]}.{FOLDER}.{path.stem}"
-        for folder in dieseltwin.__path__
+        for folder in importlib.import_module(package).__path__
         for path in sorted(Path(folder).glob(f"*/{FOLDER}/[!_]*.py"))
     }

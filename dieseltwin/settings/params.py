@@ -45,7 +45,7 @@ class EngineConfig(StrictModel):
 
 
 class RandomDrivingConfig(StrictModel):
-    """Seeded random transient driving (PROTOCOL: Driving)."""
+    """Seeded random transient driving: speed and load hold, ramp and idle, with jitter and slow dither."""
 
     speed_rpm: Range
     load_rel: Range = Field(description="of the full-load torque at that speed")
@@ -202,7 +202,7 @@ class PretrainConfig(StrictModel):
 
 
 class StartConfig(StrictModel):
-    """Where the unknowns start (PROTOCOL: Parameters)."""
+    """Where the unknowns start: at the laboratory values, never around the truth but to show how much that flatters."""
 
     at: Literal["lab", "truth"]
     sd_masked: NonNegativeFloat

@@ -200,7 +200,8 @@ def pod_floor(
 ) -> dict[str, float]:
     """Relative L2 error [%] of projecting held-out minutes on a constant and the training minutes' singular vectors.
 
-    PROTOCOL "POD floor": in inverse-transformed space, the first k vectors (k = `widths[body]`), p_im and p_em jointly.
+    The floor of a proper orthogonal decomposition: in inverse-transformed space, the first k vectors (k =
+    `widths[body]`), p_im and p_em jointly.
     """
     result = {}
     for name, columns in BODIES.items():

@@ -1,7 +1,7 @@
 """Training of the six empirical maps on simulated laboratory recordings.
 
 Labels are the recordings' own columns with Gaussian noise of 3 % of the mean absolute label (paper, section "Neural
-network surrogates for empirical formulae"; PROTOCOL "Noise"). Both kinds see the same noisy labels, but for
+network surrogates for empirical formulae"). Both kinds see the same noisy labels, but for
 f_egr: Case-I as printed, all four cases in improved.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -30,7 +31,9 @@ from dieseltwin.surrogates.empirical_forms import (
 )
 from dieseltwin.surrogates.small_networks import (
     Cells,
+    Labels,
     Output,
+    Structure,
     evaluate,
     levenberg_marquardt,
     make_cells,
@@ -55,29 +58,40 @@ LIMIT_MARGIN = 0.25  # of an input's range beyond the training data, where the i
 Samples = dict[str, tuple[tuple[np.ndarray, ...], np.ndarray]]
 
 
+@dataclass(frozen=True)
+class MapData:
+    """Recordings that the maps are trained on.
+
+    Attributes:
+        lab: clean recordings case_i to case_iv (others are left aside) with ambient and actuator columns.
+        finer: the same cases sampled finer, for eta_tm (paper: 0.025 s); `lab` where None.
+        held_out: clean recordings that are only evaluated, for the table of errors.
+        engine: the laboratory engine.
+    """
+
+    lab: Mapping[str, pd.DataFrame]
+    finer: Mapping[str, pd.DataFrame] | None = None
+    held_out: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    engine: EngineParameters = we2011.PARAMETERS
+
+
 def train_maps(
-    lab_cases: Mapping[str, pd.DataFrame],
+    data: MapData,
     config: MapsConfig,
     seed: int,
     kind: Kind,
     *,
-    eta_tm_cases: Mapping[str, pd.DataFrame] | None = None,
     label_noise_rel: float = 0.03,
-    parameters: EngineParameters = we2011.PARAMETERS,
-    held_out: Mapping[str, pd.DataFrame] | None = None,
     progress: Progress | None = None,
 ) -> EmpiricalMaps:
     """Train the six maps.
 
     Args:
-        lab_cases: clean recordings case_i to case_iv (others are left aside) with ambient and actuator columns.
+        data: laboratory recordings and their engine.
         config: `pretrain.maps` of params.yaml.
         seed: of label noise, starts and batches; the same seed gives the same bits on one thread.
         kind: "paper" or "improved".
-        eta_tm_cases: the same cases sampled finer, for eta_tm (paper: 0.025 s); `lab_cases` where None.
         label_noise_rel: standard deviation of the label noise over the mean absolute label.
-        parameters: the laboratory engine.
-        held_out: clean recordings that are only evaluated, for the table of errors.
         progress: called as the training goes on.
 
     Raises:
@@ -85,8 +99,8 @@ def train_maps(
     """
     if kind not in KINDS:
         raise unknown_name("kind of maps", kind, list(KINDS))
-    cases = _training_cases(lab_cases)
-    samples = _samples(kind, cases, _training_cases(eta_tm_cases or lab_cases), parameters)
+    cases, parameters = _training_cases(data.lab), data.engine
+    samples = _samples(kind, cases, _training_cases(data.finer or data.lab), parameters)
     noisy: Samples = {}
     for number, (name, (arguments, label)) in enumerate(samples.items()):
         rng = np.random.default_rng([seed, number])
@@ -96,7 +110,7 @@ def train_maps(
     maps = fit(noisy, config, seed, parameters, progress or (lambda name, share: None))
     meta = {"seed": seed, "label_noise_rel": label_noise_rel, "rows": {n: s[1].size for n, s in noisy.items()}}
     trained = EmpiricalMaps(kind, maps, parameters, meta)
-    table = trained.error_table({**cases, **(held_out or {})}, uncertainty=True)
+    table = trained.error_table({**cases, **data.held_out}, uncertainty=True)
     return EmpiricalMaps(kind, maps, parameters, meta, tuple(table.to_dict("records")))
 
 
@@ -241,11 +255,17 @@ def finish(
     rows = np.concatenate(chosen)
     doubt = LIMIT_SIGMAS * sigma / np.sqrt(cells.count)
     found = levenberg_marquardt(
-        _packed(network), widths, at[:, rows], mean_label[rows][None],
-        (cells.count / sigma**2)[rows] * np.concatenate(share),
-        _output_with_slope(name, at[:, rows], mean_label[rows], doubt[rows], "paper"),
-        steps=settings.finish_steps, ridge=settings.finish_ridge, activate=tanh, masked=masked,
-    )  # fmt: skip
+        _packed(network),
+        Structure(widths, tanh, masked),
+        Labels(
+            at[:, rows],
+            mean_label[rows][None],
+            (cells.count / sigma**2)[rows] * np.concatenate(share),
+            _output_with_slope(name, at[:, rows], mean_label[rows], doubt[rows], "paper"),
+        ),
+        steps=settings.finish_steps,
+        ridge=settings.finish_ridge,
+    )
     return _as_mlp(found.parameters, widths, "tanh", network.dropout).to(network.weights[0].dtype)
 
 
@@ -298,9 +318,8 @@ def _fit_map(
     output = _output_with_slope(name, raw, mean_label, LIMIT_SIGMAS * sigma / np.sqrt(cells.count))
 
     first = start(widths, at, settings.starts, settings.first_layer_scale, settings.start_level, rng)
-    tried = levenberg_marquardt(
-        first, widths, at, mean_label[None], weight, output, steps=settings.steps, ridge=settings.ridge
-    )
+    structure, labels = Structure(widths), Labels(at, mean_label[None], weight, output)
+    tried = levenberg_marquardt(first, structure, labels, steps=settings.steps, ridge=settings.ridge)
     order = np.argsort(tried.cost)
     good = order[tried.cost[order] <= settings.accepted_cost_ratio * tried.cost[order[0]]]
     nominal = tried.parameters[order[:1]]
@@ -311,18 +330,19 @@ def _fit_map(
         bend = cells.mean(by_row) - output(evaluate(nominal, widths, at))[0][0]
         nominal = levenberg_marquardt(
             nominal,
-            widths,
-            at,
-            (mean_label - bend)[None],
-            weight,
-            output,
+            structure,
+            replace(labels, y=(mean_label - bend)[None]),
             steps=settings.refine_steps,
             ridge=settings.ridge,
         ).parameters
     redrawn = (mean_label - bend) + rng.standard_normal((settings.members, mean_label.size)) / np.sqrt(weight)
     from_starts = tried.parameters[good[np.arange(settings.members) % good.size]]
     members = levenberg_marquardt(
-        from_starts, widths, at, redrawn, weight, output, steps=settings.refine_steps, ridge=settings.ridge
+        from_starts,
+        structure,
+        replace(labels, y=redrawn),
+        steps=settings.refine_steps,
+        ridge=settings.ridge,
     ).parameters
     network = _as_mlp(np.concatenate([nominal, members]), widths)
     return MapNetwork(network, low, high, centre, scale, spread=settings.spread)

@@ -25,7 +25,15 @@ from torch import Tensor
 
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.errors import InputError
-from dieseltwin.networks import CausalityDeepONet, load_state, network_from_spec, save_state, soft_clip, soft_clip_slope
+from dieseltwin.networks import (
+    CausalityDeepONet,
+    DeepONetSizes,
+    load_state,
+    network_from_spec,
+    save_state,
+    soft_clip,
+    soft_clip_slope,
+)
 from dieseltwin.settings.params import OperatorConfig, OperatorsConfig
 
 OPERATORS: Mapping[str, tuple[str, ...]] = {"egr": ("u_egr1_pct", "u_egr2_pct"), "vgt": ("u_vgt_act_pct",)}
@@ -235,10 +243,7 @@ def _train(
     network = CausalityDeepONet(
         n_times,
         outputs,
-        input_hidden=config.input_hidden,
-        initial_hidden=config.initial_hidden,
-        trunk_hidden=config.trunk_hidden,
-        n_basis=config.basis,
+        sizes=DeepONetSizes(config.input_hidden, config.initial_hidden, config.trunk_hidden, config.basis),
         memory=memory / 2.0,
         trunk_slopes=(1.0, half_window_s / common.forget_s),
         generator=generator,

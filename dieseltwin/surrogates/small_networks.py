@@ -183,24 +183,65 @@ class Fit:
     steps: int
 
 
+@dataclass(frozen=True)
+class Structure:
+    """What the networks of a batch have in common.
+
+    Attributes:
+        widths: inputs, hidden layers, output.
+        activate: of the hidden layers.
+        masked: dropout by rows; none without it.
+    """
+
+    widths: Widths
+    activate: Activation = algebraic
+    masked: Masked = ()
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What the networks are fitted to.
+
+    Attributes:
+        x: (d, k) shared inputs.
+        y: (M, k) or (1, k) labels.
+        weight: (k,) one over their variance.
+        output: from a network's output to what is labelled, with its slope.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    weight: np.ndarray
+    output: Output
+
+
 def levenberg_marquardt(
-    p: np.ndarray, widths: Widths, x: np.ndarray, y: np.ndarray, weight: np.ndarray, output: Output,
-    *, steps: int, ridge: float, tolerance: float = 1e-6, damping: float = DAMPING_START,
-    activate: Activation = algebraic, masked: Masked = (),
-) -> Fit:  # fmt: skip
+    p: np.ndarray,
+    structure: Structure,
+    labels: Labels,
+    *,
+    steps: int,
+    ridge: float,
+    tolerance: float = 1e-6,
+    damping: float = DAMPING_START,
+) -> Fit:
     """Minimise sum(weight (y - output(network(x)))^2) + ridge |p|^2 for M networks at once, each with its damping.
 
     Args:
-        p: start (M, P). x: (d, k) shared inputs. y: (M, k) or (1, k) labels. weight: (k,) one over variance.
-        steps: at most so many. tolerance: relative decrease of the cost that counts as progress.
-        activate: of the hidden layers. masked: dropout by rows; none without it.
+        p: start (M, P).
+        structure, labels: the networks, and what they are fitted to.
+        steps: at most so many.
+        ridge: pulls all parameters towards zero.
+        tolerance: relative decrease of the cost that counts as progress.
+        damping: first factor.
 
     Raises:
         DieselTwinError: the start has no finite cost.
     """
     p = p.copy()
-    root_weight = np.sqrt(weight)
-    y = np.broadcast_to(y, (len(p), x.shape[1]))
+    widths, activate, masked = structure.widths, structure.activate, structure.masked
+    x, output, root_weight = labels.x, labels.output, np.sqrt(labels.weight)
+    y = np.broadcast_to(labels.y, (len(p), x.shape[1]))
 
     def cost_of(q: np.ndarray) -> np.ndarray:
         residual = root_weight * (y - output(evaluate(q, widths, x, activate, masked))[0])

@@ -136,7 +136,7 @@ def test_the_figures_show_readings_that_a_member_saw(tmp_path: Path, monkeypatch
 def test_what_is_already_computed_is_said_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from types import SimpleNamespace
 
-    from tasks.ensembles import classical
+    from tasks.ensembles import STEPS
     from tasks.store import Artifact
 
     context = new_context(tmp_path)
@@ -144,7 +144,7 @@ def test_what_is_already_computed_is_said_once(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(context.display, "cached", said.append)
     monkeypatch.setattr(Artifact, "from_dict", lambda *_: "artifact")
     future = SimpleNamespace(result=dict)
-    pending = run_context.Pending(classical, {"kind": "x"}, future, context, cached=True)
+    pending = run_context.Pending(STEPS["classical"], {"kind": "x"}, future, context, cached=True)
     assert [pending.result(), pending.result()] == ["artifact", "artifact"]
     assert len(said) == 1
     run_context.use(None)
@@ -152,12 +152,19 @@ def test_what_is_already_computed_is_said_once(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize("unit", [None, 0.5])
 def test_the_unit_of_x_r_is_changed_where_an_ensemble_names_one(unit: float | None) -> None:
-    from dieseltwin.paper.loops.baseline import SETTINGS
+    from dieseltwin.paper.loops import baseline
     from dieseltwin.paper.loops.few_shot_program import AdamSettings
-    from tasks.ensembles import _with_x_r
+    from dieseltwin.paper.loops.pinn_training import settings_from
+    from dieseltwin.settings.params import load_params
+    from tasks.ensembles import _config
+    from tasks.settings import own_settings
 
-    for printed in (SETTINGS, AdamSettings()):
-        assert _with_x_r(printed, {"scale_x_r": unit}).scales.x_r == (unit or printed.scales.x_r)
+    settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")
+    what = {"start": "truth", "scale_x_r": unit, "held_out_share": 0.0, "weight_share": 1.0}
+    adam = AdamSettings.from_config(_config(own_settings(settings, "few-shot-adam"), "few-shot-adam", what))
+    first = settings_from(_config(own_settings(settings, "baseline"), "baseline", what), "baseline", baseline.SETTINGS)
+    assert adam.scales.x_r == first.scales.x_r == (unit or 0.1)
+    assert adam.start_at == first.start_at == "truth"
 
 
 def test_a_variant_starts_where_its_method_starts() -> None:

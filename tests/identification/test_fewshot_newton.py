@@ -125,14 +125,7 @@ def test_process_noise_knows_bad_maps(planted: SegmentProblem) -> None:
     setting = prepare(planted)
     formula = setting.exact.model.eta_vol
     bad = PointModel(planted.parameters, {"eta_vol": lambda p_im, n_e, c: 1.05 * formula(p_im, n_e, c)})
-    levels = [
-        calibrate(
-            setting.heads, setting.inputs, model, setting.exact, setting.windows, setting.actuation,
-            planted.parameters, sigma=torch.tensor(planted.sigma[:3]), defect_share=0.3, floor_share=0.3,
-            noticed_share=0.1,
-        ).floor
-        for model in (setting.exact, bad)
-    ]  # fmt: skip
+    levels = [calibrate(setting, model, NewtonSettings()).floor for model in (setting.exact, bad)]
     assert levels[1][0] > 3.0 * levels[0][0]  # the flow into the cylinders leaves the intake manifold
     assert levels[1][2] < 2.0 * levels[0][2]  # the shaft only hears of it through T_em
 

@@ -14,7 +14,7 @@ from dieseltwin.identification.few_shot.residuals import PhysicsResiduals
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.unknowns import to_masked, to_physical
-from dieseltwin.paper.loops.few_shot_adam import estimate_of, train
+from dieseltwin.paper.loops.few_shot_adam import Trained, estimate_of, train
 from dieseltwin.paper.loops.few_shot_program import AdamSettings, draw_lane, make_program, start_values
 from dieseltwin.paper.loops.fused_maps import BANK, Dropout, as_sigmoid_layers
 from dieseltwin.paper.loops.losses import (
@@ -191,7 +191,8 @@ def test_converged_is_an_estimate_that_stands_still(pair: list[SegmentProblem], 
     health = pair[0].parameters.health() * (1.0 + slope * (steps - points) + noise)
     states, loss = np.tile(pair[0].first_states()[0], (2, 3, 1)), np.ones((2, points))
     final = health[:, -20:].mean(axis=1)
-    found = estimate_of(pair[0], health, states, loss, np.ones(2), final, share, 0.0, 1000)
+    trained = Trained(health, final, states, loss, np.ones(2), np.zeros((2, points)))
+    found = estimate_of(pair[0], trained, share, 0.0, 1000)
     assert found.converged.tolist() == [settled, settled]
     np.testing.assert_array_equal(found.parameters, final)
 

@@ -14,7 +14,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.settings.maps import MapsConfig
 from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
-from dieseltwin.surrogates.empirical_training import _with_a_slope, train_maps
+from dieseltwin.surrogates.empirical_training import MapData, _with_a_slope, train_maps
 from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights, numba_replacements
 
 KINDS = ("paper", "improved")
@@ -33,7 +33,7 @@ def config() -> MapsConfig:
 def trained(config: MapsConfig) -> dict[str, EmpiricalMaps]:
     cases = laboratory(4000, 1)
     held_out = {"held_out": operating_points(4000, 9)}
-    return {kind: train_maps(cases, config, 3, kind, held_out=held_out) for kind in KINDS}
+    return {kind: train_maps(MapData(cases, held_out=held_out), config, 3, kind) for kind in KINDS}
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_improved_is_right_to_a_per_cent_of_three_per_cent_noise(trained):
 
 def test_without_noise_improved_is_right_to_half_a_per_cent(config):
     held_out = {"held_out": operating_points(2000, 9)}
-    maps = train_maps(laboratory(2000, 1), config, 3, "improved", label_noise_rel=0.0, held_out=held_out)
+    maps = train_maps(MapData(laboratory(2000, 1), held_out=held_out), config, 3, "improved", label_noise_rel=0.0)
     rows = table(maps)
     for name in ("eta_vol", "F_vgt_Pi_t", "eta_tm", "eta_c", "Phi_c"):
         assert rows[name]["mean_rel"] < 5e-3, name
@@ -130,7 +130,7 @@ def test_paper_learns(trained):
 def test_gauss_newton_behind_adam_halves_the_errors_and_leaves_f_egr_alone(config, trained):
     plain = config.model_copy(update={"paper": config.paper.model_copy(update={"finish_steps": 0})})
     held_out = {"held_out": operating_points(4000, 9)}
-    before = table(train_maps(laboratory(4000, 1), plain, 3, "paper", held_out=held_out))
+    before = table(train_maps(MapData(laboratory(4000, 1), held_out=held_out), plain, 3, "paper"))
     after = table(trained["paper"])
     ratios = {name: after[name]["l2_rel"] / before[name]["l2_rel"] for name in config.paper.finish_maps}
     assert np.median(list(ratios.values())) < 0.5, ratios
@@ -225,7 +225,7 @@ def test_same_seed_same_bits(config):
     )
     arguments = map_arguments(operating_points(40, 2), we2011.PARAMETERS)
     for kind in KINDS:
-        one, same, other = (train_maps(cases, small, seed, kind) for seed in (3, 3, 4))
+        one, same, other = (train_maps(MapData(cases), small, seed, kind) for seed in (3, 3, 4))
         for name in MAPS:
             value = one.evaluate(name, *arguments[name])
             assert np.array_equal(value, same.evaluate(name, *arguments[name])), (kind, name)
@@ -337,7 +337,7 @@ def test_compiled_simulator_follows_the_equations_with_the_maps(config):
     coarse = config.improved.model_copy(
         update={"hidden": dict.fromkeys(MAPS, (1,)), "cells": 200, "steps": 15, "starts": 2, "members": 2}
     )
-    maps = train_maps(laboratory(800, 1), config.model_copy(update={"improved": coarse}), 3, "improved")
+    maps = train_maps(MapData(laboratory(800, 1)), config.model_copy(update={"improved": coarse}), 3, "improved")
     time = np.arange(0.0, 3.01, 0.2)
     inputs = Inputs(time, *(np.full(time.size, v) for v in (1300.0, 90.0, 35.0, 48.0)))
     actuation = actuate(inputs, we2011.PARAMETERS)
@@ -366,11 +366,11 @@ def test_the_compiled_simulator_wants_shallow_maps(trained):
 def test_what_is_missing_is_named(config):
     cases = laboratory(100, 1)
     with pytest.raises(InputError, match="u_egr2_pct"):
-        train_maps({k: f.drop(columns="u_egr2_pct") for k, f in cases.items()}, config, 1, "improved")
+        train_maps(MapData({k: f.drop(columns="u_egr2_pct") for k, f in cases.items()}), config, 1, "improved")
     with pytest.raises(InputError, match="case_iv"):
-        train_maps({k: f for k, f in cases.items() if k != "case_iv"}, config, 1, "improved")
+        train_maps(MapData({k: f for k, f in cases.items() if k != "case_iv"}), config, 1, "improved")
     with pytest.raises(InputError, match="did you mean improved"):
-        train_maps(cases, config, 1, "improve")  # type: ignore[arg-type]
+        train_maps(MapData(cases), config, 1, "improve")  # type: ignore[arg-type]
 
 
 def test_unknown_names_are_refused(trained):

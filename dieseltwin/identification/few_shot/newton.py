@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -23,13 +23,12 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import cautious_bound, states_within
 from dieseltwin.identification.few_shot.collocation import Collocation, Data
 from dieseltwin.identification.few_shot.damped_newton import Runs, minimise, ridge
-from dieseltwin.identification.few_shot.defects import STEP_S, Defects, Windows, defects, simulate_windows, windows_for
-from dieseltwin.identification.few_shot.heads import Heads, heads_for
-from dieseltwin.identification.few_shot.process_noise import calibrate
+from dieseltwin.identification.few_shot.defects import STEP_S, Defects, defects, simulate_windows, windows_for
+from dieseltwin.identification.few_shot.heads import heads_for
+from dieseltwin.identification.few_shot.process_noise import Setting, calibrate
 from dieseltwin.identification.few_shot.residuals import (
     N_HEALTH,
     Cylinder,
-    DrivenInputs,
     PointModel,
     driven_inputs,
     told_inputs,
@@ -38,6 +37,12 @@ from dieseltwin.identification.few_shot.settings import METHOD, NewtonSettings
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
 from dieseltwin.identification.unknowns import health_of, start_centre, starts
+
+if TYPE_CHECKING:
+    from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
 
 BLOCK = 10
 """Runs that are iterated together: the batched products of ten runs stay within the cache."""
@@ -56,34 +61,15 @@ CONVERGED_BELOW = 0.1
 """Decrement that counts as converged [standard deviations]."""
 
 
-@dataclass(frozen=True)
-class Setting:
-    """Everything about one segment that its runs share.
-
-    Attributes:
-        problem: the segment.
-        actuation: at the step of the windows' simulation.
-        heads, inputs, windows: of the segment.
-        exact: the model that the simulator integrates.
-    """
-
-    problem: SegmentProblem
-    actuation: Actuation
-    heads: Heads
-    inputs: DrivenInputs
-    windows: Windows
-    exact: PointModel
-
-
 def estimate(
     problems: Sequence[SegmentProblem],
     runs: int,
     seed: int,
     *,
-    bodies: Any = None,
-    operators: Any = None,
-    maps: Any = None,
-    config: Any = None,
+    bodies: Bodies | None = None,
+    operators: ActuatorOperators | None = None,
+    maps: EmpiricalMaps | None = None,
+    config: IdentifyConfig | NewtonSettings | None = None,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with second-order few-shot steps.
 
@@ -94,7 +80,7 @@ def estimate(
         bodies: trained bodies (`conditioned`), or None for B-splines of the paper's widths.
         operators: trained actuator operators, or None for the exact actuators.
         maps: learned empirical maps, one member (or dropout realisation) a run, or None for the exact formulae.
-        config: `params.identify`, its section `newton`, `NewtonSettings` or None.
+        config: `identify` of params.yaml, the settings themselves, or None for the defaults.
 
     Returns:
         One estimate for each segment, in order. Standard deviations and 90 % intervals of the logarithms come from the
@@ -111,7 +97,9 @@ def estimate(
     return results
 
 
-def prepare(problem: SegmentProblem, bodies: Any = None, operators: Any = None) -> Setting:
+def prepare(
+    problem: SegmentProblem, bodies: Bodies | None = None, operators: ActuatorOperators | None = None
+) -> Setting:
     """Heads, inputs and windows of one segment."""
     actuation = actuate(problem.inputs, problem.parameters, STEP_S)
     inputs = driven_inputs(actuation)
@@ -128,7 +116,7 @@ def prepare(problem: SegmentProblem, bodies: Any = None, operators: Any = None) 
 
 
 def point_model(
-    parameters: EngineParameters, maps: Any, runs: Sequence[int], actuation: Actuation | None = None
+    parameters: EngineParameters, maps: EmpiricalMaps | None, runs: Sequence[int], actuation: Actuation | None = None
 ) -> PointModel:
     """The estimator's equations for the runs with these numbers, each with its own member of learned maps."""
     if maps is None:
@@ -169,11 +157,7 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
         The solution.
     """
     problem, heads = setting.problem, setting.heads
-    noise = calibrate(
-        heads, setting.inputs, model, setting.exact, setting.windows, setting.actuation, problem.parameters,
-        sigma=torch.from_numpy(problem.sigma[:3]), defect_share=settings.defect_share, floor_share=settings.floor_share,
-        noticed_share=settings.noticed_share,
-    )  # fmt: skip
+    noise = calibrate(setting, model, settings)
     weights = torch.where(torch.isnan(readings), 0.0, 1.0) / torch.from_numpy(problem.sigma)
     clean = torch.nan_to_num(readings)
     collocation = Collocation(heads, setting.inputs, model)
@@ -265,7 +249,8 @@ def _log_std(state: Runs) -> Tensor:
 
 
 def _segment(
-    problem: SegmentProblem, begin: NDArray[np.float64], bodies: Any, operators: Any, maps: Any,
+    problem: SegmentProblem, begin: NDArray[np.float64], bodies: Bodies | None, operators: ActuatorOperators | None,
+    maps: EmpiricalMaps | None,
     settings: NewtonSettings, began: float,
 ) -> SegmentEstimate:  # fmt: skip
     setting = prepare(problem, bodies, operators)
@@ -305,7 +290,12 @@ def _segment(
 
 
 def _solved(
-    setting: Setting, maps: Any, readings: Tensor, begin: Tensor, members: list[int], settings: NewtonSettings
+    setting: Setting,
+    maps: EmpiricalMaps | None,
+    readings: Tensor,
+    begin: Tensor,
+    members: list[int],
+    settings: NewtonSettings,
 ) -> tuple[Solution, Tensor]:
     model = point_model(setting.problem.parameters, maps, members, setting.actuation)
     found = solve(setting, model, readings, begin, settings)

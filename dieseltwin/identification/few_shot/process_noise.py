@@ -15,13 +15,34 @@ from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, EngineParameters, parameter_batch, settle, simulate_states
 from dieseltwin.identification.few_shot.defects import Defects, Windows, defects_of, simulate_windows
-from dieseltwin.identification.few_shot.heads import Heads
+from dieseltwin.identification.few_shot.heads import Heads, Trajectory
 from dieseltwin.identification.few_shot.residuals import DrivenInputs, PointModel
+from dieseltwin.identification.few_shot.settings import NewtonSettings
+from dieseltwin.identification.problem import SegmentProblem
 
 MAD_TO_SIGMA = 1.4826
 """Median absolute deviation to standard deviation of a Gaussian: transients must not set the level of all points."""
 NEIGHBOURS = 1
 """Samples on each side whose defect counts for a point: the basis smears a kink over its neighbours."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Everything about one segment that its runs share.
+
+    Attributes:
+        problem: the segment.
+        actuation: at the step of the windows' simulation.
+        heads, inputs, windows: of the segment.
+        exact: the model that the simulator integrates.
+    """
+
+    problem: SegmentProblem
+    actuation: Actuation
+    heads: Heads
+    inputs: DrivenInputs
+    windows: Windows
+    exact: PointModel
 
 
 @dataclass(frozen=True)
@@ -58,49 +79,36 @@ def laboratory_states(actuation: Actuation, parameters: EngineParameters) -> Ten
     return torch.from_numpy(np.ascontiguousarray(states))
 
 
-def calibrate(
-    heads: Heads,
-    inputs: DrivenInputs,
-    model: PointModel,
-    exact: PointModel,
-    windows: Windows,
-    actuation: Actuation,
-    parameters: EngineParameters,
-    *,
-    sigma: Tensor,
-    defect_share: float,
-    floor_share: float,
-    noticed_share: float,
-) -> ProcessNoise:
+def calibrate(setting: Setting, model: PointModel, settings: NewtonSettings) -> ProcessNoise:
     """Calibrate the process noise of one segment on the laboratory twin.
 
     Args:
-        heads, inputs, windows, actuation: of the segment.
+        setting: the segment; its parameters are the laboratory's.
         model: the model of the estimator, learned maps included; one lane or R lanes of members.
-        exact: the model that the simulator integrates.
-        parameters: laboratory parameters.
-        sigma: (3,) noise of the readings of p_im, p_em, omega_t [Pa, Pa, rad/s].
-        defect_share: see `ProcessNoise`.
-        floor_share: share of the median defect that the floor doesn't fall below [-]: the equations must not become
-            a hard constraint while the defect still belongs to another estimate.
-        noticed_share: a residual that, kept up for the whole segment, would move a state by less than this share of the
-            standard error of its mean reading is too small to be noticed [-]. Nothing is gained by forbidding it, and
-            at idle, where the basis misses next to nothing, no step could follow equations that hard.
+        settings: `defect_share`, see `ProcessNoise`; `floor_share`: of the median defect that the floor doesn't fall
+            below [-]: the equations must not become a hard constraint while the defect still belongs to another
+            estimate; `noticed_share`: a residual that, kept up for the whole segment, would move a state by less than
+            this share of the standard error of its mean reading is too small to be noticed [-]. Nothing is gained by
+            forbidding it, and at idle, where the basis misses next to nothing, no step could follow equations that
+            hard.
 
     Returns:
         The process noise.
     """
-    states = laboratory_states(actuation, parameters)
+    parameters, heads, inputs = setting.problem.parameters, setting.heads, setting.inputs
+    states = laboratory_states(setting.actuation, parameters)
     health = torch.log(torch.tensor([[float(getattr(parameters, name)) for name in HEALTH]], dtype=torch.float64))
-    found = _defects(heads, inputs, exact, windows, parameters, states, health)
     path = heads.trajectory(heads.project(states))
+    found = _defects(setting, path, health)
     lanes = model.lanes
     point = model(path.states.expand(lanes, -1, -1), health.expand(lanes, -1), inputs, derivatives=False)
     remaining = path.rates - point.rates - found.rate
     level = MAD_TO_SIGMA * remaining.abs().flatten(0, 1).median(0).values
     resolved = MAD_TO_SIGMA * found.rate.abs().flatten(0, 1).median(0).values
-    noticed = noticed_share * _restoring(exact, inputs, states, health) * sigma / len(states[0]) ** 0.5
-    return ProcessNoise((level**2 + (floor_share * resolved) ** 2 + noticed**2).sqrt(), defect_share)
+    sigma = torch.from_numpy(setting.problem.sigma[:3])
+    noticed = settings.noticed_share * _restoring(setting.exact, inputs, states, health) * sigma / len(states[0]) ** 0.5
+    floor = (level**2 + (settings.floor_share * resolved) ** 2 + noticed**2).sqrt()
+    return ProcessNoise(floor, settings.defect_share)
 
 
 def _restoring(exact: PointModel, inputs: DrivenInputs, states: Tensor, health: Tensor) -> Tensor:
@@ -111,16 +119,8 @@ def _restoring(exact: PointModel, inputs: DrivenInputs, states: Tensor, health: 
     return torch.diagonal(rates[0, ..., :3], dim1=-2, dim2=-1).abs().median(0).values
 
 
-def _defects(
-    heads: Heads,
-    inputs: DrivenInputs,
-    exact: PointModel,
-    windows: Windows,
-    parameters: EngineParameters,
-    states: Tensor,
-    log_health: Tensor,
-) -> Defects:
+def _defects(setting: Setting, path: Trajectory, log_health: Tensor) -> Defects:
     """Defects as the estimator finds them: from windows that start on the projected trajectory."""
-    path = heads.trajectory(heads.project(states))
-    fine, forcing = simulate_windows(windows, parameters, torch.exp(log_health).numpy(), path.states.numpy())
-    return defects_of(heads, inputs, exact, log_health, fine, forcing, path.states)
+    health = torch.exp(log_health).numpy()
+    fine, forcing = simulate_windows(setting.windows, setting.problem.parameters, health, path.states.numpy())
+    return defects_of(setting.heads, setting.inputs, setting.exact, log_health, fine, forcing, path.states)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,6 +17,9 @@ from torch import Tensor
 from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, Inputs, bind, constants
 from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.identification.few_shot.term_model import TermModel
+
+if TYPE_CHECKING:
+    from dieseltwin.surrogates.operators import ActuatorOperators
 
 N_HEALTH = len(HEALTH)
 
@@ -36,7 +39,9 @@ class DrivenInputs(NamedTuple):
     u_vgt: Tensor
 
 
-def told_inputs(inputs: DrivenInputs, operators: Any, segment: Inputs, parameters: EngineParameters) -> DrivenInputs:
+def told_inputs(
+    inputs: DrivenInputs, operators: ActuatorOperators, segment: Inputs, parameters: EngineParameters
+) -> DrivenInputs:
     """The same inputs with the actuator positions [%] that the operators predict of a segment's commands."""
     told = operators.predict(segment)
     u_egr = egr_valve_position(told.u_egr1, told.u_egr2, constants(parameters))

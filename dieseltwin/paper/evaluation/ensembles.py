@@ -2,7 +2,7 @@
 
 Source: paper, sections "Results: Multi-stage Transfer Learning" and "Results: Few-shot transfer learning": clean data
 at 151 and at 301 points a minute, noisy data at 301, thirty runs of each. The residual points are always the 301 of the
-recording; "points" are those with readings. PROTOCOL.md: each member has its own noise draw.
+recording; "points" are those with readings. Each member has its own noise draw.
 """
 
 from __future__ import annotations

@@ -67,8 +67,8 @@ def build_page(
     """Write the page.
 
     Args:
-        tables: of `report.evaluation` by name: scores, beside_paper, cells, run_times, operators, bodies, maps,
-            calibration, over_epochs, identifiability; variants of `report.evaluation_variants`.
+        tables: of `tables` by name: scores, beside_paper, cells, run_times, operators, bodies, maps,
+            calibration, over_epochs, identifiability; variants of `variants`.
         results: case -> results of all methods on it, for the figures.
         out: the HTML file.
         figures_dir: folder for the figures as files too.

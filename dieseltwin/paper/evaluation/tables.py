@@ -1,8 +1,8 @@
 """The paper's tables from our ensembles, each beside what the paper prints; numbers only, words and page are elsewhere.
 
 Everything is computed from files: one folder for each ensemble with ``members.parquet`` (see
-`identification.ensemble.member_table`), ``ensemble.json`` and ``runtime.json``, so that any table can be made again.
-Definitions: PROTOCOL.md, "Against the paper's cells": RMSE = sqrt((mean - 1)^2 + std^2) per cell, cells that are not
+`ensembles.member_table`), ``ensemble.json`` and ``runtime.json``, so that any table can be made again.
+Definitions (docs/evaluation.md): RMSE = sqrt((mean - 1)^2 + std^2) per cell, cells that are not
 identifiable are listed and not scored. A member that diverged is counted; a cell with one is never better than the
 paper's.
 """

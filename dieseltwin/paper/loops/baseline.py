@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
@@ -24,6 +24,12 @@ from dieseltwin.paper.loops.pinn_training import (
     settings_from,
     train_lanes,
 )
+
+if TYPE_CHECKING:
+    from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
 
 METHOD = "baseline"
 SETTINGS = PinnSettings(
@@ -41,10 +47,10 @@ def estimate(
     runs: int,
     seed: int,
     *,
-    bodies: Any = None,
-    operators: Any = None,
-    maps: Any = None,
-    config: Any = None,
+    bodies: Bodies | None = None,
+    operators: ActuatorOperators | None = None,
+    maps: EmpiricalMaps | None = None,
+    config: IdentifyConfig | PinnSettings | None = None,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with the hybrid PINN.
 

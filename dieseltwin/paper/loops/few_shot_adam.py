@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -38,6 +38,12 @@ from dieseltwin.paper.loops.compiled_loss import gradient_function
 from dieseltwin.paper.loops.few_shot_program import METHOD, AdamSettings, Lane, draw_lane, make_program, start_values
 from dieseltwin.paper.loops.losses import Weights
 
+if TYPE_CHECKING:
+    from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
+
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 """Adam's own constants (Kingma & Ba 2014), left at their defaults by the paper."""
 CURVE_POINTS = 200
@@ -51,10 +57,10 @@ def estimate(
     runs: int,
     seed: int,
     *,
-    bodies: Any = None,
-    operators: Any = None,
-    maps: Any = None,
-    config: Any = None,
+    bodies: Bodies | None = None,
+    operators: ActuatorOperators | None = None,
+    maps: EmpiricalMaps | None = None,
+    config: IdentifyConfig | AdamSettings | None = None,
     first_run: int = 0,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with the paper's loop.
@@ -83,18 +89,16 @@ def estimate(
             train(lanes[a : a + settings.lanes], actuations, bodies, operators, maps, settings)
             for a in range(0, len(lanes), settings.lanes)
         ]
-        health = np.concatenate([f.health for f in found]).reshape(len(group), runs, -1, len(HEALTH))
-        states = np.concatenate([f.states for f in found]).reshape(len(group), runs, -1, 5)
-        loss = np.concatenate([f.loss for f in found]).reshape(len(group), runs, -1)
-        misfit = np.concatenate([f.misfit for f in found]).reshape(len(group), runs)
-        held_out = np.concatenate([f.held_out for f in found]).reshape(len(group), runs, -1)
-        final = np.concatenate([f.final for f in found]).reshape(len(group), runs, len(HEALTH))
+        whole = Trained.joined(found)
         seconds = (time.perf_counter() - began) / len(lanes)
         for row, i in enumerate(group):
-            parts = (health[row], states[row], loss[row], misfit[row])
-            unseen = held_out[row] if settings.held_out_share > 0.0 else None
             results[i] = estimate_of(
-                problems[i], *parts, final[row], settings.average_share, seconds, settings.epochs, unseen
+                problems[i],
+                whole.lanes(slice(row * runs, (row + 1) * runs)),
+                settings.average_share,
+                seconds,
+                settings.epochs,
+                early_stopping=settings.held_out_share > 0.0,
             )
     return [results[i] for i in range(len(problems))]
 
@@ -120,13 +124,22 @@ class Trained:
     misfit: NDArray[np.float64]
     held_out: NDArray[np.float64]
 
+    @classmethod
+    def joined(cls, parts: Sequence[Trained]) -> Trained:
+        """The lanes of several loops, one after the other."""
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
+
+    def lanes(self, rows: slice) -> Trained:
+        """Some of the lanes."""
+        return Trained(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
 
 def train(
     lanes: Sequence[Lane],
     actuations: dict[int, Actuation],
-    bodies: Any,
-    operators: Any,
-    maps: Any,
+    bodies: Bodies | None,
+    operators: ActuatorOperators | None,
+    maps: EmpiricalMaps | None,
     settings: AdamSettings,
     progress: Callable[[int], None] | None = None,
 ) -> Trained:
@@ -214,28 +227,33 @@ def train(
 
 
 def estimate_of(
-    problem: SegmentProblem, health: NDArray[np.float64], states: NDArray[np.float64], loss: NDArray[np.float64],
-    misfit: NDArray[np.float64], final: NDArray[np.float64], average_share: float, seconds: float, epochs: int = 0,
-    held_out: NDArray[np.float64] | None = None,
-) -> SegmentEstimate:  # fmt: skip
+    problem: SegmentProblem,
+    found: Trained,
+    average_share: float,
+    seconds: float,
+    epochs: int = 0,
+    *,
+    early_stopping: bool = False,
+) -> SegmentEstimate:
     """The runs of one segment as an estimate (also of the baseline and the multi-stage method).
 
     Args:
         problem: the segment.
-        health: (R, C, 4) health parameters along the training [m2, m2, -, W/(m2 K)]; loss: (R, C) along with it [-].
-        states: (R, n, 5) states after the last epoch [Pa, Pa, rad/s, -, K].
-        misfit: (R,) chi-square per sample [-]; seconds: wall seconds per run; epochs: trained.
-        final: (R, 4) mean of the health parameters over the last `average_share` of the epochs, the estimate. A run has
-            converged if it is within `STILL_BELOW` of the mean a tenth of the epochs earlier.
-        held_out: (R, C) misfit of readings that no loss saw: a run's parameters are those where it is least, and a
+        found: its R runs. A run has converged if its result is within `STILL_BELOW` of the mean a tenth of the epochs
+            earlier.
+        average_share: share of the epochs behind `found.final`.
+        seconds: wall seconds per run.
+        epochs: trained.
+        early_stopping: a run's parameters are those where the misfit of the readings that no loss saw is least, and a
             choice before the last epoch counts as converged.
     """
+    health, loss, states, final = found.health, found.loss, found.states, found.final
     points = health.shape[1]
     width, lag = max(1, round(average_share * points)), max(2, points // 10) - 1
     earlier = health[:, max(0, points - lag - width) : max(1, points - lag)].mean(axis=1)
     chosen = np.full(len(health), points - 1)
-    if held_out is not None:
-        chosen = np.argmin(held_out, axis=1)
+    if early_stopping:
+        chosen = np.argmin(found.held_out, axis=1)
         final = health[np.arange(len(health)), chosen]
         earlier = health[:, -(lag + 1)]
     finite = np.isfinite(final).all(axis=1) & np.isfinite(loss[:, -1])
@@ -248,10 +266,10 @@ def estimate_of(
         t0_s=problem.t0_s, t1_s=problem.t1_s, time_s=problem.time_s, parameters=final, std=nothing,
         interval_90=np.stack([nothing, nothing], -1), states=pooled_states, bound=bound.absolute,
         identifiable=bound.identifiable(), converged=still, seconds_per_run=seconds, method=METHOD,
-        chi2_per_sample=misfit, state_samples=states[used], parameter_samples=final[used],
+        chi2_per_sample=found.misfit, state_samples=states[used], parameter_samples=final[used],
         curves={
             "epoch": np.linspace(0, epochs, loss.shape[1]).round(), "loss": loss.T,
             **{name: health[..., i].T for i, name in enumerate(HEALTH)},
-            **({} if held_out is None else {"held_out_misfit": held_out.T}),
+            **({"held_out_misfit": found.held_out.T} if early_stopping else {}),
         },
     )  # fmt: skip

@@ -38,6 +38,9 @@ from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
 
 METHOD = "few-shot-adam"
 BODIES = ("pressures", "pressures", "omega_t", "x_r", "T_1")
@@ -220,9 +223,9 @@ class Program:
 def make_program(
     lanes: Sequence[Lane],
     actuations: dict[int, Actuation],
-    bodies: Any,
-    operators: Any,
-    maps: Any,
+    bodies: Bodies | None,
+    operators: ActuatorOperators | None,
+    maps: EmpiricalMaps | None,
     settings: AdamSettings,
 ) -> Program:
     dtype = settings.dtype

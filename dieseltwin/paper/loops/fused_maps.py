@@ -13,11 +13,14 @@ whose inputs don't depend on the unknowns (f_egr of the known valve position) is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
 
 BANK = 512
 """Realisations of each map that the epochs draw from: 230 of them lack a neuron or more (three layers of 20)."""
@@ -110,7 +113,7 @@ class Dropout:
 
 
 def fused_replacements(
-    maps: Any, members: Sequence[int], u_egr: Tensor, constants: Any, dtype: torch.dtype = torch.float32,
+    maps: EmpiricalMaps, members: Sequence[int], u_egr: Tensor, constants: Any, dtype: torch.dtype = torch.float32,
     dropout: Dropout | None = None,
 ) -> dict[str, Callable[..., Tensor]]:  # fmt: skip
     """Functions for ``bind("torch", replace=...)``, for L lanes with a member (or dropout realisations) each.
@@ -150,7 +153,7 @@ def fused_replacements(
     return result
 
 
-def _openings(maps: Any, u_egr: Tensor, constants: Any, dtype: torch.dtype) -> tuple[list[Tensor], Tensor]:
+def _openings(maps: EmpiricalMaps, u_egr: Tensor, constants: Any, dtype: torch.dtype) -> tuple[list[Tensor], Tensor]:
     """f_egr (S, BANK, n) of the S different valve positions among (L, n), and the lanes' rows (L,) in it."""
     different, rows = torch.unique(u_egr, dim=0, return_inverse=True)
     bank = maps.replacements("torch", member=list(range(1, BANK + 1)), dtype=dtype)["f_egr"]

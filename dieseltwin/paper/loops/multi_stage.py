@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -32,6 +32,12 @@ from dieseltwin.paper.loops.pinn_training import (
     train_lanes,
 )
 
+if TYPE_CHECKING:
+    from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.bodies import Bodies
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
+
 METHOD = "multi-stage"
 SETTINGS = PinnSettings(
     stages=(
@@ -49,10 +55,10 @@ def estimate(
     runs: int,
     seed: int,
     *,
-    bodies: Any = None,
-    operators: Any = None,
-    maps: Any = None,
-    config: Any = None,
+    bodies: Bodies | None = None,
+    operators: ActuatorOperators | None = None,
+    maps: EmpiricalMaps | None = None,
+    config: IdentifyConfig | PinnSettings | None = None,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment, the first from scratch, the others from its models.
 
@@ -80,8 +86,8 @@ def estimate_with(
     seed: int,
     settings: PinnSettings,
     of_first: PinnSettings,
-    operators: Any = None,
-    maps: Any = None,
+    operators: ActuatorOperators | None = None,
+    maps: EmpiricalMaps | None = None,
 ) -> list[SegmentEstimate]:
     """`estimate` with the settings of the first segment and of the others given apart."""
     began = time.perf_counter()
@@ -96,8 +102,8 @@ def later_segments(
     runs: int,
     seed: int,
     settings: PinnSettings,
-    operators: Any = None,
-    maps: Any = None,
+    operators: ActuatorOperators | None = None,
+    maps: EmpiricalMaps | None = None,
     first_run: int = 0,
 ) -> list[SegmentEstimate]:
     """Estimate the segments behind the first from source models.

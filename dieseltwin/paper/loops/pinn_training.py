@@ -35,6 +35,8 @@ from dieseltwin.paper.loops.pinn_networks import Hidden, StateNetworks
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
+    from dieseltwin.surrogates.operators import ActuatorOperators
 
 T_WEIGHT_START = 1500.0
 """Start of the weights of T_em and T_1 here (paper; in few-shot learning it is 20)."""
@@ -320,8 +322,8 @@ def make_lanes(
 
 def train_lanes(
     lanes: Sequence[Lane],
-    operators: Any,
-    maps: Any,
+    operators: ActuatorOperators | None,
+    maps: EmpiricalMaps | None,
     settings: PinnSettings,
     sources: tuple[Tensor, Tensor] | None = None,
 ) -> PinnTrained:
@@ -347,7 +349,7 @@ def train_lanes(
         values = start_values(part, program, networks, settings, taken)
         sigma = np.stack([lane.problem.sigma[:5] for lane in part])
         found.append(train(program, networks, values, settings.stages, sigma, average_share=settings.average_share))
-    whole = Trained(*(np.concatenate([getattr(f.trained, n) for f in found]) for n in Trained.__dataclass_fields__))
+    whole = Trained.joined([f.trained for f in found])
     terms = {name: np.concatenate([f.terms[name] for f in found]) for name in found[0].terms}
     weights, masked = torch.cat([f.weights for f in found]), torch.cat([f.masked for f in found])
     return PinnTrained(whole, found[0].epochs, terms, weights, masked)
@@ -375,10 +377,7 @@ def estimates_of(
     for row, problem in enumerate(problems):
         of = slice(row * runs, (row + 1) * runs)
         t = found.trained
-        one = estimate_of(
-            problem, t.health[of], t.states[of], t.loss[of], t.misfit[of], t.final[of], average_share, seconds,
-            int(found.epochs[-1]),
-        )
+        one = estimate_of(problem, t.lanes(of), average_share, seconds, int(found.epochs[-1]))
         curves = {"epoch": found.epochs.astype(np.float64), "loss": t.loss[of].T}
         curves |= {name: t.health[of, :, i].T for i, name in enumerate(HEALTH)}
         curves |= {name: values[of].mean(axis=0) for name, values in found.terms.items()}
