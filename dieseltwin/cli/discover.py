@@ -17,7 +17,7 @@ from typing import Any
 from dieseltwin import __version__
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.cli.calibrate import run_discover_points
-from dieseltwin.cli.petrol import is_petrol_engine, run_discover_petrol
+from dieseltwin.cli.petrol import Asked, is_petrol_engine, run_discover_petrol
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE
 from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.verdict.curves import Discovery
@@ -84,8 +84,8 @@ def run_discover(
         "--sensors": sensors, "--withhold": withhold, "--map-tolerance": map_tolerance, "--explain": name,
     }  # fmt: skip
     if is_petrol_engine(engine) and engine is not None and recording is not None:
-        refuse_options({**of_recordings, "--channels": channels}, "for a petrol engine")
-        yield from run_discover_petrol(recording, out, engine)
+        asked_petrol = Asked(sensors, channels, withhold, map_tolerance, seed, name)
+        yield from run_discover_petrol(recording, out, engine, asked_petrol)
         return
     map_tolerance = MAP_TOLERANCE if map_tolerance is None else map_tolerance
     asked = _asked(engine, sensors, channels, withhold, map_tolerance, seed)

@@ -9,10 +9,12 @@ import numpy as np
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.cli.effects import with_effects
+from dieseltwin.cli.petrol import is_petrol_engine, run_simulate_petrol
 from dieseltwin.engine import EngineParameters, Inputs, load_engine, settle, simulate, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording, read_recording, write_recording
+from dieseltwin.settings.strict import refuse_options
 
 STATE_COLUMNS = ("p_im_pa", "p_em_pa", "omega_t_rad_s")
 SUFFIXES = (".csv", ".parquet")
@@ -36,6 +38,9 @@ def run_simulate(
     """
     if out.suffix.lower() not in SUFFIXES:
         raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(SUFFIXES), "choose one of them")
+    if engine is not None and is_petrol_engine(engine):
+        refuse_options({"--effect": effects or None}, "for a petrol engine: write them as terms into its file")
+        return run_simulate_petrol(inputs, out, engine, channels)
     parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
     parameters = with_effects(parameters, effects)
     recording = read_recording(inputs, channels, parameters, sensors=(), any_rate=True)

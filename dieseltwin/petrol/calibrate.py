@@ -1,4 +1,4 @@
-"""Calibration on a fault-free recording: maps with covariance, scatter, threshold from held-out pieces."""
+"""Calibration on a fault-free recording: maps with covariance, scatter, false alarms on held-out pieces."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from dieseltwin.errors import InputError
-from dieseltwin.petrol.likelihood import FREEDOM, normal_equations
+from dieseltwin.petrol.discover import judge
+from dieseltwin.petrol.least_squares import FREEDOM, normal_equations
 from dieseltwin.petrol.maps import sum_roughness, tensor_roughness
 from dieseltwin.petrol.model import (
     ALPHA_SHIFT,
     at_rest,
-    bind,
     cylinder_basis,
     scale_of,
     throttle_basis,
     unsteadiness,
 )
-from dieseltwin.petrol.parameters import Detection, PetrolParameters, SplineMap, Spread
-from dieseltwin.petrol.recording import Blocks, Signals, balances, make_grid
-from dieseltwin.petrol.search import search
+from dieseltwin.petrol.parameters import FaultFreePiece, PetrolParameters, SplineMap, Spread
+from dieseltwin.petrol.recording import Blocks, Signals, blocks_of, make_grid
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -36,11 +35,9 @@ SUMMAND_REACH = 1.0  # the same of the second summand of the throttle's map: fix
 FOLDS, FOLD_S = 5, 20.0  # cross-validation of the scatter
 ROUNDS = 3  # of maps and scatter in turn
 REWEIGHTINGS = 8
-PIECE_S = 300.0  # of the pieces that set the threshold
-SAFETY = 1.5  # threshold over the largest score of a fault-free piece
-LEAST_THRESHOLD = 30.0
+PIECE_S = 300.0  # of the pieces that are judged with maps that did not see them
 LEAST_DURATION_S = 600.0
-LEAST_BOOST_SCALE, LEAST_SCALE = 2e-4, 4e-3  # of the boost balance; of the others [-]
+LEAST_BOOST_SCALE, LEAST_SCALE = 1e-3, 4e-3  # of the boost balance: resolution, a compressor that runs down; others [-]
 
 
 @dataclass(frozen=True)
@@ -99,8 +96,8 @@ def _tables(b: Blocks, kept: Bool) -> dict[str, _Balance]:
     reach = np.concatenate([np.full(sizes[2], 10.0 * REACH), np.full(sizes[3], SUMMAND_REACH)])
     th_prior = sum_roughness(sizes[2], sizes[3]) / BEND**2 + np.diag(1.0 / reach**2)
     return {
-        "cylinder": _Balance(b.y_cyl, cyl, cyl_prior, cyl_knots),
-        "throttle": _Balance(b.y_th, th, th_prior, th_knots),
+        "cylinder": _Balance(b.cylinder(b.W_af), cyl, cyl_prior, cyl_knots),
+        "throttle": _Balance(b.throttle(b.W_af), th, th_prior, th_knots),
     }
 
 
@@ -143,10 +140,9 @@ def fit_maps(signals: Signals, base: PetrolParameters, without: tuple[float, flo
              ) -> tuple[PetrolParameters, list[SubmodelFit]]:
     """Maps and scatter from a fault-free recording; blocks in the span `without` [s] are not used."""
     grid = make_grid(signals.time_s)
-    b = balances(signals, grid, base.volumes.geometry)
+    b = blocks_of(signals, grid, base.volumes.geometry)
     unsteady = unsteadiness(signals, grid, b)
     kept = grid.kept.copy()
-    kept[-1] = False
     if without is not None:
         kept &= (b.mid_s < without[0]) | (b.mid_s >= without[1])
     fold = (b.mid_s // FOLD_S).astype(np.int64) % FOLDS
@@ -163,12 +159,12 @@ def fit_maps(signals: Signals, base: PetrolParameters, without: tuple[float, flo
         spreads[name] = spread
         steady = kept & (scale < 1.5 * spread.base)
         fits.append(SubmodelFit(name, _robust_std(residual[steady]), _robust_std(residual[kept]), int(kept.sum())))
-    rest = at_rest(b) & kept
+    rest = at_rest(b, grid) & kept
     if rest.sum() < 20:
         raise InputError("calibration", f"{int(rest.sum())} s at idle with the throttle shut", "at least 20 s",
                          "record idling too: there the boost sensor is compared with the surroundings")
-    level = float(np.median(b.y_ic[rest]))
-    z = np.where(rest, b.y_ic - level, np.nan)
+    level = float(np.median(b.boost[rest]))
+    z = np.where(rest, b.boost - level, np.nan)
     scale_ic = max(_robust_std(z[rest]), LEAST_BOOST_SCALE)
     fits.append(SubmodelFit("boost", scale_ic, scale_ic, int(rest.sum())))
     boost = Spread(base=scale_ic, tempering=_tempering(z / scale_ic, rest))
@@ -190,11 +186,11 @@ def pieces(duration_s: float, piece_s: float = PIECE_S) -> list[tuple[float, flo
 
 
 def calibrate(signals: Signals, base: PetrolParameters, sha256: str, tell: Callable[[str], None] = lambda _: None
-              ) -> tuple[PetrolParameters, list[SubmodelFit], list[tuple[tuple[float, float], float, str]]]:
-    """Calibrate, then set the threshold by the scores of pieces that the maps of that score did not see.
+              ) -> tuple[PetrolParameters, list[SubmodelFit]]:
+    """Calibrate, then judge pieces of the recording with maps that did not see them: an alarm there is a false one.
 
     Returns:
-        the engine; the fit of each balance on held-out stretches; (span, score, strongest name) for each piece.
+        the engine, with those pieces; the fit of each balance on held-out stretches.
 
     Raises:
         InputError: a recording of less than ten minutes, or without idling.
@@ -205,12 +201,14 @@ def calibrate(signals: Signals, base: PetrolParameters, sha256: str, tell: Calla
     engine, fits = fit_maps(signals, base)
     for f in fits:
         tell(f"{f.name}: {100 * f.steady:.2f} % over steady, {100 * f.all_blocks:.2f} % over all held-out blocks")
-    scores = []
+    judged = []
     for span in pieces(duration):
         rest, _ = fit_maps(signals, base, without=span)
-        strongest = search(bind(rest, signals.part(*span)), keep=3)[0][0]
-        scores.append((span, 2.0 * strongest.gain, strongest.name))
-        tell(f"fault-free piece {span[0]:.0f}-{span[1]:.0f} s: score {2.0 * strongest.gain:.1f} ({strongest.name})")
-    threshold = max(SAFETY * max(s for _, s, _ in scores), LEAST_THRESHOLD)
-    detection = Detection(threshold=threshold, piece_scores=tuple(s for _, s, _ in scores), piece_s=PIECE_S)
-    return engine.model_copy(update={"detection": detection, "calibrated_on": sha256}), fits, scores
+        _, found = judge(rest, signals.part(*span))
+        best = max([(found.gain(fit), fit.candidate.names[0]) for fit in found.singles[:1]]
+                   + [(v.gain, v.name) for v in found.scanned[:1]], default=(0.0, "none"))
+        alarm = found.kind != "healthy"
+        judged.append(FaultFreePiece(start_s=span[0], end_s=min(span[1], duration), gain=max(best[0], 0.0),
+                                     name=best[1], alarm=alarm))
+        tell(f"fault-free piece {span[0]:.0f}-{span[1]:.0f} s: gain {best[0]:.1f} ({best[1]}){', alarm' * alarm}")
+    return engine.model_copy(update={"pieces": tuple(judged), "calibrated_on": sha256}), fits

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 R_A = 287.0  # J/(kg K), dry air
 GAMMA = 1.4  # of air [-]
 CRITICAL = (2.0 / (GAMMA + 1.0)) ** (GAMMA / (GAMMA - 1.0))  # pressure quotient of choking [-]
+CHOKED_FACTOR = GAMMA**0.5 * (2.0 / (GAMMA + 1.0)) ** ((GAMMA + 1.0) / (2.0 * (GAMMA - 1.0)))  # flow factor there [-]
 LINEAR_ABOVE = 0.99  # the nozzle's slope is infinite at quotient 1: a straight line from here (Hendricks et al. 1996)
 RPM = 30.0 / np.pi  # rpm per rad/s
 

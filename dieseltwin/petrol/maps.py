@@ -23,6 +23,12 @@ def tensor_basis(x: Array, y: Array, knots_x: Array, knots_y: Array) -> Array:
     return (a[:, :, None] * b[:, None, :]).reshape(len(x), -1)
 
 
+def tensor_value(x: Array, y: Array, knots_x: Array, knots_y: Array, theta: Array) -> Array:
+    """(n,) value of a tensor product spline with coefficients theta (nx*ny,), without its basis."""
+    a, b = spline_basis(x, knots_x), spline_basis(y, knots_y)
+    return np.asarray(((a @ theta.reshape(a.shape[1], -1)) * b).sum(axis=1))
+
+
 def sum_basis(x: Array, y: Array, knots_x: Array, knots_y: Array) -> Array:
     """Basis (n, nx + ny) of a sum of two cubic splines."""
     return np.hstack([spline_basis(x, knots_x), spline_basis(y, knots_y)])

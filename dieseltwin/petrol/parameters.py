@@ -1,4 +1,4 @@
-"""The engine file of a petrol engine: geometry, calibrated maps with their covariance, tolerances, thresholds."""
+"""The engine file of a petrol engine: geometry, calibrated maps with their covariance, tolerances, effects found."""
 
 from __future__ import annotations
 
@@ -73,7 +73,9 @@ class Tolerances(StrictModel):
     Attributes:
         cylinder_level, throttle_level: of a whole recording, air-flow sensor included [-].
         cylinder_field, throttle_field: smooth, over the map [-].
-        drift: of an anchor every five minutes: warm-up [-].
+        air_flow_curve: of the air-flow sensor, smooth over the flow; in both flow balances alike [-].
+        drift: of both flow balances, of an anchor every five minutes: warm-up [-].
+        boost_drift, cooler_drift: the same of the other two; 0.01 of the cooler's temperature is 3 K [-].
         throttle_zero_pct: of the throttle's closed position, which the controller learns anew [%].
         boost_level: of p_ic against p_amb at rest [-].
         cooler_level: of T_ic against T_amb [-].
@@ -83,32 +85,50 @@ class Tolerances(StrictModel):
     throttle_level: float = 0.02
     cylinder_field: float = 0.02
     throttle_field: float = 0.02
+    air_flow_curve: float = 0.01
     drift: float = 0.01
+    boost_drift: float = 0.0005
+    cooler_drift: float = 0.01
     throttle_zero_pct: float = 0.15
     boost_level: float = 0.002
     cooler_level: float = 0.03
 
 
-class Detection(StrictModel):
-    """When a mismatch is reported, from fault-free pieces that the maps did not see.
+class FaultFreePiece(StrictModel):
+    """A piece of the fault-free recording, judged with maps that did not see it.
 
     Attributes:
-        threshold: of twice the gain in log-likelihood [-].
-        piece_scores: the largest score of each piece that it was set with.
-        piece_s: length of those pieces [s].
+        start_s, end_s: where it lies [s].
+        gain: of the strongest effect, decrease of -2 log likelihood.
+        name: of that effect.
+        alarm: whether it would have been reported.
     """
 
-    threshold: float = Field(40.0, gt=0)
-    piece_scores: tuple[float, ...] = ()
-    piece_s: float = 300.0
+    start_s: float
+    end_s: float
+    gain: float
+    name: str
+    alarm: bool
 
-    def stretch(self, duration_s: float) -> float:
-        """How much larger scores are than in a piece: a systematic error gathers evidence in proportion to time [-]."""
-        return max(duration_s / self.piece_s, 1.0)
 
-    def for_duration(self, duration_s: float) -> float:
-        """Threshold for a recording of another length [-]."""
-        return self.threshold * self.stretch(duration_s)
+class PetrolTerm(StrictModel):
+    """An effect that was found and is part of the twin.
+
+    Attributes:
+        effect: name, see `petrol.effects`.
+        magnitude, std: its size and standard deviation [unit of the effect].
+        onset_s: time stamp since when it acts in the recording `found_in` [s]; None for all along. In every other
+            recording it is taken to be there from the first row on.
+        found_in: SHA-256 of the recording that it was found in.
+        valid_for: the driving behind it, in words.
+    """
+
+    effect: str
+    magnitude: float
+    std: float | None = Field(None, ge=0)
+    onset_s: float | None = None
+    found_in: str = ""
+    valid_for: str = ""
 
 
 class PetrolParameters(StrictModel):
@@ -125,7 +145,8 @@ class PetrolParameters(StrictModel):
     boost_spread: Spread = Spread(base=0.0004)
     cooler_spread: Spread = Spread(base=0.004, tempering=20.0)
     tolerances: Tolerances = Tolerances()
-    detection: Detection = Detection()
+    pieces: tuple[FaultFreePiece, ...] = ()
+    terms: tuple[PetrolTerm, ...] = ()
     calibrated_on: str = ""
     source: str = "Jung, Frisk, Krysander 2024, arXiv 2408.13269"
 
@@ -133,6 +154,18 @@ class PetrolParameters(StrictModel):
     def calibrated(self) -> bool:
         """Whether it has its maps."""
         return self.cylinder is not None and self.throttle is not None
+
+    @property
+    def maps(self) -> tuple[SplineMap, SplineMap]:
+        """Maps of the cylinders and of the throttle.
+
+        Raises:
+            InputError: not calibrated.
+        """
+        if self.cylinder is None or self.throttle is None:
+            raise InputError(f"engine {self.name}: cylinder, throttle", "no maps", "a calibrated engine",
+                             "run `dieseltwin calibrate RECORDING --base liu_petrol --out FILE`")
+        return self.cylinder, self.throttle
 
 
 def is_petrol(path: str | Path) -> bool:

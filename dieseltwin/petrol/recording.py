@@ -16,7 +16,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
-from dieseltwin.petrol.components import displaced_flow, nozzle_flow, storage_flow
+from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
+from dieseltwin.recordings.channels import read_channel_map
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
@@ -24,7 +25,10 @@ Array = NDArray[np.float64]
 BLOCK_S = 1.0
 EDGE_ROWS = 7  # rows averaged for a block's end pressure: the manifold pulsates by 5 % at idle
 FULLEST_HOLE = 0.5  # blocks with fewer than this part of the usual rows are left out
+GAP_S = 0.9  # a longer step of the time stamps ends one piece and begins another: no block is without rows then
+COARSEST_STEP_S = 0.25  # of the rows: the filling of the volumes is read from pressures at a block's ends
 FEWEST_BLOCKS = 60
+LEAST_FACTOR = 0.05  # that a signal at a map may leave of it [-]
 LEAST_FLOW = 1e-4  # kg/s, a twentieth of idle: keeps logarithms finite in overrun transients
 # column -> (range of the median, unit)
 COLUMNS: Mapping[str, tuple[float, float, str]] = {
@@ -84,8 +88,12 @@ class PetrolRecording:
     columns: tuple[str, ...]
 
 
-def read_petrol(path: str | Path) -> PetrolRecording:
+def read_petrol(path: str | Path, channels: str | Path | None = None) -> PetrolRecording:
     """Read a CSV or Parquet recording; column names are compared without regard to case.
+
+    Args:
+        path: of the recording.
+        channels: map of foreign names and units to ours, see `recordings.channels`.
 
     Raises:
         InputError: missing file or column, no rising time, values that can't be in the unit of the column's name.
@@ -98,11 +106,14 @@ def read_petrol(path: str | Path) -> PetrolRecording:
         raise InputError(str(path), "no such file", "a CSV or Parquet recording", "check the path") from None
     except (ValueError, pd.errors.ParserError) as error:
         raise InputError(str(path), error, "a CSV or Parquet table", "check the file") from None
+    if channels is not None:
+        foreign = {str(c).strip(): table[c].to_numpy() for c in table.columns}
+        table = pd.DataFrame(read_channel_map(channels).apply(foreign, str(path)))
     table.columns = [str(c).strip().lower() for c in table.columns]
     missing = [c for c in ("time_s", *COLUMNS) if c not in table.columns]
     if missing:
         raise InputError(f"{path}: columns", f"no {listed(missing)}", f"time_s, {listed(list(COLUMNS))}",
-                         "name the columns so, units as in the names")
+                         "name the columns so, units as in the names, or give a channel map (--channels)")
     values = {}
     for column in ("time_s", *COLUMNS):
         numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(dtype=np.float64)
@@ -115,6 +126,10 @@ def read_petrol(path: str | Path) -> PetrolRecording:
     if np.any(np.diff(time) <= 0.0):
         row = int(np.argmax(np.diff(time) <= 0.0)) + 2
         raise InputError(f"{path}: time_s", f"no rise at data row {row}", "strictly rising time", "sort the rows")
+    step = float(np.median(np.diff(time)))
+    if step > COARSEST_STEP_S:
+        raise InputError(f"{path}: time_s", f"a row every {step:.3g} s", f"one every {COARSEST_STEP_S:g} s at least",
+                         "record faster")
     for column, (low, high, unit) in COLUMNS.items():
         middle = float(np.median(values[column]))
         if not low <= middle <= high:
@@ -139,93 +154,151 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Grid:
-    """Blocks of a recording: which rows belong to which, fixed under every hypothesis.
+    """Blocks of a recording: which rows belong to which, fixed under every hypothesis. No block reaches over a gap.
 
     Attributes:
         index: (n,) block of each row.
         count: (m,) rows of each block.
-        kept: (m,) bool, blocks full enough.
-        edges: (m + 1,) row nearest to each block boundary.
+        kept: (m,) bool, blocks full enough; the last one of a piece is seldom full.
+        low, high: (m, 2) range of rows about each block's begin and end, for its end values.
+        lasted_s: (m,) time between the rows nearest to a block's ends [s].
         mid_s: (m,) middle of each block [s].
+        piece: (m,) number of the piece between gaps.
     """
 
     index: NDArray[np.int64]
     count: Array
     kept: NDArray[np.bool_]
-    edges: NDArray[np.int64]
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    lasted_s: Array
     mid_s: Array
+    piece: NDArray[np.int64]
 
     def mean(self, x: Array) -> Array:
         """(m,) mean of x over each block."""
         return np.asarray(np.bincount(self.index, x, minlength=len(self.count)) / self.count)
 
-    def slope(self, x: Array, time_s: Array) -> Array:
+    def slope(self, x: Array) -> Array:
         """(m,) difference of x (smoothed over EDGE_ROWS rows) between a block's ends over their time [unit/s]."""
-        half = EDGE_ROWS // 2
         total = np.concatenate([[0.0], np.cumsum(x)])
-        low, high = np.maximum(self.edges - half, 0), np.minimum(self.edges + half + 1, len(x))
-        at = (total[high] - total[low]) / (high - low)
-        return np.asarray(np.diff(at) / np.maximum(np.diff(time_s[self.edges]), 0.5 * BLOCK_S))
+        at = (total[self.high] - total[self.low]) / (self.high - self.low)
+        return np.asarray((at[:, 1] - at[:, 0]) / self.lasted_s)
+
+
+def gaps(time_s: Array) -> NDArray[np.int64]:
+    """First row of every piece between gaps of more than GAP_S, ascending, the first 0."""
+    return np.concatenate([[0], np.flatnonzero(np.diff(time_s) > GAP_S) + 1]).astype(np.int64)
 
 
 def make_grid(time_s: Array) -> Grid:
-    """Blocks of BLOCK_S over the rows at `time_s`."""
-    index = np.floor(time_s / BLOCK_S).astype(np.int64)
-    size = int(index[-1]) + 1
-    count = np.bincount(index, minlength=size).astype(np.float64)
+    """Blocks of BLOCK_S over the rows at `time_s`, anew in every piece between gaps."""
+    half, n = EDGE_ROWS // 2, len(time_s)
+    index = np.empty(n, dtype=np.int64)
+    parts: list[tuple[NDArray[np.int64], Array, Array, NDArray[np.bool_]]] = []  # edges (rows), span, middle, last
+    at = 0
+    low, high, piece = [], [], []
+    starts = gaps(time_s)
+    for number, (a, b) in enumerate(zip(starts, np.append(starts[1:], n), strict=True)):
+        own = time_s[a:b] - time_s[a]
+        blocks = np.floor(own / BLOCK_S).astype(np.int64)
+        size = int(blocks[-1]) + 1
+        index[a:b] = at + blocks
+        edges = a + np.searchsorted(own, np.arange(size + 1) * BLOCK_S).clip(0, b - a - 1)
+        ends = np.stack([edges[:-1], edges[1:]], axis=1)
+        low.append(np.maximum(ends - half, a))
+        high.append(np.minimum(ends + half + 1, b))
+        middle = time_s[a] + (np.arange(size, dtype=np.float64) + 0.5) * BLOCK_S
+        lasted = np.maximum(np.diff(time_s[edges]), 0.5 * BLOCK_S)
+        parts.append((edges, lasted, middle, np.arange(size) < size - 1))
+        piece.append(np.full(size, number))
+        at += size
+    count = np.bincount(index, minlength=at).astype(np.float64)
     usual = float(np.median(count[count > 0]))
-    edges = np.searchsorted(time_s, np.arange(size + 1) * BLOCK_S).clip(0, len(time_s) - 1)
-    kept = count >= FULLEST_HOLE * usual
-    middle = (np.arange(size, dtype=np.float64) + 0.5) * BLOCK_S
-    return Grid(index, np.maximum(count, 1.0), kept, edges, middle)
+    kept = (count >= FULLEST_HOLE * usual) & np.concatenate([part[3] for part in parts])
+    return Grid(
+        index, np.maximum(count, 1.0), kept, np.concatenate(low), np.concatenate(high),
+        np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts]),
+        np.concatenate(piece),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Balances over m blocks [SI]; see `Signals` for the symbols.
+    """What the balances need over m blocks [SI]; see `Signals` for the symbols.
 
     Attributes:
-        y_cyl: log of measured over displaced cylinder flow: log eta_vol [-].
-        y_th: log of measured throttle flow over that of a throttle of 1 m2: log area [m2].
-        y_ic: log(p_ic/p_amb) [-].
-        log_jacobian_cyl, log_jacobian_th: d y/d log W_af, for the density of the measured flow.
+        mid_s: middle of each block [s].
+        omega_e, p_im, p_ic, alpha, W_af, p_amb, T_ic, T_amb: means.
+        psi: flow factor of the throttle [-].
+        W_d: flow that the cylinders would take at a volumetric efficiency of 1 [kg/s].
+        unit_flow: flow through a throttle of 1 m2 [kg/s].
+        before_throttle: air that is metered but doesn't pass the throttle: filling and leaks before it [kg/s].
+        before_cylinders: air that is metered but isn't taken in: filling and leaks of both volumes [kg/s].
+        log_eta, log_area: logarithm of what an effect multiplies both maps by [-].
     """
 
     mid_s: Array
-    y_cyl: Array
-    y_th: Array
-    y_ic: Array
     omega_e: Array
     p_im: Array
     p_ic: Array
     alpha: Array
-    psi: Array
     W_af: Array
     p_amb: Array
     T_ic: Array
     T_amb: Array
-    log_jacobian_cyl: Array
-    log_jacobian_th: Array
+    psi: Array
+    W_d: Array
+    unit_flow: Array
+    before_throttle: Array
+    before_cylinders: Array
+    log_eta: Array
+    log_area: Array
+
+    def cylinder(self, W_af: Array) -> Array:
+        """Log of the cylinders' flow over the displaced one, log eta_vol [-], were `W_af` [kg/s] metered."""
+        return np.asarray(np.log(np.maximum(W_af - self.before_cylinders, LEAST_FLOW) / self.W_d) - self.log_eta)
+
+    def throttle(self, W_af: Array) -> Array:
+        """Log of the throttle's flow over that of 1 m2, log area [m2], were `W_af` [kg/s] metered."""
+        return np.asarray(np.log(np.maximum(W_af - self.before_throttle, LEAST_FLOW) / self.unit_flow) - self.log_area)
+
+    @property
+    def boost(self) -> Array:
+        """log(p_ic/p_amb) [-]."""
+        return np.asarray(np.log(self.p_ic / self.p_amb))
+
+    @property
+    def cooler(self) -> Array:
+        """log(T_ic/T_amb) [-]."""
+        return np.asarray(np.log(self.T_ic / self.T_amb))
 
 
-def balances(s: Signals, grid: Grid, g: Geometry) -> Blocks:
-    """The three balances over each block, with what an effect adds to `s` taken into account."""
-    mean = grid.mean
+def blocks_of(s: Signals, grid: Grid, g: Geometry, added: Mapping[str, Array] | None = None) -> Blocks:
+    """Means and flows over each block, with what an effect adds to `s` taken into account.
+
+    Args:
+        s: signals.
+        grid: blocks.
+        g: volumes.
+        added: point of the twin -> (m,) signal that enters there: relative at `eta_vol` and `A_th`, else kg/s.
+    """
+    mean, more = grid.mean, added or {}
     zero = np.zeros(len(grid.count))
-    T_ic, p_im, p_ic, W_af = mean(s.T_ic), mean(s.p_im), mean(s.p_ic), mean(s.W_af)
-    leak_ic = zero if s.leak_ic is None else mean(s.leak_ic)
-    leak_im = zero if s.leak_im is None else mean(s.leak_im)
-    W_th = W_af - leak_ic - storage_flow(grid.slope(s.p_ic, s.time_s), T_ic, g.V_ic)
-    W_ei = W_th + leak_im - storage_flow(grid.slope(s.p_im, s.time_s), T_ic, g.V_im)
-    W_th, W_ei = np.maximum(W_th, LEAST_FLOW), np.maximum(W_ei, LEAST_FLOW)
+
+    def given(x: Array | None) -> Array:
+        return zero if x is None else mean(x)
+
+    def factor(name: str) -> Array:
+        return np.asarray(np.log1p(np.maximum(more.get(name, zero), LEAST_FACTOR - 1.0)))
+
+    T_ic, p_im, p_ic = mean(s.T_ic), mean(s.p_im), mean(s.p_ic)
+    before = storage_flow(grid.slope(s.p_ic), T_ic, g.V_ic) + given(s.leak_ic) - more.get("intercooler_balance", zero)
+    inside = storage_flow(grid.slope(s.p_im), T_ic, g.V_im) - given(s.leak_im) - more.get("intake_balance", zero)
     unit_flow = np.maximum(mean(nozzle_flow(1.0, s.p_ic, s.T_ic, s.p_im)), 1.0)
-    W_d = displaced_flow(p_im, mean(s.omega_e), T_ic, g.V_d)
-    psi = unit_flow / (p_ic / np.sqrt(287.0 * T_ic))
-    y_cyl, y_th = np.log(W_ei / W_d), np.log(W_th / unit_flow)
-    if s.log_eta is not None:
-        y_cyl = y_cyl - mean(s.log_eta)
-    if s.log_area is not None:
-        y_th = y_th - mean(s.log_area)
-    W = np.maximum(W_af, LEAST_FLOW)
-    return Blocks(grid.mid_s, y_cyl, y_th, np.log(p_ic / mean(s.p_amb)), mean(s.omega_e), p_im, p_ic, mean(s.alpha),
-                  psi, W_af, mean(s.p_amb), T_ic, mean(s.T_amb), np.log(W / W_ei), np.log(W / W_th))
+    omega_e = mean(s.omega_e)
+    return Blocks(
+        grid.mid_s, omega_e, p_im, p_ic, mean(s.alpha), mean(s.W_af), mean(s.p_amb), T_ic, mean(s.T_amb),
+        unit_flow / (p_ic / np.sqrt(R_A * T_ic)), displaced_flow(p_im, omega_e, T_ic, g.V_d), unit_flow, before,
+        before + inside, given(s.log_eta) + factor("eta_vol"), given(s.log_area) + factor("A_th"),
+    )  # fmt: skip

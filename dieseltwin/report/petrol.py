@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.petrol.calibrate import SubmodelFit
 from dieseltwin.petrol.discover import PetrolDiscovery
-from dieseltwin.petrol.effects import HYPOTHESES
-from dieseltwin.petrol.model import Bound
+from dieseltwin.petrol.parameters import FaultFreePiece
 from dieseltwin.report import style
 from dieseltwin.report.style import ReportFigure
 
@@ -24,6 +23,7 @@ TITLES = {"cylinder": "cylinder flow: air flow against η_vol(ω_e, p_im)", "thr
 SHOWN = ("cylinder", "throttle", "boost")
 CLIP = 0.25  # of a residual in the figures [-]
 SMOOTH_BLOCKS = 15  # running median: structure, not tip-ins
+MOST_SHOWN = 8  # effects in the figure of what was weighed
 
 
 def _running_median(x: np.ndarray, width: int) -> np.ndarray:
@@ -32,86 +32,94 @@ def _running_median(x: np.ndarray, width: int) -> np.ndarray:
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1))
 
 
-def _plain_residual(bound: Bound, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Time and residual of a balance against the calibrated maps, nothing fitted to this recording."""
-    rows = bound.rows(bound.measured)[name]
-    kept = np.isfinite(bound.scales[name])
-    residual = rows.y - rows.design @ bound.thetas[name]
-    return bound.measured.mid_s[kept], np.clip(residual[kept], -CLIP, CLIP)
+def _misfits(found: PetrolDiscovery, name: str) -> tuple[np.ndarray, list[tuple[np.ndarray, str, str]]]:
+    """Blocks that count, and a balance's misfit there as read and, where something was found, with it taken back."""
+    twin = found.twin
+    j = twin.channels.index(name)
+    kept = np.isfinite(twin.measured[:, j])
+    repaired = twin.measured[:, j] - found.after[:, j]
+    states = [(twin.measured[:, j], BEFORE if found.document.mismatch else AFTER, "as read")]
+    if found.document.mismatch:
+        states.append((repaired, AFTER, "repaired"))
+    return kept, [(np.clip(values[kept], -CLIP, CLIP), colour, label) for values, colour, label in states]
 
 
-def _states(found: PetrolDiscovery) -> list[tuple[Bound, str, str]]:
-    """The twin on the recording as read, and on the repaired one where something was found; colour and label."""
-    read = (found.bound, BEFORE if found.found else AFTER, "as read")
-    return [read, (found.bound_after, AFTER, "repaired")] if found.found else [read]
+def _onset(found: PetrolDiscovery) -> float | None:
+    """Middle of the first block in which the effect acts [s since the recording's start]."""
+    variant = found.search.variant
+    return None if variant is None or found.search.kind != "variant" else variant.onset_s
 
 
 @style.styled
 def residuals_over_time(found: PetrolDiscovery) -> ReportFigure:
     """Each balance over time, before and after what was found is taken back."""
-    figure = Figure(figsize=(9.0, 6.6))
-    axes: Sequence[Axes] = figure.subplots(len(SHOWN), 1, sharex=True)
-    location = found.document.location
-    for panel, name in zip(axes, SHOWN, strict=True):
-        for bound, colour, label in _states(found):
-            time_s, residual = _plain_residual(bound, name)
+    shown = [name for name in SHOWN if name in found.twin.channels]
+    figure = Figure(figsize=(9.0, 2.2 * len(shown)))
+    axes: Sequence[Axes] = list(figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0])
+    onset = _onset(found)
+    for panel, name in zip(axes, shown, strict=True):
+        kept, states = _misfits(found, name)
+        time_s = found.twin.time_s[kept]
+        for residual, colour, label in states:
             panel.plot(time_s, 100.0 * residual, ".", ms=1.5, color=colour, alpha=0.2, zorder=1)
             if len(residual) > SMOOTH_BLOCKS:
                 panel.plot(time_s, 100.0 * _running_median(residual, SMOOTH_BLOCKS), color=colour, lw=1.3, label=label)
         panel.axhline(0.0, color=LIMIT, lw=0.6)
         panel.set_ylabel("misfit [%]")
         panel.set_title(TITLES[name])
-        if location is not None and found.found[0].onset_s is not None:
-            panel.axvline(found.found[0].onset_s, color=LIMIT, lw=1.0, ls="--")
+        if onset is not None:
+            panel.axvline(onset, color=LIMIT, lw=1.0, ls="--")
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     axes[-1].set_xlabel("time since the recording's start [s]")
-    caption = ("Misfit of the balances against the maps calibrated on fault-free driving, nothing fitted to this "
-               "recording: seconds as points (cut at 25 %), running median over 15 s as lines. Dashed: the onset.")
+    caption = ("Misfit of the balances against the calibrated maps: as read, and with the explanation and the levels "
+               "fitted beside it taken back. Seconds as points (cut at 25 %), running median over 15 s as lines. "
+               "Dashed: the onset.")
     return ReportFigure("residuals_over_time", "The balances over time", caption, figure, "png")
 
 
 @style.styled
 def candidates(found: PetrolDiscovery) -> ReportFigure:
-    """Score of every effect that was refitted, with the threshold."""
-    shown = list(found.candidates)[::-1]
-    figure = Figure(figsize=(8.0, 0.45 * len(shown) + 1.3))
+    """Gain of the leading effects, with the threshold."""
+    rows = found.candidates[:MOST_SHOWN][::-1]
+    figure = Figure(figsize=(8.0, 0.45 * len(rows) + 1.3))
     axes = figure.subplots()
-    names = {c.name for c in found.found}
-    for row, c in enumerate(shown):
-        score = max(2.0 * c.gain, 0.0)
-        axes.barh(row, score, color=BEFORE if c.name in names else style.MEASURED)
-        unit = HYPOTHESES[c.name].unit
-        size = f"{100 * c.magnitude:+.1f} %" if unit == "-" else f"{c.magnitude:.3g} {unit}"
-        axes.annotate(size, (score, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=9)
+    names = {e.name for e in found.document.effects}
+    for row, c in enumerate(rows):
+        gain = max(2.0 * (c["log_likelihood_gain"] or 0.0), 0.0)
+        axes.barh(row, gain, color=BEFORE if c["name"] in names else style.MEASURED)
+        axes.annotate(_size(c["magnitude"] or 0.0, found.twin.hypotheses[c["name"]].unit), (gain, row), xytext=(4, 0),
+                      textcoords="offset points", va="center", fontsize=9)
     axes.axvline(found.threshold, color=LIMIT, ls="--", lw=1.0)
-    axes.set_yticks(range(len(shown)), [c.name for c in shown])
+    axes.set_yticks(range(len(rows)), [c["name"] for c in rows])
     axes.margins(x=0.15)
-    axes.set_xlabel("twice the gain in log-likelihood; dashed: threshold from fault-free pieces")
-    caption = "Effects with the highest scores, each refitted with its own onset and size."
+    axes.set_xlabel("decrease of -2 log likelihood; dashed: alarm of an effect that is there all along")
+    caption = "The leading effects, each refitted by itself, with its onset where it has one."
     return ReportFigure("candidates", "What was weighed", caption, figure)
+
+
+def _size(value: float, unit: str) -> str:
+    return f"{100 * value:+.1f} %" if unit == "-" else f"{value:.3g} {unit}"
 
 
 @style.styled
 def over_pressure(found: PetrolDiscovery) -> ReportFigure:
     """Cylinder and throttle balance over the manifold pressure: gain, leak and offset have other shapes."""
+    shown = [name for name in ("cylinder", "throttle") if name in found.twin.channels]
     figure = Figure(figsize=(9.0, 3.6))
-    axes = figure.subplots(1, 2, sharey=True)
-    onset = found.found[0].onset_s if found.found else None
-    for panel, name in zip(axes, ("cylinder", "throttle"), strict=True):
-        for bound, colour, label in _states(found):
-            rows = bound.rows(bound.measured)[name]
-            kept = np.isfinite(bound.scales[name]) & (bound.scales[name] < np.median(bound.scales[name]) * 2.0)
-            if onset is not None:
-                kept &= bound.measured.mid_s > onset
-            residual = np.clip(rows.y - rows.design @ bound.thetas[name], -CLIP, CLIP)
-            panel.plot(1e-3 * bound.measured.p_im[kept], 100.0 * residual[kept], ".", ms=2.5, alpha=0.35, color=colour,
-                       label=label)
+    axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    onset = _onset(found)
+    for panel, name in zip(axes, shown, strict=True):
+        kept, states = _misfits(found, name)
+        late = np.ones(int(kept.sum()), dtype=bool) if onset is None else found.twin.time_s[kept] >= onset
+        for residual, colour, label in states:
+            panel.plot(1e-3 * found.twin.blocks.p_im[kept][late], 100.0 * residual[late], ".", ms=2.5, alpha=0.35,
+                       color=colour, label=label)
         panel.axhline(0.0, color=LIMIT, lw=0.6)
         panel.set_title(TITLES[name].split(":")[0])
         panel.set_xlabel("p_im [kPa]")
     axes[0].set_ylabel("misfit [%]")
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, markerscale=3)
-    caption = "Steady seconds (after the onset) over p_im. A gain shifts evenly, a leak most at low load."
+    caption = "Seconds after the onset over p_im. A gain shifts evenly, a leak most at low load."
     return ReportFigure("over_pressure", "Over the operating range", caption, figure, "png")
 
 
@@ -143,7 +151,8 @@ def build_petrol_report(found: PetrolDiscovery, path: Path, figures_dir: Path) -
     fit = [{"name": n, "before": _text(b), "after": _text(a)} for n, b, a in (
         ("held-out negative log-likelihood per sample [–]", d.fit.held_out_nll_before, d.fit.held_out_nll_after),
         ("chi-square per sample [–]", d.fit.chi2_per_sample_before, d.fit.chi2_per_sample_after))]
-    visible = [(n, f"{v:.3g} {HYPOTHESES[n].unit}", HYPOTHESES[n].site) for n, v in d.minimum_detectable.items()]
+    known = found.twin.hypotheses
+    visible = [(n, f"{v:.3g} {known[n].unit}", known[n].site) for n, v in d.minimum_detectable.items()]
     sections = [
         {"id": "balances", "title": "Balances", "words": "", "figures": pictures, "rows": [], "heads": []},
         {"id": "visible", "title": "What could be seen", "words": "Smallest size that this recording shows, had the "
@@ -154,7 +163,7 @@ def build_petrol_report(found: PetrolDiscovery, path: Path, figures_dir: Path) -
     page = environment.get_template("petrol.html.j2").render(
         title="Discovery on a petrol engine", about=f"{Path(d.recording.path).name}, {d.recording.duration_s:.0f} s",
         headline=found.sentence, mismatch=d.mismatch, effects=effects, sites=sites, health=health, fit=fit,
-        sections=sections, source=found.bound.parameters.source,
+        sections=sections, source=found.engine.source,
         provenance=[("recording", d.recording.path), ("SHA-256 of the recording", d.recording.sha256),
                     ("code version", d.provenance.code_version),
                     ("SHA-256 of the parameters", d.provenance.params_sha256)])
@@ -165,11 +174,12 @@ def _text(value: float | None) -> str:
     return "–" if value is None else f"{value:.4f}"
 
 
-def calibration_lines(fits: Sequence[SubmodelFit], scores: Sequence[tuple[tuple[float, float], float, str]],
-                      threshold: float) -> list[str]:
-    """Fit of each balance on held-out stretches and the fault-free pieces' scores, as lines of text."""
+def calibration_lines(fits: Sequence[SubmodelFit], pieces: Sequence[FaultFreePiece]) -> list[str]:
+    """Fit of each balance on held-out stretches, and the verdicts on held-out fault-free pieces, as lines of text."""
     lines = [f"{'balance':<10}{'steady':>9}{'all':>9}   held-out misfit (robust standard deviation)"]
     for f in fits:
         lines.append(f"{f.name:<10}{100 * f.steady:>7.2f} %{100 * f.all_blocks:>7.2f} %   {f.blocks} blocks of 1 s")
-    lines += [f"fault-free piece {a:.0f}-{b:.0f} s: score {s:.1f} ({n})" for (a, b), s, n in scores]
-    return [*lines, f"threshold for a piece of five minutes: {threshold:.1f}"]
+    lines += [f"fault-free piece {p.start_s:.0f}-{p.end_s:.0f} s: {'ALARM' if p.alarm else 'quiet'}, strongest "
+              f"{p.name} with a gain of {p.gain:.1f}" for p in pieces]
+    alarms = sum(p.alarm for p in pieces)
+    return [*lines, f"false alarms on pieces that their maps did not see: {alarms} of {len(pieces)}"]

@@ -82,16 +82,78 @@ def test_discover_command(
     assert "data:image/png;base64" in (out / "report.html").read_text(encoding="utf-8")
 
 
+def test_engine_of_a_discovery_is_accepted_by_the_next_and_by_simulate(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = save_petrol(engine, tmp_path / "engine.yaml")
+    recording = str(record(10, 400.0, W_af_kg_s=0.12).path)
+    assert main(["discover", recording, "--engine", str(file), "--out", str(tmp_path / "one")]) == 0
+    repaired = str(tmp_path / "one" / "engine.yaml")
+    assert main(["discover", recording, "--engine", repaired, "--out", str(tmp_path / "two")]) == 0
+    assert not load_discrepancy(tmp_path / "two").mismatch
+    off = {}
+    for name, used in (("before", str(file)), ("after", repaired)):
+        out = tmp_path / f"{name}.parquet"
+        assert main(["simulate", recording, "--engine", used, "--out", str(out)]) == 0
+        table = pd.read_parquet(out)
+        measured = pd.read_csv(recording)
+        off[name] = float((table.w_af_kg_s - measured.W_af_kg_s).abs().median())
+    assert off["after"] < 0.5 * off["before"]
+    capsys.readouterr()
+
+
+def test_choices_of_the_user(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = save_petrol(engine, tmp_path / "engine.yaml")
+    table = pd.read_csv(record(11, 300.0, p_im_Pa=0.1).path)
+    foreign = table.rename(columns={"p_im_Pa": "MAP"}).assign(MAP=table.p_im_Pa / 1e3)
+    recording = _written(foreign, tmp_path)
+    (tmp_path / "map.yaml").write_text("MAP: {column: p_im_pa, unit: kPa}\n", encoding="utf-8")
+    base = ["discover", str(recording), "--engine", str(file), "--channels", str(tmp_path / "map.yaml")]
+    withheld = ["--withhold", "p_im_gain,p_im_offset", "--explain", "p_im_gain"]
+    assert main([*base, "--out", str(tmp_path / "a"), *withheld]) == 0
+    assert "withheld" in capsys.readouterr().out
+    names = {n for e in load_discrepancy(tmp_path / "a").effects for n in e.names}
+    assert not names & {"p_im_gain", "p_im_offset"}
+    used = "p_im_pa,w_af_kg_s,omega_e_rad_s,p_ic_pa,t_ic_k,alpha_th_pct,p_amb_pa"
+    chosen = ["--sensors", used, "--map-tolerance", "0.03", "--explain", "p_im_gain"]
+    assert main([*base, "--out", str(tmp_path / "b"), *chosen]) == 0
+    assert "chosen" in capsys.readouterr().out
+    document = load_discrepancy(tmp_path / "b")
+    assert "t_amb_k" not in document.recording.channels and document.effects[0].name == "p_im_gain"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--sensors", "p_im_pa"], "only p_amb_pa and t_amb_k can be left out"),
+        (["--sensors", "p_im_kpa"], "p_im_pa"),
+        (["--withhold", "p_im_gian"], "p_im_gain"),
+        (["--explain", "w_af_gian"], "w_af_gain"),
+        (["--map-tolerance", "2"], "--map-tolerance"),
+    ],
+)
+def test_choices_that_mean_nothing(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    options: list[str], words: str,
+) -> None:  # fmt: skip
+    file = save_petrol(engine, tmp_path / "engine.yaml")
+    out = tmp_path / "out"
+    assert main(["discover", str(record(9, 120.0).path), "--engine", str(file), "--out", str(out), *options]) == 2
+    assert words in capsys.readouterr().err and not out.exists()
+
+
 def test_options_of_the_diesel_engine_are_refused(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = save_petrol(engine, tmp_path / "engine.yaml")
     recording = str(record(10, 400.0).path)
     commands = [
-        ["discover", recording, "--engine", str(file), "--sensors", "p_im_pa", "--out", str(tmp_path / "out")],
+        ["simulate", recording, "--engine", str(file), "--effect", "egr_leak=1", "--out", str(tmp_path / "out.csv")],
         ["calibrate", recording, "--base", "liu_petrol", "--noise", "1", "--out", str(tmp_path / "new.yaml")],
     ]
     for command in commands:
         assert main(command) == 2
         assert "petrol" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists() and not (tmp_path / "new.yaml").exists()
+    assert not (tmp_path / "out.csv").exists() and not (tmp_path / "new.yaml").exists()

@@ -9,6 +9,7 @@ import numpy as np
 
 from dieseltwin.discovery.laws.grammar import Factor, Form, Kind, bumps, operators, unit_of
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
 from dieseltwin.discovery.twins.interface import Array, Twin
@@ -89,7 +90,7 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                 effect = getattr(twin, "command_operators", {}).get((factor.kind, point.name))
                 found += [replace(f, effect=effect) for f in _of_form(index, text, form, point.site, variables)]
     ones = np.ones(twin.time_s.size)
-    for j, name in enumerate(twin.channels):
+    for j, name in enumerate(() if isinstance(twin, KnownErrors) else twin.channels):  # balances are no sensors
         site = f"sensor:{name}"
         for text in ("offset", "gain"):
             same = (h.name for h in twin.hypotheses.values() if h.site == site and h.name.endswith(f"_{text}"))

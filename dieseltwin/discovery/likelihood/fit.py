@@ -237,9 +237,10 @@ def prior_misfit(twin: Twin, parameters: Array) -> float:
 def within_limits(twin: Twin, parameters: Array, names: Sequence[str], magnitudes: Array) -> tuple[Array, Array]:
     """Parameters kept within reason (positive ones positive), magnitudes inside their limits."""
     values = np.array([p.value for p in twin.parameters])
-    spans = np.array([p.prior_std for p in twin.parameters])
+    spans = np.array([p.prior_std if p.bounded else np.inf for p in twin.parameters])
     limits = np.array([twin.hypotheses[name].limits for name in names]).reshape(-1, 2)
-    lowest = np.where(values > 0.0, np.maximum(values - 4 * spans, 0.2 * values), values - 4 * spans)
+    positive = (values > 0.0) & np.isfinite(spans)
+    lowest = np.where(positive, np.maximum(values - 4 * spans, 0.2 * values), values - 4 * spans)
     parameters = np.clip(parameters, lowest, values + 4 * spans)
     return parameters, np.clip(magnitudes, limits[:, 0], limits[:, 1])
 
@@ -289,7 +290,7 @@ def _downhill(
     slope round, so that its own step leads uphill, would stop all the others.
     """
     twin, names = here.twin, here.fit.candidate.names
-    scales = np.array([p.scale for p in twin.parameters])
+    scales = np.array([p.scale if p.bounded else np.inf for p in twin.parameters])
     P = len(scales)
     shrink = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
     for _ in range(_SHORTER_STEPS):

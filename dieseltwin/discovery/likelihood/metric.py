@@ -90,7 +90,9 @@ class Metric:
         self._orthonormal = []
         self._triangular = []
         self._unit, self._unit_prior = np.zeros(0), np.zeros(0)
-        if self.states == 1:  # the orthonormal basis of all windows in a line
+        if self.states == 0:
+            pass
+        elif self.states == 1:  # the orthonormal basis of all windows in a line
             weight = float(ridge[0, 0])
             lengths = np.sqrt(np.add.reduceat(columns[:, 0] ** 2, self._first) + weight**2)
             self._unit, self._unit_prior = columns[:, 0] / np.repeat(lengths, self._rows_of), weight / lengths
@@ -122,6 +124,8 @@ class Metric:
         out = np.zeros((count, self.rows + extra))
         size = whitened.shape[1]
         out[:, :size] = whitened
+        if self.states == 0:
+            return out
         if self.states == 1:
             along = np.add.reduceat(whitened * self._unit, self._first, axis=1)
             out[:, :size] -= np.repeat(along, self._rows_of, axis=1) * self._unit
@@ -151,6 +155,11 @@ class Metric:
         """Orthonormal directions of the nuisances (K, rows + K), None without any."""
         return self._nuisance
 
+    @property
+    def log_determinant(self) -> float:
+        """Of the nuisances' information with their priors: what marginal likelihoods of two metrics differ by."""
+        return 0.0 if self._nuisance is None else 2.0 * float(np.log(np.diag(self._lower)).sum())
+
     def without_local(self, values: Array) -> Array:
         """(B, n, C) -> (B, rows): whitened with the initial states alone taken out."""
         return self._without_local(self.whitening.apply(np.asarray(values)))
@@ -161,6 +170,8 @@ class Metric:
         if self.states == 1:
             return np.asarray(np.add.reduceat(whitened * self._unit, self._first) / self._lengths)[:, None]
         step = np.zeros((len(self._blocks), self.states))
+        if self.states == 0:
+            return step
         for w, (block, q, r) in enumerate(zip(self._blocks, self._orthonormal, self._triangular, strict=True)):
             step[w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[block]) if self.states else 0.0
         return step

@@ -16,7 +16,7 @@ from dieseltwin.discovery.laws.unnamed import best_term
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
-from dieseltwin.discovery.search.preparation import recentred, tolerance_responses
+from dieseltwin.discovery.search.preparation import in_own_metrics, recentred, tolerance_responses
 from dieseltwin.discovery.search.state import CHANCE_LEAVES, Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, rescan, same_region
 from dieseltwin.discovery.twins.interface import Twin, WithSignals
@@ -54,6 +54,8 @@ def try_variants(found: Search) -> None:
         others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
         _refit_variants(found, [_since(found, variant, float(best.onset_s or 0.0)) for variant in others.values()])
         _polish_variants(found)
+        if found.gain(found.variants[0][1]) > found.settings.own_metric_gain:
+            _compare_leaders(found)
         return
     known = {v.name for v, _ in found.variants}
     rivals = same_region(found.null, found.scored, best)
@@ -94,6 +96,17 @@ def _polish_variants(found: Search) -> None:
     ]
     polished = [(variant, fit) for (variant, _), fit in zip(leaders, fits, strict=True)]
     found.variants = sorted([*rest, *polished], key=_with_edges)
+
+
+def _compare_leaders(found: Search) -> None:
+    """The leading variants in the order of their own metrics."""
+    leaders = _leaders(found)
+    rest = [pair for pair in found.variants if all(pair[1] is not fit for _, fit in leaders)]
+    variants = {variant.name: variant for variant, _ in leaders}
+    compared = in_own_metrics(found, [fit for _, fit in leaders])
+    same = {fit.candidate.names[0] for fit in compared}  # what they were beside has moved with them
+    rest = [pair for pair in rest if pair[0].name not in same]
+    found.variants = sorted([*((variants[f.candidate.names[0]], f) for f in compared), *rest], key=_with_edges)
 
 
 def _since(found: Search, variant: Variant, onset_s: float) -> Variant:
@@ -314,4 +327,7 @@ def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[F
             out.append(polished)
         else:
             out.append(fit)
-    return sorted(out, key=lambda fit: fit.objective)
+    out.sort(key=lambda fit: fit.objective)
+    if len(out[0].candidate.names) == 1 and found.gain(out[0]) > found.settings.own_metric_gain:
+        out[:count] = in_own_metrics(found, out[:count])
+    return out

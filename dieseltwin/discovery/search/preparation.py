@@ -10,6 +10,7 @@ from typing import cast
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
+from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
 from dieseltwin.discovery.likelihood.nuisance import (
     Nuisance,
@@ -21,7 +22,7 @@ from dieseltwin.discovery.likelihood.nuisance import (
 from dieseltwin.discovery.likelihood.score import chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search.state import Search, Settings
 from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
-from dieseltwin.recordings.noise import estimate_noise
+from dieseltwin.recordings.noise import Noise, estimate_noise
 
 _VERIFIED = 3  # of the leading fits
 _VERIFIED_FROM = 0.7  # of the gain of an alarm
@@ -34,23 +35,23 @@ _PARTS = 4
 def prepare(twin: Twin, settings: Settings) -> Search:
     """Noise, health-only fit, tolerances, scores of all hypotheses: everything before a name is thought of."""
     clock = time.perf_counter()
-    pieces = np.array([], dtype=int)
-    noise = estimate_noise(twin.measured, pieces)
-    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    noise = twin.noise() if isinstance(twin, KnownErrors) else estimate_noise(twin.measured)
+    whitening = _whitening(twin, noise)
     rough = fit_fully(twin, whitening, first_fit(twin), rounds=5)
     start = split_growing(rough)
     if start is not None:
-        whitening = Whitening.of(twin.measured, noise, twin.starts)
+        whitening = _whitening(twin, noise)
         rough = fit_fully(twin, whitening, start, rounds=5)
-    # correlation can only be told once the signal is explained; only the fast part of the misfit is used
-    noise = estimate_noise(twin.measured, pieces, explained=rough.simulated)
-    whitening = Whitening.of(twin.measured, noise, twin.starts)
+    if not isinstance(twin, KnownErrors):
+        # correlation can only be told once the signal is explained; only the fast part of the misfit is used
+        noise = estimate_noise(twin.measured, explained=rough.simulated)
+        whitening = _whitening(twin, noise)
     nuisances = tolerances(twin, rough, settings)
     nuisance = nuisance_responses(twin, rough.fit.lanes(), rough.simulated, nuisances)
     crooked = crooked_windows(rough, whitening, nuisances, nuisance, settings.seed)
     if crooked.any():
         twin.measured[rows_of(twin, crooked)] = np.nan
-        whitening = Whitening.of(twin.measured, noise, twin.starts)
+        whitening = _whitening(twin, noise)
     null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance))
     names = [name for name in twin.hypotheses if name not in settings.withhold]
     wanted = secant_sizes(twin, names)
@@ -59,6 +60,11 @@ def prepare(twin: Twin, settings: Settings) -> Search:
     found.left_out, found.nuisances = crooked, nuisances
     found.seconds["prepare"] = time.perf_counter() - clock
     return found
+
+
+def _whitening(twin: Twin, noise: Noise) -> Whitening:
+    """Whitening by what a calibration knows of each sample, else by stationary noise."""
+    return twin.whitening() if isinstance(twin, KnownErrors) else Whitening.of(twin.measured, noise, twin.starts)
 
 
 def split_growing(at: Linearisation) -> Fit | None:
@@ -72,6 +78,8 @@ def split_growing(at: Linearisation) -> Fit | None:
 
 def tolerances(twin: Twin, at: Linearisation, settings: Settings) -> list[Nuisance]:
     """Directions in which maps and sensors may be off, one standard deviation each."""
+    if isinstance(twin, KnownErrors):
+        return twin.nuisances(at.fit.lanes())
     channels = len(twin.channels)
     return [
         *map_nuisances(twin, twin.variables(at.fit.lanes()), settings.tolerance_factor),
@@ -149,6 +157,19 @@ def rebased(found: Search, fit: Fit, rounds: int = 2) -> Linearisation:
         at = fit_fully(cast(Twin, twin), found.whitening, fit, rounds=3, frozen=null)
         fit, residual = at.fit, np.nan_to_num(at.residual)
     return at
+
+
+def in_own_metrics(found: Search, fits: Sequence[Fit]) -> list[Fit]:
+    """Leading fits, best first, with the differences of their objectives as each one's own nuisances make them.
+
+    The best keeps the objective that it had, so that the list compares with fits in the common metric.
+    """
+    own = [recentred(found, fit) for fit in fits]
+    values = [at.fit.objective + at.metric.log_determinant for at in own]
+    best = int(np.argmin(values))
+    level = min(fit.objective for fit in fits) - values[best]
+    moved = [replace(at.fit, objective=level + value) for at, value in zip(own, values, strict=True)]
+    return sorted(moved, key=lambda fit: fit.objective)
 
 
 def recentred(found: Search, fit: Fit) -> Linearisation:

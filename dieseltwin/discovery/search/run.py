@@ -57,7 +57,7 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.singles = polish(found, found.singles)
     found.seconds["singles"] = time.perf_counter() - clock
 
-    found.scanned = scan(found.null, found.scored, VARIANTS)
+    found.scanned = scan(found.null, found.scored, VARIANTS, settings.least_share)
     hidden = bool(found.scanned) and found.scanned[0].gain > found.settings.hidden_gain
     base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
     clock = time.perf_counter()

@@ -32,6 +32,7 @@ class Settings:
         alarm_gain: a mismatch needs this gain at least, whatever chance says: tolerances are never quite Gaussian.
         alarm_size: and this share of the effect's tolerance of interest.
         beside_size: the same of a lesser effect beside one of that size.
+        least_share: of the samples that an onset or a region must act on, and leave out.
         least_spread: share of its gain (`score.spread`) that a finding near its bar must keep without its best window.
         second_gain: what a second effect, beyond one, must add, and keep that share of.
         other_pair_gain: what two effects must be ahead of the best single one that isn't among them.
@@ -50,6 +51,8 @@ class Settings:
         equivalent_gain: names within this gain of the best can't be told apart: DISCOVERY.md's 9, and what maps that
             are off by their tolerance add to it.
         edges_share: of the gain of an effect in a region: closer names can't be told apart.
+        own_metric_gain: from this gain on the leading explanations are compared with the nuisances of each about
+            itself: a large fault of a sensor moves the arguments of the maps, and so the directions they may be off in.
         withhold: effects that the search must do without.
         seed: of the bootstrap.
     """
@@ -61,6 +64,7 @@ class Settings:
     alarm_gain: float = 18.0
     alarm_size: float = 0.8
     beside_size: float = 0.4
+    least_share: float = 0.08
     least_spread: float = 0.5
     second_gain: float = 16.0
     other_pair_gain: float = 32.0
@@ -77,6 +81,7 @@ class Settings:
     missing_share: float = 0.02
     equivalent_gain: float = 12.0
     edges_share: float = 0.02
+    own_metric_gain: float = np.inf
     withhold: tuple[str, ...] = ()
     seed: int = 0
 

@@ -18,7 +18,7 @@ from dieseltwin.discovery.likelihood.score import Scored, best_of_each, without_
 from dieseltwin.discovery.twins.interface import Array, Twin
 
 _BINS = 20  # of a condition, with equal numbers of samples
-_LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
+LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
 _SECOND_EDGE = 8.0  # gain that a second edge along one condition must add
 _SECOND_CONDITION = 12.0  # gain that a second condition of a region must add
 _REFINED = 6  # of the leading effects have their regions' edges found in turn, until none moves
@@ -54,9 +54,9 @@ class Variant:
 class _Sums:
     """Information and push of masked responses, by sums over groups of rows."""
 
-    def __init__(self, at: Linearisation, items: Sequence[Scored]) -> None:
+    def __init__(self, at: Linearisation, items: Sequence[Scored], least_share: float = LEAST_SHARE) -> None:
         metric = at.metric
-        self.at, self.items = at, items
+        self.at, self.items, self.least_share = at, items, least_share
         self.vectors = metric.without_local(np.stack([item.response for item in items]))  # (H, rows)
         self.rows = self.vectors.shape[1]
         self.residual = metric.without_local(np.nan_to_num(at.residual)[None])[0]
@@ -116,8 +116,10 @@ def _gain(push: Array | float, information: Array | float, low: Array | float, h
     return np.asarray(estimate * (2.0 * push - estimate * information))
 
 
-def scan(at: Linearisation, scored: Sequence[Scored], count: int) -> list[Variant]:
-    """The strongest variants of all hypotheses, at most two of each effect.
+def scan(
+    at: Linearisation, scored: Sequence[Scored], count: int, least_share: float = LEAST_SHARE
+) -> list[Variant]:
+    """The strongest variants of all hypotheses, at most two of each effect; each acts on `least_share` of the samples.
 
     The response of a part is taken as that part of the response: exact for an onset at a window's start (windows start
     anew), nearly so for a region (pressures follow within a second). Refits simulate it in full.
@@ -125,7 +127,7 @@ def scan(at: Linearisation, scored: Sequence[Scored], count: int) -> list[Varian
     items = best_of_each(scored)
     if not items:
         return []
-    sums = _Sums(at, items)
+    sums = _Sums(at, items, least_share)
     found = [*_onsets(sums), *_regions(sums)]
     found.sort(key=lambda v: -v.gain)
     kept: list[Variant] = []
@@ -162,7 +164,7 @@ def _onsets(sums: _Sums) -> list[Variant]:
     of_sample = np.searchsorted(twin.starts, np.arange(n), side="right") - 1
     squares, pushes, inner = (np.cumsum(part[::-1], axis=0)[::-1] for part in sums.of(sums.per_row(of_sample), W))
     gains = sums.gains(squares, pushes, inner)
-    allowed = (twin.starts > _LEAST_SHARE * n) & (twin.starts < (1.0 - _LEAST_SHARE) * n)
+    allowed = (twin.starts > sums.least_share * n) & (twin.starts < (1.0 - sums.least_share) * n)
     gains[~allowed] = 0.0
     best = gains.argmax(axis=0)
     found = []
@@ -189,7 +191,7 @@ def _intervals(sums: _Sums, values: Array, inside: np.ndarray) -> list[tuple[flo
     parts = sums.of(sums.per_row(np.where(inside, of_sample, -1)), count)
     totals = [np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)]) for part in parts]
     sizes = np.concatenate([[0], np.cumsum(np.bincount(of_sample[inside], minlength=count))])
-    least = _LEAST_SHARE * values.size
+    least = sums.least_share * values.size
     pairs = [
         (a, b)
         for a in range(count)

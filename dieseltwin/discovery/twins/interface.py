@@ -27,6 +27,8 @@ class Parameter:
         prior_std: standard deviation of what is believed before the recording [unit]; wide.
         unit: unit.
         scale: size of a typical change, for differences and step limits [unit].
+        bounded: fits keep it within four standard deviations of its prior, and positive ones positive; False where
+            readings are linear in it, so that no fit can lead astray.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Parameter:
     prior_std: float
     unit: str
     scale: float
+    bounded: bool = True
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
     null = found.null
     best = found.best
     mismatch = found.kind != "healthy"
-    after, parameters, covariance = _after(found)
+    after, parameters, covariance = after_of(found)
     evidence = _evidence(found, after)
     document = Discrepancy(
         schema=1,  # type: ignore[call-arg]  # the alias of schema_version
@@ -50,7 +50,7 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
             duration_s=recording.duration_s, channels=twin.channels,
         ),
         mismatch=mismatch,
-        p_value=_p_value(found),
+        p_value=p_value(found),
         location=findings.location(found, twin, evidence) if mismatch else None,
         effects=findings.effects(found) if mismatch else (),
         more_is_missing=found.more_is_missing(),
@@ -61,8 +61,8 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
             )
             for j, p in enumerate(twin.parameters)
         },
-        fit=_figures(found, after),
-        minimum_detectable=_finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
+        fit=fit_figures(found, after),
+        minimum_detectable=finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)),
     )  # fmt: skip
     before_engine = _engine(twin, null.fit.parameters, ())
@@ -77,7 +77,7 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
         allowed=_allowed(found, after),
     )  # fmt: skip
-    details = _details(found, rows, best)
+    details = details_of_search(found, rows, best)
     return Discovery(
         document, _engine(twin, parameters, terms), before_engine, curves, {}, details, twin.starts,
         twin.initial(_local(found)),
@@ -100,11 +100,12 @@ def _options_hash(options: Options) -> str:
     return hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode()).hexdigest()
 
 
-def _finite_only(values: Mapping[str, float]) -> dict[str, float]:
+def finite_only(values: Mapping[str, float]) -> dict[str, float]:
+    """Without those that are not known."""
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}
 
 
-def _after(found: Search) -> tuple[Array, Array, Array | None]:
+def after_of(found: Search) -> tuple[Array, Array, Array | None]:
     """Readings, free parameters and covariance of the chosen explanation."""
     if found.kind == "law" and found.law is not None:
         twin, values = found.law.on(found.twin)
@@ -132,14 +133,16 @@ def _by_window(found: Search, evidence: Array) -> tuple[Array, Array]:
     return middles, np.add.reduceat(evidence, starts)
 
 
-def _p_value(found: Search) -> float:
+def p_value(found: Search) -> float:
+    """Probability that chance alone gives as much as the strongest finding."""
     gains = [found.gain(fit) for fit in found.singles[:1]]
     if found.kind == "law" and found.structure:
         gains.append(found.structure[0].gain)
     return float(np.clip(found.chance.p_value(max(gains, default=0.0)), 0.0, 1.0))
 
 
-def _figures(found: Search, after: Array) -> FitFigures:
+def fit_figures(found: Search, after: Array) -> FitFigures:
+    """How well the readings are met before, and after by the readings (n, C) of the explanation."""
     null = found.null
     before_nll, after_nll = held_out_scores(found, after)
     whitening = null.whitening
@@ -219,7 +222,8 @@ def _law_curves(found: Search, twin: EngineTwin) -> list[LawCurve]:
     ]  # fmt: skip
 
 
-def _details(found: Search, rows: list[CandidateRow], best: Linearisation | None) -> dict[str, Any]:
+def details_of_search(found: Search, rows: list[CandidateRow], best: Linearisation | None) -> dict[str, Any]:
+    """What a search is worth keeping for `details.json`."""
     return {
         "kind": found.kind,
         "threshold": found.chance.threshold(found.settings.alarm_level),

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -75,40 +75,66 @@ def load_details(folder: str | Path) -> dict[str, Any]:
     return content
 
 
-def check_name(name: str) -> None:
+class Known(Protocol):
+    """What is said of an effect: those of the diesel engine have it, and every twin's hypotheses."""
+
+    @property
+    def site(self) -> str:
+        """Where it enters."""
+        ...
+
+    @property
+    def law(self) -> str:
+        """What it does."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Of its size."""
+        ...
+
+    @property
+    def tolerance(self) -> float:
+        """Smallest size of interest [unit]."""
+        ...
+
+
+def check_name(name: str, catalogue: Mapping[str, Known] = EFFECTS) -> None:
     """Refuse a name that the catalogue doesn't hold.
 
     Raises:
         InputError: with the closest names.
     """
-    if name != NONE_OF_THESE and name not in EFFECTS:
-        raise unknown_name("--explain", name, [*EFFECTS, NONE_OF_THESE])
+    if name != NONE_OF_THESE and name not in catalogue:
+        raise unknown_name("--explain", name, [*catalogue, NONE_OF_THESE])
 
 
 def _value(value: float | None, unit: str) -> str:
     return "–" if value is None else f"{value:.4g} {unit}".rstrip(" -")
 
 
-def explain(name: str, folder: str | Path) -> list[str]:
+def explain(name: str, folder: str | Path, catalogue: Mapping[str, Known] = EFFECTS) -> list[str]:
     """Lines that say why `name` was or wasn't chosen.
 
     Args:
         name: of the catalogue, or none_of_these.
         folder: an --out folder of `dieseltwin discover`.
+        catalogue: effects by name; those of the diesel engine if not given.
 
     Raises:
         InputError: an unknown name, or a folder without results.
     """
-    check_name(name)
+    check_name(name, catalogue)
     details, document = load_details(folder), load_discrepancy(folder)
     reported = [effect for effect in document.effects if effect.name == name]
     beside = [effect.name for effect in document.effects if name in effect.equivalent_names]
     if name == NONE_OF_THESE:
         verdict = _none_of_these(details, bool(reported), document.mismatch)
         return [f"{name}: {'chosen' if reported else 'not chosen'}", verdict]
-    effect = EFFECTS[name]
+    effect = catalogue[name]
+    symbol = f"{EFFECTS[name].symbol} " if catalogue is EFFECTS else ""
     lines = [
-        f"{name} ({effect.site}): {effect.law}, {effect.symbol} in {effect.unit}",
+        f"{name} ({effect.site}): {effect.law}, {symbol}in {effect.unit}",
         "chosen" if reported else (f"not told apart from {beside[0]}" if beside else "not chosen"),
     ]
     smallest = details.get("minimum_detectable", {}).get(name)

@@ -12,7 +12,6 @@ from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, FoundEffect, FoundRegion, Location
 from dieseltwin.discovery.verdict.reasons import split_by
-from dieseltwin.engine.effects import EFFECTS
 
 _LEAST_PROBABILITY = 1e-3  # of a site or name that is still worth a line
 _REGION_SHARE = 0.9  # of the positive evidence that a reported region holds along each condition
@@ -26,7 +25,7 @@ def finite(value: float | None) -> float | None:
 
 def location(found: Search, twin: EngineTwin, evidence: Array) -> Location:
     """Site with its rivals, the driving that holds the evidence, and the onset."""
-    weights = _site_probabilities(found)
+    weights = site_probabilities(found)
     ranked = sorted(weights.items(), key=lambda item: -item[1])
     site, probability = ranked[0]
     variant = found.variant if found.kind == "variant" else None
@@ -44,7 +43,8 @@ def location(found: Search, twin: EngineTwin, evidence: Array) -> Location:
     )  # fmt: skip
 
 
-def _site_probabilities(found: Search) -> dict[str, float]:
+def site_probabilities(found: Search) -> dict[str, float]:
+    """Probability of every place where the mismatch may sit."""
     hypotheses = found.twin.hypotheses
     weights: dict[str, float] = {}
     if found.kind == "law":
@@ -114,7 +114,7 @@ def effects(found: Search) -> tuple[FoundEffect, ...]:
     names = at.fit.candidate.names
     pool = found.equivalent
     for j, name in enumerate(names):
-        effect = EFFECTS[name]
+        effect = found.twin.hypotheses[name]
         partners = tuple(n for n in names if n != name)
         equivalents = []
         for other in pool:

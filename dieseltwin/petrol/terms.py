@@ -1,0 +1,28 @@
+"""Effects that an engine file holds already, on the rows of a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dieseltwin.petrol.effects import undo_all
+from dieseltwin.petrol.parameters import PetrolParameters
+from dieseltwin.petrol.recording import PetrolRecording, Signals
+
+Array = NDArray[np.float64]
+
+
+def active_sizes(engine: PetrolParameters, recording: PetrolRecording) -> dict[str, Array]:
+    """Effect -> (n,) size over the rows; an onset counts in the recording that the effect was found in."""
+    sizes: dict[str, Array] = {}
+    time_s = recording.signals.time_s + recording.time0_s
+    for term in engine.terms:
+        since = term.onset_s if term.onset_s is not None and term.found_in == recording.sha256 else -np.inf
+        active = (time_s >= since).astype(np.float64)
+        sizes[term.effect] = sizes.get(term.effect, np.zeros(len(time_s))) + term.magnitude * active
+    return sizes
+
+
+def without_terms(engine: PetrolParameters, recording: PetrolRecording) -> Signals:
+    """The signals as the engine would have given them without its terms."""
+    return undo_all(active_sizes(engine, recording), recording.signals)

@@ -1,0 +1,284 @@
+"""The calibrated petrol engine as a twin for the shared search: its readings are the misfits of its balances.
+
+One sample is a block of a second, one channel a balance (see `petrol.model`). A reading is what a balance is off with
+the calibrated maps and nothing fitted. With an effect, the other signals are taken back to what they would be without
+it, each balance says which air flow should have been metered then, and that flow gives the misfit to be expected: any
+size is exact, and the noise of the air flow stays out of what is expected. What may differ between two healthy
+recordings are parameters with their tolerances (levels, the throttle's zero) and directions (covariance and smooth
+field of each map, curve of the air-flow sensor, slow drift). Scatter and its correlation are known from held-out driving.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined
+from dieseltwin.petrol.effects import AIR_FLOW, HYPOTHESES, NEEDS, metered, undo_all
+from dieseltwin.petrol.model import (
+    BALANCES,
+    at_rest,
+    cylinder_basis,
+    drift_basis,
+    log_efficiency,
+    scale_of,
+    throttle_basis,
+    throttle_zero,
+    unsteadiness,
+)
+from dieseltwin.petrol.parameters import PetrolParameters
+from dieseltwin.petrol.recording import Blocks, Signals, blocks_of, make_grid
+from dieseltwin.recordings.noise import Noise
+
+WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning
+OUTLIER = 4.0  # scales off its neighbours before and after: a tip-in, whatever the hypothesis
+NEIGHBOURS = 7  # blocks
+MAD_TO_STD = 1.4826  # of a Gaussian
+KEPT_SPREAD = 1.206  # standard deviation of Student's t with 4 degrees of freedom within OUTLIER scales, in scales
+LEAST_DIRECTION = 0.1  # whitened length of a direction of the maps that is still carried [-]
+POINTS = (
+    Point("eta_vol", "cylinder_flow", True, "-", ("omega_e", "p_im")),
+    Point("A_th", "throttle_flow", True, "-", ("alpha", "Pi_th")),
+    Point("intake_balance", "intake_mass_balance", False, "kg/s", ("p_im",), 1e-4),
+    Point("intercooler_balance", "intercooler_mass_balance", False, "kg/s", ("p_ic",), 1e-3),
+)
+
+
+class PetrolTwin:
+    """A calibrated petrol engine bound to a recording; satisfies `Twin` and `KnownErrors`.
+
+    Args:
+        engine: calibrated; its terms are part of the twin already, so `signals` come with them undone.
+        signals: measured.
+        columns: sensor columns that may be used; None for all.
+    """
+
+    own_schedules = True
+
+    def __init__(self, engine: PetrolParameters, signals: Signals, columns: Sequence[str] | None = None) -> None:
+        self.engine, self.signals = engine, signals
+        self.grid = make_grid(signals.time_s)
+        self.blocks = blocks_of(signals, self.grid, engine.volumes.geometry)
+        used = [n for n in BALANCES if columns is None or set(NEEDS[n]) <= set(columns)]
+        self.channels = tuple(used)
+        self.parameters = tuple(p for p in _parameters(engine) if _BALANCE_OF[p.name] in used)
+        self.states: tuple[str, ...] = ()
+        self.state_scales = np.zeros(0)
+        self.points: tuple[Point, ...] = POINTS
+        self.hypotheses: Mapping[str, Hypothesis] = HYPOTHESES
+        self.time_s = self.grid.mid_s
+        self.starts = _windows(self.grid.piece)
+        self.conditions: Mapping[str, Array] = {}
+        self._known = self._maps_at(self.blocks)
+        raw = self.blocks
+        self.plain = self._misfits(raw.W_af, raw.W_af, raw.boost - engine.boost_level, raw.cooler)
+        self._sigma = self._scatter()
+        self.measured = np.where(np.isfinite(self._sigma), self.plain, np.nan)
+        self._directions = np.stack([self._parameter_direction(p.name) for p in self.parameters])
+
+    def _scatter(self) -> Array:
+        """(n, C) standard deviation of each reading, infinite where a block says nothing."""
+        engine, grid, blocks = self.engine, self.grid, self.blocks
+        unsteady = unsteadiness(self.signals, grid, blocks)
+        size = len(grid.mid_s)
+        scales = {
+            "cylinder": scale_of(engine.cylinder_spread, unsteady),
+            "throttle": scale_of(engine.throttle_spread, unsteady),
+            "boost": np.where(at_rest(blocks, grid), engine.boost_spread.base, np.inf),
+            "cooler": np.full(size, engine.cooler_spread.base),
+        }
+        out = np.stack([np.where(grid.kept, scales[name], np.inf) for name in self.channels], axis=1)
+        for j in range(out.shape[1]):
+            known = np.flatnonzero(np.isfinite(out[:, j]))
+            values = self.plain[known, j]
+            lone = _off_both_sides(values) > OUTLIER * out[known, j]
+            out[known, j] = np.where(lone, np.inf, np.fmax(out[known, j], _local_spread(values)))
+        return np.asarray(KEPT_SPREAD * out)
+
+    def _maps_at(self, b: Blocks) -> dict[str, Array]:
+        """Logarithms of the volumetric efficiency and of the throttle's area by the calibrated maps, each (n,)."""
+        cylinder, throttle = self.engine.maps
+        return {
+            "cylinder": log_efficiency(b, cylinder),
+            "throttle": throttle_basis(b, throttle) @ np.array(throttle.coefficients),
+        }
+
+    def _misfits(self, by_cylinders: Array, by_throttle: Array, boost: Array, cooler: Array) -> Array:
+        """(n, C) misfits: of both air flows [kg/s] with the maps as the sensors read, and the other two as given."""
+        raw, known = self.blocks, self._known
+        every = {
+            "cylinder": raw.cylinder(by_cylinders) - known["cylinder"],
+            "throttle": raw.throttle(by_throttle) - known["throttle"], "boost": boost, "cooler": cooler,
+        }  # fmt: skip
+        return np.stack([every[name] for name in self.channels], axis=1)
+
+    def _corrected(self, effects: Mapping[str, Array], added: Mapping[str, Array]) -> Blocks:
+        """The blocks without effects (their sizes (n,)), those of the air-flow sensor left in."""
+        others = {name: size[self.grid.index] for name, size in effects.items() if name not in AIR_FLOW}
+        if not others and not added:
+            return self.blocks
+        return blocks_of(undo_all(others, self.signals), self.grid, self.engine.volumes.geometry, added)
+
+    def _entered(self, lanes: Lanes, b: int) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Effects with their sizes (n,), and signals at points, of one lane."""
+        ones = np.ones(len(self.time_s))
+        effects = {}
+        for name, values in lanes.magnitudes.items():
+            schedule = lanes.schedules.get(name, ones)
+            effects[name] = values[b] * (schedule if schedule.ndim == 1 else schedule[b])
+        added = dict(lanes.signals)
+        if lanes.lane_points is not None and lanes.lane_signals is not None and lanes.lane_points[b] >= 0:
+            point = self.points[int(lanes.lane_points[b])].name
+            added = joined(added, {point: lanes.lane_signals[b]})
+        return {name: size for name, size in effects.items() if np.any(size)}, added
+
+    def _expected(self, effects: Mapping[str, Array], added: Mapping[str, Array]) -> Array:
+        """(n, C) misfits to be expected with effects (their sizes (n,)) and signals at points."""
+        b = self._corrected(effects, added)
+        maps = self._maps_at(b)
+        taken_in = np.exp(maps["cylinder"] + b.log_eta) * b.W_d + b.before_cylinders
+        let_through = np.exp(maps["throttle"] + b.log_area) * b.unit_flow + b.before_throttle
+        return self._misfits(
+            metered(effects, taken_in), metered(effects, let_through), self.blocks.boost - b.boost,
+            self.blocks.cooler - b.cooler,
+        )  # fmt: skip
+
+    def _parameter_direction(self, name: str) -> Array:
+        out = np.zeros(self.plain.shape)
+        j = self.channels.index(_BALANCE_OF[name])
+        out[:, j] = throttle_zero(self.blocks, self.engine.maps[1]) if name == "throttle_zero_pct" else 1.0
+        return out
+
+    def noise(self) -> Noise:
+        """As `KnownErrors.noise`."""
+        sigma = np.array([np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else np.nan
+                          for column in self._sigma.T])
+        return Noise(sigma, self._rho())
+
+    def _rho(self) -> Array:
+        """(C,) correlation of neighbouring blocks that makes a sum as uncertain as the calibration found it."""
+        engine = self.engine
+        spreads = {"cylinder": engine.cylinder_spread, "throttle": engine.throttle_spread,
+                   "boost": engine.boost_spread, "cooler": engine.cooler_spread}  # fmt: skip
+        factors = np.array([spreads[name].tempering for name in self.channels])
+        return np.asarray((factors - 1.0) / (factors + 1.0))
+
+    def whitening(self) -> Whitening:
+        """As `KnownErrors.whitening`: autoregressive noise whose size changes from block to block."""
+        present = np.isfinite(self.measured)
+        sigma = np.where(present, self._sigma, 1.0)
+        linked = np.zeros_like(present)
+        same = (np.diff(self.grid.piece) == 0)[:, None]
+        linked[1:] = present[1:] & present[:-1] & same
+        rho = np.where(linked, self._rho(), 0.0)
+        previous = rho.copy()
+        previous[1:] *= sigma[1:] / sigma[:-1]
+        return Whitening(present, previous, np.where(present, 1.0 / (sigma * np.sqrt(1.0 - rho**2)), 0.0))
+
+    def nuisances(self, lanes: Lanes) -> list[Nuisance]:
+        """As `KnownErrors.nuisances`: maps within their covariance and smooth field, slow drift of every balance."""
+        t, blocks = self.engine.tolerances, self._corrected(*self._entered(lanes, 0))
+        cylinder, throttle = self.engine.maps
+        bases = {
+            "cylinder": (cylinder_basis(blocks, cylinder), cylinder.covariance, t.cylinder_field),
+            "throttle": (throttle_basis(blocks, throttle), throttle.covariance, t.throttle_field),
+        }
+        drifts = {"cylinder": t.drift, "throttle": t.drift, "boost": t.boost_drift, "cooler": t.cooler_drift}
+        hats = drift_basis(self.time_s)
+        out = []
+        for j, name in enumerate(self.channels):
+            if name in bases:
+                basis, covariance, field = bases[name]
+                modes = self._modes(basis, covariance + field**2 * np.eye(len(covariance)), j)
+                out += [self._direction(f"map of {name}, mode {k + 1}", j, mode) for k, mode in enumerate(modes)]
+            out += [self._direction(f"drift of {name}", j, drifts[name] * hat) for hat in hats.T]
+        flows = [j for j, name in enumerate(self.channels) if name in bases]
+        for k, mode in enumerate(tolerance_modes([np.log(blocks.W_af)])):
+            response = np.zeros(self.plain.shape)
+            response[:, flows] = t.air_flow_curve * mode[:, None]
+            out.append(Nuisance(f"curve of the air-flow sensor, mode {k + 1}", response=response))
+        return out
+
+    def _modes(self, basis: Array, covariance: Array, channel: int) -> Array:
+        """(K, n) independent directions of a map's error along the recording, those that can be seen."""
+        directions = basis @ np.linalg.cholesky(covariance)
+        weight = np.where(np.isfinite(self.measured[:, channel]), 1.0 / self._sigma[:, channel], 0.0)
+        _, lengths, rows = np.linalg.svd(weight[:, None] * directions, full_matrices=False)
+        return np.asarray((directions @ rows[lengths > LEAST_DIRECTION].T).T)
+
+    def _direction(self, label: str, channel: int, signal: Array) -> Nuisance:
+        response = np.zeros(self.plain.shape)
+        response[:, channel] = signal
+        return Nuisance(label, response=response)
+
+    def first_local(self) -> Array:
+        """No states start anew: (W, 0)."""
+        return np.zeros((len(self.starts), 0))
+
+    def simulate(self, lanes: Lanes) -> Array:
+        """As `Twin.simulate`."""
+        out = np.tensordot(lanes.parameters, self._directions, 1)
+        for b in range(lanes.size):
+            effects, added = self._entered(lanes, b)
+            if effects or added:
+                out[b] += self._expected(effects, added)
+        return out
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        """As `Twin.variables`: what the ports name, as measured."""
+        del lanes
+        b = self.blocks
+        return {
+            "omega_e": b.omega_e, "p_im": b.p_im, "p_ic": b.p_ic, "alpha": b.alpha, "Pi_th": b.p_im / b.p_ic,
+            "W_af": b.W_af, "p_amb": b.p_amb, "T_ic": b.T_ic, "T_amb": b.T_amb, "t": self.time_s,
+        }  # fmt: skip
+
+
+_BALANCE_OF = {
+    "eta_vol_level": "cylinder", "throttle_area_level": "throttle", "throttle_zero_pct": "throttle",
+    "boost_level": "boost", "cooler_level": "cooler",
+}  # fmt: skip
+
+
+def _parameters(engine: PetrolParameters) -> tuple[Parameter, ...]:
+    """What two healthy days differ by in the whole."""
+    t = engine.tolerances
+    stds = {"eta_vol_level": (t.cylinder_level, "-"), "throttle_area_level": (t.throttle_level, "-"),
+            "throttle_zero_pct": (t.throttle_zero_pct, "%"), "boost_level": (t.boost_level, "-"),
+            "cooler_level": (t.cooler_level, "-")}  # fmt: skip
+    return tuple(Parameter(name, 0.0, std, unit, std, bounded=False) for name, (std, unit) in stds.items())
+
+
+def _windows(piece: NDArray[np.int64]) -> NDArray[np.int64]:
+    """First block of every window of nearly WINDOW_BLOCKS; none reaches over a gap."""
+    edges = [0, *(np.flatnonzero(np.diff(piece)) + 1), len(piece)]
+    starts: list[int] = []
+    for a, b in pairwise(edges):
+        count = max(round((b - a) / WINDOW_BLOCKS), 1)
+        starts += [int(a + k * (b - a) // count) for k in range(count)]
+    return np.array(starts, dtype=np.int64)
+
+
+def _local_spread(values: Array) -> Array:
+    """Robust standard deviation among NEIGHBOURS values about each: seconds in which a balance jumps weigh less."""
+    half = NEIGHBOURS // 2
+    some = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), NEIGHBOURS)
+    middle = np.median(some, axis=1)
+    return np.asarray(MAD_TO_STD * np.median(np.abs(some - middle[:, None]), axis=1))
+
+
+def _off_both_sides(values: Array) -> Array:
+    """Lesser distance of each value from the medians of the NEIGHBOURS before and after it: small at a step."""
+    none = np.full(NEIGHBOURS, np.nan)
+    some = np.lib.stride_tricks.sliding_window_view(np.concatenate([none, values, none]), NEIGHBOURS)
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # the ends have neighbours on one side alone
+        medians = np.nanmedian(some, axis=1)
+    before, after = np.abs(values - medians[: len(values)]), np.abs(values - medians[NEIGHBOURS + 1 :])
+    return np.asarray(np.fmin(before, after))
