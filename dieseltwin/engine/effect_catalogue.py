@@ -119,7 +119,7 @@ _CATALOGUE = (
     _physics("bearing_friction", "shaft_power", "P_f = c omega_t^2", "c", "N m s", 1.6e-6, 5e-5,
              ("exhaust_leak", "turbine_efficiency_loss", "compressor_efficiency_loss"), _NODES + "sec. 8.5"),
     _abrupt("exhaust_thermal_inertia", "exhaust_temperature", "tau dT_em/dt = T_em(static) - T_em", "tau", "s", 0.1,
-            4.0, (0.08, 0.4, 2.0), "physics", ("thermocouple_lag",), "heat stored in the manifold's wall"),
+            90.0, (0.08, 0.4, 2.0), "physics", ("thermocouple_lag",), "heat stored in the manifold's wall"),
     _physics("egr_valve_leak", "egr_flow", "f_egr + f_0", "f_0", "-", 0.01, 0.3, ("egr_clogging", "w_egr_gain"),
              _WE + "Eq. 36 with a leak of the shut valve"),
     _physics("egr_clogging", "egr_flow", "A_egrmax (1 - k t)", "k", "1/s", 5e-5, 1e-3, ("egr_valve_leak",),

@@ -24,6 +24,7 @@ from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import Observations, settle
 from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, Term, effect_terms, law_terms
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.held import between_readings, rows_between_readings, with_own_readings
 from dieseltwin.recordings.reader import Recording
 
 WINDOW_S = 10.0
@@ -40,6 +41,7 @@ MAP_TOLERANCE = 0.003
 
 _SPEED_SCALE = 500.0  # rad/s
 _SPEED_SPAN = 0.03  # of the smoothed reading; its noise is 0.5 %, its sensor's tolerance the same
+_SLOW_SPEED_SPAN = 0.1  # where the reading comes less often than the rows: the turbo moves between two
 _UNSEEN_SPEED_SPAN = 0.4
 _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
 _SMOOTHED = 7  # samples about a window's start for the first guess of its states
@@ -109,7 +111,7 @@ class EngineTwin:
         self.recording_time_s = time
         self.time_s = without_gaps(time, self.pieces)
         self._at = [MEASURED.index(c) for c in self.channels]
-        columns = recording.columns
+        columns = with_own_readings(recording.columns, present)
         measured = np.stack([columns[c][rows] for c in self.channels], axis=1).astype(np.float64)
         for start in self.pieces[1:]:
             measured[start : start + int(np.searchsorted(time[start:], time[start] + _ACTUATORS_REST_S))] = np.nan
@@ -210,8 +212,10 @@ class EngineTwin:
     def local_limits(self) -> tuple[Array, Array]:
         """Lowest and highest turbo speed at the windows' starts, (W, 1) each [rad/s]."""
         first = self.first_local()
-        seen = np.isfinite(self.all_readings[:, 2]).mean() >= 0.5
-        span = (_SPEED_SPAN if seen else _UNSEEN_SPEED_SPAN) * np.maximum(first, np.median(first))
+        every = rows_between_readings(self.all_readings[:, 2])
+        seen = np.isfinite(between_readings(self.all_readings[:, 2])).mean() >= 0.5
+        share = _UNSEEN_SPEED_SPAN if not seen else _SPEED_SPAN if every == 1.0 else _SLOW_SPEED_SPAN
+        span = share * np.maximum(first, np.median(first))
         return first - span, first + span
 
     def _smoothed_states(self) -> Array:
@@ -219,7 +223,7 @@ class EngineTwin:
         out = np.empty((self.starts.size, 3))
         half = _SMOOTHED // 2
         for j in range(3):
-            values = self.all_readings[:, j]
+            values = between_readings(self.all_readings[:, j])
             if np.isfinite(values).mean() < 0.5:
                 values = self._nominal_states[:, j]
             for w, start in enumerate(self.starts):
