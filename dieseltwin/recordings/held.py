@@ -6,8 +6,6 @@ engine stood still, and hides the noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +15,7 @@ _FEWEST_CHANGES = 8  # by chance eight changes all fall on every second row once
 _OFF_RASTER = 0.05  # of the gaps between changes may be off the raster: pauses, lost messages
 _USUAL_GAP = 2.0  # periods: where most gaps are longer, the value moves seldom, and the raster can't be told
 _LONGEST_LINE = 3.0  # periods
+_LONGEST_HOLD = 100.0  # rows; beyond, a channel is frozen, not held
 _SMALLEST_STEP = 1e-6  # of a channel's range: differences below are rounding
 
 
@@ -39,7 +38,7 @@ def own_readings(values: Array) -> NDArray[np.bool_] | None:
         return None
     gaps = np.diff(changes)
     least = float(np.quantile(gaps, _OFF_RASTER, method="lower"))
-    if least < 2.0:
+    if not 2.0 <= least <= _LONGEST_HOLD:
         return None
     period = float(gaps[(gaps >= least) & (gaps <= least + 1.0)].mean())
     counts = np.maximum(np.rint(gaps / period), 1.0)
@@ -56,16 +55,6 @@ def own_readings(values: Array) -> NDArray[np.bool_] | None:
     after = changes[-1] + period * np.arange(1, int((values.size - 1 - changes[-1]) / period) + 1)
     read[np.rint(np.concatenate([np.maximum(before, 0.0), after])).astype(int)] = True
     return read & np.isfinite(values)
-
-
-def with_own_readings(columns: Mapping[str, Array], names: Iterable[str]) -> dict[str, Array]:
-    """The columns (n,) with the repeated rows of held ones among `names` masked as missing (NaN)."""
-    found = dict(columns)
-    for name in names:
-        read = own_readings(found[name]) if name in found else None
-        if read is not None:
-            found[name] = np.where(read, found[name], np.nan)
-    return found
 
 
 def between_readings(values: Array) -> Array:

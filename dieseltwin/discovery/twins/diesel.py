@@ -13,7 +13,7 @@ from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_ac
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
-from dieseltwin.discovery.twins.windows import piece_start, windows_of, without_gaps
+from dieseltwin.discovery.twins.windows import piece_start, speed_span, windows_of, without_gaps
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuator_effects import actuate_lanes
 from dieseltwin.engine.effects import ACTUATOR_EFFECTS, ADDED_AT, EFFECTS, POINTS, STATE_EFFECTS
@@ -24,7 +24,7 @@ from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import Observations, settle
 from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, Term, effect_terms, law_terms
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.held import between_readings, rows_between_readings, with_own_readings
+from dieseltwin.recordings.held import between_readings
 from dieseltwin.recordings.reader import Recording
 
 WINDOW_S = 10.0
@@ -40,9 +40,6 @@ MAP_TOLERANCE = 0.003
 """Standard deviation of a map's smooth relative error [-] (DISCOVERY.md, "Maps are never exact")."""
 
 _SPEED_SCALE = 500.0  # rad/s
-_SPEED_SPAN = 0.03  # of the smoothed reading; its noise is 0.5 %, its sensor's tolerance the same
-_SLOW_SPEED_SPAN = 0.1  # where the reading comes less often than the rows: the turbo moves between two
-_UNSEEN_SPEED_SPAN = 0.4
 _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
 _SMOOTHED = 7  # samples about a window's start for the first guess of its states
 _LAW_ROUNDS = 6
@@ -111,7 +108,7 @@ class EngineTwin:
         self.recording_time_s = time
         self.time_s = without_gaps(time, self.pieces)
         self._at = [MEASURED.index(c) for c in self.channels]
-        columns = with_own_readings(recording.columns, present)
+        columns = recording.columns
         measured = np.stack([columns[c][rows] for c in self.channels], axis=1).astype(np.float64)
         for start in self.pieces[1:]:
             measured[start : start + int(np.searchsorted(time[start:], time[start] + _ACTUATORS_REST_S))] = np.nan
@@ -212,10 +209,7 @@ class EngineTwin:
     def local_limits(self) -> tuple[Array, Array]:
         """Lowest and highest turbo speed at the windows' starts, (W, 1) each [rad/s]."""
         first = self.first_local()
-        every = rows_between_readings(self.all_readings[:, 2])
-        seen = np.isfinite(between_readings(self.all_readings[:, 2])).mean() >= 0.5
-        share = _UNSEEN_SPEED_SPAN if not seen else _SPEED_SPAN if every == 1.0 else _SLOW_SPEED_SPAN
-        span = share * np.maximum(first, np.median(first))
+        span = speed_span(self.all_readings[:, 2]) * np.maximum(first, np.median(first))
         return first - span, first + span
 
     def _smoothed_states(self) -> Array:
