@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.recordings.held import number_step, rows_between_readings
+
 Array = NDArray[np.float64]
 
 _MEDIAN_BIAS = 1.01  # of a logarithm of medians over about 90 overlapping blocks, measured on 20 draws at three rho
@@ -18,6 +20,7 @@ _USUAL_RHO = 0.35  # loggers smooth a little; strong correlation must show clear
 _LOWEST_EXPLAINED = 0.1  # of the Nyquist frequency, where a model has explained the signal
 _ROWS_FOR_RHO = 512  # fewer rows can't tell correlation from chance; the noise is then taken as white
 _LONGEST_BRIDGE = 4  # samples
+_STEP_TO_STD = 12.0**-0.5  # of the error of rounding to a step, which is uniform
 _MAD_TO_STD = 1.482602218505602  # of a Gaussian
 
 
@@ -107,6 +110,9 @@ def estimate_noise(
 ) -> Noise:
     """Standard deviation and AR(1) correlation of each channel from the upper part of its spectrum.
 
+    A channel that is read in every second row or less often is judged by its own readings, one after another; they are
+    taken as uncorrelated. No noise is believed smaller than what rounding to the channel's own step leaves.
+
     Args:
         measured: (n, C) readings, NaN where missing.
         breaks: first rows of pieces that don't continue the one before.
@@ -123,12 +129,16 @@ def estimate_noise(
     lowest = _LOWEST if explained is None else _LOWEST_EXPLAINED
     rest = measured if explained is None else measured - explained
     for j, values in enumerate(rest.T):
-        sigma[j] = _white_sigma(values)
-        spectrum = _high_frequency_spectrum(_bridged(values), breaks, lowest) if values.size >= _ROWS_FOR_RHO else None
+        slow = rows_between_readings(values) > 1.0
+        sigma[j] = _white_sigma(values[np.isfinite(values)] if slow else values)
+        if slow or values.size < _ROWS_FOR_RHO:
+            continue
+        spectrum = _high_frequency_spectrum(_bridged(values), breaks, lowest)
         if spectrum is None or not sigma[j] > 0.0:
             continue
         rho[j], innovation = _fit_spectrum(*spectrum, clean=explained is not None)
         sigma[j] = np.sqrt(innovation / (1.0 - rho[j] ** 2))
+    sigma = np.fmax(sigma, [_STEP_TO_STD * number_step(values) or np.nan for values in measured.T])
     if floor is not None:
         sigma = np.fmax(sigma, floor)
     return Noise(sigma, rho)

@@ -19,8 +19,6 @@ ROW_STEP_S = 0.2  # rows of 5 Hz hold the inputs of driving; faster ones only wh
 SAME_STEP = 1.05  # steps that agree to 5 % are the same raster
 LONGEST_HOLE = 1.5  # own steps of an input that are bridged, and at least `LONGEST_BRIDGE_S`
 LONGEST_BRIDGE_S = 1.0
-FEWEST_CHANGES = 8  # of a held channel: by chance eight changes all fall on every second row once in 256 tries
-LONGEST_HOLD = 100  # rows; beyond, a channel is frozen, not held
 
 
 def quantities(raw: RawChannels, mapping: ChannelMap) -> dict[str, Signal]:
@@ -177,23 +175,3 @@ def _interpolated(rows: np.ndarray, signal: Signal) -> np.ndarray:
     hole = time[after] - time[after - 1] > max(LONGEST_BRIDGE_S, LONGEST_HOLE * _step(signal))
     inside = (rows > time[after - 1]) & (rows < time[after])
     return np.where(hole & inside, np.nan, np.interp(rows, time, signal.values[present]))
-
-
-def own_readings(values: np.ndarray) -> np.ndarray | None:
-    """Rows of a table in which a held channel was really read; None where each row is a reading of its own.
-
-    A slow channel in a quick table is repeated until its next reading: all its changes then fall on every k-th row.
-
-    Args:
-        values: (n,) one column, NaN where missing.
-    """
-    rows = np.flatnonzero(np.isfinite(values))
-    changes = rows[1:][np.diff(values[rows]) != 0.0]
-    if changes.size < FEWEST_CHANGES:
-        return None
-    period = int(np.gcd.reduce(np.diff(changes)))
-    if not 2 <= period <= LONGEST_HOLD:
-        return None
-    mask = np.zeros(values.size, dtype=bool)
-    mask[np.arange(changes[0] % period, values.size, period)] = True
-    return mask & np.isfinite(values)

@@ -21,9 +21,9 @@ from dieseltwin.atomic import atomic_path
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import AMBIENT, INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
+from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.named_columns import import_columns, numbers
 from dieseltwin.recordings.plausibility import check_plausible
-from dieseltwin.recordings.raster import own_readings
 from dieseltwin.settings.strict import listed
 
 SLOWEST_HZ, FASTEST_HZ = 1.0, 100.0

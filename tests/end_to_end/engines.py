@@ -34,6 +34,7 @@ MACHINES = {
     "sensor": Machine((Fault("p_em_gain", 0.04),)),
     "healthy": Machine(),
     "withheld": Machine((Fault("boost_leak", 8e-5),), ("boost_leak",)),
+    "inertia": Machine((Fault("exhaust_thermal_inertia", 10.0),)),
 }
 
 
@@ -46,3 +47,15 @@ def recorded(machine: Machine, seed: int = 1) -> pd.DataFrame:
     maps = MapErrors.draw(MAP_RMS, rng)
     sensors = SensorSet.draw(rng)
     return read(run_plant(driving, parameters, machine.faults, maps), driving, machine.faults, sensors, 6, rng)
+
+
+def as_logged(table: pd.DataFrame) -> pd.DataFrame:
+    """The recording as a logger of several rasters writes it: boost every 0.5 s in steps of 2 kPa, turbo speed every
+    second, both repeated until their next reading."""
+    held = table.copy()
+    time = table["time_s"].to_numpy()
+    for column, rate_hz, step in (("p_im_pa", 2.0, 2000.0), ("omega_t_rad_s", 1.0, 0.0)):
+        last = np.searchsorted(time, np.floor(time * rate_hz + 1e-9) / rate_hz + 1e-9, side="right") - 1
+        values = table[column].to_numpy()[last]
+        held[column] = np.round(values / step) * step if step else values
+    return held

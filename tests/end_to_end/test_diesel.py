@@ -1,4 +1,4 @@
-"""Four simulated engines, from the recording through `discover` to the document: found, sized, repaired, or let be.
+"""Simulated engines, from the recording through `discover` to the document: found, sized, repaired, or let be.
 
 The plant is the benchmark's, with maps off by 0.3 %. Figures are those of the program as it was when this was written;
 they move by less than half of their standard deviation as long as the method is the same.
@@ -19,8 +19,9 @@ from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Discrepancy
 from dieseltwin.engine import load_engine, we2011
 from dieseltwin.engine.terms import LawTerm
 from dieseltwin.recordings.reader import read_recording
+from dieseltwin.recordings.reader import recording as reading
 from tests.end_to_end.conftest import Answer, Ask
-from tests.end_to_end.engines import HEALTH, MACHINES, recorded
+from tests.end_to_end.engines import HEALTH, MACHINES, as_logged, recorded
 
 SENSORS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s")
 
@@ -134,6 +135,26 @@ def test_the_library_says_what_the_command_says(
     assert found.document == written.document
     assert found.engine == load_engine(written.folder / "engine.yaml")
     assert {"total", "singles", "variants"} <= set(found.runtime)
+
+
+@pytest.mark.parametrize(("name", "effect"), [("healthy", None), ("leak", "boost_leak")])
+def test_held_and_rounded_channels_count_at_their_own_readings(name: str, effect: str | None) -> None:
+    """Counted in every row, they raise the twin's chi-square to 1.4 and put `blow_by` beside the leak."""
+    document = discover(reading(as_logged(recorded(MACHINES[name]))), we2011.PARAMETERS).document
+    assert [found.names for found in document.effects] == ([(effect,)] if effect else [])
+    assert all(abs(error) < 0.015 for error in _health_off(document).values())
+    assert document.fit.chi2_per_sample_after == pytest.approx(1.03, abs=0.08)
+    if effect:
+        assert document.effects[0].magnitude == pytest.approx(4.05e-5, abs=0.5 * 1.6e-6)
+        assert document.effects[0].std == pytest.approx(1.6e-6, rel=0.2)
+
+
+def test_a_manifold_may_be_slow() -> None:
+    """Ten seconds, not a lag of the fuel."""
+    document = discover(reading(recorded(MACHINES["inertia"])), we2011.PARAMETERS).document
+    (found,) = document.effects
+    assert found.names == ("exhaust_thermal_inertia",)
+    assert found.magnitude == pytest.approx(10.0, abs=0.2) and found.std is not None and found.std < 0.1
 
 
 def test_the_repaired_engine_simulates_the_leak(

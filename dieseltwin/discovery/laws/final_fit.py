@@ -43,7 +43,10 @@ def about_itself(at: Linearisation, tolerances: Tolerances | None) -> Linearisat
     centre = at.fit
     for _ in range(_PASSES):
         own = tolerances(_held(at, centre))
-        last, at = at, settle_local(fit_fully(at.twin, at.whitening, centre, own, _ROUNDS))
+        try:
+            last, at = at, settle_local(fit_fully(at.twin, at.whitening, centre, own, _ROUNDS))
+        except np.linalg.LinAlgError:  # the machine runs away with some tolerance: what was used so far must do
+            break
         # half way: about each other's ends the fits would swing from one side of the estimate to the other
         middle = 0.5 * (last.fit.parameters + at.fit.parameters)
         centre = replace(at.fit, parameters=middle, local=0.5 * (last.fit.local + at.fit.local))

@@ -118,7 +118,10 @@ def best_law(
     fault = sensor_law(twin, at, faults_of(of_sensors, twin.channels), at.nuisance_response, tolerances=tolerances)
     if len(of_sensors) == len(near) > 0:
         return fault
-    inside = search(twin, at, at.nuisance_response, tolerances=tolerances).law
+    try:
+        inside = search(twin, at, at.nuisance_response, tolerances=tolerances).law
+    except np.linalg.LinAlgError:  # with the best law inside the machine runs away: no law of this machine
+        inside = None
     if inside is None or fault is None:
         return inside or fault
     bent = len(inside.placed) > 1 or any(placed.form.factors for placed in inside.placed)

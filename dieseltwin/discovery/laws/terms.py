@@ -25,7 +25,10 @@ def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
     terms: list[OneTerm] = []
     for k, placed in enumerate(law.placed):
         if placed.form.fixed is not None:
-            operated = _operator_term(placed.form)
+            try:
+                operated = _operator_term(placed.form)
+            except ValueError:  # larger than the effect of that name may be
+                return ()
             if operated is None:
                 return ()
             terms.append(operated)

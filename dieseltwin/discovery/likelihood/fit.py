@@ -200,7 +200,8 @@ class Linearisation:
         self.precision = prior_precision(twin, len(fit.candidate.names))
         information = self.projected @ self.projected.T + np.diag(self.precision)
         self.covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        objective = self.objective(self.projected_residual, fit.parameters)
+        ran = np.isfinite(self.simulated[whitening.present]).all()  # a run without an end explains nothing
+        objective = self.objective(self.projected_residual, fit.parameters) if ran else np.inf
         self.fit = replace(fit, objective=objective, covariance=self.covariance)
 
     def objective(self, projected: Array, parameters: Array) -> float:
@@ -303,10 +304,13 @@ def _downhill(
             moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
             begun = bounded(twin, begun + shrink * here.local_step(moved / shrink))
         trial = replace(here.fit, parameters=parameters, magnitudes=magnitudes, local=begun)
-        there = make(trial)
+        shrink *= 0.35
+        try:
+            there = make(trial)
+        except np.linalg.LinAlgError:  # the machine runs away there
+            continue
         if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
             return there
-        shrink *= 0.35
     return None
 
 

@@ -67,6 +67,9 @@ class Metric:
         local: (S, n, C) response of the readings to each initial state, all windows moved together.
         state_scales: (S,) typical sizes of the states, for their weak priors.
         nuisances: (K, n, C) response to each nuisance coefficient per standard deviation of its prior, or None.
+
+    Raises:
+        LinAlgError: responses that are not finite.
     """
 
     def __init__(
@@ -109,6 +112,8 @@ class Metric:
             self._whitened_nuisance = whitening.apply(nuisances)
             inner = self._without_local(self._whitened_nuisance)  # (K, rows)
             gram = inner @ inner.T + np.eye(len(inner))
+            if not np.isfinite(gram).all():
+                raise np.linalg.LinAlgError("responses that are not finite: the machine runs away near this fit")
             lower = cholesky(gram, lower=True)
             # rows of the priors: orthonormal together with the first ones
             prior = solve_triangular(lower, np.eye(len(inner)), lower=True)

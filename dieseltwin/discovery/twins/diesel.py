@@ -13,7 +13,7 @@ from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_ac
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
-from dieseltwin.discovery.twins.windows import piece_start, windows_of, without_gaps
+from dieseltwin.discovery.twins.windows import piece_start, speed_span, windows_of, without_gaps
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
@@ -26,6 +26,7 @@ from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import Observations, settle
 from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, Term, effect_terms, law_terms
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.held import between_readings
 from dieseltwin.recordings.reader import Recording
 
 WINDOW_S = 10.0
@@ -41,8 +42,6 @@ MAP_TOLERANCE = 0.003
 """Standard deviation of a map's smooth relative error [-] (DISCOVERY.md, "Maps are never exact")."""
 
 _SPEED_SCALE = 500.0  # rad/s
-_SPEED_SPAN = 0.03  # of the smoothed reading; its noise is 0.5 %, its sensor's tolerance the same
-_UNSEEN_SPEED_SPAN = 0.4
 _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
 _SMOOTHED = 7  # samples about a window's start for the first guess of its states
 _LAW_ROUNDS = 6
@@ -216,8 +215,7 @@ class EngineTwin:
     def local_limits(self) -> tuple[Array, Array]:
         """Lowest and highest turbo speed at the windows' starts, (W, 1) each [rad/s]."""
         first = self.first_local()
-        seen = np.isfinite(self.all_readings[:, 2]).mean() >= 0.5
-        span = (_SPEED_SPAN if seen else _UNSEEN_SPEED_SPAN) * np.maximum(first, np.median(first))
+        span = speed_span(self.all_readings[:, 2]) * np.maximum(first, np.median(first))
         return first - span, first + span
 
     def _smoothed_states(self) -> Array:
@@ -225,7 +223,7 @@ class EngineTwin:
         out = np.empty((self.starts.size, 3))
         half = _SMOOTHED // 2
         for j in range(3):
-            values = self.all_readings[:, j]
+            values = between_readings(self.all_readings[:, j])
             if np.isfinite(values).mean() < 0.5:
                 values = self._nominal_states[:, j]
             for w, start in enumerate(self.starts):

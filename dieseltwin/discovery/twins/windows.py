@@ -6,7 +6,12 @@ import numpy as np
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.held import between_readings, rows_between_readings
 from dieseltwin.recordings.reader import HISTORY_S, Recording
+
+_SPEED_SPAN = 0.03  # of the smoothed reading; its noise is 0.5 %, its sensor's tolerance the same
+_SLOW_SPEED_SPAN = 0.1  # where the reading comes less often than the rows: the turbo moves between two
+_UNSEEN_SPEED_SPAN = 0.4
 
 
 def windows_of(recording: Recording, window_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -44,3 +49,10 @@ def without_gaps(time: Array, pieces: np.ndarray) -> Array:
 
 def piece_start(pieces: np.ndarray, row: int) -> int:
     return int(pieces[np.searchsorted(pieces, row, side="right") - 1])
+
+
+def speed_span(readings: Array) -> float:
+    """How far the turbo speed at a window's start may be from what its readings (n,) say there [-]."""
+    if np.isfinite(between_readings(readings)).mean() < 0.5:
+        return _UNSEEN_SPEED_SPAN
+    return _SLOW_SPEED_SPAN if rows_between_readings(readings) > 1.0 else _SPEED_SPAN

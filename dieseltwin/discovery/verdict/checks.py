@@ -16,6 +16,7 @@ from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, constants
 from dieseltwin.engine.simulate import numpy_model
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS, foreign_hint
+from dieseltwin.recordings.held import rows_between_readings
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.strict import listed, unknown_name
 
@@ -40,7 +41,8 @@ LEAST_CELLS = 6
 """Operating points (cells of a tenth of each range) visited for a second or more: a point gives at most five equations
 in steady running, four go to the health parameters; one effect, its place and a tolerance need some more."""
 
-LEAST_PRESENT = 0.5  # share of rows with a reading; a sensor that is mostly silent is not one of the sensors used
+LEAST_PRESENT = 0.5  # share of a sensor's own raster with a reading; one that is mostly silent is not one of those used
+SLOWEST_READING_S = 2.0  # raster of a sensor that still counts as one: the turbo goes from idle to full load in three
 FEW_VALUES = 3  # a channel with so few different readings is stuck or a status word
 STUCK_S = 30.0  # the same reading for so long, while the engine moves, is a note
 LARGEST_BREATHING = 1.4
@@ -104,7 +106,9 @@ def _check_alive(recording: Recording, name: str, used: Sequence[str], where: st
     finite = values[np.isfinite(values)]
     others = ",".join(other for other in used if other != name)
     leave_out = f"mend this channel or leave it out: --sensors {others}"
-    if finite.size < LEAST_PRESENT * values.size:
+    slowest = SLOWEST_READING_S / float(np.median(np.diff(recording.time_s)))  # rows
+    present = finite.size * min(rows_between_readings(values), max(slowest, 1.0))
+    if present < LEAST_PRESENT * values.size:
         share = 100.0 * finite.size / max(values.size, 1)
         raise InputError(f"{where}: column {name}", f"a reading in {share:.0f} % of the rows",
                          f"in {100 * LEAST_PRESENT:.0f} % or more", leave_out)  # fmt: skip

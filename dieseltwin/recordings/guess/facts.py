@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.importers.layout import unit_in_name
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
-from dieseltwin.recordings.raster import own_readings
 
 GAP_STEPS = 3.0  # a pause longer than three usual steps is a gap
 FEW_LEVELS = 0.5  # of the readings: a channel with fewer distinct values than that has a step to name

@@ -1,0 +1,59 @@
+"""A machine that runs away beyond some size: fits stay where it can be simulated, and say so where it can't."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.nuisance import map_nuisances, nuisance_responses
+from dieseltwin.discovery.twins.interface import Lanes
+from dieseltwin.recordings.noise import estimate_noise
+from tests.discovery.toy import Toy
+
+
+class Explosive(Toy):
+    """The vessel has no end of a run where the heater's gain exceeds 1.153."""
+
+    def simulate(self, lanes: Lanes) -> np.ndarray:
+        out = super().simulate(lanes)
+        out[lanes.parameters[:, 0] > 1.153, out.shape[1] // 2 :] = np.nan
+        return out
+
+
+def _fit(toy: Toy, gain: float) -> tuple[Whitening, Fit]:
+    whitening = Whitening.of(toy.measured, estimate_noise(toy.measured), toy.starts)
+    return whitening, Fit(Candidate(), np.array([gain]), np.zeros(0), toy.first_local(), np.inf, False)
+
+
+def _responses(toy: Toy, whitening: Whitening, start: Fit) -> np.ndarray:
+    base = start.lanes()
+    return nuisance_responses(
+        toy, base, Linearisation(toy, whitening, start).simulated, map_nuisances(toy, toy.variables(base))
+    )
+
+
+def test_a_run_without_an_end_explains_nothing() -> None:
+    toy = Explosive(900, 6).record(gain=1.1)
+    whitening, start = _fit(toy, 1.2)
+    assert Linearisation(toy, whitening, start).fit.objective == np.inf
+
+
+def test_a_fit_takes_shorter_steps_where_the_machine_runs_away() -> None:
+    """Tolerances are linearised at every trial: those that can't be are no end of the search."""
+    toy = Explosive(900, 6).record(gain=1.15)  # the second reading is cubic in the gain: a full step goes beyond it
+    whitening, start = _fit(toy, 1.0)
+    response = _responses(toy, whitening, start)
+    assert np.isfinite(response).all()
+    reached = fit_fully(toy, whitening, start, response)
+    assert reached.fit.parameters[0] == pytest.approx(1.15, abs=0.003)
+    assert reached.fit.objective < Linearisation(toy, whitening, start, None, response).fit.objective
+
+
+def test_responses_that_are_not_finite_are_an_error_that_callers_know() -> None:
+    toy = Toy(100, 2).record()
+    whitening, _ = _fit(toy, 1.0)
+    local = np.zeros((0, 100, 2))
+    with pytest.raises(np.linalg.LinAlgError, match="runs away"):
+        Metric(whitening, toy.starts, local, np.zeros(0), np.full((1, 100, 2), np.nan))
