@@ -50,13 +50,15 @@ def _of_the_front_door(name: str, room: str) -> Any:
     return getattr(import_module(f"{__name__}.api.{room}"), name)
 
 
-def __getattr__(name: str) -> Any:
-    if name == "engine":
-        return import_module(f"{__name__}.engine")
-    if name not in _ROOMS:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = globals()[name] = _of_the_front_door(name, _ROOMS[name])
-    return found
+if not TYPE_CHECKING:  # a type checker would take every name for one of these
+
+    def __getattr__(name: str) -> Any:
+        if name == "engine":
+            return import_module(f"{__name__}.engine")
+        if name not in _ROOMS:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        found = globals()[name] = _of_the_front_door(name, _ROOMS[name])
+        return found
 
 
 def __dir__() -> list[str]:
