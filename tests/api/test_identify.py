@@ -30,7 +30,8 @@ def test_function_and_command_find_and_write_the_same(
     mean, std, low, high = table.loc["A_egrmax", ["mean", "std", "low", "high"]]
     assert low < mean < high and abs(mean - 3e-4) < 4.0 * std and mean < 3.2e-4
     assert (table["segments"] == 2).any()
-    assert found.sentence.startswith("classical, 2 segments: A_egrmax 0.00029") and "A_egrmax" in str(found) and "<table" in found._repr_html_()
+    assert found.sentence.startswith("classical, 2 segments: A_egrmax 0.00029")
+    assert "not identifiable" not in str(found) and "<table" in found._repr_html_()
     assert found.plot("states").axes
     monkeypatch.setattr("dieseltwin.report.identification_figures", lambda *_: [])  # drawn by the command's own tests
     found.save(tmp_path / "function")
