@@ -1,7 +1,84 @@
-"""Digital twin of a diesel engine's gas path: simulation and identification of its health parameters.
+"""Digital twin of a diesel engine's gas path: simulation, identification of its health parameters, discovery.
+
+    import dieseltwin as dt
+
+    found = dt.discover("drive.csv", "engine.yaml")
+    print(found.sentence)
 
 Paper: Nath, Kumar, Smith, Karniadakis, "A Digital Twin for Diesel Engines: Operator-infused Physics-Informed
 Neural Networks with Transfer Learning for Engine Health Monitoring".
 """
 
-__version__ = "0.1.0"
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from dieseltwin.version import __version__
+
+if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fetches a name when it is asked for
+    from dieseltwin.api.calibration import calibrate as calibrate
+    from dieseltwin.api.discovery import discover as discover
+    from dieseltwin.api.engines import engine as engine
+    from dieseltwin.api.identification import Setup as Setup
+    from dieseltwin.api.identification import identify as identify
+    from dieseltwin.api.points import imply as imply
+    from dieseltwin.api.reading import read as read
+    from dieseltwin.api.simulation import simulate as simulate
+    from dieseltwin.api.versions import show_versions as show_versions
+
+# Name -> module of `dieseltwin.api` that holds it. Loaded when first used: `import dieseltwin` loads no numpy.
+_ROOMS = {
+    "Setup": "identification",
+    "calibrate": "calibration",
+    "discover": "discovery",
+    "identify": "identification",
+    "imply": "points",
+    "read": "reading",
+    "show_versions": "versions",
+    "simulate": "simulation",
+}
+
+__all__ = [
+    "Setup", "__version__", "calibrate", "discover", "engine", "identify", "imply", "read", "show_versions", "simulate",
+]  # fmt: skip
+
+
+def _of_the_front_door(name: str, room: str) -> Any:
+    return getattr(import_module(f"{__name__}.api.{room}"), name)
+
+
+if not TYPE_CHECKING:  # a type checker would take every name for one of these
+
+    def __getattr__(name: str) -> Any:
+        if name == "engine":
+            return import_module(f"{__name__}.engine")
+        if name not in _ROOMS:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        found = globals()[name] = _of_the_front_door(name, _ROOMS[name])
+        return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _EnginePackage(ModuleType):
+    """`dieseltwin.engine`: a package that, called, is the front door's function: `engine("we2011")`."""
+
+    def __call__(self, *source: Any, **changes: Any) -> Any:
+        return _of_the_front_door("engine", "engines")(*source, **changes)
+
+
+class _Package(ModuleType):
+    """This package. The import system sets a package's sub-packages as its attributes; that of `engine` is callable."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "engine":
+            value.__class__ = _EnginePackage
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -148,8 +148,18 @@ def check_writable(path: str | Path) -> None:
         raise _OnlyTrying
 
 
+def check_folder(path: str | Path) -> None:
+    """Make sure that files can be put into the folder `path`, which is made later if it isn't there.
+
+    Raises:
+        InputError: full disk, read-only folder, or `path` is a file.
+    """
+    with suppress(_OnlyTrying), atomic_folder(path):
+        raise _OnlyTrying
+
+
 class _OnlyTrying(Exception):
-    """Ends `check_writable` before the rename."""
+    """Ends `check_writable` and `check_folder` before the rename."""
 
 
 def _remove_if_empty(folder: Path) -> None:

@@ -37,7 +37,7 @@ def discover(
     import tempfile
     from contextlib import chdir
 
-    from dieseltwin.cli.discover import run_discover
+    from dieseltwin.api.discovery import ask
 
     source, engine = recording.resolve(), engine.resolve() if engine is not None else None
     with tempfile.TemporaryDirectory() as folder:
@@ -45,12 +45,13 @@ def discover(
         shutil.copyfile(source, Path(folder) / name)
         # The document names the recording's path: a relative one, the same wherever the cache lies.
         with chdir(folder):
-            options: dict[str, Any] = {"map_tolerance": map_tolerance, "seed": seed, "engine": engine}
-            if sensors is not None:
-                options["sensors"] = ",".join(sensors)
-            lines = list(run_discover(Path(name), Path("found"), **options))
+            question = ask(Path(name), engine, sensors=sensors, map_tolerance=map_tolerance, seed=seed)
+            lines = list(question.preview())
+            found = question.answer()
+            found.save("found")
+            lines += found.lines()
         shutil.copytree(Path(folder) / "found", out, dirs_exist_ok=True)
-    (out / SUMMARY).write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
+    (out / SUMMARY).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def options(parser: argparse.ArgumentParser) -> None:

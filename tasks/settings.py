@@ -53,9 +53,9 @@ def about(settings: Mapping[str, Any], recording: Artifact, sections: Iterable[s
 
     ``sections``: those of params.yaml that the numbers rest on; only they are part of the hash that is shown.
     """
-    from dieseltwin import __version__
     from dieseltwin.settings.methods import in_order
     from dieseltwin.settings.params import params_sha256
+    from dieseltwin.version import __version__
 
     return {
         "title": "Health of a heavy-duty diesel from noisy driving",

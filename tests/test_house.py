@@ -134,8 +134,8 @@ def test_a_forbidden_import_is_noticed(project_root: Path, tmp_path: Path) -> No
     """The contracts of pyproject.toml, run over a small house with a forbidden import in it."""
     (tmp_path / "pyproject.toml").write_bytes((project_root / "pyproject.toml").read_bytes())
     rooms = (
-        "cli", "paper", "report", "challenge", "calibration", "petrol", "identification", "recordings", "surrogates",
-        "duty_cycles", "networks", "engine", "symbols", "settings", "atomic", "errors",
+        "cli", "paper", "api", "report", "challenge", "calibration", "petrol", "identification", "recordings",
+        "surrogates", "duty_cycles", "networks", "engine", "symbols", "settings", "atomic", "errors", "version",
     )  # fmt: skip
     discovery = ("discover", "verdict", "options", "search", "laws", "likelihood", "twins")
     for package in ("dieseltwin", "dieseltwin/discovery", "flows", "tasks"):

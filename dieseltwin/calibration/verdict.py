@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from dieseltwin import __version__
 from dieseltwin.calibration.repair import Candidate, Repair
 from dieseltwin.calibration.steady_model import FLAP_REFERENCE, ROWS, T_REFERENCE
 from dieseltwin.discovery.verdict.document import (
@@ -21,6 +20,7 @@ from dieseltwin.discovery.verdict.document import (
 )
 from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.recordings.steady_points import STATES
+from dieseltwin.version import __version__
 
 _PLAIN = {
     "exhaust_flap": "the exhaust behind the turbine is throttled by the flap",

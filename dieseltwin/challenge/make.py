@@ -9,7 +9,6 @@ from typing import Any
 
 import pandas as pd
 
-from dieseltwin import __version__
 from dieseltwin.atomic import atomic_path, check_writable, write_json
 from dieseltwin.challenge.cases import DURATION_S, MAP_RMS, Plan, Tier, build_case, make_plans
 from dieseltwin.challenge.processes import in_processes
@@ -17,6 +16,7 @@ from dieseltwin.challenge.seal import SEALED, file_sha256, new_salt, salted_sha2
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import unknown_name
+from dieseltwin.version import __version__
 
 MANIFEST = "manifest.json"
 SCHEMA = 1

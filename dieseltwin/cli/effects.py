@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from dieseltwin.errors import InputError
-from dieseltwin.settings.names import unknown_name
-
-if TYPE_CHECKING:
-    from dieseltwin.engine import EngineParameters
 
 EffectOption = Annotated[
     list[str] | None,
@@ -55,37 +50,19 @@ def table_lines() -> Iterator[str]:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
-def with_effects(parameters: EngineParameters, options: Sequence[str] | None) -> EngineParameters:
-    """The engine with the effects of `--effect NAME=VALUE` added to its terms; an effect it has is replaced.
+def named_values(options: Sequence[str]) -> dict[str, float | str]:
+    """Name -> text of its value, from NAME=VALUE.
 
     Raises:
-        InputError: not NAME=VALUE, an unknown name, a value that is no number or impossible, a name given twice.
+        InputError: no '=', or a name given twice.
     """
-    from dieseltwin.engine.effects import EFFECTS
-    from dieseltwin.engine.terms import Term
-
-    terms = {}
-    for option in options or ():
+    values: dict[str, float | str] = {}
+    for option in options:
         name, separator, text = option.partition("=")
         name = name.strip()
         if not separator:
             raise InputError(f"--effect {option}", "no '='", "NAME=VALUE", "write for instance boost_leak=3e-5")
-        if name not in EFFECTS:
-            raise unknown_name("--effect", name, list(EFFECTS))
-        effect = EFFECTS[name]
-        low, high = effect.limits
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            raise InputError(
-                f"--effect {name}", repr(text), f"a number from {low:g} to {high:g} {effect.unit}", "correct the value"
-            )
-        if name in terms:
+        if name in values:
             raise InputError(f"--effect {name}", "two values", "one", "give each effect once")
-        terms[name] = Term(effect=name, magnitude=value)
-    if not terms:
-        return parameters
-    kept = [term for term in parameters.terms if getattr(term, "effect", None) not in terms]
-    return parameters.replace(terms=[*kept, *terms.values()])
+        values[name] = text
+    return values

@@ -1,13 +1,19 @@
-"""The commands `dieseltwin calibrate` and `dieseltwin imply`. What they do is in `cli.calibrate`, slow to load."""
+"""`dieseltwin calibrate` and `dieseltwin imply`."""
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from dieseltwin.atomic import check_writable
 from dieseltwin.cli.early import check_there
+from dieseltwin.cli.options import say
+from dieseltwin.errors import InputError
+
+ENGINE_SUFFIXES = (".yaml", ".yml")
 
 Points = Annotated[Path, typer.Argument(metavar="POINTS", help="CSV or Parquet: steady points, or a recording.")]
 Channels = Annotated[Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign columns.")]
@@ -29,10 +35,16 @@ def calibrate_command(
 ) -> None:
     """Calibrate another engine of the same kind from steady points."""
     check_there(points)
-    from dieseltwin.cli.calibrate import run_calibrate
+    from dieseltwin.api.calibration import calibrate
 
-    for line in run_calibrate(points, out, base=base, geometry=geometry, channels=channels, noise_pct=noise, seed=seed):
-        typer.echo(line)
+    began = time.perf_counter()
+    if out.suffix not in ENGINE_SUFFIXES:
+        raise InputError("--out", str(out), "a file ending in .yaml", "name an engine file")
+    check_writable(out)  # better known before the work
+    found = calibrate(points, base, geometry=geometry, channels=channels, noise_pct=noise, seed=seed)
+    found.save(out)
+    names = ", ".join([str(out), *found.beside(out)])
+    say([*found.lines(), f"{names} ({time.perf_counter() - began:.0f} s)"])
 
 
 def imply_command(
@@ -43,7 +55,9 @@ def imply_command(
 ) -> None:
     """Say, for each point, every quantity that nobody measured, with its standard deviation."""
     check_there(points)
-    from dieseltwin.cli.calibrate import run_imply
+    from dieseltwin.api.points import imply
 
-    for line in run_imply(points, engine, out, channels=channels):
-        typer.echo(line)
+    found = imply(points, engine, channels=channels)
+    found.save(out)
+    first, *notes = found.lines()
+    say([f"{out}: {first}", *notes])

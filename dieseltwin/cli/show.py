@@ -3,31 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-import yaml
+import typer
 
-from dieseltwin.settings.params import load_params
+from dieseltwin.cli.options import EngineFile, ParamsFile, Profile, help_without_command, say
 
 WIDTH = 10_000  # one line a leaf, however long
 
+engine_app = typer.Typer(help="Engine parameters.")
+params_app = typer.Typer(help="Settings of a run (params.yaml).")
+engine_app.callback(invoke_without_command=True)(help_without_command)
+params_app.callback(invoke_without_command=True)(help_without_command)
+
+
+@engine_app.command("show")
+def engine_show(engine: EngineFile = None) -> None:
+    """Print the engine's parameters as YAML that --engine accepts."""
+    say(engine_lines(engine))
+
+
+@params_app.command("show")
+def params_show(params: ParamsFile = None, profile: Profile = "quick") -> None:
+    """Print the settings of one profile as YAML, and their hash."""
+    say(params_lines(params, profile))
+
 
 def _plain_yaml(values: dict[str, Any]) -> Iterator[str]:
+    import yaml
+
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=WIDTH)
     yield from text.rstrip("\n").split("\n")
 
 
 def _flow_yaml(value: Any) -> str:
     """A list or mapping on one line."""
+    import yaml
+
     return yaml.safe_dump(value, sort_keys=False, allow_unicode=True, default_flow_style=True, width=WIDTH).strip()
 
 
-def engine_lines(engine: Path | None) -> Iterator[str]:
+def engine_lines(engine: EngineFile) -> Iterator[str]:
     """The parameters of an engine file (the published set without one) as YAML, the units as comments."""
-    from dieseltwin.engine import EngineParameters, load_engine, we2011
+    from dieseltwin.api.engines import diesel_engine
+    from dieseltwin.engine import EngineParameters
 
-    parameters = load_engine(engine) if engine is not None else we2011.PARAMETERS
+    parameters = diesel_engine(engine)
     for name, value in parameters.model_dump(mode="json").items():
         description = EngineParameters.model_fields[name].description or ""
         if name == "terms":
@@ -38,8 +59,10 @@ def engine_lines(engine: Path | None) -> Iterator[str]:
         yield f"{line}  # {description}" if description else line
 
 
-def params_lines(params: Path | None, profile: str) -> Iterator[str]:
+def params_lines(params: ParamsFile, profile: str) -> Iterator[str]:
     """The settings of one profile as YAML, headed by their hash."""
+    from dieseltwin.settings.params import load_params
+
     loaded = load_params(params, profile)
     yield f"# sha256 {loaded.sha256}"
     yield from _plain_yaml(loaded.model_dump(mode="json"))

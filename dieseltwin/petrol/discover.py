@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin import __version__
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.search import run as shared
@@ -39,6 +38,7 @@ from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, Signals
 from dieseltwin.petrol.terms import without_terms
 from dieseltwin.petrol.twin import PetrolTwin
+from dieseltwin.version import __version__
 
 SETTINGS = Settings(
     least_share=0.05,  # an onset after 90 s of half an hour: there is no region that needs more

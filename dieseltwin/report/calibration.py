@@ -98,12 +98,18 @@ def implied_figure(columns: dict[str, np.ndarray], implied: pd.DataFrame, name: 
     return ReportFigure(name, "What nobody measured", "Implied quantities with one standard deviation.", figure)
 
 
+def calibration_figure(calibration: Calibration) -> ReportFigure:
+    """Measured against predicted, the held-out third in another colour."""
+    points = calibration.points
+    relations = calibration.model.relations(points, points.states(), calibration.trained)
+    return parity(relations, calibration.held_out, "submodels", "Coefficients of two thirds of the points; the third "
+                  "that they never saw in orange.")
+
+
 def calibration_report(calibration: Calibration, path: Path) -> list[Path]:
     """Report of `dieseltwin calibrate`: page and figures beside it; returns what was written."""
     points = calibration.points
-    relations = calibration.model.relations(points, points.states(), calibration.trained)
-    figure = parity(relations, calibration.held_out, "submodels", "Coefficients of two thirds of the points; the third "
-                    "that they never saw in orange.")
+    figure = calibration_figure(calibration)
     table = _table(
         ("submodel", "fit [%]", "held out [%]", "median [%]", "R2 held out", "tolerance [%]"),
         [(TITLES.get(n, (n,))[0], f"{f.train:.2f}", f"{f.held_out:.2f}", f"{f.median_held_out:.2f}",
@@ -124,19 +130,31 @@ def calibration_report(calibration: Calibration, path: Path) -> list[Path]:
     return _write("Calibration", body, path, [figure])
 
 
+def _with_terms(repair: Repair) -> Relations:
+    """The relations at the points with the terms that were found."""
+    points = repair.calibration.points
+    values = {**repair.calibration.start, **repair.estimate.values()}
+    return repair.model.relations(points, points.states(), values)
+
+
+def before_after_figure(repair: Repair) -> ReportFigure:
+    """Errors of the submodels without and with the terms that were found."""
+    points = repair.calibration.points
+    before = repair.calibration.model.relations(points, points.states(), repair.calibration.start)
+    return residuals(before, _with_terms(repair), dict(points.columns), "before_after")
+
+
+def repaired_figure(repair: Repair) -> ReportFigure:
+    """Measured against predicted with the terms that were found."""
+    return parity(_with_terms(repair), repair.calibration.held_out, "submodels_repaired",
+                  "With the terms found, fitted to all points; the figures in the table are of coefficients that never "
+                  "saw the held-out third.")  # fmt: skip
+
+
 def repair_report(repair: Repair, implied: pd.DataFrame, words: str, path: Path) -> list[Path]:
     """Report of `dieseltwin discover` on points."""
-    points, mask = repair.calibration.points, repair.calibration.held_out
-    before = repair.calibration.model.relations(points, points.states(), repair.calibration.start)
-    values = {**repair.calibration.start, **repair.estimate.values()}
-    after = repair.model.relations(points, points.states(), values)
-    columns = dict(points.columns)
-    figures = [
-        residuals(before, after, columns, "before_after"),
-        parity(after, mask, "submodels_repaired", "With the terms found, fitted to all points; the figures in the "
-               "table are of coefficients that never saw the held-out third."),
-        implied_figure(columns, implied, "implied"),
-    ]  # fmt: skip
+    columns = dict(repair.calibration.points.columns)
+    figures = [before_after_figure(repair), repaired_figure(repair), implied_figure(columns, implied, "implied")]
     fits = _table(
         ("submodel", "held out before [%]", "held out after [%]", "median after [%]"),
         [(TITLES[r][0], f"{repair.fits_before[r].held_out:.2f}", f"{repair.fits_after[r].held_out:.2f}",

@@ -174,6 +174,21 @@ def _text(value: float | None) -> str:
     return "–" if value is None else f"{value:.4f}"
 
 
+@style.styled
+def fault_free_pieces(pieces: Sequence[FaultFreePiece]) -> ReportFigure:
+    """Gain of the strongest effect in each fault-free piece at its time; alarms in another colour."""
+    figure = Figure(figsize=(9.0, 2.8))
+    panel = figure.subplots()
+    for piece in pieces:
+        panel.plot([piece.start_s / 60.0, piece.end_s / 60.0], [piece.gain, piece.gain],
+                   color=BEFORE if piece.alarm else AFTER, lw=2.5)  # fmt: skip
+        panel.text(piece.start_s / 60.0, piece.gain, piece.name, va="bottom", fontsize=8)
+    panel.set_xlabel("time [min]")
+    panel.set_ylabel("gain [–]")
+    caption = "Gain of the strongest effect in each fault-free piece, with maps that did not see it."
+    return ReportFigure("pieces", "Fault-free pieces", caption, figure)
+
+
 def calibration_lines(fits: Sequence[SubmodelFit], pieces: Sequence[FaultFreePiece]) -> list[str]:
     """Fit of each balance on held-out stretches, and the verdicts on held-out fault-free pieces, as lines of text."""
     lines = [f"{'balance':<10}{'steady':>9}{'all':>9}   held-out misfit (robust standard deviation)"]

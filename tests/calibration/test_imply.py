@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dieseltwin.api.points import imply
 from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration import repair as repair_module
 from dieseltwin.calibration.calibrate import calibrate
@@ -16,7 +17,6 @@ from dieseltwin.calibration.repair import Repair, repair
 from dieseltwin.calibration.saved import answerer_of, load_answerer, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.calibration.verdict import document, sentence
-from dieseltwin.cli.calibrate import run_imply
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
@@ -69,13 +69,13 @@ def test_files_answer_for_inputs_alone(mended: Repair, data: SteadyPoints, tmp_p
     pd.testing.assert_frame_equal(answerer(data), answerer_of(mended)(data), rtol=1e-9)
     file, out = tmp_path / "inputs.csv", tmp_path / "implied.csv"
     pd.DataFrame({name: data[name] for name in (*INPUTS, "u_flap_pct")}).to_csv(file, index=False)
-    list(run_imply(file, engine, out))
+    imply(file, engine).save(out)
     answer = pd.read_csv(out)
     assert {"p_es_pa", "p_bc_pa", "t_im_k", "t_c_k", "p_es_pa_std", *STATES} <= set(answer.columns)
     assert np.median(np.abs(np.log(answer["p_im_pa"] / data["p_im_pa"]))) < 0.05
     pd.DataFrame({name: data[name] for name in INPUTS}).to_csv(file, index=False)
     with pytest.raises(InputError, match="u_flap_pct"):
-        list(run_imply(file, engine, out))
+        imply(file, engine).save(out)
 
 
 def test_reports_are_written(mended: Repair, data: SteadyPoints, tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_unexpected_errors_keep_their_traceback(monkeypatch: pytest.MonkeyPatch,
     def defect(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr("dieseltwin.cli.show.load_params", defect)
+    monkeypatch.setattr("dieseltwin.settings.params.load_params", defect)
     with pytest.raises(ZeroDivisionError):
         main(["params", "show"])
 

@@ -15,8 +15,8 @@ import pandas as pd
 import pytest
 import yaml
 
-from dieseltwin.cli.app import discover as cli_discover
 from dieseltwin.cli.app import main
+from dieseltwin.discovery import discover as core
 from dieseltwin.discovery.verdict import checks
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
@@ -63,9 +63,6 @@ class FakeCore:
     asked: int = 0
     options: Any = None
 
-    def core(self) -> cli_discover.Core:
-        return cli_discover.Core(SimpleNamespace, self.prepare, self.discover)
-
     def prepare(self, source: Recording, engine: Any, options: Any) -> Any:
         self.options = options
         return SimpleNamespace(minimum_detectable=self.smallest)
@@ -86,7 +83,8 @@ class FakeCore:
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> FakeCore:
     stand_in = FakeCore(synthetic.content(), synthetic.MINIMUM)
-    monkeypatch.setattr(cli_discover, "_core", stand_in.core)
+    monkeypatch.setattr(core, "prepare", stand_in.prepare)
+    monkeypatch.setattr(core, "discover", stand_in.discover)
     return stand_in
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin import __version__
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import minimum_detectable
@@ -34,6 +33,7 @@ from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.version import __version__
 
 
 def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Options) -> Discovery:

@@ -1,0 +1,70 @@
+"""Calibrating an engine that has no parameters yet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dieseltwin.api.engines import NAMED, PUBLISHED, Engine
+from dieseltwin.api.petrol import PetrolCalibrated, calibrate_petrol
+from dieseltwin.api.points import Calibrated, calibrate_points
+from dieseltwin.api.reading import Channels, Source
+from dieseltwin.engine import EngineParameters, load_engine
+from dieseltwin.errors import InputError
+from dieseltwin.petrol.parameters import PetrolParameters, is_petrol
+from dieseltwin.petrol.recording import PetrolRecording
+from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.settings.names import refuse_options
+from dieseltwin.settings.strict import read_mapping, validate
+
+
+def calibrate(
+    points: Source | SteadyPoints | PetrolRecording,
+    base: Engine | str | Path = PUBLISHED,
+    *,
+    geometry: EngineParameters | str | Path | None = None,
+    channels: Channels | None = None,
+    noise_pct: float | None = None,
+    seed: int = 0,
+) -> Calibrated | PetrolCalibrated:
+    """Calibrate another engine of the same kind: a diesel engine from steady points, a petrol engine from driving.
+
+    Args:
+        points: a file, a table or what `read` gave: steady points, or a recording whose quiet stretches stand for them;
+            for a petrol engine a fault-free recording of ten minutes or more.
+        base: engine to begin with: name, file or parameters.
+        geometry: of this diesel engine: a YAML file (bore_mm, stroke_mm or displacement_l, n_cyl, r_c, ...) or
+            parameters; the base's without it.
+        channels: channel map for foreign names and units.
+        noise_pct: standard deviation of every sensor [%].
+        seed: of the held-out third.
+
+    Raises:
+        InputError: anything that can't be used, too few points, a recording without idling.
+    """
+    first = base_engine(base)
+    if isinstance(first, PetrolParameters):
+        refuse_options({"--geometry": geometry, "--channels": channels, "--noise": noise_pct}, "for a petrol engine")
+        if isinstance(points, SteadyPoints):
+            raise InputError("recording", "settled points", "a recording of driving", "give the recording")
+        return calibrate_petrol(points, first)
+    if isinstance(points, PetrolRecording):
+        raise InputError("points", "a petrol engine's recording", "points of a diesel engine, as the base is",
+                         "name a petrol engine as base")
+    return calibrate_points(points, first, geometry, channels, noise_pct, seed)
+
+
+def base_engine(base: Engine | str | Path) -> Engine:
+    """The engine to begin with; one that isn't calibrated yet will do.
+
+    Raises:
+        InputError: neither a name nor a file that can be used.
+    """
+    if isinstance(base, EngineParameters | PetrolParameters):
+        return base
+    if str(base) in NAMED:
+        return NAMED[str(base)]
+    if Path(base).is_file() and is_petrol(base):
+        return validate(PetrolParameters, read_mapping(base), str(base))
+    if Path(base).suffix in (".yaml", ".yml"):
+        return load_engine(base)
+    raise InputError("--base", repr(str(base)), f"{', '.join(NAMED)} or an engine file", "name one of these")

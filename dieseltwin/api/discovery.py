@@ -1,0 +1,81 @@
+"""What physics the twin leaves out: of driving, of settled points, of a petrol engine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+from dieseltwin.api.driving import ask_driving
+from dieseltwin.api.engines import Engine
+from dieseltwin.api.findings import Discovered, Question
+from dieseltwin.api.petrol import ask_petrol, petrol_options
+from dieseltwin.api.points import ask_points
+from dieseltwin.api.reading import Channels, Source, as_engine, timed
+from dieseltwin.errors import InputError
+from dieseltwin.petrol.parameters import PetrolParameters
+from dieseltwin.petrol.recording import PetrolRecording
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.settings.names import refuse_options
+
+AnyRecording: TypeAlias = Source | Recording | SteadyPoints | PetrolRecording
+
+
+def discover(
+    recording: AnyRecording,
+    engine: Engine | str | Path | None = None,
+    *,
+    channels: Channels | None = None,
+    sensors: Sequence[str] | None = None,
+    withhold: Sequence[str] | None = None,
+    map_tolerance: float | None = None,
+    seed: int = 0,
+) -> Discovered:
+    """Find what physics the twin leaves out: where, what, how large, since when.
+
+    Args:
+        recording: a file, a table or what `read` gave: a recording, or settled points (no `time_s`).
+        engine: what the twin believes: name, file or parameters of a diesel or a petrol engine; the published engine
+            without it. A calibrated engine's file says by its sidecar what it was calibrated from, its parameters
+            don't: give the file where settled points are judged.
+        channels: channel map for foreign names and units.
+        sensors: columns to use; None is all that there are.
+        withhold: effects to keep out of the catalogue.
+        map_tolerance: standard deviation of the maps' smooth relative error that is believed [-]; None is 0.003.
+        seed: of everything random.
+
+    Raises:
+        InputError: anything that can't be used, or that can't carry a verdict.
+    """
+    return ask(recording, engine, channels=channels, sensors=sensors, withhold=withhold, map_tolerance=map_tolerance,
+               seed=seed).answer()  # fmt: skip
+
+
+def ask(
+    recording: AnyRecording,
+    engine: Engine | str | Path | None = None,
+    *,
+    channels: Channels | None = None,
+    sensors: Sequence[str] | None = None,
+    withhold: Sequence[str] | None = None,
+    map_tolerance: float | None = None,
+    seed: int = 0,
+) -> Question:
+    """Read and check all that `discover` needs, and search for nothing yet; arguments and errors are those of it."""
+    machine = as_engine(engine)
+    if isinstance(machine, PetrolParameters):
+        if isinstance(recording, Recording | SteadyPoints):
+            raise InputError("recording", "one of a diesel engine", "one of a petrol engine, as the engine is",
+                             "name the engine that it belongs to")
+        engine_file = Path(engine) if isinstance(engine, str | Path) else None
+        options = petrol_options(sensors, withhold, map_tolerance, seed)
+        return ask_petrol(recording, machine, engine_file, channels, options)
+    if isinstance(recording, PetrolRecording):
+        raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
+                         "name the engine that it belongs to")
+    if timed(recording, channels):
+        return ask_driving(recording, engine, channels, sensors, withhold or (), map_tolerance, seed)
+    refuse_options({"--sensors": sensors, "--withhold": withhold, "--map-tolerance": map_tolerance},
+                   "for settled points")  # fmt: skip
+    return ask_points(recording, engine, channels, seed)

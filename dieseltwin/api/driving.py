@@ -1,0 +1,260 @@
+"""Discovery on a recording of the diesel engine."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
+from dieseltwin.api.figures import drawn
+from dieseltwin.api.findings import Discovered, Question, machine
+from dieseltwin.api.reading import Channels, Source, diesel_recording
+from dieseltwin.atomic import atomic_folder, write_json, write_text
+from dieseltwin.discovery import discover as core
+from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE
+from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
+from dieseltwin.discovery.verdict.curves import Discovery
+from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.discovery.verdict.explain import DETAILS, Known, details_of, load_details, plain
+from dieseltwin.discovery.verdict.implied import implied_frame
+from dieseltwin.engine import HEALTH, EngineParameters, we2011
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.report import discovery_figures, discovery_page
+from dieseltwin.report.discovery_words import magnitude_words
+from dieseltwin.report.discovery_words import sentence as in_words
+from dieseltwin.settings.names import unknown_name
+from dieseltwin.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
+OWNED = ("figures", "report.html", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
+
+
+@dataclass(frozen=True, repr=False)
+class DrivingDiscovered(Discovered):
+    """What the twin leaves out of a recording.
+
+    Attributes:
+        question: what was asked.
+        found: document, repaired engine and curves.
+        seconds: wall time of the answer [s].
+    """
+
+    question: DrivingQuestion
+    found: Discovery
+    seconds: float
+
+    @property
+    def document(self) -> Discrepancy:
+        return self.found.document
+
+    @property
+    def engine(self) -> EngineParameters:
+        return self.found.engine
+
+    @property
+    def sentence(self) -> str:
+        return in_words(self.document)
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`candidates`, `evidence_time`, `law`, `health`, `minimum_detectable` or `score`."""
+        drawings = {
+            "candidates": discovery_figures.candidates, "evidence_time": discovery_figures.evidence_time,
+            "law": discovery_figures.law_curves, "health": discovery_figures.health,
+            "minimum_detectable": discovery_figures.minimum_detectable, "score": discovery_figures.score,
+        }  # fmt: skip
+        return drawn(self.found, drawings, name)
+
+    def save(self, out: str | Path) -> Path:
+        """discrepancy.json, details.json, report.html, figures/, implied.parquet, engine.yaml, runtime.json."""
+        began = time.perf_counter()
+        with atomic_folder(out, owned=OWNED) as folder:
+            self.document.write(folder / FILE_NAME)
+            write_json(folder / DETAILS, details_of(self.found, self.question.asked, list(self.question.notes)))
+            write_text(folder / "engine.yaml", engine_yaml(self.engine))
+            stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
+            sensors = self.question.options.sensors
+            implied = implied_frame(self.question.recording, self.engine, stds, sensors=sensors,
+                                    starts=self.found.starts, local=self.found.local)  # fmt: skip
+            implied.to_parquet(folder / "implied.parquet", index=False)
+            discovery_page.build_discovery_report(self.found, folder / "report.html", figures_dir=folder / "figures")
+            seconds = self.seconds + time.perf_counter() - began
+            write_json(folder / "runtime.json", plain({**self.found.runtime, "seconds": seconds, **machine()}))
+        return Path(out)
+
+    def lines(self) -> list[str]:
+        return ["", self.sentence]
+
+
+@dataclass(frozen=True)
+class DrivingQuestion(Question):
+    """A recording of the diesel engine, checked.
+
+    Attributes:
+        recording: what was recorded.
+        parameters: what the twin believes.
+        options: of the search; its sensors are those that are there.
+        asked: the question as JSON types: what has to agree for old results to be an answer to it.
+        notes: what is doubtful about the recording, one sentence each.
+        began: clock when it was asked [s].
+    """
+
+    recording: Recording
+    parameters: EngineParameters
+    options: Options
+    asked: Mapping[str, Any]
+    notes: tuple[str, ...]
+    began: float
+
+    @property
+    def kind(self) -> str:
+        return "for a recording"
+
+    @property
+    def about(self) -> str:
+        sensors = ", ".join(self.options.sensors or ())
+        return f"{self.recording.path or 'recording'}: {self.recording.duration_s:.0f} s, {sensors} ..."
+
+    @cached_property
+    def smallest(self) -> Mapping[str, float]:
+        """Effect -> smallest magnitude that this recording could show [unit of the effect]."""
+        return core.prepare(self.recording, self.parameters, self.options).minimum_detectable
+
+    def _check_sensitivity(self) -> None:
+        limits = {name: max(map(abs, effect.limits)) for name, effect in EFFECTS.items()}
+        check_sensitivity(self.recording, self.smallest, limits)
+
+    def preview(self) -> Iterator[str]:
+        self._check_sensitivity()
+        yield from self.notes
+        yield from visible_table(self.smallest)
+
+    @property
+    def catalogue(self) -> Mapping[str, Known]:
+        return EFFECTS
+
+    def answered_in(self, folder: Path) -> bool:
+        if not (folder / DETAILS).is_file() or not (folder / FILE_NAME).is_file():
+            return False
+        details = load_details(folder)
+        same = details["options"] == json.loads(json.dumps(self.asked))
+        return same and details["recording_sha256"] == self.recording.sha256
+
+    def answer(self) -> DrivingDiscovered:
+        self._check_sensitivity()
+        found = core.discover(self.recording, self.parameters, self.options)
+        check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
+        return DrivingDiscovered(self, found, time.perf_counter() - self.began)
+
+
+def ask_driving(
+    recording: Source | Recording,
+    engine: Engine | str | Path | None,
+    channels: Channels | None,
+    sensors: Sequence[str] | None,
+    withhold: Sequence[str],
+    map_tolerance: float | None,
+    seed: int,
+) -> DrivingQuestion:
+    """Read and check a recording and what is asked of it; see `discovery.discover`.
+
+    Raises:
+        InputError: any file or option that can't be used, a recording or an engine that can't carry a verdict.
+    """
+    began = time.perf_counter()
+    map_tolerance = MAP_TOLERANCE if map_tolerance is None else map_tolerance
+    asked = _asked(engine, channels, sensors, withhold, map_tolerance, seed)
+    parameters = diesel_engine(engine)
+    source = _read(recording, channels, parameters)
+    used, notes = check_recording(source, parameters, asked["sensors"])
+    notes = [*(f"note: {note}" for note in source.notes), *notes]
+    options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=map_tolerance, seed=seed)
+    return DrivingQuestion(source, parameters, options, asked, tuple(notes), began)
+
+
+def _asked(
+    engine: Engine | str | Path | None, channels: Channels | None, sensors: Sequence[str] | None,
+    withhold: Sequence[str], map_tolerance: float, seed: int,
+) -> dict[str, Any]:  # fmt: skip
+    for effect in withhold:
+        if effect not in EFFECTS:
+            raise unknown_name("--withhold", effect, list(EFFECTS))
+    low, high = TOLERANCE_RANGE
+    if not low <= map_tolerance <= high:  # not so for NaN either
+        raise InputError("--map-tolerance", f"{map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
+    if seed < 0:
+        raise InputError("--seed", seed, "0 or more", "choose another")
+    if sensors is not None and not sensors:
+        raise InputError("--sensors", "no name", f"columns such as {','.join(SENSORS)}", "name some or leave it out")
+    return {
+        "sensors": None if sensors is None else sorted(set(sensors)), "withhold": sorted(set(withhold)),
+        "map_tolerance": map_tolerance, "seed": seed, "engine_sha256": _engine_sha256(engine),
+        "channels_sha256": _sha256(channels) if isinstance(channels, str | Path) else None,
+        "code_version": __version__,
+    }  # fmt: skip
+
+
+def _engine_sha256(engine: Engine | str | Path | None) -> str | None:
+    """Hash of an engine's file, or of its parameters; None for the published one."""
+    if engine is None or engine == PUBLISHED:
+        return None
+    if isinstance(engine, str | Path):
+        return _sha256(engine)
+    if engine == we2011.PARAMETERS:
+        return None
+    return hashlib.sha256(engine.model_dump_json().encode()).hexdigest()
+
+
+def _sha256(path: str | Path) -> str | None:
+    """Hash of a file that may be missing; the reader complains about that better."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest() if Path(path).is_file() else None
+
+
+def _read(recording: Source | Recording, channels: Channels | None, parameters: EngineParameters) -> Recording:
+    """The recording; where it can't be one of this engine, the air balance says so better than a unit would."""
+    try:
+        return diesel_recording(recording, channels, parameters, sensors=())
+    except InputError:
+        size = we2011.PARAMETERS.replace(p_amb=parameters.p_amb, T_amb=parameters.T_amb)
+        try:
+            source = diesel_recording(recording, channels, size, sensors=())
+        except InputError:
+            source = None
+        if source is not None:
+            check_engine(source, parameters)
+        raise
+
+
+def visible_table(smallest: Mapping[str, float]) -> list[str]:
+    """What the recording could show, as lines of text: smallest visible size, tolerance, place."""
+    rows = []
+    for name, size in smallest.items():
+        effect = EFFECTS[name]
+        mark = "" if size <= effect.tolerance else f"  {size / effect.tolerance:.2g} x tolerance"
+        shown = magnitude_words(name, size, None, effect.unit, extra=False, digits=2)
+        least = magnitude_words(name, effect.tolerance, None, effect.unit, extra=False, digits=2)
+        rows.append((size / effect.tolerance, f"{name:<31}{shown:>18}{least:>18}   {effect.site}{mark}"))
+    head = f"{'this recording could show':<31}{'from':>18}{'of interest from':>18}   in"
+    return [head, *(line for _, line in sorted(rows))]
+
+
+def engine_yaml(engine: EngineParameters) -> str:
+    """The repaired engine as YAML that --engine accepts, terms included."""
+    import yaml
+
+    values = engine.model_dump(mode="json")
+    return "# Repaired by `dieseltwin discover`; --engine accepts it.\n" + yaml.safe_dump(
+        values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
+    )

@@ -1,0 +1,293 @@
+"""Health parameters of a recording, with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin import report
+from dieseltwin.api.engines import Engine, diesel_engine
+from dieseltwin.api.figures import drawn
+from dieseltwin.api.reading import Channels, Source, diesel_recording
+from dieseltwin.api.results import Result
+from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.engine import MEASURED, EngineParameters
+from dieseltwin.errors import InputError
+from dieseltwin.identification.identify import identify_segments
+from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
+from dieseltwin.identification.result import Identification
+from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
+from dieseltwin.report import timeseries, violins
+from dieseltwin.report.inputs import results_of
+from dieseltwin.settings.methods import Method, find
+from dieseltwin.settings.params import DEFAULT_PROFILE, Params, load_params
+from dieseltwin.surrogates.files import networks_for
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
+SEGMENT_RANGE_S = (10.0, 3600.0)
+MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
+OPTIONAL_RESULTS = ("curves.parquet", "figures")  # another method in the same folder must not leave its own behind
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Where settings and pretrained networks come from.
+
+    Attributes:
+        models: folder of pretrained networks; None is `models` of the working folder.
+        maps: which empirical maps: exact, paper or improved; None is the method's own.
+        params: file of settings; None is params.yaml.
+        profile: of the settings.
+    """
+
+    models: str | Path | None = None
+    maps: str | None = None
+    params: str | Path | None = None
+    profile: str = DEFAULT_PROFILE
+
+    def settings(self) -> Params:
+        """The settings; raises `InputError` for a file that can't be used."""
+        return load_params(self.params, self.profile)
+
+    def networks(self, method: Method) -> dict[str, Any]:
+        """Networks for a method; raises `InputError` where they aren't there."""
+        return networks_for(method, None if self.models is None else Path(self.models), self.maps)
+
+
+@dataclass(frozen=True, repr=False)
+class Identified(Result):
+    """The health parameters of a recording.
+
+    Attributes:
+        found: estimates of every segment and run.
+        problems: the segments.
+        notes: what was left out, and what is doubtful; one sentence each.
+        provenance: hashes of the settings and of the recording.
+    """
+
+    found: Identification
+    problems: tuple[SegmentProblem, ...]
+    notes: tuple[str, ...]
+    provenance: Mapping[str, str]
+
+    @property
+    def sentence(self) -> str:
+        pooled = self.found.pooled()
+        known = [f"{name} {p.mean:.4g} ± {p.std:.2g}" for name, p in pooled.items() if p.mean is not None]
+        unknown = [name for name, p in pooled.items() if p.mean is None]
+        words = [", ".join(known) or "no parameter can be told"]
+        words += [f"not identifiable here: {', '.join(unknown)}"] if unknown and known else []
+        return f"{self.found.method}, {len(self.problems)} segments: {'; '.join(words)}."
+
+    def table(self) -> pd.DataFrame:
+        """One row a parameter: mean, std, low and high (90 % interval), bound, unit, segments behind it."""
+        document = self.found.to_json()
+        rows = {}
+        for name, entry in document["parameters"].items():
+            low, high = entry["interval_90"] or (None, None)
+            used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in document["segments"])
+            rows[name] = {"mean": entry["mean"], "std": entry["std"], "low": low, "high": high,
+                          "bound": entry["bound"], "unit": entry["unit"], "segments": used}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`parameters` (estimates of every segment), `states`, `flows` or `empirical` over time."""
+        drawings = {"parameters": violins.violins, "states": timeseries.states, "flows": timeseries.flows,
+                    "empirical": timeseries.empirical}
+        return drawn(results_of(self.found, self.problems), drawings, name)
+
+    def save(self, out: str | Path) -> Path:
+        """identification.json, runtime.json, states.parquet, figures/ and, with learning curves, curves.parquet."""
+        with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
+            write_json(folder / "identification.json", self.found.to_json())
+            write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
+            self.found.states.to_parquet(folder / "states.parquet", index=False)
+            curves = report.curves_table(self.found)
+            if curves is not None:
+                curves.to_parquet(folder / "curves.parquet", index=False)
+            report.identification_figures(self.found, self.problems, folder / "figures")
+        return Path(out)
+
+    def lines(self) -> list[str]:
+        """The table as text, and the notes."""
+        document = self.found.to_json()
+        return [*text_table(document), *self.notes, *misfits(document)]
+
+
+@dataclass(frozen=True)
+class IdentificationQuestion:
+    """A recording cut into segments and checked, ready to be identified.
+
+    Attributes:
+        problems: the segments.
+        method, runs, seed: as asked, or those of the settings.
+        settings: of the run.
+        networks: that the method needs.
+        notes: what is doubtful or left out, one sentence each.
+        recording_sha256: of the file.
+    """
+
+    problems: tuple[SegmentProblem, ...]
+    method: str
+    runs: int
+    seed: int
+    settings: Params
+    networks: Mapping[str, Any]
+    notes: tuple[str, ...]
+    recording_sha256: str
+
+    def answer(self) -> Identified:
+        """Identify every segment."""
+        config = self.settings.identify
+        found = identify_segments(self.problems, self.method, self.runs, self.seed, config=config, **self.networks)
+        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording_sha256}
+        return Identified(found, self.problems, self.notes, provenance)
+
+
+def identify(
+    recording: Source | Recording,
+    engine: Engine | str | Path | None = None,
+    *,
+    channels: Channels | None = None,
+    method: str = "classical",
+    runs: int | None = None,
+    segment_s: float | None = None,
+    seed: int | None = None,
+    setup: Setup | None = None,
+) -> Identified:
+    """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty.
+
+    Args:
+        recording: a file, a table or what `read` gave.
+        engine: name, file or parameters, at whose health parameters the search starts; the published engine without it.
+        channels: channel map for foreign names and units.
+        method: one of `settings.methods.names()`.
+        runs: independent starts a segment; None takes the settings' number for this method.
+        segment_s: length of a segment [s]; None takes the settings'.
+        seed: of everything random; None takes the settings'.
+        setup: where settings and pretrained networks come from.
+
+    Raises:
+        InputError: anything that can't be used.
+    """
+    return ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment_s, seed=seed,
+               setup=setup).answer()  # fmt: skip
+
+
+def ask(
+    recording: Source | Recording,
+    engine: Engine | str | Path | None = None,
+    *,
+    channels: Channels | None = None,
+    method: str = "classical",
+    runs: int | None = None,
+    segment_s: float | None = None,
+    seed: int | None = None,
+    setup: Setup | None = None,
+) -> IdentificationQuestion:
+    """Read and check all that `identify` needs, and identify nothing yet; arguments and errors are those of it."""
+    setup = setup or Setup()
+    chosen = find(method, "--method")
+    chosen.check_installed()
+    settings = setup.settings()
+    runs = settings.identify.runs_of(method) if runs is None else runs
+    if runs < 1:
+        raise InputError("--runs", runs, "1 or more", "ask for at least one run")
+    if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
+        raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
+    parameters = diesel_engine(engine)
+    source = diesel_recording(recording, channels, parameters, sensors=SENSORS)
+    problems, left_out = _usable(problems_of(source, parameters, settings, segment_s), source)
+    networks = setup.networks(chosen)
+    notes = (*_notes(source, parameters), *left_out)
+    seed = settings.seed if seed is None else seed
+    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source.sha256)
+
+
+def problems_of(
+    source: Recording, parameters: EngineParameters, settings: Params, segment_s: float | None = None
+) -> list[SegmentProblem]:
+    """Segments of the recording as estimation problems; noise is the settings' share of the whole recording's means."""
+    missing = np.full(source.time_s.shape, np.nan)
+    signals = np.column_stack([source.columns.get(name, missing) for name in MEASURED])
+    signals = signals[source.columns["n_e_rpm"] >= CRANKING_RPM]  # a standing engine would lower the means
+    noise = NoiseLevels.from_signals(signals, relative=settings.noise.channels)
+    duration_s = settings.identify.segment_s if segment_s is None else segment_s
+    return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s)
+
+
+def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[SegmentProblem], list[str]]:
+    """Segments whose states can be started, and a note for each one left out.
+
+    Raises:
+        InputError: none is left.
+    """
+    usable, notes = [], []
+    for problem in problems:
+        dead = [name for i, name in enumerate(MEASURED[:3]) if not problem.observed[:, i].any()]
+        if dead:
+            notes.append(f"note: {problem.name} left out: no reading of {', '.join(dead)}")
+        else:
+            usable.append(problem)
+    if not usable:
+        raise InputError(f"{source.path or 'recording'}: {', '.join(MEASURED[:3])}",
+                         "no segment with readings of all three", "at least one",
+                         "record longer or ask for longer segments")
+    return usable, notes
+
+
+def _notes(source: Recording, parameters: EngineParameters) -> list[str]:
+    ranges = {
+        "n_e_rpm": parameters.n_e_range,
+        "u_delta_mg": parameters.u_delta_range,
+        "u_egr_pct": parameters.u_egr_range,
+        "u_vgt_pct": parameters.u_vgt_range,
+    }
+    counts = rows_out_of_range(source.columns, ranges)
+    read = [f"note: {note}" for note in source.notes]
+    return read + [f"note: {count} of {len(source.time_s)} rows of {name} are outside the engine's range "
+                   f"{ranges[name][0]:g} to {ranges[name][1]:g}" for name, count in counts.items()]
+
+
+def misfits(document: Mapping[str, Any]) -> list[str]:
+    """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
+    everything = [s for run in document["runs"] for s in run["segments"]]
+    stuck = sum(not s["converged"] for s in everything)
+    notes = []
+    if stuck:
+        notes = [f"note: {stuck} of {len(everything)} fits did not converge (`converged` in identification.json); a "
+                 "segment without a converged fit is left out of the pooled values"]
+    values = [s["chi2_per_sample"] for s in everything]
+    known = [value for value in values if value is not None]
+    if not known or float(np.median(known)) <= MISFIT:
+        return notes
+    size = float(np.sqrt(np.median(known)))
+    return [*notes, f"note: the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine "
+            "file or the model is off, or the method has not converged; the intervals are too narrow"]
+
+
+def text_table(document: Mapping[str, Any]) -> list[str]:
+    """The pooled estimates as lines of text: value, standard deviation, 90 % interval, bound, segments used."""
+    segments = document["segments"]
+    head = f"{'parameter':<10} {'estimate':>12} {'std':>10} {'90 % interval':>27} {'bound':>10}  unit       segments"
+    lines = [f"{document['method']}, {len(document['runs'])} runs, {len(segments)} segments", head]
+    for name, entry in document["parameters"].items():
+        used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in segments)
+        if entry["mean"] is None:
+            lines.append(f"{name:<10} not identifiable here (drive with more EGR, load or time)")
+            continue
+        low, high = entry["interval_90"] or (float("nan"), float("nan"))
+        interval = f"{low:.5g} to {high:.5g}"
+        bound = "-" if entry["bound"] is None else f"{entry['bound']:.3g}"
+        lines.append(f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {bound:>10}  "
+                     f"{entry['unit']:<9}  {used} of {len(segments)}")
+    return lines

@@ -1,0 +1,217 @@
+"""The petrol engine: calibrated on a fault-free recording, searched for what is missing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from dieseltwin.api.figures import drawn
+from dieseltwin.api.findings import Discovered, Question, machine
+from dieseltwin.api.reading import Channels, Source, petrol_recording
+from dieseltwin.api.results import Result
+from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.discovery.verdict.explain import DETAILS, Known, plain
+from dieseltwin.errors import InputError
+from dieseltwin.petrol.calibrate import SubmodelFit
+from dieseltwin.petrol.calibrate import calibrate as calibrated
+from dieseltwin.petrol.discover import PetrolDiscovery, PetrolOptions, details, discover_petrol
+from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
+from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
+from dieseltwin.petrol.recording import COLUMNS, PetrolRecording
+from dieseltwin.report import petrol as pages
+from dieseltwin.settings.names import listed, unknown_name
+from dieseltwin.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TOLERANCE_RANGE = (0.0, 0.1)  # of the maps [-]; with more, nothing is left to find
+OWNED = ("figures", "report.html", "engine.yaml", "runtime.json", DETAILS)
+
+
+@dataclass(frozen=True, repr=False)
+class PetrolDiscovered(Discovered):
+    """What the twin leaves out of a petrol engine's recording.
+
+    Attributes:
+        question: what was asked.
+        found: document, repaired engine and the search.
+    """
+
+    question: PetrolQuestion
+    found: PetrolDiscovery
+
+    @property
+    def document(self) -> Discrepancy:
+        return self.found.document
+
+    @property
+    def engine(self) -> PetrolParameters:
+        return self.found.engine
+
+    @property
+    def sentence(self) -> str:
+        return self.found.sentence
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`residuals_over_time`, `over_pressure` or `candidates`."""
+        drawings = {"residuals_over_time": pages.residuals_over_time, "over_pressure": pages.over_pressure,
+                    "candidates": pages.candidates}
+        return drawn(self.found, drawings, name)
+
+    def save(self, out: str | Path) -> Path:
+        """discrepancy.json, details.json, report.html, figures/, engine.yaml, runtime.json."""
+        began = time.perf_counter()
+        with atomic_folder(out, owned=OWNED) as folder:
+            self.document.write(folder / FILE_NAME)
+            write_json(folder / DETAILS, plain(details(self.found, self.question.asked)))
+            save_petrol(self.engine, folder / "engine.yaml")
+            pages.build_petrol_report(self.found, folder / "report.html", folder / "figures")
+            seconds = self.found.runtime_s + time.perf_counter() - began
+            write_json(folder / "runtime.json", {"seconds": seconds, **machine()})
+        return Path(out)
+
+
+@dataclass(frozen=True)
+class PetrolQuestion(Question):
+    """A recording of a petrol engine, and the calibrated engine.
+
+    Attributes:
+        recording: what was recorded.
+        parameters: calibrated.
+        options: of the search.
+        asked: the question as JSON types.
+    """
+
+    recording: PetrolRecording
+    parameters: PetrolParameters
+    options: PetrolOptions
+    asked: Mapping[str, Any]
+
+    @property
+    def kind(self) -> str:
+        return "for a petrol engine"
+
+    @property
+    def about(self) -> str:
+        return f"{self.recording.path}: {self.recording.signals.time_s[-1]:.0f} s ..."
+
+    @property
+    def catalogue(self) -> Mapping[str, Known]:
+        return HYPOTHESES
+
+    def answer(self) -> PetrolDiscovered:
+        engine_sha256 = str(self.asked["engine_sha256"])
+        return PetrolDiscovered(self, discover_petrol(self.recording, self.parameters, self.options, engine_sha256))
+
+
+def ask_petrol(
+    recording: Source | PetrolRecording,
+    parameters: PetrolParameters,
+    engine_file: Path | None,
+    channels: Channels | None,
+    options: PetrolOptions,
+) -> PetrolQuestion:
+    """Read a recording of a petrol engine; see `discovery.discover`.
+
+    Args:
+        engine_file: that the parameters were read from, if any.
+        options: checked here.
+
+    Raises:
+        InputError: a file or an option that can't be used, an engine without maps.
+    """
+    _check(options)
+    if not parameters.calibrated:
+        raise InputError("engine: cylinder, throttle", "no maps", "a calibrated engine",
+                         "calibrate it on a fault-free recording first")
+    content = parameters.model_dump_json().encode() if engine_file is None else engine_file.read_bytes()
+    asked = {
+        "sensors": options.sensors, "withhold": list(options.withhold), "map_tolerance": options.map_tolerance,
+        "seed": options.seed, "engine_sha256": sha256(content).hexdigest(), "code_version": __version__,
+    }  # fmt: skip
+    return PetrolQuestion(petrol_recording(recording, channels), parameters, options, asked)
+
+
+def petrol_options(
+    sensors: Sequence[str] | None, withhold: Sequence[str] | None, map_tolerance: float | None, seed: int
+) -> PetrolOptions:
+    """What was asked for as the search takes it."""
+    return PetrolOptions(None if sensors is None else tuple(sensors), tuple(withhold or ()), map_tolerance, seed)
+
+
+def _check(options: PetrolOptions) -> None:
+    """Refuse an unknown column or effect, a column that no verdict can do without, a size out of range."""
+    used = options.sensors
+    for column in used or ():
+        if column not in COLUMNS:
+            raise unknown_name("--sensors", column, list(COLUMNS))
+    needed = [c for c in (*NEEDS["cylinder"], *NEEDS["throttle"]) if used is not None and c not in used]
+    if needed:
+        raise InputError("--sensors", f"no {listed(list(dict.fromkeys(needed)))}", listed(list(COLUMNS)),
+                         "only p_amb_pa and t_amb_k can be left out: the air's balances need all others")
+    for effect in options.withhold:
+        if effect not in HYPOTHESES:
+            raise unknown_name("--withhold", effect, list(HYPOTHESES))
+    low, high = TOLERANCE_RANGE
+    if options.map_tolerance is not None and not low <= options.map_tolerance <= high:
+        raise InputError("--map-tolerance", f"{options.map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
+    if options.seed < 0:
+        raise InputError("--seed", options.seed, "0 or more", "choose another")
+
+
+@dataclass(frozen=True, repr=False)
+class PetrolCalibrated(Result):
+    """A petrol engine calibrated on a fault-free recording.
+
+    Attributes:
+        engine: the calibrated engine, with verdicts on fault-free pieces that its maps did not see.
+        fits: of each balance on held-out stretches.
+    """
+
+    engine: PetrolParameters
+    fits: tuple[SubmodelFit, ...]
+
+    @property
+    def sentence(self) -> str:
+        alarms = sum(piece.alarm for piece in self.engine.pieces)
+        return f"{self.engine.name}: {alarms} false alarms on {len(self.engine.pieces)} fault-free pieces."
+
+    def table(self) -> pd.DataFrame:
+        """One row a balance: robust standard deviation of the held-out misfit [%], and the number of blocks."""
+        rows = {f.name: {"steady_pct": 100.0 * f.steady, "all_pct": 100.0 * f.all_blocks, "blocks": f.blocks}
+                for f in self.fits}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("balance")
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`pieces`: the strongest effect in each fault-free piece."""
+        return drawn(self, {"pieces": lambda s: pages.fault_free_pieces(s.engine.pieces)}, name)
+
+    def save(self, out: str | Path) -> Path:
+        """The engine file."""
+        return save_petrol(self.engine, out)
+
+    def beside(self, out: Path) -> tuple[str, ...]:
+        """Names of the files that `save` writes beside the engine's: none."""
+        return ()
+
+    def lines(self) -> list[str]:
+        return pages.calibration_lines(self.fits, self.engine.pieces)
+
+
+def calibrate_petrol(recording: Source | PetrolRecording, base: PetrolParameters) -> PetrolCalibrated:
+    """See `calibration.calibrate`.
+
+    Raises:
+        InputError: a recording that is too short, has no idling or lacks columns.
+    """
+    source = petrol_recording(recording)
+    engine, fits = calibrated(source.signals, base, source.sha256)
+    return PetrolCalibrated(engine, tuple(fits))

@@ -1,0 +1,315 @@
+"""Settled points of a diesel engine: calibrated with, searched for what is missing, answered for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.api.engines import Engine, diesel_engine
+from dieseltwin.api.figures import drawn
+from dieseltwin.api.findings import Discovered, Question
+from dieseltwin.api.reading import Channels, Source, settled_points
+from dieseltwin.api.results import Result
+from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.calibration.calibrate import Calibration, read_geometry
+from dieseltwin.calibration.calibrate import calibrate as calibrated
+from dieseltwin.calibration.imply import Answerer
+from dieseltwin.calibration.likelihood import NOISE
+from dieseltwin.calibration.repair import Repair, repair
+from dieseltwin.calibration.saved import (
+    answerer_of,
+    base_and_geometry,
+    calibration_sidecar,
+    load_answerer,
+    write_calibration,
+    write_repaired,
+)
+from dieseltwin.calibration.verdict import document, sentence
+from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.engine import EngineParameters
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import INPUTS, SENSORS
+from dieseltwin.recordings.reader import Recording, write_recording
+from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.report import calibration as pages
+from dieseltwin.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NEEDED = (*INPUTS, *SENSORS, "w_c_kg_s")
+LARGEST_NOISE_PCT = 20.0
+FAR = 3.0  # standard deviations of the inputs that the engine was calibrated with
+OWNED = ("discrepancy.json", "report.html", "report_figures", "implied.parquet", "repaired.yaml",
+         "repaired.steady.json", "runtime.json")  # fmt: skip
+
+
+# --- calibrate
+
+
+@dataclass(frozen=True, repr=False)
+class Calibrated(Result):
+    """An engine calibrated to settled points.
+
+    Attributes:
+        found: coefficients with covariance, fits, notes.
+        seconds: wall time [s].
+    """
+
+    found: Calibration
+    seconds: float
+
+    @property
+    def engine(self) -> EngineParameters:
+        """The calibrated engine."""
+        return self.found.engine
+
+    @property
+    def sentence(self) -> str:
+        return (f"{self.found.points.size} points ({self.found.points.origin}), "
+                f"{int(self.found.held_out.sum())} held out")  # fmt: skip
+
+    def table(self) -> pd.DataFrame:
+        """One row a submodel: misfit of the fitted and of the held-out points [%], R2, tolerance [%]."""
+        rows = {name: {"fit_pct": f.train, "held_out_pct": f.held_out, "median_pct": f.median_held_out,
+                       "r2_held_out": f.coefficient_of_determination, "tolerance_pct": 100.0 * f.tolerance}
+                for name, f in self.found.fits.items()}
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("submodel")
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`submodels`: measured against predicted, the held-out third in another colour."""
+        return drawn(self.found, {"submodels": pages.calibration_figure}, name)
+
+    def save(self, out: str | Path) -> Path:
+        """The engine file, its sidecar, a report with figures, and a channel map if an actuator is turned round."""
+        out = Path(out)
+        write_calibration(self.found, out)
+        pages.calibration_report(self.found, out.with_suffix(".html"))
+        return out
+
+    def beside(self, out: Path) -> tuple[str, ...]:
+        """Names of the files that `save` writes beside the engine's, the channel map left out."""
+        return calibration_sidecar(out).name, out.with_suffix(".html").name
+
+    def lines(self) -> list[str]:
+        found = self.found
+        lines = [self.sentence, "submodel              fit %  held out %  R2 held out  tolerance %"]
+        lines += [f"{name:20s} {fit.train:6.2f} {fit.held_out:11.2f} {fit.coefficient_of_determination:12.4f} "
+                  f"{100 * fit.tolerance:12.2f}" for name, fit in found.fits.items()]
+        weak = [c.name for c in found.coefficients if c.verdict == "prior only"]
+        if weak:
+            lines.append(f"decided by the base engine, not by the points: {', '.join(weak)}")
+        return [*lines, *(f"- {note}" for note in found.notes)]
+
+
+def calibrate_points(
+    points: Source | SteadyPoints,
+    base: EngineParameters,
+    geometry: EngineParameters | str | Path | None,
+    channels: Channels | None,
+    noise_pct: float | None,
+    seed: int,
+) -> Calibrated:
+    """See `calibration.calibrate`.
+
+    Raises:
+        InputError: files that can't be used, too few points, swapped columns.
+    """
+    if noise_pct is not None and not 0.0 < noise_pct <= LARGEST_NOISE_PCT:
+        raise InputError("--noise", noise_pct, f"0 to {LARGEST_NOISE_PCT:g} %",
+                         "give the sensors' standard deviation in %")
+    shape = read_geometry(geometry, base) if isinstance(geometry, str | Path) else geometry or base
+    source = settled_points(points, channels, shape, NEEDED)
+    noise = None if noise_pct is None else {name: noise_pct / 100.0 for name in NOISE}
+    began = time.perf_counter()
+    found = calibrated(source, base, shape, noise=noise, seed=seed, where=str(source.path or "points"))
+    return Calibrated(found, time.perf_counter() - began)
+
+
+# --- discover
+
+
+@dataclass(frozen=True, repr=False)
+class PointsDiscovered(Discovered):
+    """What settled points say that the mean-value model lacks.
+
+    Attributes:
+        found: every term that was tried, and the engine with those that were taken.
+        seconds: wall time of the answer [s].
+    """
+
+    found: Repair
+    seconds: float
+
+    @property
+    def document(self) -> Discrepancy:
+        return document(self.found)
+
+    @property
+    def engine(self) -> EngineParameters:
+        return self.found.engine()
+
+    @property
+    def sentence(self) -> str:
+        return sentence(self.found)
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`before_after`: errors of the submodels with and without what was found; `submodels_repaired`, `implied`."""
+        drawings = {
+            "before_after": pages.before_after_figure, "submodels_repaired": pages.repaired_figure,
+            "implied": lambda found: pages.implied_figure(dict(found.calibration.points.columns),
+                                                          _implied(found), "implied"),
+        }  # fmt: skip
+        return drawn(self.found, drawings, name)
+
+    def save(self, out: str | Path) -> Path:
+        """discrepancy.json, report.html with figures, implied.parquet, repaired.yaml with its sidecar, runtime.json."""
+        began = time.perf_counter()
+        used = self.found.calibration.points
+        with atomic_folder(out, owned=OWNED) as folder:
+            implied = _implied(self.found)
+            self.document.write(folder / FILE_NAME)
+            write_repaired(self.found, folder / "repaired.yaml")
+            _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
+            pages.repair_report(self.found, implied, self.sentence, folder / "report.html")
+            seconds = self.seconds + time.perf_counter() - began
+            write_json(folder / "runtime.json", {"seconds": seconds, "version": __version__})
+        return Path(out)
+
+    def lines(self) -> list[str]:
+        tried = [f"round {c.round}: {c.term.name:32s} gain {c.gain:8.1f}  {c.magnitude:.4g} +- {c.std:.2g}  "
+                 f"{'taken' if c.chosen else ''}" for c in self.found.candidates]
+        return [*tried, "", self.sentence]
+
+
+@dataclass(frozen=True)
+class PointsQuestion(Question):
+    """Settled points, and what their engine was calibrated from.
+
+    Attributes:
+        points: inputs and all readings.
+        base: engine whose coefficients are believed before.
+        geometry: engine with the size of this one.
+        seed: of the held-out third.
+    """
+
+    points: SteadyPoints
+    base: EngineParameters
+    geometry: EngineParameters
+    seed: int
+
+    @property
+    def kind(self) -> str:
+        return "for settled points"
+
+    @property
+    def about(self) -> str:
+        return f"{self.points.path or 'points'}: {self.points.size} points ..."
+
+    def answer(self) -> PointsDiscovered:
+        began = time.perf_counter()
+        where = str(self.points.path or "points")
+        found = repair(calibrated(self.points, self.base, self.geometry, seed=self.seed, where=where))
+        return PointsDiscovered(found, time.perf_counter() - began)
+
+
+def ask_points(
+    points: Source | Recording | SteadyPoints, engine: Engine | str | Path | None, channels: Channels | None, seed: int
+) -> PointsQuestion:
+    """Read settled points, and the engine file's sidecar where there is one; see `discovery.discover`."""
+    if isinstance(engine, str | Path) and Path(engine).is_file():
+        base, geometry = base_and_geometry(Path(engine))
+    else:
+        base = geometry = diesel_engine(engine)
+    return PointsQuestion(settled_points(points, channels, geometry, NEEDED), base, geometry, seed)
+
+
+def _implied(found: Repair) -> pd.DataFrame:
+    return answerer_of(found)(found.calibration.points)
+
+
+# --- imply
+
+
+@dataclass(frozen=True, repr=False)
+class Implied(Result):
+    """Every quantity that nobody measured, for each point.
+
+    Attributes:
+        points: what was given.
+        quantities: implied columns, each with `<column>_std` where it has one.
+        notes: what is doubtful, one line each.
+    """
+
+    points: SteadyPoints
+    quantities: pd.DataFrame
+    notes: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        names = [str(name) for name in self.quantities if not str(name).endswith("_std")]
+        return f"{len(self.quantities)} points, {', '.join(names)}"
+
+    def table(self) -> pd.DataFrame:
+        """Row of the file, what was given, what is implied."""
+        return _beside(self.points, self.quantities)
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`implied`: four quantities with their standard deviations over the air flow."""
+        columns = {str(column): values.to_numpy() for column, values in self.table().items()}
+        return drawn(self, {"implied": lambda s: pages.implied_figure(columns, s.quantities, "implied")}, name)
+
+    def save(self, out: str | Path) -> Path:
+        """The table as .csv or .parquet."""
+        return write_recording(self.table(), out)
+
+    def lines(self) -> list[str]:
+        return [self.sentence, *self.notes]
+
+
+def imply(
+    points: Source | SteadyPoints, engine: PointsDiscovered | str | Path, *, channels: Channels | None = None
+) -> Implied:
+    """Say, for each point, every quantity that nobody measured, with its standard deviation.
+
+    Args:
+        points: a file, a table or what `read` gave; the inputs are needed, readings help.
+        engine: what `discover` found on points, or the repaired.yaml that it wrote.
+        channels: channel map for foreign names and units.
+
+    Raises:
+        InputError: files that can't be used, an engine that wasn't repaired on points.
+    """
+    answerer, turned = _answerer(engine)
+    source = settled_points(points, channels, answerer.model.engine, INPUTS)
+    if "exhaust_flap" in answerer.model.active and "u_flap_pct" not in source:
+        raise InputError(f"{source.path or 'points'}: column u_flap_pct", "none",
+                         "this column: the engine has an exhaust flap", "add the flap's position")
+    quantities = answerer(source.with_columns(**{column: 100.0 - source[column] for column in turned}))
+    return Implied(source, quantities, tuple(outside(source, answerer.guess.centre, answerer.guess.spread)))
+
+
+def _answerer(engine: PointsDiscovered | str | Path) -> tuple[Answerer, tuple[str, ...]]:
+    if not isinstance(engine, PointsDiscovered):
+        return load_answerer(Path(engine))
+    return answerer_of(engine.found), tuple(a.column for a in engine.found.calibration.actuators if a.opens < 0)
+
+
+def outside(source: SteadyPoints, centre: np.ndarray, spread: np.ndarray) -> list[str]:
+    """One line if points lie beyond `FAR` standard deviations of the inputs that the engine was calibrated with."""
+    inputs = np.stack([source[name] for name in INPUTS], axis=1)
+    far = (np.abs(inputs - centre) > FAR * spread).any(axis=1)
+    return [f"{int(far.sum())} points lie far from those of the calibration: extrapolated"] if far.any() else []
+
+
+def _beside(points: SteadyPoints, implied: pd.DataFrame) -> pd.DataFrame:
+    """The implied quantities beside what was given; an implied column stands in for a given one."""
+    given: Mapping[str, np.ndarray] = {"row": points.row, **points.columns}
+    frame = pd.DataFrame(dict(given))
+    return pd.concat([frame.drop(columns=[c for c in implied if c in frame]), implied], axis=1)

@@ -1,0 +1,130 @@
+"""From a file or a table to a recording or settled points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.api.engines import Engine, diesel_engine, engine
+from dieseltwin.engine import EngineParameters
+from dieseltwin.errors import InputError
+from dieseltwin.petrol.parameters import PetrolParameters
+from dieseltwin.petrol.recording import PetrolRecording, read_petrol
+from dieseltwin.recordings.channels import INPUTS, TIME, ChannelMap, foreign_hint, read_channel_map
+from dieseltwin.recordings.reader import Recording, read_recording, recording
+from dieseltwin.recordings.steady_points import SteadyPoints, has_time, points, quasi_steady, read_points
+from dieseltwin.settings.names import listed
+
+Channels: TypeAlias = ChannelMap | str | Path
+"""A channel map, or its YAML file."""
+
+Source: TypeAlias = str | Path | pd.DataFrame
+"""A file, or a table with the columns of one."""
+
+
+def read(
+    source: Source, channels: Channels | None = None, engine: Engine | str | Path | None = None
+) -> Recording | SteadyPoints | PetrolRecording:
+    """Read and check a recording, or settled points where there is no column of time.
+
+    Args:
+        source: CSV or Parquet file, or a table of the same columns.
+        channels: channel map for foreign names and units.
+        engine: gives ambient values where the columns are absent and the size of a cylinder; a petrol engine reads
+            petrol recordings. The published engine without it.
+
+    Raises:
+        InputError: one line saying what is wrong with the file.
+    """
+    machine = as_engine(engine)
+    if isinstance(machine, PetrolParameters):
+        return petrol_recording(source, channels)
+    if timed(source, channels):
+        return diesel_recording(source, channels, machine, sensors=())
+    return settled_points(source, channels, machine, needed=INPUTS)
+
+
+def as_engine(source: Engine | str | Path | None) -> Engine:
+    """`engines.engine`, the published engine for None."""
+    return diesel_engine(None) if source is None else engine(source)
+
+
+def timed(source: Source | Recording | SteadyPoints, channels: Channels | None = None) -> bool:
+    """Whether it is a recording over time rather than settled points.
+
+    Raises:
+        InputError: a file or a channel map that can't be read.
+    """
+    if isinstance(source, Recording | SteadyPoints):
+        return isinstance(source, Recording)
+    return TIME in _named(source, channels) if isinstance(source, pd.DataFrame) else has_time(source, channels)
+
+
+def _named(frame: pd.DataFrame, channels: Channels | None) -> dict[str, np.ndarray]:
+    """The columns of a table under our names."""
+    columns = {str(name): frame[name].to_numpy() for name in frame.columns}
+    if channels is None:
+        return columns
+    mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
+    return mapping.apply(columns, "the table")
+
+
+def diesel_recording(
+    source: Source | Recording, channels: Channels | None, engine: EngineParameters, *, sensors: Sequence[str],
+    any_rate: bool = False,
+) -> Recording:  # fmt: skip
+    """A recording of a diesel engine, with the sensors that are asked for.
+
+    Raises:
+        InputError: one line saying what is wrong with it.
+    """
+    if isinstance(source, Recording):
+        for name in sensors:
+            if name not in source.columns:
+                raise InputError(f"{source.path or 'recording'}: column {name}", f"none ({listed(source.channels)})",
+                                 "this column", foreign_hint(name, source.columns))
+        return source
+    if isinstance(source, pd.DataFrame):
+        return recording(_named(source, channels), engine, sensors=sensors, any_rate=any_rate)
+    return read_recording(source, channels, engine, sensors=sensors, any_rate=any_rate)
+
+
+def settled_points(
+    source: Source | SteadyPoints, channels: Channels | None, engine: EngineParameters, needed: Sequence[str]
+) -> SteadyPoints:
+    """Settled points, or the quiet stretches of a recording as such.
+
+    Args:
+        needed: columns that must be there.
+
+    Raises:
+        InputError: one line saying what is wrong with them.
+    """
+    if isinstance(source, SteadyPoints):
+        return source
+    if not isinstance(source, pd.DataFrame):
+        return read_points(source, channels, engine, needed)
+    columns = _named(source, channels)
+    if TIME not in columns:
+        return points(columns, engine, needed=needed)
+    return points(quasi_steady(columns), engine, needed=needed,
+                  origin="averaged quasi-steady windows of a transient recording")
+
+
+def petrol_recording(source: Source | PetrolRecording, channels: Channels | None = None) -> PetrolRecording:
+    """A recording of a petrol engine.
+
+    Raises:
+        InputError: one line saying what is wrong with it.
+    """
+    if isinstance(source, PetrolRecording):
+        return source
+    if isinstance(source, pd.DataFrame):
+        raise InputError("petrol recording", "a table", "a CSV or Parquet file", "write the table to a file")
+    if isinstance(channels, ChannelMap):
+        raise InputError("channels", "a map in memory", "its YAML file", "write it to a file for a petrol engine")
+    return read_petrol(source, channels)

@@ -1,0 +1,37 @@
+"""Options that several commands take, and what one who waits is told."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+EngineFile = Annotated[
+    Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")
+]
+ChannelsFile = Annotated[
+    Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign column names and units to ours.")
+]
+ParamsFile = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Settings instead of params.yaml.")]
+Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile of the settings: quick or paper.")]
+
+
+def progress(text: str) -> None:
+    """For a person who waits; a log file needs no promise."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr)
+
+
+def say(lines: Iterable[str]) -> None:
+    """Print lines as they come."""
+    for line in lines:
+        typer.echo(line)
+
+
+def help_without_command(context: typer.Context) -> None:
+    """A group of commands without one prints its help."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())

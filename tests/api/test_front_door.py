@@ -1,0 +1,150 @@
+"""`import dieseltwin as dt`: light, whole, typed; engines and recordings by name, file and table."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from mypy import api as mypy
+
+import dieseltwin as dt
+from dieseltwin.engine import we2011
+from dieseltwin.engine.effects import Term
+from dieseltwin.errors import InputError
+from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
+from dieseltwin.recordings.channels import channel_map
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.steady_points import SteadyPoints
+
+HEAVY = {"numpy", "pandas", "numba", "torch", "matplotlib", "scipy", "pydantic"}
+INPUTS = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct"]
+
+
+def python(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+@pytest.fixture(scope="module")
+def trace(project_root: Path) -> pd.DataFrame:
+    return pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv").iloc[:101]
+
+
+# --- the package
+
+
+def test_importing_it_loads_nothing_heavy() -> None:
+    assert python(f"import sys, dieseltwin; print({HEAVY} & set(sys.modules))") == "set()"
+
+
+def test_no_name_needs_torch() -> None:
+    used = "dt.read, dt.engine, dt.simulate, dt.identify, dt.discover, dt.calibrate, dt.imply"
+    assert python(f"import sys, dieseltwin as dt; {used}; print('torch' in sys.modules)") == "False"
+
+
+def test_simulating_loads_no_matplotlib() -> None:
+    assert python("import sys, dieseltwin as dt; dt.simulate; print('matplotlib' in sys.modules)") == "False"
+
+
+def test_every_name_is_there_and_listed() -> None:
+    for name in dt.__all__:
+        assert getattr(dt, name) is not None and name in dir(dt)
+    with pytest.raises(AttributeError, match="discovr"):
+        dt.discovr  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    "first", ["import dieseltwin.engine as e", "from dieseltwin.engine import we2011", "from dieseltwin import engine"]
+)
+def test_engine_is_a_package_and_a_function_whatever_is_imported_first(first: str) -> None:
+    code = f"{first}; import dieseltwin as dt; print(dt.engine('we2011') is dt.engine.we2011.PARAMETERS)"
+    assert python(code) == "True"
+
+
+def test_strict_types_pass_and_notice(project_root: Path, tmp_path: Path) -> None:
+    caller = Path(__file__).with_name("typed_caller.py")
+    options = ["--strict", "--follow-imports=silent", "--no-error-summary", "--cache-dir", str(tmp_path / "cache"),
+               "--config-file", str(project_root / "pyproject.toml")]  # fmt: skip
+    assert mypy.run([*options, str(caller)]) == ("", "", 0)
+    wrong = tmp_path / "wrong.py"
+    wrong.write_text(caller.read_text().replace("dt.engine(", "dt.engin(").replace("seed=1", "seed='one'"))
+    said = mypy.run([*options, str(wrong)])[0]
+    assert 'no attribute "engin"' in said and 'Argument "seed"' in said
+
+
+def test_versions(capsys: pytest.CaptureFixture[str]) -> None:
+    dt.show_versions()
+    said = capsys.readouterr().out
+    assert f"dieseltwin  {dt.__version__}" in said and f"numpy       {np.__version__}" in said
+
+
+# --- engines
+
+
+def test_engines_by_name_file_and_parameters(tmp_path: Path) -> None:
+    assert dt.engine() is dt.engine("we2011") is we2011.PARAMETERS
+    assert dt.engine(V_d=0.0128) == we2011.PARAMETERS.replace(V_d=0.0128)
+    (tmp_path / "engine.yaml").write_text("V_d: 0.0128\n")
+    from_file = dt.engine(tmp_path / "engine.yaml", J_t=2.2e-4)
+    assert from_file == we2011.PARAMETERS.replace(V_d=0.0128, J_t=2.2e-4) == dt.engine(from_file)
+    assert isinstance(dt.engine("liu_petrol"), PetrolParameters)
+    with pytest.raises(InputError, match="we2011"):
+        dt.engine("we2012")
+    with pytest.raises(InputError, match="V_d"):
+        dt.engine(V_dd=1.0)
+    with pytest.raises(InputError, match="no such file"):
+        dt.engine("nowhere.yaml")
+    with pytest.raises(InputError, match="no maps"):
+        dt.engine(save_petrol(PetrolParameters(), tmp_path / "petrol.yaml"))
+
+
+# --- recordings
+
+
+def test_files_tables_and_channel_maps_read_alike(trace: pd.DataFrame, tmp_path: Path) -> None:
+    trace.to_csv(tmp_path / "drive.csv", index=False)
+    from_file, from_table = dt.read(tmp_path / "drive.csv"), dt.read(trace)
+    assert isinstance(from_file, Recording) and isinstance(from_table, Recording)
+    pd.testing.assert_frame_equal(from_file.frame(), from_table.frame())
+    foreign = trace.rename(columns={"p_im_pa": "boost"}).assign(boost=trace["p_im_pa"] / 1e3)
+    mapped = dt.read(foreign, channel_map({"boost": {"column": "p_im_pa", "unit": "kPa"}}))
+    assert isinstance(mapped, Recording)
+    np.testing.assert_allclose(mapped.columns["p_im_pa"], trace["p_im_pa"])
+    assert isinstance(dt.read(trace.drop(columns="time_s")), SteadyPoints)
+    with pytest.raises(InputError, match="n_e_rpm"):
+        dt.read(trace.drop(columns="n_e_rpm"))
+
+
+# --- simulate
+
+
+def test_simulating_a_file_a_table_and_a_recording_is_the_same(trace: pd.DataFrame, tmp_path: Path) -> None:
+    inputs = trace[[*INPUTS, "p_im_pa", "p_em_pa", "omega_t_rad_s"]]
+    inputs.to_csv(tmp_path / "inputs.csv", index=False)
+    found = dt.simulate(inputs, dt.engine(A_egrmax=3e-4))
+    pd.testing.assert_frame_equal(found.table(), dt.simulate(dt.read(inputs), dt.engine(A_egrmax=3e-4)).table())
+    pd.testing.assert_frame_equal(found.table(), dt.simulate(tmp_path / "inputs.csv", found.engine).table())
+    out = found.save(tmp_path / "out.parquet")
+    pd.testing.assert_frame_equal(pd.read_parquet(out), found.table())
+    assert found.sentence in repr(found) and "<table" in found._repr_html_() and len(found.plot().axes) == 7
+
+
+def test_effects_are_added_and_replaced(trace: pd.DataFrame) -> None:
+    leaking = dt.simulate(trace, effects={"boost_leak": 3e-5})
+    assert leaking.engine.terms == (Term(effect="boost_leak", magnitude=3e-5),)
+    assert leaking.table()["w_leak_im_kg_s"].max() > 1e-3
+    assert dt.simulate(trace, leaking.engine, effects={"boost_leak": 0.0}).table()["w_leak_im_kg_s"].max() == 0.0
+    with pytest.raises(InputError, match=r"0 to 0\.0002 m2"):
+        dt.simulate(trace, effects={"boost_leak": 1.0})
+
+
+def test_what_can_not_be_simulated_is_one_line(trace: pd.DataFrame) -> None:
+    with pytest.raises(InputError, match="petrol engine"):
+        dt.simulate(trace, "liu_petrol")
+    with pytest.raises(InputError, match="u_egr_pct, data row 4"):
+        dt.simulate(trace.assign(u_egr_pct=trace["u_egr_pct"].where(trace.index != trace.index[3])))
+    with pytest.raises(InputError, match="plot"):
+        dt.simulate(trace).plot("nothing")

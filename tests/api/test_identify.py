@@ -1,0 +1,53 @@
+"""Identification through the front door: what was planted is found, and the command writes the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import dieseltwin as dt
+from dieseltwin.cli.app import main
+from dieseltwin.engine import we2011
+from dieseltwin.errors import InputError
+from tests.api.simulated import drive
+
+
+@pytest.fixture(scope="module")
+def worn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two minutes of an engine whose EGR valve is a quarter too small."""
+    path = tmp_path_factory.mktemp("worn") / "drive.csv"
+    drive(120.0, we2011.PARAMETERS.replace(A_egrmax=3e-4)).to_csv(path, index=False)
+    return path
+
+
+def test_function_and_command_find_and_write_the_same(
+    worn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = dt.identify(worn, runs=2, seed=3, segment_s=60.0)
+    table = found.table()
+    mean, std, low, high = table.loc["A_egrmax", ["mean", "std", "low", "high"]]
+    assert low < mean < high and abs(mean - 3e-4) < 4.0 * std and mean < 3.2e-4
+    assert (table["segments"] == 2).any()
+    assert found.sentence.startswith("classical, 2 segments: A_egrmax 0.00029")
+    assert "not identifiable" not in str(found) and "<table" in found._repr_html_()
+    assert found.plot("states").axes
+    monkeypatch.setattr("dieseltwin.report.identification_figures", lambda *_: [])  # drawn by the command's own tests
+    found.save(tmp_path / "function")
+    command = ["identify", str(worn), "--runs", "2", "--seed", "3", "--segment", "60"]
+    assert main([*command, "--out", str(tmp_path / "command")]) == 0
+    for name in ("identification.json", "states.parquet"):
+        assert (tmp_path / "function" / name).read_bytes() == (tmp_path / "command" / name).read_bytes()
+    from_table = dt.identify(pd.read_csv(worn), runs=2, seed=3)
+    assert from_table.found.to_json() == found.found.to_json()
+
+
+def test_what_can_not_be_identified_is_one_line(worn: Path) -> None:
+    table = pd.read_csv(worn)
+    with pytest.raises(InputError, match="t_em_k"):
+        dt.identify(dt.read(table.drop(columns="t_em_k")))
+    with pytest.raises(InputError, match="did you mean classical"):
+        dt.identify(table, method="clasical")
+    with pytest.raises(InputError, match="no such folder"):
+        dt.identify(table, method="few-shot-newton", setup=dt.Setup(models="nowhere"))
