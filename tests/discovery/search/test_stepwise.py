@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dieseltwin.discovery.search.run import stepwise
+from dieseltwin.discovery.search import stepwise
 from dieseltwin.discovery.search.stepwise import Story, discover_stepwise
 from tests.discovery.toy import Toy
 
