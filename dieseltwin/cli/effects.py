@@ -23,9 +23,10 @@ HEADINGS = ("name", "law", "unit", "range", "tolerance", "site", "confused with"
 
 def show_effects(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print the table of the documentation.")] = False,
 ) -> None:
     """List the effects that `simulate --effect` and `discover` know."""
-    for line in json_lines() if as_json else table_lines():
+    for line in json_lines() if as_json else markdown_lines() if markdown else table_lines():
         typer.echo(line)
 
 
@@ -48,6 +49,16 @@ def table_lines() -> Iterator[str]:
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
     for row in rows:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def markdown_lines() -> Iterator[str]:
+    """The effects as the table of docs/effects.md: name, law, unit, limits, source."""
+    from dieseltwin.engine.effects import EFFECTS
+
+    yield "| effect | law | unit | limits | source |"
+    yield "|---|---|---|---|---|"
+    for e in EFFECTS.values():
+        yield f"| `{e.name}` | {e.law} | {e.unit} | {e.limits[0]:g} to {e.limits[1]:g} | {e.source} |"
 
 
 def named_values(options: Sequence[str]) -> dict[str, float | str]:

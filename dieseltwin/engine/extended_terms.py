@@ -12,7 +12,9 @@ from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.binding import Model, numpy_model
 from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.extended import Extension, simulate_extended
+from dieseltwin.engine.fixed_point import settled
 from dieseltwin.engine.inputs import Actuation
+from dieseltwin.engine.model import NO_SIGNALS
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.observations import Observations
 from dieseltwin.engine.parameters import ParameterBatch
@@ -31,14 +33,12 @@ POINT_SWEEPS = 4
 LAW_SETTLED = 1e-4
 """Change of a signal, relative to its size, that ends the rounds."""
 
-_LEAST_CHANGE = 1e-30
-_STEEPEST = 2.0 / 3.0  # slope of a law against its own signal that a secant step may use
-
 GAS_SWEEPS = 4
 """Rounds of the fixed point between the gas temperature and the EGR that it heats, from a cold start."""
 
 Terms = Sequence[OneTerm]
 Power = Callable[[Any, Any], Any]
+Nozzle = Callable[[Any, Any, Any], Any]
 
 
 def conditions_of(actuation: Actuation) -> dict[str, np.ndarray]:
@@ -148,38 +148,39 @@ def _with_laws(
     actuation: Actuation, batch: ParameterBatch, extension: Extension, starts: np.ndarray, threads: int | None
 ) -> Observations:
     """Lanes under laws at one point, or one lane under laws at several."""
-    laws = law_terms(batch.terms)
-    before: Any = None
-    for _ in range(LAW_SWEEPS if laws else 0):
-        states = simulate_extended(actuation, batch, extension, starts, threads).states
-        _, s = along(states, actuation, batch.terms, batch.constants())
-        if before is not None and _settled(before, s):
-            break
-        before = s
-        if batch.size == 1:
-            signals = np.stack([np.broadcast_to(value, states.shape[:2])[0] for value in s])
-            extension = replace(extension, signals=signals)
-        else:
-            at = POINTS.index(laws[0].point)
-            signal = np.ascontiguousarray(np.broadcast_to(s[at], states.shape[:2]))
-            extension = replace(extension, lane_point=np.full(batch.size, at), lane_signal=signal)
-    return simulate_extended(actuation, batch, extension, starts, threads)
+    points = list(dict.fromkeys(law.point for law in law_terms(batch.terms)))
+    shape = (batch.size, actuation.time_s.size)
 
+    def simulated(signals: Mapping[str, Any]) -> Observations:
+        entered = extension
+        if signals and batch.size == 1:
+            rows = np.zeros((len(POINTS), shape[1]))
+            for point, signal in signals.items():
+                rows[POINTS.index(point)] = np.broadcast_to(signal, shape)[0]
+            entered = replace(extension, signals=rows)
+        elif signals:
+            ((point, signal),) = signals.items()
+            own = np.ascontiguousarray(np.broadcast_to(signal, shape))
+            entered = replace(
+                extension, lane_point=np.full(batch.size, POINTS.index(point)), lane_signal=own
+            )
+        return simulate_extended(actuation, batch, entered, starts, threads)
 
-def _settled(before: Signals, now: Signals) -> bool:
-    return all(
-        float(np.max(np.abs(b - a))) <= LAW_SETTLED * float(np.max(np.abs(b))) for a, b in zip(before, now, strict=True)
-    )
+    def answer(signals: Mapping[str, Any]) -> dict[str, Any]:
+        _, s = along(simulated(signals).states, actuation, batch.terms, batch.constants())
+        return {point: getattr(s, point) for point in points}
+
+    return simulated(settled(answer, {}, rounds=LAW_SWEEPS if points else 0, tolerance=LAW_SETTLED))
 
 
 def signals_of(
-    laws: Sequence[LawTerm], factors: Sequence[Any], variables: Mapping[str, Any], power: Power = np.power
-) -> Signals:
-    """Signals of law terms at given variables; factors: onset and region of each law."""
-    values: dict[str, Any] = dict.fromkeys(POINTS, 0.0)
+    laws: Sequence[LawTerm], factors: Sequence[Any], variables: Mapping[str, Any], power: Power, nozzle: Nozzle
+) -> dict[str, Any]:
+    """Point -> signal of the law terms there at given variables; factors: onset and region of each law."""
+    values: dict[str, Any] = {}
     for law, factor in zip(laws, factors, strict=True):
-        values[law.point] = values[law.point] + factor * law.signal(variables, power)
-    return Signals(**values)
+        values[law.point] = values.get(law.point, 0.0) + factor * law.signal(variables, power, nozzle)
+    return values
 
 
 def law_variables(q: ExtendedQuantities, states: Mapping[str, Any], c: Constants) -> dict[str, Any]:
@@ -194,7 +195,7 @@ def law_variables(q: ExtendedQuantities, states: Mapping[str, Any], c: Constants
 
 def quantities_under(
     model: Model, states: Mapping[str, Any], gas: Gas, m: Any, laws: Sequence[LawTerm], factors: Sequence[Any],
-    c: Constants, power: Power = np.power, sweeps: int = POINT_SWEEPS, newton: bool = False,
+    c: Constants, power: Power = np.power, sweeps: int = POINT_SWEEPS, secant: bool = False,
 ) -> tuple[ExtendedQuantities, Signals]:  # fmt: skip
     """`quantities_extended` with law terms evaluated on its own quantities.
 
@@ -206,26 +207,19 @@ def quantities_under(
         laws, factors: law terms and where they act.
         power: raises to a power in the backend.
         sweeps: rounds of the fixed point between laws and quantities.
-        newton: rounds by the secant of each signal: where a law's quantity answers its own signal strongly (a filter at
-            high flow, W_c against p_bc) plain rounds swing about the solution.
+        secant: as in `fixed_point.settled`.
     """
     x = OperatingPoint(*(states[name] for name in OperatingPoint._fields))
-    s = Signals(*([0.0] * len(POINTS)))
-    q = model.quantities_extended(x, gas, m, s, c)
-    last: tuple[Signals, Signals] | None = None
-    for _ in range(sweeps if laws else 0):
-        new = signals_of(laws, factors, law_variables(q, states, c), power)
-        following = new if last is None or not newton else Signals(*map(_by_secant, *last, s, new))
-        last, s = (s, new), following
-        q = model.quantities_extended(x, gas, m, s, c)
-    return q, s
 
+    def under(signals: Mapping[str, Any]) -> tuple[ExtendedQuantities, Signals]:
+        s = NO_SIGNALS._replace(**signals)
+        return model.quantities_extended(x, gas, m, s, c), s
 
-def _by_secant(s_0: Any, f_0: Any, s_1: Any, f_1: Any) -> Any:
-    """Next signal from two pairs of a signal and what its law then says; at most three times a plain step."""
-    change = s_1 - s_0
-    slope = np.minimum((f_1 - f_0) * change / (change * change + _LEAST_CHANGE), _STEEPEST)
-    return s_1 + (f_1 - s_1) / (1.0 - slope)
+    def answer(signals: Mapping[str, Any]) -> dict[str, Any]:
+        variables = law_variables(under(signals)[0], states, c)
+        return signals_of(laws, factors, variables, power, model.nozzle_flow_factor)
+
+    return under(settled(answer, {}, rounds=sweeps if laws else 0, secant=secant))
 
 
 def magnitudes_at(
@@ -269,11 +263,11 @@ def along(
     else:
         T_gas = np.full(p_im.shape, 700.0)
         for _ in range(GAS_SWEEPS):
-            q, _ = quantities_under(model, named, Gas(T_gas, 1.0, 0.0), m, laws, factors, c, newton=True)
+            q, _ = quantities_under(model, named, Gas(T_gas, 1.0, 0.0), m, laws, factors, c, secant=True)
             T_gas = _lagged(q.T_em_static, actuation.time_s, inertia) if inertia.any() else q.T_em
     inert = inertia > 0.0
     gas = Gas(T_gas, np.where(inert, 0.0, 1.0), np.where(inert, T_gas, 0.0))
-    return quantities_under(model, named, gas, m, laws, factors, c, newton=True)
+    return quantities_under(model, named, gas, m, laws, factors, c, secant=True)
 
 
 def _lagged(static: np.ndarray, time_s: np.ndarray, tau: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 
 from dieseltwin.engine.effect import Entry, Operator
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.nozzle import choking_quotient
+from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 
 Region = dict[str, tuple[float, float]]
@@ -224,8 +224,8 @@ class LawGroup(BaseModel):
                 raise ValueError(f"unknown variable {variable!r}; {_close(variable, LAW_VARIABLES)}")
         return self
 
-    def value(self, variables: Any, power: Any = np.power) -> Any:
-        """At arrays or tensors by name."""
+    def value(self, variables: Any, power: Any = np.power, nozzle: Any = nozzle_flow_factor) -> Any:
+        """At arrays or tensors by name; `power`, `nozzle` (`nozzle.nozzle_flow_factor`): of their backend."""
         x = variables[self.variables[0]]
         if self.kind == "above_one":
             return self._signed(x - 1.0, power)
@@ -238,7 +238,8 @@ class LawGroup(BaseModel):
             return self._signed(x / y - 1.0, power)
         if self.kind == "share":
             return x / (x + y)
-        return _nozzle(y / x, power) - _nozzle(x / y, power)
+        choked = nozzle_flow_factor(_CRITICAL, _NOZZLE_GAMMA, _CRITICAL)
+        return (nozzle(y / x, _NOZZLE_GAMMA, _CRITICAL) - nozzle(x / y, _NOZZLE_GAMMA, _CRITICAL)) / choked
 
     def _signed(self, z: Any, power: Any) -> Any:
         return z if self.exponent == 1.0 else z * power(abs(z) + 1e-12, self.exponent - 1.0)
@@ -246,14 +247,6 @@ class LawGroup(BaseModel):
 
 _NOZZLE_GAMMA = 1.4  # its value moves the shape by less than 2 % (air, exhaust gas)
 _CRITICAL = choking_quotient(_NOZZLE_GAMMA)
-
-
-def _nozzle(ratio: Any, power: Any) -> Any:
-    """Isentropic flow over its choked value at a pressure quotient downstream/upstream, 0 from 1 on."""
-    g = _NOZZLE_GAMMA
-    r = ratio.clip(_CRITICAL, 1.0)
-    choked = _CRITICAL ** (2.0 / g) - _CRITICAL ** ((g + 1.0) / g)
-    return power((power(r, 2.0 / g) - power(r, (g + 1.0) / g)).clip(0.0, 1.0) / choked + 1e-18, 0.5)
 
 
 class LawTerm(_Limited):
@@ -291,13 +284,13 @@ class LawTerm(_Limited):
                 raise ValueError(f"{variable}: reference must be positive, exponent finite")
         return self
 
-    def signal(self, variables: Any, power: Any = np.power) -> Any:
-        """The law's value where `variables` maps names to arrays or tensors; `power` raises to a power."""
+    def signal(self, variables: Any, power: Any = np.power, nozzle: Any = nozzle_flow_factor) -> Any:
+        """The law's value where `variables` maps names to arrays or tensors; `power`, `nozzle`: of their backend."""
         value: Any = self.coefficient
         for variable, reference, exponent in self.factors:
             value = value * power(variables[variable] / reference, exponent)
         for group in self.groups:
-            value = value * group.value(variables, power)
+            value = value * group.value(variables, power, nozzle)
         return value
 
 

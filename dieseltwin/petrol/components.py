@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.engine import cylinder, manifolds
+from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 
 Array = NDArray[np.float64]
 
 R_A = 287.0  # J/(kg K), dry air
 GAMMA = 1.4  # of air [-]
-CRITICAL = (2.0 / (GAMMA + 1.0)) ** (GAMMA / (GAMMA - 1.0))  # pressure quotient of choking [-]
-CHOKED_FACTOR = GAMMA**0.5 * (2.0 / (GAMMA + 1.0)) ** ((GAMMA + 1.0) / (2.0 * (GAMMA - 1.0)))  # flow factor there [-]
+CRITICAL = choking_quotient(GAMMA)  # pressure quotient of choking [-]
+CHOKED_FACTOR = float(nozzle_flow_factor(CRITICAL, GAMMA, CRITICAL))  # flow factor there [-]
 LINEAR_ABOVE = 0.99  # the nozzle's slope is infinite at quotient 1: a straight line from here (Hendricks et al. 1996)
 RPM = 30.0 / np.pi  # rpm per rad/s
 
@@ -29,8 +30,7 @@ def nozzle_factor(quotient: Array) -> Array:
 
     Constant below the critical quotient, linear between 0.99 and 1, 0 above 1.
     """
-    q = np.clip(quotient, CRITICAL, LINEAR_ABOVE)
-    psi = np.sqrt(2.0 * GAMMA / (GAMMA - 1.0) * (q ** (2.0 / GAMMA) - q ** ((GAMMA + 1.0) / GAMMA)))
+    psi = nozzle_flow_factor(np.minimum(quotient, LINEAR_ABOVE), GAMMA, CRITICAL)
     return np.asarray(psi * np.clip((1.0 - quotient) / (1.0 - LINEAR_ABOVE), 0.0, 1.0))
 
 

@@ -35,6 +35,14 @@ def test_table_and_json(capfd: pytest.CaptureFixture[str]) -> None:
     assert next(e for e in listed if e["name"] == "boost_leak")["limits"] == [0.0, 2e-4]
 
 
+def test_the_documentation_s_table_is_that_of_the_objects(
+    project_root: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """`dieseltwin effects --markdown` writes it."""
+    assert main(["effects", "--markdown"]) == 0
+    assert capfd.readouterr().out in (project_root / "docs" / "effects.md").read_text(encoding="utf-8")
+
+
 def test_simulate_with_effects_of_command_line_and_file(inputs: Path, tmp_path: Path) -> None:
     def table(name: str, *more: str) -> pd.DataFrame:
         out = tmp_path / f"{name}.csv"

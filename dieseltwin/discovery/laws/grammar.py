@@ -34,6 +34,7 @@ _SIGNED_POWERS = (0.5, 1.0, 2.0)
 _THRESHOLD_QUANTILES = (0.05, 0.15, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
 _COMPARABLE = ("Pa", "K", "kg/s", "W", "m", "V", "N")  # units whose differences and ratios mean something
 _TIMES = {"lag": (0.08, 0.4, 2.0), "dead_time": (0.05, 0.2)}  # s (DISCOVERY.md, prototype)
+_SLOW_LAGS = (10.0, 30.0)  # s, of temperatures besides: walls of metal
 _PLAYS = (1.0, 4.0, 10.0)  # % of full stroke
 _BUMP_WIDTHS = (0.06, 0.1, 0.17)  # of the range driven: narrower than what a map's tolerance follows (a third)
 AMBIENT = ("p_amb", "T_amb")
@@ -282,7 +283,8 @@ def operators(name: str, unit: str, relative: bool) -> list[Factor]:
     if unit in ("%", "K"):
         for kind, times in _TIMES.items():
             if kind == "lag" or unit == "%":
-                out += [Factor(kind, *one, t, (unit,)) for t in times]  # type: ignore[arg-type]
+                slow = _SLOW_LAGS if kind == "lag" and unit == "K" else ()
+                out += [Factor(kind, *one, t, (unit,)) for t in (*times, *slow)]  # type: ignore[arg-type]
     if unit == "%":
         out += [Factor("play", *one, w, (unit,)) for w in _PLAYS]
     return out

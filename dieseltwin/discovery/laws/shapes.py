@@ -8,19 +8,18 @@ import numba
 import numpy as np
 
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 
 GAMMA = 1.4
 """Ratio of specific heats in the orifice's shape; its value moves the shape by less than 2 % (air, exhaust gas)."""
+_CRITICAL = choking_quotient(GAMMA)
 
 
 def orifice(up: Any, down: Any) -> Any:
     """Flow of a compressible orifice over its choked value at the same upstream state, signed [-]."""
     high, low = np.maximum(up, down), np.minimum(up, down)
-    critical = (2.0 / (GAMMA + 1.0)) ** (GAMMA / (GAMMA - 1.0))
-    ratio = np.clip(low / high, critical, 1.0)
-    shape = np.sqrt(np.maximum(ratio ** (2.0 / GAMMA) - ratio ** ((GAMMA + 1.0) / GAMMA), 0.0))
-    choked = np.sqrt(critical ** (2.0 / GAMMA) - critical ** ((GAMMA + 1.0) / GAMMA))
-    return np.sign(up - down) * shape / choked
+    shape = nozzle_flow_factor(low / high, GAMMA, _CRITICAL)
+    return np.sign(up - down) * shape / nozzle_flow_factor(_CRITICAL, GAMMA, _CRITICAL)
 
 
 def signed_power(x: Any, exponent: Any) -> Any:

@@ -74,15 +74,17 @@ def _written(factor: Factor) -> tuple[list[tuple[str, float, float]], list[LawGr
 
 
 def _operator_term(form: Form) -> Term | ActuatorTerm | None:
-    """Dead time or play of an actuator, lag of the exhaust gas; None for what the file has no words for."""
+    """Dead time or play of an actuator, lag of the exhaust gas; None for what the file has no words for, and for a gas
+    slower than any."""
     kind, size = form.factors[0].kind, float(form.factors[0].shape)
     if len(form.factors) > 1:
         return None
     effect = EngineTwin.command_operators.get((kind, form.point))
     if effect is not None:
-        actuator, fault = effect.split("_", 1)
-        return ActuatorTerm(actuator=actuator, fault=fault, magnitude=size)  # type: ignore[arg-type]
-    if (kind, form.point) == ("lag", EFFECTS[GAS_LAG].enters.name):
+        fault = "dead_time" if kind == "dead_time" else "backlash"
+        return ActuatorTerm(actuator=EFFECTS[effect].enters.name, fault=fault, magnitude=size)  # type: ignore[arg-type]
+    gas = EFFECTS[GAS_LAG]
+    if (kind, form.point) == ("lag", gas.enters.name) and gas.limits[0] <= size <= gas.limits[1]:
         return Term(effect=GAS_LAG, magnitude=size)
     return None
 

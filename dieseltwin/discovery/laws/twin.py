@@ -17,6 +17,7 @@ import numpy as np
 
 from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin, lane_of
+from dieseltwin.engine.fixed_point import settled
 
 _SETTLED = 1e-7  # change of a signal relative to its size that counts as settled
 _PICARD_ROUNDS = 10
@@ -141,20 +142,25 @@ class LawTwin:
         """
         n, base_lanes = len(self.time_s), self._base_lanes(lanes)
         shape = (len(self.laws), lanes.size, n)
-        signals = np.zeros(shape) if self._settled is None else np.repeat(self._settled[:, None], lanes.size, axis=1)
+        first = np.zeros(shape) if self._settled is None else np.repeat(self._settled[:, None], lanes.size, axis=1)
         values = self.values(lanes.parameters)
-        for settled_rounds in range(_PICARD_ROUNDS):
-            readings, variables = trajectories(self.base, base_lanes, self._entered(signals))
+        readings: Array = np.empty(0)
+        variables: list[dict[str, Array]] = []
+
+        def answer(now: Mapping[str, Array]) -> dict[str, Array]:
+            nonlocal readings, variables
+            readings, variables = trajectories(self.base, base_lanes, self._entered(now["laws"]))
             new = np.empty(shape)
             for k, (law, (c, s)) in enumerate(zip(self.laws, values, strict=True)):
                 for b, own in enumerate(variables):
                     at = before({**own, "time_s": self.time_s}, law.form.point)
                     coefficient = c if np.ndim(c) == 0 else c[b]
                     new[k, b] = np.nan_to_num(coefficient * law.form.value(at, s if s is None else s[b]))
-            change = float(np.max(np.abs(new - signals)) / max(float(np.max(np.abs(new))), 1e-300))
-            signals = new
-            if change < _SETTLED and settled_rounds + 1 >= _LEAST_ROUNDS:
-                break
+            return {"laws": new}
+
+        signals = settled(
+            answer, {"laws": first}, rounds=_PICARD_ROUNDS, tolerance=_SETTLED, least=_LEAST_ROUNDS
+        )["laws"]
         if np.all(np.isfinite(signals[:, 0])):
             self._settled = signals[:, 0]
         return readings, variables

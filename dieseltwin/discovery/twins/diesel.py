@@ -19,6 +19,7 @@ from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.extended_frame import extended_frame
+from dieseltwin.engine.fixed_point import settled
 from dieseltwin.engine.inputs import INPUT_COLUMNS
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
@@ -260,9 +261,10 @@ class EngineTwin:
 
     def _with_own_laws(self, lanes: Lanes) -> Lanes:
         """The engine's own laws as signals, settled along lane 0 (Picard) and shared by all lanes."""
-        one, signals = lane_of(lanes, 0), self._law_signals
+        one = lane_of(lanes, 0)
         start_s, conditions = float(self.recording_time_s[0]), dict(self.conditions)
-        for _ in range(_LAW_ROUNDS):
+
+        def answer(signals: dict[str, Array]) -> dict[str, Array]:
             entered = replace(one, signals=joined(one.signals, signals))
             variables = self._variables(self._simulate_signals(entered)[1], 0, entered)
             new: dict[str, Array] = {}
@@ -271,12 +273,10 @@ class EngineTwin:
                 at = variables if own is None else {**variables, law.point: own}
                 signal = np.nan_to_num(law.signal(at) * law.factor(self.recording_time_s, start_s, conditions))
                 new[law.point] = new.get(law.point, 0.0) + np.broadcast_to(signal, self.time_s.shape)
-            change = max(float(np.max(np.abs(new[k] - signals.get(k, 0.0)))) / _size(new[k]) for k in new)
-            signals = new
-            if change < _LAW_SETTLED:
-                break
-        self._law_signals = signals
-        return replace(lanes, signals=joined(lanes.signals, signals))
+            return new
+
+        self._law_signals = settled(answer, self._law_signals, rounds=_LAW_ROUNDS, tolerance=_LAW_SETTLED)
+        return replace(lanes, signals=joined(lanes.signals, self._law_signals))
 
     def _simulate_signals(self, lanes: Lanes) -> tuple[Array, Observations]:
         result = self._memory.trajectories(lanes, self._integrate)
@@ -396,7 +396,3 @@ class EngineTwin:
             if magnitude[0] != 0.0:
                 terms.append(Term(effect=name, magnitude=float(np.clip(magnitude[0], *EFFECTS[name].limits))))
         return self.engine.replace(**values, terms=tuple(terms))
-
-
-def _size(values: Array) -> float:
-    return max(float(np.max(np.abs(values))), 1e-300)
