@@ -9,6 +9,7 @@ from typing import TypeAlias
 from dieseltwin.api.driving import ask_driving
 from dieseltwin.api.engines import Engine
 from dieseltwin.api.findings import Discovered, Question
+from dieseltwin.api.learning import known_engine
 from dieseltwin.api.petrol import ask_petrol, petrol_options
 from dieseltwin.api.points import ask_points
 from dieseltwin.api.reading import Channels, Source, as_engine, timed
@@ -31,6 +32,7 @@ def discover(
     withhold: Sequence[str] | None = None,
     map_tolerance: float | None = None,
     seed: int = 0,
+    reference: Sequence[Source | Recording] = (),
 ) -> Discovered:
     """Find what physics the twin leaves out: where, what, how large, since when.
 
@@ -44,12 +46,13 @@ def discover(
         withhold: effects to keep out of the catalogue.
         map_tolerance: standard deviation of the maps' smooth relative error that is believed [-]; None is 0.003.
         seed: of everything random.
+        reference: recordings of the engine when it was known to be well; it is learned from them first.
 
     Raises:
         InputError: anything that can't be used, or that can't carry a verdict.
     """
     return ask(recording, engine, channels=channels, sensors=sensors, withhold=withhold, map_tolerance=map_tolerance,
-               seed=seed).answer()  # fmt: skip
+               seed=seed, reference=reference).answer()  # fmt: skip
 
 
 def ask(
@@ -61,10 +64,12 @@ def ask(
     withhold: Sequence[str] | None = None,
     map_tolerance: float | None = None,
     seed: int = 0,
+    reference: Sequence[Source | Recording] = (),
 ) -> Question:
     """Read and check all that `discover` needs, and search for nothing yet; arguments and errors are those of it."""
     machine = as_engine(engine)
     if isinstance(machine, PetrolParameters):
+        refuse_options({"--reference": tuple(reference) or None}, "for a petrol engine")
         if isinstance(recording, Recording | SteadyPoints):
             raise InputError("recording", "one of a diesel engine", "one of a petrol engine, as the engine is",
                              "name the engine that it belongs to")
@@ -75,7 +80,8 @@ def ask(
         raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
                          "name the engine that it belongs to")
     if timed(recording, channels):
-        return ask_driving(recording, engine, channels, sensors, withhold or (), map_tolerance, seed)
-    refuse_options({"--sensors": sensors, "--withhold": withhold, "--map-tolerance": map_tolerance},
-                   "for settled points")  # fmt: skip
+        known = known_engine(engine, reference, channels)
+        return ask_driving(recording, engine, channels, sensors, withhold or (), map_tolerance, seed, known)
+    refuse_options({"--sensors": sensors, "--withhold": withhold, "--map-tolerance": map_tolerance,
+                    "--reference": tuple(reference) or None}, "for settled points")  # fmt: skip
     return ask_points(recording, engine, channels, seed)

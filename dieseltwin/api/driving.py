@@ -27,6 +27,7 @@ from dieseltwin.discovery.verdict.implied import implied_frame
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
+from dieseltwin.learning.files import LearnedEngine, overlap
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
+_MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
 OWNED = ("figures", "report.html", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
 
 
@@ -109,6 +111,7 @@ class DrivingQuestion(Question):
         asked: the question as JSON types: what has to agree for old results to be an answer to it.
         notes: what is doubtful about the recording, one sentence each.
         began: clock when it was asked [s].
+        known: what was learned of the engine from recordings of when it was well.
     """
 
     recording: Recording
@@ -117,6 +120,7 @@ class DrivingQuestion(Question):
     asked: Mapping[str, Any]
     notes: tuple[str, ...]
     began: float
+    known: LearnedEngine | None = None
 
     @property
     def kind(self) -> str:
@@ -130,7 +134,7 @@ class DrivingQuestion(Question):
     @cached_property
     def smallest(self) -> Mapping[str, float]:
         """Effect -> smallest magnitude that this recording could show [unit of the effect]."""
-        return core.prepare(self.recording, self.parameters, self.options).minimum_detectable
+        return core.prepare(self.recording, self.parameters, self.options, self.known).minimum_detectable
 
     def _check_sensitivity(self) -> None:
         limits = {name: max(map(abs, effect.limits)) for name, effect in EFFECTS.items()}
@@ -154,7 +158,7 @@ class DrivingQuestion(Question):
 
     def answer(self) -> DrivingDiscovered:
         self._check_sensitivity()
-        found = core.discover(self.recording, self.parameters, self.options)
+        found = core.discover(self.recording, self.parameters, self.options, self.known)
         check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
 
@@ -167,6 +171,7 @@ def ask_driving(
     withhold: Sequence[str],
     map_tolerance: float | None,
     seed: int,
+    known: tuple[LearnedEngine | None, Sequence[str]] = (None, ()),
 ) -> DrivingQuestion:
     """Read and check a recording and what is asked of it; see `discovery.discover`.
 
@@ -174,14 +179,31 @@ def ask_driving(
         InputError: any file or option that can't be used, a recording or an engine that can't carry a verdict.
     """
     began = time.perf_counter()
+    learned, doubts = known
+    if learned is not None and map_tolerance is not None:
+        raise InputError("--map-tolerance", f"{map_tolerance:g}", "none with a learned engine, whose file says how well"
+                         " each map is known", "leave it out")  # fmt: skip
     map_tolerance = MAP_TOLERANCE if map_tolerance is None else map_tolerance
     asked = _asked(engine, channels, sensors, withhold, map_tolerance, seed)
-    parameters = diesel_engine(engine)
+    if learned is not None:
+        asked["reference_sha256"] = [item.sha256 for item in learned.recordings]
+    parameters = diesel_engine(engine) if learned is None else learned.engine
     source = _read(recording, channels, parameters)
     used, notes = check_recording(source, parameters, asked["sensors"])
-    notes = [*(f"note: {note}" for note in source.notes), *notes]
+    notes = [*doubts, *(f"note: {note}" for note in source.notes), *notes]
+    if learned is not None:
+        _check_apart(learned, source)
     options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=map_tolerance, seed=seed)
-    return DrivingQuestion(source, parameters, options, asked, tuple(notes), began)
+    return DrivingQuestion(source, parameters, options, asked, tuple(notes), began, learned)
+
+
+def _check_apart(learned: LearnedEngine, source: Recording) -> None:
+    shared = overlap(learned.recordings, source)
+    if shared > _MOST_SHARED:
+        raise InputError(
+            str(source.path or "recording"), f"{100 * shared:.0f} % of its rows are in the reference",
+            "driving that the engine wasn't learned from", "judge another recording, or learn without this one",
+        )  # fmt: skip
 
 
 def _asked(

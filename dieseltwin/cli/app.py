@@ -19,6 +19,7 @@ from dieseltwin.cli.data import data_app
 from dieseltwin.cli.discover import discover_command
 from dieseltwin.cli.effects import show_effects
 from dieseltwin.cli.identify import identify_command
+from dieseltwin.cli.learn import learn_command
 from dieseltwin.cli.options import help_without_command
 from dieseltwin.cli.points import calibrate_command, imply_command
 from dieseltwin.cli.show import engine_app, params_app
@@ -39,6 +40,7 @@ app = typer.Typer(
 )
 app.command("simulate")(simulate_command)
 app.command("identify")(identify_command)
+app.command("learn")(learn_command)
 app.command("discover")(discover_command)
 app.add_typer(engine_app, name="engine")
 app.add_typer(params_app, name="params")

@@ -39,9 +39,14 @@ def discover_command(
         ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = 0,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option("--reference", metavar="HEALTHY", help="Recording of the engine when it was well; repeatable."),
+    ] = None,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
-    check_there(recording)
+    for path in (recording, *(reference or ())):
+        check_there(path)
     from dieseltwin.api.discovery import ask
     from dieseltwin.discovery.verdict.explain import check_name, explain
 
@@ -51,7 +56,7 @@ def discover_command(
         say(explain(name, out))
         return
     question = ask(recording, engine, channels=channels, sensors=_names(sensors), withhold=_names(withhold),
-                   map_tolerance=map_tolerance, seed=seed)  # fmt: skip
+                   map_tolerance=map_tolerance, seed=seed, reference=tuple(reference or ()))  # fmt: skip
     if name is not None:
         if not question.catalogue:
             refuse_options({"--explain": name}, question.kind)

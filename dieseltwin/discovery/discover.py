@@ -14,7 +14,10 @@ from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.verdict.assemble import assemble
 from dieseltwin.discovery.verdict.curves import Discovery
+from dieseltwin.discovery.verdict.document import Reference
 from dieseltwin.engine import EngineParameters
+from dieseltwin.learning.domain import known_along
+from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
 
@@ -30,14 +33,16 @@ class Prepared:
     minimum_detectable: Mapping[str, float]
 
 
-def prepare(recording: Recording, engine: EngineParameters, options: Options | None = None) -> Prepared:
+def prepare(
+    recording: Recording, engine: EngineParameters, options: Options | None = None, learned: LearnedEngine | None = None
+) -> Prepared:
     """Smallest visible size of each effect on this driving, at the nominal engine, without a fit.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     options = options or Options()
-    twin = EngineTwin(recording, engine, options.sensors, map_tolerance=options.map_tolerance)
+    twin = _twin(recording, engine, options, learned)
     return Prepared(visible_sizes(twin, options.settings()))
 
 
@@ -51,24 +56,44 @@ def visible_sizes(twin: EngineTwin, settings: search.Settings) -> dict[str, floa
     return minimum_detectable(score(at, wanted, effect_responses(twin, at, wanted)), settings.alarm_gain)
 
 
-def discover(recording: Recording, engine: EngineParameters, options: Options | None = None) -> Discovery:
+def discover(
+    recording: Recording, engine: EngineParameters, options: Options | None = None, learned: LearnedEngine | None = None
+) -> Discovery:
     """Detect, locate, name, model, prove.
 
     Args:
         recording: in the recording format.
         engine: what the twin believes; its terms are part of it.
         options: None for the defaults.
+        learned: what is known of the engine from recordings of when it was well; `engine` is then its own.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     options = options or Options()
     clock = time.perf_counter()
-    twin = EngineTwin(recording, engine, options.sensors, map_tolerance=options.map_tolerance)
+    twin = _twin(recording, engine, options, learned)
     found = search.run(twin, options.settings(), laws=options.law_search)
-    result = assemble(recording, twin, found, options)
+    result = assemble(recording, found, options, _reference(found, learned))
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
     return replace(result, runtime=runtime)
+
+
+def _twin(
+    recording: Recording, engine: EngineParameters, options: Options, learned: LearnedEngine | None
+) -> EngineTwin:
+    belief = None if learned is None else learned.belief
+    return EngineTwin(recording, engine, options.sensors, map_tolerance=options.map_tolerance, belief=belief)
+
+
+def _reference(found: search.Search, learned: LearnedEngine | None) -> Reference | None:
+    """What the engine was learned from, and how much of the recording lies where all its maps are known."""
+    if learned is None:
+        return None
+    known = known_along(learned.belief, learned.map_rms, found.twin.variables(found.null.fit.lanes()))
+    return Reference(
+        recordings=len(learned.recordings), minutes=learned.minutes, domain_share=float(known.all(axis=0).mean())
+    )
 
 
 __all__ = ["Options", "Prepared", "discover", "prepare", "visible_sizes"]

@@ -32,10 +32,13 @@ from dieseltwin.engine._compiled import (
 )
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import DRIFTS, GAS_LAG, STATE_EFFECTS, Magnitudes
+from dieseltwin.engine.map_corrections import CORRECTED_POINTS
 from dieseltwin.engine.model_constants import CONSTANT_NAMES
 from dieseltwin.engine.quantities import Gas, OperatingPoint, Signals
+from dieseltwin.engine.turbocharger import PI_T_MAX
 
 N_EFFECTS, N_POINTS = len(STATE_EFFECTS), len(Signals._fields)
+N_CORRECTED = len(CORRECTED_POINTS)
 N_OUT = 9  # p_im, p_em, omega_t, x_r, T_1, T_gas, W_egr, T_em, W_c
 
 # Rows of the flat work array, in units of LANES.
@@ -46,10 +49,16 @@ STATIC, W_EGR, T_EM, W_C = 15, 16, 17, 18
 EFFECT = 19
 SIGNAL = EFFECT + N_EFFECTS  # value at the sample before
 SLOPE = SIGNAL + N_POINTS  # change until the sample after
-CONSTANT = SLOPE + N_POINTS
+CORRECTION = SLOPE + N_POINTS  # relative, at `CORRECTED_POINTS`
+CONSTANT = CORRECTION + N_CORRECTED
 
 INERTIA = STATE_EFFECTS.index(GAS_LAG)
 GROWS = np.array(DRIFTS)
+VGT_OFFSET = STATE_EFFECTS.index("vgt_offset")
+U_EGR, U_VGT = Signals._fields.index("u_egr"), Signals._fields.index("u_vgt")
+P_AMB, T_AMB, C_PA, R_C, INVERSE_GAMMA_A = (
+    CONSTANT_NAMES.index(name) for name in ("p_amb", "T_amb", "c_pa", "R_c", "inverse_gamma_a")
+)
 
 
 @numba.njit(**_INLINED)
@@ -76,6 +85,8 @@ def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
     if moving:
         slopes = [f"fraction * work[{SLOPE + j} * lanes + k]" for j in range(len(fields))]
         fields = [f"{value} + {slope}" for value, slope in zip(fields, slopes, strict=True)]
+        for row, point in enumerate(CORRECTED_POINTS):
+            fields[Signals._fields.index(point)] += f" + work[{CORRECTION + row} * lanes + k]"
     scope: dict[str, Any] = {"Kind": kind, "__name__": __name__}
     exec(f"def {name}(work, k, lanes, fraction):\n    return Kind({', '.join(fields)})\n", scope)
     return numba.njit(**_INLINED)(scope[name])
@@ -83,6 +94,54 @@ def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
 
 load_magnitudes = _loader("load_magnitudes", Magnitudes, EFFECT)
 load_signals = _loader("load_signals", Signals, SIGNAL, moving=True)
+
+
+@numba.njit(**_INLINED)
+def _table(tables, row, low, per_unit, x, y):  # type: ignore[no-untyped-def]
+    """Bilinear look-up, held beyond the edges."""
+    last = tables.shape[1] - 1
+    a = _limit((x - low[row, 0]) * per_unit[row, 0], 0.0, last)
+    b = _limit((y - low[row, 1]) * per_unit[row, 1], 0.0, last)
+    i = min(int(a), last - 1)
+    j = min(int(b), last - 1)
+    a -= i
+    b -= j
+    return (1.0 - a) * ((1.0 - b) * tables[row, i, j] + b * tables[row, i, j + 1]) + a * (
+        (1.0 - b) * tables[row, i + 1, j] + b * tables[row, i + 1, j + 1]
+    )
+
+
+@numba.njit(**_OPTIONS)
+def correct_maps(work, fraction, tables, low, per_unit):  # type: ignore[no-untyped-def]
+    """Corrections of the maps at the lanes' own arguments (`map_corrections.ARGUMENTS`); no tables, no corrections.
+
+    The compressor's flow among the arguments is that of the evaluation before; a filter's loss isn't.
+    """
+    if tables.shape[0] == 0:
+        return
+    for k in range(LANES):
+        p_im, p_em, omega_t = work[k], work[LANES + k], work[2 * LANES + k]
+        p_amb = work[(CONSTANT + P_AMB) * LANES + k]
+        u_egr = work[(INPUT + 2) * LANES + k] + work[(SIGNAL + U_EGR) * LANES + k]
+        u_egr += fraction * work[(SLOPE + U_EGR) * LANES + k]
+        u_vgt = work[(INPUT + 3) * LANES + k] + work[(SIGNAL + U_VGT) * LANES + k]
+        u_vgt += fraction * work[(SLOPE + U_VGT) * LANES + k] + work[(EFFECT + VGT_OFFSET) * LANES + k]
+        Pi_t = turbine_pressure_ratio_of(p_em, p_amb)
+        Pi_c = max(p_im / p_amb, 1.0)
+        tip = work[(CONSTANT + R_C) * LANES + k] * omega_t
+        heating = Pi_c ** (1.0 - work[(CONSTANT + INVERSE_GAMMA_A) * LANES + k]) - 1.0
+        Psi_c = 2.0 * work[(CONSTANT + C_PA) * LANES + k] * work[(CONSTANT + T_AMB) * LANES + k] * heating / (tip * tip)
+        work[CORRECTION * LANES + k] = _table(tables, 0, low, per_unit, p_im, work[INPUT * LANES + k])
+        work[(CORRECTION + 1) * LANES + k] = _table(tables, 1, low, per_unit, u_egr, 0.0)
+        work[(CORRECTION + 2) * LANES + k] = _table(tables, 2, low, per_unit, u_vgt, Pi_t)
+        work[(CORRECTION + 3) * LANES + k] = _table(tables, 3, low, per_unit, omega_t, Pi_t)
+        work[(CORRECTION + 4) * LANES + k] = _table(tables, 4, low, per_unit, work[W_C * LANES + k], Pi_c)
+        work[(CORRECTION + 5) * LANES + k] = _table(tables, 5, low, per_unit, Psi_c, omega_t)
+
+
+@numba.njit(**_INLINED)
+def turbine_pressure_ratio_of(p_em, p_amb):  # type: ignore[no-untyped-def]
+    return min(p_amb / p_em, PI_T_MAX)
 
 
 def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
@@ -179,7 +238,7 @@ def lag_weights(work, width, gain, kept):  # type: ignore[no-untyped-def]
 
 def _integrate_extended(  # type: ignore[no-untyped-def]
     grids, grid_of_lane, steps, time, start, constants, magnitudes, schedules, schedule_of_lane, signals, lane_point,
-    lane_signal, restarts, initial, late, out,
+    lane_signal, restarts, initial, late, tables, low_end, per_unit, out,
 ):  # fmt: skip
     """Integrate one block of LANES lanes.
 
@@ -188,8 +247,9 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
 
     grids (G, 4, 2 N + 1), grid_of_lane (LANES,), steps (n - 1,), time (n,), start [s], constants (n_constants, LANES),
     magnitudes (N_EFFECTS, LANES), schedules (G', N_EFFECTS, n), schedule_of_lane (LANES,), signals (N_POINTS, n),
-    lane_point (LANES,), lane_signal (LANES, n), restarts (W,), initial (LANES, W, 3), late [-] ->
-    out (LANES, n, N_OUT).
+    lane_point (LANES,), lane_signal (LANES, n), restarts (W,), initial (LANES, W, 3), late [-],
+    tables (0 or N_CORRECTED, nodes, nodes) [-] over grids from low_end (N_CORRECTED, 2) with per_unit (N_CORRECTED, 2)
+    nodes a unit -> out (LANES, n, N_OUT).
     """
     work = np.zeros((CONSTANT + constants.shape[0]) * LANES)
     for j in range(constants.shape[0]):
@@ -231,6 +291,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                 work[GAIN * LANES + k] = 1.0
                 work[CARRY * LANES + k] = 0.0
         for _sweep in range(SAMPLE_SWEEPS if i > 0 else START_SWEEPS):
+            correct_maps(work, 0.0, tables, low_end, per_unit)
             evaluate(work, 0.0)
         if i == 0:
             for k in range(LANES):
@@ -239,6 +300,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
             out[k, i, 3] = work[3 * LANES + k]
             out[k, i, 4] = work[4 * LANES + k]
             out[k, i, 5] = work[GAS * LANES + k]
+        correct_maps(work, 0.0, tables, low_end, per_unit)
         evaluate(work, 0.0)
         for k in range(LANES):
             for j in range(3):
@@ -256,6 +318,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
             base[:] = work[: 3 * LANES]
             load_inputs(work, grids, grid_of_lane, at)
             hold_gas(work, carried)
+            correct_maps(work, step / steps[i], tables, low_end, per_unit)
             evaluate(work, step / steps[i])
             static[:] = work[STATIC * LANES : (STATIC + 1) * LANES]
             load_inputs(work, grids, grid_of_lane, at + 1)
@@ -264,6 +327,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                 rate = work[RATE * LANES + j]
                 total[j] = rate
                 work[j] = base[j] + 0.5 * h * rate
+            correct_maps(work, (step + 0.5) / steps[i], tables, low_end, per_unit)
             evaluate(work, (step + 0.5) / steps[i])
             relax_gas(work, carried, static, half_gain, half_kept)
             for j in range(3 * LANES):
@@ -271,6 +335,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                 total[j] += 2.0 * rate
                 second[j] = rate
                 work[j] = base[j] + 0.5 * h * rate
+            correct_maps(work, (step + 0.5) / steps[i], tables, low_end, per_unit)
             evaluate(work, (step + 0.5) / steps[i])
             load_inputs(work, grids, grid_of_lane, at + 2)
             relax_gas(work, carried, static, full_gain, full_kept)
@@ -278,6 +343,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                 rate = work[RATE * LANES + j]
                 total[j] += 2.0 * rate
                 work[j] = base[j] + h * (late * rate + (1.0 - late) * second[j])
+            correct_maps(work, (step + 1.0) / steps[i], tables, low_end, per_unit)
             evaluate(work, (step + 1.0) / steps[i])
             for j in range(3 * LANES):
                 value = base[j] + h / 6.0 * (total[j] + work[RATE * LANES + j])
@@ -287,7 +353,6 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
 
 
 T_GAS_START = 700.0  # K, start of the fixed point of the gas temperature
-P_AMB = CONSTANT_NAMES.index("p_amb")
 
 integrate_free = numba.njit(cache=True, **_OPTIONS)(_integrate_extended)
 """Integrate a block without the effects of `effects.IMPLICIT`."""

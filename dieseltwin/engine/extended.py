@@ -11,6 +11,7 @@ from dieseltwin.engine._compiled import LANES
 from dieseltwin.engine._compiled_extended import N_OUT, integrate_free, integrate_restricted
 from dieseltwin.engine.effects import IMPLICIT, STATE_EFFECTS
 from dieseltwin.engine.inputs import Actuation
+from dieseltwin.engine.map_corrections import NO_CORRECTIONS, MapCorrections
 from dieseltwin.engine.observations import Observations, pool, thread_count
 from dieseltwin.engine.parameters import ParameterBatch
 from dieseltwin.engine.quantities import POINTS
@@ -36,6 +37,7 @@ class Extension:
         lane_point: (B,) index into `POINTS` of one further signal per lane, -1 for none; None: none.
         lane_signal: (B, n) values of these further signals.
         restarts: (W,) ascending sample indices, the first 0, at which p_im, p_em, omega_t start anew.
+        corrections: of the maps; None: none.
         start_s: start of the recording, from which drifts count; None: the first sample [s].
     """
 
@@ -48,6 +50,7 @@ class Extension:
     start_s: float | None = None
     schedules: np.ndarray | None = None
     schedule_of_lane: np.ndarray | None = None
+    corrections: MapCorrections | None = None
 
 
 def _checked(value: object, shape: tuple[int, ...], name: str, fill: float = 0.0) -> np.ndarray:
@@ -140,6 +143,7 @@ def simulate_extended(
         initial = initial[:, None, :]
     starts = np.broadcast_to(initial, (lanes, restarts.size, 3))
 
+    corrections = extension.corrections or NO_CORRECTIONS
     out = np.empty((lanes, n, N_OUT))
     implicit = magnitudes[[STATE_EFFECTS.index(name) for name in IMPLICIT]]
     restricted = (implicit != 0.0).any(axis=0)  # lanes with implicit laws run in a kernel of their own, half as fast
@@ -151,7 +155,8 @@ def simulate_extended(
         integrate(
             grids, grid_of_lane[filled], first.steps, time, start, np.ascontiguousarray(batch.values[:, filled]),
             np.ascontiguousarray(magnitudes[:, filled]), schedules, schedule_of_lane[filled], signals,
-            lane_point[filled], lane_signal[filled], restarts, np.ascontiguousarray(starts[filled]), late, target,
+            lane_point[filled], lane_signal[filled], restarts, np.ascontiguousarray(starts[filled]), late,
+            corrections.tables, corrections.low, corrections.per_unit, target,
         )  # fmt: skip
         out[rows] = target[: rows.size]
 

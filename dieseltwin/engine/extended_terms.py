@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,24 @@ from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, STATE_EFFECTS, M
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.fixed_point import settled
 from dieseltwin.engine.inputs import Actuation
+from dieseltwin.engine.map_corrections import CORRECTED_POINTS, RANGES, arguments_of, corrections_of, look_up
 from dieseltwin.engine.model import NO_SIGNALS
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.observations import Observations
 from dieseltwin.engine.parameters import ParameterBatch
 from dieseltwin.engine.quantities import POINTS, ExtendedQuantities, Gas, OperatingPoint, Signals
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
-from dieseltwin.engine.terms import REGION_COLUMNS, SENSOR_SLOTS, LawTerm, OneTerm, amounts, effect_terms, law_terms
+from dieseltwin.engine.terms import (
+    REGION_COLUMNS,
+    SENSOR_SLOTS,
+    LawTerm,
+    OneTerm,
+    amounts,
+    corrections_in,
+    effect_terms,
+    law_terms,
+)
+from dieseltwin.engine.turbocharger import energy_transfer_coefficient
 from dieseltwin.errors import InputError
 from dieseltwin.symbols import MEASURED
 
@@ -50,10 +62,17 @@ def conditions_of(actuation: Actuation) -> dict[str, np.ndarray]:
 def extension_of(
     actuation: Actuation, terms: Terms, size: int, restarts: Sequence[int] | np.ndarray = (0,)
 ) -> Extension:
-    """Effect terms as an extension of `size` lanes (laws aside); drifts and onsets count from the recording's start."""
+    """Effect terms and corrections as an extension of `size` lanes; drifts and onsets count from the recording's start.
+
+    Laws are left aside.
+    """
     start = actuation.inputs.recording_start_s
     schedule = amounts(terms, STATE_EFFECTS, actuation.time_s, start, conditions_of(actuation))
-    return Extension(np.ones((len(STATE_EFFECTS), size)), schedule, restarts=restarts, start_s=start)
+    coefficients = corrections_in(terms)
+    return Extension(
+        np.ones((len(STATE_EFFECTS), size)), schedule, restarts=restarts, start_s=start,
+        corrections=None if coefficients is None else corrections_of(coefficients),
+    )  # fmt: skip
 
 
 def simulate_terms(
@@ -167,7 +186,7 @@ def _with_laws(
         return simulate_extended(actuation, batch, entered, starts, threads)
 
     def answer(signals: Mapping[str, Any]) -> dict[str, Any]:
-        _, s = along(simulated(signals).states, actuation, batch.terms, batch.constants())
+        _, s = along(simulated(signals).states, actuation, batch.terms, batch.constants(), laws_only=True)
         return {point: getattr(s, point) for point in points}
 
     return simulated(settled(answer, {}, rounds=LAW_SWEEPS if points else 0, tolerance=LAW_SETTLED))
@@ -183,6 +202,21 @@ def signals_of(
     return values
 
 
+def correction_signals(
+    coefficients: np.ndarray, variables: Mapping[str, Any], c: Constants, signals: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Point -> signal with the maps' corrections added, at variables as of `law_variables` (numpy arrays)."""
+    out = dict(signals)
+    heating = energy_transfer_coefficient(c.T_amb, variables["Pi_c"], variables["omega_t"], c)
+    shape = np.shape(variables["p_im"])
+    flat = {k: np.broadcast_to(v, shape).ravel() for k, v in {**variables, "Psi_c": heating}.items() if k in RANGES}
+    tables = corrections_of(coefficients).tables
+    for m, point in enumerate(CORRECTED_POINTS):
+        value = look_up(tables[m], m, *arguments_of(point, flat)).reshape(shape)
+        out[point] = out.get(point, 0.0) + value
+    return out
+
+
 def law_variables(q: ExtendedQuantities, states: Mapping[str, Any], c: Constants) -> dict[str, Any]:
     """Variables that a law may depend on; states: p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, t."""
     p_im, p_em = states["p_im"], states["p_em"]
@@ -196,6 +230,7 @@ def law_variables(q: ExtendedQuantities, states: Mapping[str, Any], c: Constants
 def quantities_under(
     model: Model, states: Mapping[str, Any], gas: Gas, m: Any, laws: Sequence[LawTerm], factors: Sequence[Any],
     c: Constants, power: Power = np.power, sweeps: int = POINT_SWEEPS, secant: bool = False,
+    corrections: np.ndarray | None = None,
 ) -> tuple[ExtendedQuantities, Signals]:  # fmt: skip
     """`quantities_extended` with law terms evaluated on its own quantities.
 
@@ -208,6 +243,7 @@ def quantities_under(
         power: raises to a power in the backend.
         sweeps: rounds of the fixed point between laws and quantities.
         secant: as in `fixed_point.settled`.
+        corrections: coefficients (K,) of the maps' corrections, for numpy alone; None for none.
     """
     x = OperatingPoint(*(states[name] for name in OperatingPoint._fields))
 
@@ -217,9 +253,11 @@ def quantities_under(
 
     def answer(signals: Mapping[str, Any]) -> dict[str, Any]:
         variables = law_variables(under(signals)[0], states, c)
-        return signals_of(laws, factors, variables, power, model.nozzle_flow_factor)
+        signals = signals_of(laws, factors, variables, power, model.nozzle_flow_factor)
+        return signals if corrections is None else correction_signals(corrections, variables, c, signals)
 
-    return under(settled(answer, {}, rounds=sweeps if laws else 0, secant=secant))
+    rounds = sweeps if laws or corrections is not None else 0
+    return under(settled(answer, {}, rounds=rounds, secant=secant))
 
 
 def magnitudes_at(
@@ -235,9 +273,9 @@ def magnitudes_at(
 
 
 def along(
-    states: np.ndarray, actuation: Actuation, terms: Terms, c: Constants
+    states: np.ndarray, actuation: Actuation, terms: Terms, c: Constants, laws_only: bool = False
 ) -> tuple[ExtendedQuantities, Signals]:
-    """All quantities and law signals along trajectories under terms.
+    """All quantities along trajectories under terms, and the signals of laws and corrections.
 
     Args:
         states: (..., n, 6) as of `simulate_extended`; (..., n, 5) without the gas temperature, which is then found
@@ -245,6 +283,7 @@ def along(
         actuation: with the inputs.
         terms: of the engine.
         c: constants; arrays of shape (B, 1) for several lanes.
+        laws_only: leave the maps' corrections out of the signals (not of the quantities).
     """
     start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
     n_e, u_delta, u_egr, u_vgt = actuation.at_samples()
@@ -252,6 +291,8 @@ def along(
     inertia = getattr(m, GAS_LAG)
     laws = law_terms(terms)
     factors = [law.factor(actuation.time_s, start, conditions) for law in laws]
+    coefficients = corrections_in(terms)
+    under = partial(quantities_under, secant=True, corrections=coefficients)
     p_im, p_em, omega_t, x_r, T_1 = np.moveaxis(states[..., :5], -1, 0)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega_t, "x_r": x_r, "T_1": T_1,
@@ -263,11 +304,15 @@ def along(
     else:
         T_gas = np.full(p_im.shape, 700.0)
         for _ in range(GAS_SWEEPS):
-            q, _ = quantities_under(model, named, Gas(T_gas, 1.0, 0.0), m, laws, factors, c, secant=True)
+            q, _ = under(model, named, Gas(T_gas, 1.0, 0.0), m, laws, factors, c)
             T_gas = _lagged(q.T_em_static, actuation.time_s, inertia) if inertia.any() else q.T_em
     inert = inertia > 0.0
     gas = Gas(T_gas, np.where(inert, 0.0, 1.0), np.where(inert, T_gas, 0.0))
-    return quantities_under(model, named, gas, m, laws, factors, c, secant=True)
+    q, s = under(model, named, gas, m, laws, factors, c)
+    if laws_only and coefficients is not None:
+        variables = law_variables(q, named, c)
+        s = NO_SIGNALS._replace(**signals_of(laws, factors, variables, np.power, model.nozzle_flow_factor))
+    return q, s
 
 
 def _lagged(static: np.ndarray, time_s: np.ndarray, tau: np.ndarray) -> np.ndarray:

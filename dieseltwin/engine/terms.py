@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 
 from dieseltwin.engine.effect import Entry, Operator
 from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 
@@ -294,7 +295,23 @@ class LawTerm(_Limited):
         return value
 
 
-_MARKS = {"point": "law", "sensor": "sensor", "actuator": "actuator"}
+class CorrectionTerm(BaseModel):
+    """Learned corrections of all empirical maps: smooth relative functions of each map's own arguments."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    coefficients: tuple[float, ...] = Field(description="of the functions of `map_corrections.basis` [-]")
+
+    @field_validator("coefficients")
+    @classmethod
+    def _one_each(cls, coefficients: tuple[float, ...]) -> tuple[float, ...]:
+        wanted = len(basis().names)
+        if len(coefficients) != wanted or not all(map(math.isfinite, coefficients)):
+            raise ValueError(f"{len(coefficients)} coefficients; allowed: {wanted} finite numbers")
+        return coefficients
+
+
+_MARKS = {"point": "law", "sensor": "sensor", "actuator": "actuator", "coefficients": "corrections"}
 
 
 def _kind_of_term(value: Any) -> str:
@@ -306,17 +323,29 @@ def _kind_of_term(value: Any) -> str:
 
 AnyTerm = Annotated[
     Annotated[Term, Tag("effect")] | Annotated[LawTerm, Tag("law")] | Annotated[SensorTerm, Tag("sensor")]
-    | Annotated[ActuatorTerm, Tag("actuator")],
+    | Annotated[ActuatorTerm, Tag("actuator")] | Annotated[CorrectionTerm, Tag("corrections")],
     Discriminator(_kind_of_term),
 ]  # fmt: skip
 """A term of any kind; in a file a law is what has a `point`, a fault of a sensor or actuator what has such a field."""
 
-OneTerm = Term | LawTerm | SensorTerm | ActuatorTerm
+OneTerm = Term | LawTerm | SensorTerm | ActuatorTerm | CorrectionTerm
 
 
 def effect_terms(terms: Sequence[OneTerm]) -> tuple[Term | SensorTerm | ActuatorTerm, ...]:
     """Those with a magnitude: effects of the catalogue, and faults of sensors and actuators that act like them."""
-    return tuple(term for term in terms if not isinstance(term, LawTerm))
+    return tuple(term for term in terms if not isinstance(term, LawTerm | CorrectionTerm))
+
+
+def corrections_in(terms: Sequence[OneTerm]) -> np.ndarray | None:
+    """Coefficients (K,) of the maps' corrections among the terms, all of them added up; None without any."""
+    found = [np.array(term.coefficients) for term in terms if isinstance(term, CorrectionTerm)]
+    return np.sum(found, axis=0) if found else None
+
+
+def with_corrections(terms: Sequence[OneTerm], coefficients: np.ndarray) -> tuple[OneTerm, ...]:
+    """The terms with these corrections (K,) of the maps in the place of others [-]."""
+    others = tuple(term for term in terms if not isinstance(term, CorrectionTerm))
+    return (*others, CorrectionTerm(coefficients=tuple(float(value) for value in coefficients)))
 
 
 def law_terms(terms: Sequence[OneTerm]) -> tuple[LawTerm, ...]:

@@ -169,6 +169,7 @@ class Linearisation:
         residual: (n, C) readings minus simulation.
         jacobian: (P + m, n, C) responses to parameters and to the fit's own effects [per unit].
         projected: (P + m, rows) the same in the metric.
+        loadings: (K, D) of nuisances that were learned, in the coordinates of the belief; None for others.
 
     Args:
         frozen: take metric, local and nuisance responses from this linearisation instead of making them anew.
@@ -177,8 +178,9 @@ class Linearisation:
 
     def __init__(
         self, twin: Twin, whitening: Whitening, fit: Fit, frozen: Linearisation | None = None,
-        nuisance_response: Array | None = None,
+        nuisance_response: Array | None = None, loadings: Array | None = None,
     ) -> None:
+        self.loadings: Array | None = loadings if frozen is None else frozen.loadings
         lanes, steps = parameter_lanes(twin, fit, local=frozen is None)
         simulated = twin.simulate(lanes)
         self.twin, self.whitening = twin, whitening
@@ -257,14 +259,16 @@ def bounded(twin: Twin, local: Array) -> Array:
 
 def fit_fully(
     twin: Twin, whitening: Whitening, start: Fit, nuisance_response: Array | None = None, rounds: int = _NULL_ROUNDS,
-    frozen: Linearisation | None = None,
+    frozen: Linearisation | None = None, loadings: Array | None = None,
 ) -> Linearisation:  # fmt: skip
     """Damped Gauss-Newton with sensitivities of every round; returns the linearisation at the minimum.
 
     `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move. With
     `frozen` the whole metric of another linearisation is kept, and objectives are comparable to its own.
     """
-    make = partial(Linearisation, twin, whitening, frozen=frozen, nuisance_response=nuisance_response)
+    make = partial(
+        Linearisation, twin, whitening, frozen=frozen, nuisance_response=nuisance_response, loadings=loadings
+    )
     here = make(start)
     for _ in range(rounds):
         step, predicted = here.step()
@@ -345,7 +349,7 @@ def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:
         moved = True
     if not moved:
         return at
-    return _marked(Linearisation(twin, whitening, fit, None, at.nuisance_response), at.fit.converged)
+    return _marked(Linearisation(twin, whitening, fit, None, at.nuisance_response, at.loadings), at.fit.converged)
 
 
 def _marked(at: Linearisation, converged: bool) -> Linearisation:

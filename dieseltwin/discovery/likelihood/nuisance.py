@@ -30,13 +30,17 @@ class Nuisance:
         label: what it stands for.
         point: index into `Twin.points`, or None for a direction of the readings themselves.
         signal: (n,) what enters the point.
-        response: (n, C) response of the readings, for directions of sensors.
+        response: (n, C) response of the readings, where it is known already: of sensors, and of what was learned.
+        loading: (D,) of a direction of what was learned, in the coordinates of `learning.belief`.
+        of_maps: (n, C) the part of `response` that comes through the maps.
     """
 
     label: str
     point: int | None = None
     signal: Array | None = None
     response: Array | None = None
+    loading: Array | None = None
+    of_maps: Array | None = None
 
 
 def tolerance_modes(arguments: Sequence[Array], kept: float = _KEPT_VARIANCE) -> Array:

@@ -5,12 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
 from dieseltwin.discovery.likelihood.known import KnownErrors
+from dieseltwin.discovery.likelihood.learned import (
+    LearnedTwin,
+    about,
+    belief_of,
+    learned_nuisances,
+    loadings_of,
+    rebased_learned,
+)
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
 from dieseltwin.discovery.likelihood.nuisance import (
     Nuisance,
@@ -22,6 +30,7 @@ from dieseltwin.discovery.likelihood.nuisance import (
 from dieseltwin.discovery.likelihood.score import chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search.state import Search, Settings
 from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
+from dieseltwin.learning.belief import MAPS_AT
 from dieseltwin.recordings.noise import Noise, estimate_noise
 
 _VERIFIED = 3  # of the leading fits
@@ -52,11 +61,8 @@ def prepare(twin: Twin, settings: Settings) -> Search:
     if crooked.any():
         twin.measured[rows_of(twin, crooked)] = np.nan
         whitening = _whitening(twin, noise)
-    null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance))
-    names = [name for name in twin.hypotheses if name not in settings.withhold]
-    wanted = secant_sizes(twin, names)
-    scored = score(null, wanted, effect_responses(twin, null, wanted))
-    found = Search(twin, settings, noise, whitening, null, scored, chance(null, scored, settings.seed))
+    null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance, loadings=loadings_of(nuisances)))
+    found = _scored(null, noise, settings)
     found.left_out, found.nuisances = crooked, nuisances
     found.seconds["prepare"] = time.perf_counter() - clock
     return found
@@ -65,6 +71,33 @@ def prepare(twin: Twin, settings: Settings) -> Search:
 def _whitening(twin: Twin, noise: Noise) -> Whitening:
     """Whitening by what a calibration knows of each sample, else by stationary noise."""
     return twin.whitening() if isinstance(twin, KnownErrors) else Whitening.of(twin.measured, noise, twin.starts)
+
+
+def _scored(null: Linearisation, noise: Noise, settings: Settings) -> Search:
+    twin = null.twin
+    wanted = secant_sizes(twin, [name for name in twin.hypotheses if name not in settings.withhold])
+    scored = score(null, wanted, effect_responses(twin, null, wanted))
+    return Search(twin, settings, noise, null.whitening, null, scored, chance(null, scored, settings.seed))
+
+
+def prepared_about(found: Search, fit: Fit) -> Search:
+    """As `prepare`, with what is still open of the maps linearised about an explanation, not about health alone.
+
+    The health-only fit of an engine with a fault bends its maps to the edge of what is believed, where their responses
+    are others.
+    """
+    clock = time.perf_counter()
+    twin = found.twin
+    residual = np.nan_to_num(twin.measured - simulate_fits(twin, [fit])[0])
+    twin = about(twin, fit.lanes(), found.nuisances, found.null.metric.nuisance_estimate(residual))
+    here = Linearisation(twin, found.whitening, fit)
+    nuisances = tolerances(twin, here, found.settings)
+    responses = nuisance_responses(twin, fit.lanes(), here.simulated, nuisances)
+    at = fit_fully(twin, found.whitening, found.null.fit, responses, loadings=loadings_of(nuisances))
+    renewed = _scored(settle_local(at), found.noise, found.settings)
+    renewed.left_out, renewed.nuisances = found.left_out, nuisances
+    renewed.seconds["prepare"] = found.seconds["prepare"] + time.perf_counter() - clock
+    return renewed
 
 
 def split_growing(at: Linearisation) -> Fit | None:
@@ -81,6 +114,9 @@ def tolerances(twin: Twin, at: Linearisation, settings: Settings) -> list[Nuisan
     if isinstance(twin, KnownErrors):
         return twin.nuisances(at.fit.lanes())
     channels = len(twin.channels)
+    belief = belief_of(twin)
+    if belief is not None:
+        return learned_nuisances(twin, belief, at.fit.lanes(), at.simulated, at.whitening)
     return [
         *map_nuisances(twin, twin.variables(at.fit.lanes()), settings.tolerance_factor),
         *sensor_nuisances(
@@ -107,6 +143,11 @@ def crooked_windows(
     metric = Metric(whitening, twin.starts, at.local_response, twin.state_scales)
     worst = np.zeros(twin.starts.size)
     for _ in range(_TOLERANCE_DRAWS):
+        if belief_of(twin) is not None:
+            bend = _learned_bend(at, nuisances, rng)
+            squared = metric.without_local(bend[None])[0][: bend.size].reshape(bend.shape) ** 2
+            worst = np.maximum(worst, np.add.reduceat(squared.sum(axis=1), twin.starts))
+            continue
         signals: dict[str, Array] = {}
         linear = np.zeros_like(at.simulated)
         for nuisance, response in zip(nuisances, responses, strict=True):
@@ -123,6 +164,16 @@ def crooked_windows(
         worst = np.maximum(worst, np.add.reduceat(squared.sum(axis=1), twin.starts))
     limit = max(_CROOKED, float(np.quantile(worst, 2.0 / 3.0)))
     return worst > limit
+
+
+def _learned_bend(at: Linearisation, nuisances: Sequence[Nuisance], rng: np.random.Generator) -> Array:
+    """How far the readings are from linear (n, C) at one draw of what is still open of the maps."""
+    sizes = rng.standard_normal(len(nuisances))
+    linear = np.tensordot(sizes, np.stack([n.of_maps for n in nuisances]), 1)  # type: ignore[misc]
+    change = np.tensordot(sizes, np.stack([n.loading for n in nuisances]), 1)[MAPS_AT]  # type: ignore[misc]
+    twin = cast(LearnedTwin, at.twin)
+    drawn = twin.deviating(twin.deviation + change, twin.moved)
+    return np.asarray(drawn.simulate(at.fit.lanes())[0] - at.simulated - linear)
 
 
 def verify(found: Search) -> Linearisation:
@@ -153,7 +204,10 @@ def rebased(found: Search, fit: Fit, rounds: int = 2) -> Linearisation:
     residual = np.nan_to_num(found.twin.measured - simulate_fits(found.twin, [fit])[0])
     for _ in range(rounds):
         estimate = null.metric.nuisance_estimate(residual)
-        twin = Rebased(found.twin, found.nuisances, null.nuisance_response, estimate)
+        twin: Any = (
+            Rebased(found.twin, found.nuisances, null.nuisance_response, estimate)
+            if belief_of(found.twin) is None else rebased_learned(found.twin, found.nuisances, estimate)
+        )  # fmt: skip
         at = fit_fully(cast(Twin, twin), found.whitening, fit, rounds=3, frozen=null)
         fit, residual = at.fit, np.nan_to_num(at.residual)
     return at
@@ -182,4 +236,4 @@ def recentred(found: Search, fit: Fit) -> Linearisation:
     at = Linearisation(twin, found.whitening, fit, found.null)
     own = tolerances(twin, at, found.settings)
     responses = nuisance_responses(twin, at.fit.lanes(), at.simulated, own)
-    return settle_local(fit_fully(twin, found.whitening, fit, responses, rounds=4))
+    return settle_local(fit_fully(twin, found.whitening, fit, responses, rounds=4, loadings=loadings_of(own)))

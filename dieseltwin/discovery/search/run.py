@@ -10,6 +10,7 @@ import time
 from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit
+from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search.explanations import (
@@ -24,6 +25,7 @@ from dieseltwin.discovery.search.explanations import (
 )
 from dieseltwin.discovery.search.preparation import (
     prepare,
+    prepared_about,
     rebased,
     recentred,
     split_growing,
@@ -36,6 +38,8 @@ from dieseltwin.discovery.twins.interface import Twin
 
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _REFIT_AT_LEAST = 6
+_RENEWALS = 3  # about the leading explanation, until it stays the same
+_BENDS = 60.0  # gain from which what was learned of the maps is linearised about the explanation
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
 
@@ -47,15 +51,15 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
         settings: thresholds.
         laws: look for a law where no name fits.
     """
-    found = prepare(twin, settings)
-    clock = time.perf_counter()
-    ranked = best_of_each(found.scored)
-    top = max(ranked[0].gain, 1e-9) if ranked else 0.0
-    kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < _REFIT_AT_LEAST]
-    fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
-    found.singles = sorted(fits, key=lambda fit: fit.objective)
-    found.singles = polish(found, found.singles)
-    found.seconds["singles"] = time.perf_counter() - clock
+    found = _with_singles(prepare(twin, settings))
+    for _ in range(_RENEWALS):
+        if belief_of(twin) is None or found.gain(found.singles[0]) < _BENDS:
+            break
+        lead = found.singles[0].candidate.names
+        found = _with_singles(prepared_about(found, found.singles[0]))
+        if found.singles[0].candidate.names == lead:
+            break
+    twin = found.twin
 
     found.scanned = scan(found.null, found.scored, VARIANTS, settings.least_share)
     hidden = bool(found.scanned) and found.scanned[0].gain > found.settings.hidden_gain
@@ -89,6 +93,19 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.seconds["pairs"] = time.perf_counter() - clock
     if found.kind == "law":
         _law(found, laws)
+    return found
+
+
+def _with_singles(found: Search) -> Search:
+    """Refits of every competitive single effect."""
+    clock = time.perf_counter()
+    ranked = best_of_each(found.scored)
+    top = max(ranked[0].gain, 1e-9) if ranked else 0.0
+    kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < _REFIT_AT_LEAST]
+    fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
+    found.singles = sorted(fits, key=lambda fit: fit.objective)
+    found.singles = polish(found, found.singles)
+    found.seconds["singles"] = time.perf_counter() - clock
     return found
 
 

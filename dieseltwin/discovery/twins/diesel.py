@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -12,21 +13,32 @@ import numpy as np
 from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, signals_of_lane
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
+from dieseltwin.discovery.twins.diesel_variables import variables_along
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
-from dieseltwin.discovery.twins.windows import piece_start, speed_span, windows_of, without_gaps
+from dieseltwin.discovery.twins.windows import smoothed_at, speed_span, windows_of, without_gaps
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, simulate_extended
-from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.fixed_point import settled
 from dieseltwin.engine.inputs import INPUT_COLUMNS
+from dieseltwin.engine.map_corrections import basis, corrections_of
 from dieseltwin.engine.parameters import parameter_batch
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import Observations, settle
-from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS, Term, effect_terms, law_terms
+from dieseltwin.engine.terms import (
+    LAGGING_SENSOR,
+    LAW_VARIABLES,
+    SENSOR_UNITS,
+    Term,
+    corrections_in,
+    effect_terms,
+    law_terms,
+    with_corrections,
+)
 from dieseltwin.errors import InputError
+from dieseltwin.learning.belief import Belief
 from dieseltwin.recordings.held import between_readings
 from dieseltwin.recordings.reader import Recording
 
@@ -44,7 +56,6 @@ MAP_TOLERANCE = 0.003
 
 _SPEED_SCALE = 500.0  # rad/s
 _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s
-_SMOOTHED = 7  # samples about a window's start for the first guess of its states
 _LAW_ROUNDS = 6
 _LAW_SETTLED = 1e-5  # change of a law's signal relative to its size
 _ACTUATORS_REST_S = 1.5  # after a gap, until dead time and lags have forgotten what is not known
@@ -71,6 +82,8 @@ class EngineTwin:
         window_s: length of the windows [s].
         map_tolerance: standard deviation of the maps' smooth errors [-].
         step_s: integration step of RK4 [s]; None for steps as `engine_steps` says.
+        belief: what was learned of the engine: its corrections are simulated, and readings are what they would be
+            without its sensors' errors; None for maps and sensors as they are.
 
     Raises:
         InputError: no sensor, or no stretch with the engine running.
@@ -103,7 +116,13 @@ class EngineTwin:
         window_s: float = WINDOW_S,
         map_tolerance: float = MAP_TOLERANCE,
         step_s: float | None = None,
+        belief: Belief | None = None,
     ) -> None:
+        self.belief = belief
+        if belief is not None:
+            engine = engine.replace(terms=with_corrections(engine.terms, belief.coefficients))
+        coefficients = corrections_in(engine.terms)
+        self.corrections = None if coefficients is None else corrections_of(coefficients)
         present = [c for c in MEASURED if c in recording.columns and np.isfinite(recording.columns[c]).any()]
         self.channels = tuple(c for c in MEASURED if c in (present if sensors is None else sensors))
         missing = [c for c in self.channels if c not in present]
@@ -122,13 +141,14 @@ class EngineTwin:
         self.time_s = without_gaps(time, self.pieces)
         self._at = [MEASURED.index(c) for c in self.channels]
         columns = recording.columns
-        measured = np.stack([columns[c][rows] for c in self.channels], axis=1).astype(np.float64)
+        readings = np.stack(
+            [columns[c][rows] if c in present else np.full(rows.size, np.nan) for c in MEASURED], axis=1
+        ).astype(np.float64)
+        self.all_readings = readings if belief is None else belief.truthful(readings)
+        measured = self.all_readings[:, self._at].copy()
         for start in self.pieces[1:]:
             measured[start : start + int(np.searchsorted(time[start:], time[start] + _ACTUATORS_REST_S))] = np.nan
         self._readings = measured
-        self.all_readings = np.stack(
-            [columns[c][rows] if c in present else np.full(rows.size, np.nan) for c in MEASURED], axis=1
-        )
         self.conditions: Mapping[str, Array] = {c: columns[c][rows] for c in INPUT_COLUMNS}
         inputs: dict[str, Any] = dict(self.conditions)
         self.inputs = Inputs(self.time_s, **inputs).clipped(self.engine)
@@ -153,6 +173,7 @@ class EngineTwin:
         self._laws = law_terms(self.engine.terms)
         self._law_signals: dict[str, Array] = {}
         self._begin()
+        self.deviation = np.zeros(basis().maps.size)
 
     @cached_property
     def _even(self) -> list:
@@ -162,7 +183,7 @@ class EngineTwin:
     @cached_property
     def _stiffness(self) -> Array:
         states = simulate_extended(
-            self._even[0], parameter_batch(self.engine), Extension(restarts=self.starts),
+            self._even[0], parameter_batch(self.engine), Extension(restarts=self.starts, corrections=self.corrections),
             self.initial(self.first_local())[None],
         ).states[0]  # fmt: skip
         return stiffness(states, self._even[0], self.engine)
@@ -179,6 +200,7 @@ class EngineTwin:
     def _begin(self) -> None:
         """Readings without the first moments of each window, and the states at the windows' starts."""
         self.measured = self._readings.copy()
+        self.moved = np.zeros_like(self.measured)
         for start in self.starts:
             rest = int(np.searchsorted(self.time_s, self.time_s[start] + _PRESSURES_REST_S))
             self.measured[start:rest] = np.nan
@@ -221,22 +243,10 @@ class EngineTwin:
 
     def _smoothed_states(self) -> Array:
         """p_im, p_em, omega_t at the windows' starts, from readings or else from the nominal engine, (W, 3)."""
-        out = np.empty((self.starts.size, 3))
-        half = _SMOOTHED // 2
-        for j in range(3):
-            values = between_readings(self.all_readings[:, j])
-            if np.isfinite(values).mean() < 0.5:
-                values = self._nominal_states[:, j]
-            for w, start in enumerate(self.starts):
-                first = max(start - half, piece_start(self.pieces, start))
-                near = values[first : start + half + 1]
-                t = self.time_s[first : start + half + 1] - self.time_s[start]
-                good = np.isfinite(near)
-                if good.sum() >= 3:
-                    out[w, j] = np.polyfit(t[good], near[good], 1)[1]
-                else:
-                    out[w, j] = self._nominal_states[start, j]
-        return out
+        readings = np.stack([between_readings(values) for values in self.all_readings[:, :3].T], axis=1)
+        few = np.isfinite(readings).mean(axis=0) < 0.5
+        nominal = self._nominal_states if few.any() or not np.isfinite(readings).all() else readings
+        return smoothed_at(self.starts, self.pieces, self.time_s, np.where(few, nominal, readings), nominal)
 
     @cached_property
     def _nominal_states(self) -> Array:
@@ -244,8 +254,9 @@ class EngineTwin:
         n_e, u_delta, u_egr, u_vgt = (float(values[0]) for values in self.conditions.values())
         first = settle(n_e, u_delta, u_egr, u_vgt, self.engine)
         result = simulate_extended(
-            self._even[0], parameter_batch(self.engine), Extension(), np.asarray(first)[None, None, :]
-        )
+            self._even[0], parameter_batch(self.engine), Extension(corrections=self.corrections),
+            np.asarray(first)[None, None, :],
+        )  # fmt: skip
         return result.states[0, :, :3]
 
     def simulate(self, lanes: Lanes) -> Array:
@@ -284,6 +295,22 @@ class EngineTwin:
         measured = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
         return measured, result
 
+    def with_coefficients(self, coefficients: Array) -> EngineTwin:
+        """The same twin with other corrections of the maps, coefficients (K,) of `map_corrections.basis` [-]."""
+        other = copy(self)
+        other.engine = self.engine.replace(terms=with_corrections(self.engine.terms, coefficients))
+        other.corrections, other._memory = corrections_of(coefficients), Memory()
+        other._law_signals = dict(self._law_signals)
+        return other
+
+    def deviating(self, deviation: Array, moved: Array) -> EngineTwin:
+        """The twin about other corrections than the belief's mean (`likelihood.learned.LearnedTwin`)."""
+        coefficients = deviation if self.belief is None else self.belief.coefficients + deviation
+        other = self.with_coefficients(coefficients)
+        other.deviation, other.moved = deviation, moved
+        other.measured = self.measured - self.moved + moved
+        return other
+
     def _integrate(self, lanes: Lanes) -> Observations:
         size = lanes.size
         n = self.time_s.size
@@ -305,7 +332,7 @@ class EngineTwin:
         actuation = self._actuations(combined, schedules)
         extension = Extension(
             magnitudes, None, signals, lanes.lane_points, lanes.lane_signals, self.starts, None,
-            schedule, np.arange(size) if own else np.zeros(size, dtype=np.int64),
+            schedule, np.arange(size) if own else np.zeros(size, dtype=np.int64), self.corrections,
         )  # fmt: skip
         initial = self.initial(lanes.local)
         return simulate_extended(actuation or self._plain[0], batch, extension, initial, late=self._late)
@@ -346,47 +373,17 @@ class EngineTwin:
         measured, result = self._simulate_signals(lanes)
         return measured, [self._variables(result, b, lane_of(lanes, b)) for b in range(lanes.size)]
 
-    @np.errstate(invalid="ignore")  # of a lane that ran away
     def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
         """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
-        c, moved = self.engine, self._actuations(*self._combined(one))
+        moved = self._actuations(*self._combined(one))
         actuation = moved[0] if moved else self._plain[0]
         engine = self.engine_of(one)
-        engine = engine.replace(terms=effect_terms(engine.terms))  # laws are among the signals
-        frame = extended_frame(result.states[b], actuation, engine)  # type: ignore[attr-defined]
+        coefficients = corrections_in(engine.terms)
+        terms = effect_terms(engine.terms)  # laws are among the signals
+        engine = engine.replace(terms=terms if coefficients is None else with_corrections(terms, coefficients))
+        states, readings = result.states[b], result.measured[b]  # type: ignore[attr-defined]
         signals = signals_of_lane(one, self.points)
-        if signals:  # the frame knows none: the simulation's own flows and temperature do
-            for name, column in (("w_egr_kg_s", 3), ("t_em_k", 4), ("w_c_kg_s", 5)):
-                frame[name] = result.measured[b, :, column]  # type: ignore[attr-defined]
-        p_im, p_em = frame["p_im_pa"].to_numpy(), frame["p_em_pa"].to_numpy()
-        omega, T_em = frame["omega_t_rad_s"].to_numpy(), frame["t_em_k"].to_numpy()
-        p_es, p_bc = frame["p_es_pa"].to_numpy(), frame["p_bc_pa"].to_numpy()
-        W_c, W_egr = frame["w_c_kg_s"].to_numpy(), frame["w_egr_kg_s"].to_numpy()
-        n_e, u_delta = actuation.at_samples()[:2]
-        Pi_t = np.minimum(p_es / p_em, 0.9999)
-        velocity = np.sqrt(2.0 * c.c_pe * T_em * (1.0 - Pi_t ** (1.0 - 1.0 / c.gamma_e)))
-        out = {
-            "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": n_e, "u_delta": u_delta,
-            "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em,
-            "T_im": frame["t_im_k"].to_numpy(), "T_c": frame["t_c_k"].to_numpy(), "T_e": frame["t_e_k"].to_numpy(),
-            "p_es": p_es, "p_bc": p_bc, "W_c": W_c, "W_t": frame["w_t_kg_s"].to_numpy(), "W_egr": W_egr,
-            "W_ei": frame["w_ei_kg_s"].to_numpy(), "W_eo": frame["w_eo_kg_s"].to_numpy(),
-            "W_f": frame["w_f_kg_s"].to_numpy(), "Pi_c": np.maximum(p_im / p_bc, 1.0), "Pi_t": Pi_t,
-            "Pi_egr": p_im / p_em, "Pi_e": p_em / p_im, "BSR": c.R_t * omega / velocity,
-            "Psi_c": 2.0 * c.c_pa * c.T_amb * (np.maximum(p_im / p_bc, 1.0) ** (1.0 - 1.0 / c.gamma_a) - 1.0)
-            / (c.R_c * omega) ** 2,
-            "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6), "t": self.time_s - self.time_s[0],
-            "p_amb": np.full(p_im.size, c.p_amb), "T_amb": np.full(p_im.size, c.T_amb),
-        }  # fmt: skip
-        for point in self.points:
-            if point.name in signals and point.name in out:
-                own, signal = out[point.name], signals[point.name]
-                if point.name in ("T_em", "W_c"):  # the simulation's, signal included
-                    out[f"{point.name}:before"] = own / (1.0 + signal) if point.relative else own - signal
-                else:
-                    out[f"{point.name}:before"] = own
-                    out[point.name] = own * (1.0 + signal) if point.relative else own + signal
-        return out
+        return variables_along(states, readings, actuation, engine, (signals, self.points))
 
     def engine_of(self, lanes: Lanes) -> EngineParameters:
         """The engine of lane 0: health parameters and constant effects as terms (schedules aside)."""

@@ -17,7 +17,7 @@ from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.simulate import Observations
-from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, LawTerm
+from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, effect_terms
 
 _REMEMBERED = 8  # lanes of a call at most: larger ones are responses, which nobody asks for twice
 _MOST_BYTES = 64 * 2**20
@@ -64,16 +64,15 @@ def known_terms(
     """Magnitude and schedule (n,), None for always, of the effects that an engine's own terms name.
 
     Args:
-        terms: of the engine file; laws are passed over.
+        terms: of the engine file; laws and corrections are passed over.
         time_s, conditions: of the recording's rows.
     """
     known: dict[str, tuple[float, Array | None]] = {}
-    for term in terms:
-        if not isinstance(term, LawTerm):
-            limited = term.onset_s is not None or term.region is not None
-            schedule = term.factor(time_s, float(time_s[0]), dict(conditions)) if limited else None
-            before = known.get(term.slot, (0.0, None))[0]
-            known[term.slot] = (before + term.magnitude, schedule)
+    for term in effect_terms(terms):
+        limited = term.onset_s is not None or term.region is not None
+        schedule = term.factor(time_s, float(time_s[0]), dict(conditions)) if limited else None
+        before = known.get(term.slot, (0.0, None))[0]
+        known[term.slot] = (before + term.magnitude, schedule)
     return known
 
 

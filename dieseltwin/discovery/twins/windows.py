@@ -12,6 +12,7 @@ from dieseltwin.recordings.reader import HISTORY_S, Recording
 _SPEED_SPAN = 0.03  # of the smoothed reading; its noise is 0.5 %, its sensor's tolerance the same
 _SLOW_SPEED_SPAN = 0.1  # where the reading comes less often than the rows: the turbo moves between two
 _UNSEEN_SPEED_SPAN = 0.4
+_SMOOTHED = 7  # samples about a window's start for the first guess of its states
 
 
 def windows_of(recording: Recording, window_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -44,6 +45,28 @@ def without_gaps(time: Array, pieces: np.ndarray) -> Array:
     step = float(np.median(np.diff(time)))
     for start in pieces[1:]:
         out[start:] -= out[start] - out[start - 1] - step
+    return out
+
+
+def smoothed_at(
+    starts: np.ndarray, pieces: np.ndarray, time: Array, values: Array, otherwise: Array
+) -> Array:
+    """Columns (n, k) at the windows' starts from straight lines through the samples about them, (W, k).
+
+    Args:
+        starts, pieces: first samples of the windows and of the pieces.
+        time: (n,) [s].
+        values: (n, k), NaN where missing; otherwise: (n, k) in their place where fewer than three are near.
+    """
+    out = otherwise[starts].copy()
+    half = _SMOOTHED // 2
+    for w, start in enumerate(starts):
+        first = max(start - half, piece_start(pieces, start))
+        near, t = values[first : start + half + 1], time[first : start + half + 1] - time[start]
+        for j in range(values.shape[1]):
+            good = np.isfinite(near[:, j])
+            if good.sum() >= 3:
+                out[w, j] = np.polyfit(t[good], near[good, j], 1)[1]
     return out
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,12 +23,15 @@ from dieseltwin.discovery.verdict.document import (
     HealthValue,
     Provenance,
     RecordingInfo,
+    Reference,
+    SinceReference,
 )
 from dieseltwin.discovery.verdict.document import Fit as FitFigures
 from dieseltwin.discovery.verdict.effect_curve import effect_curves
 from dieseltwin.discovery.verdict.findings import finite
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
 from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.discovery.verdict.since_reference import since_reference
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import Term
@@ -36,11 +39,15 @@ from dieseltwin.recordings.reader import Recording
 from dieseltwin.version import __version__
 
 
-def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Options) -> Discovery:
-    """The result of a search on a recording of the engine."""
+def assemble(
+    recording: Recording, found: Search, options: Options, reference: Reference | None = None
+) -> Discovery:
+    """The result of a search on a recording of the engine; `reference`: what the engine was learned from."""
     null = found.null
     best = found.best
+    twin = cast(EngineTwin, found.twin)
     mismatch = found.kind != "healthy"
+    since = _since_reference(found)
     after, parameters, covariance = after_of(found)
     evidence = _evidence(found, after)
     document = Discrepancy(
@@ -57,13 +64,13 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
         health={
             p.name: HealthValue(
                 value=float(parameters[j]), std=finite(covariance[j, j] ** 0.5 if covariance is not None else None),
-                before=float(null.fit.parameters[j]),
+                before=float(null.fit.parameters[j]), since_reference=since.get(p.name),
             )
             for j, p in enumerate(twin.parameters)
         },
         fit=fit_figures(found, after),
         minimum_detectable=finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
-        provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)),
+        provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
     )  # fmt: skip
     before_engine = _engine(twin, null.fit.parameters, ())
     terms = _terms(found, twin) if mismatch else ()
@@ -82,6 +89,18 @@ def assemble(recording: Recording, twin: EngineTwin, found: Search, options: Opt
         document, _engine(twin, parameters, terms), before_engine, curves, {}, details, twin.starts,
         twin.initial(_local(found)),
     )  # fmt: skip
+
+
+def _since_reference(found: Search) -> dict[str, SinceReference]:
+    """What became of the health parameters since the reference; empty without one."""
+    at = found.best if found.best is not None and found.kind != "law" else found.null
+    compared = since_reference(at)
+    if compared is None:
+        return {}
+    return {
+        p.name: SinceReference(value=float(value), std=float(std))
+        for p, value, std in zip(at.twin.parameters, *compared, strict=True)
+    }
 
 
 def _local(found: Search) -> Array:

@@ -128,12 +128,30 @@ class FoundEffect(_Part):
         return (self.name, *self.equivalent_names)
 
 
+class SinceReference(_Part):
+    """A health parameter now over what it was when the reference was recorded [-], and its standard deviation."""
+
+    value: float
+    std: NotNegative
+
+
 class HealthValue(_Part):
-    """A health parameter of the repaired twin, its standard deviation, and its value in the health-only fit."""
+    """A health parameter of the repaired twin, its standard deviation, and its value in the health-only fit; what
+    became of it since the reference, where there is one."""
 
     value: float
     std: NotNegative | None
     before: float
+    since_reference: SinceReference | None = None
+
+
+class Reference(_Part):
+    """What the engine was learned from: number of recordings, their minutes, and the share of the judged recording's
+    samples in which every map is known from them."""
+
+    recordings: int = Field(ge=1)
+    minutes: NotNegative
+    domain_share: Probability
 
 
 class Fit(_Part):
@@ -174,6 +192,7 @@ class Discrepancy(_Part):
     fit: Fit
     minimum_detectable: dict[Name, NotNegative]
     provenance: Provenance
+    reference: Reference | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Discrepancy:
@@ -187,8 +206,14 @@ class Discrepancy(_Part):
         return self
 
     def to_json(self) -> dict[str, Any]:
-        """The document as JSON types, keys as in the file."""
-        return self.model_dump(mode="json", by_alias=True)
+        """The document as JSON types, keys as in the file; what needs a reference is there with one alone."""
+        content = self.model_dump(mode="json", by_alias=True)
+        if content["reference"] is None:
+            del content["reference"]
+        for value in content["health"].values():
+            if value["since_reference"] is None:
+                del value["since_reference"]
+        return content
 
     def write(self, path: str | Path) -> Path:
         """Write `discrepancy.json` atomically; strict JSON."""

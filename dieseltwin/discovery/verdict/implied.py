@@ -15,7 +15,7 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.extended_terms import simulate_terms
 from dieseltwin.engine.parameters import parameter_batch
-from dieseltwin.engine.terms import LawTerm, OneTerm, Term
+from dieseltwin.engine.terms import CorrectionTerm, LawTerm, OneTerm, Term
 from dieseltwin.recordings.reader import Recording
 
 _GIVEN = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
@@ -75,7 +75,7 @@ def _one_std_away(engine: EngineParameters, stds: Mapping[str, float]) -> Iterat
         if std > 0.0:
             yield engine.replace(**{name: getattr(engine, name) + std})
     for k, term in enumerate(engine.terms):
-        if term.std is None or term.std <= 0.0:
+        if isinstance(term, CorrectionTerm) or term.std is None or term.std <= 0.0:
             continue
         if isinstance(term, Term):
             effect = EFFECTS[term.effect]

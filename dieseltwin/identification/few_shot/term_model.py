@@ -19,7 +19,8 @@ from dieseltwin.engine.effect import Entry
 from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, HEATED_BY_GAS, STATE_EFFECTS, Magnitudes, effects_at
 from dieseltwin.engine.extended_terms import conditions_of, quantities_under
 from dieseltwin.engine.quantities import ExtendedQuantities, Gas
-from dieseltwin.engine.terms import LAGGING_SENSOR, amounts, law_terms
+from dieseltwin.engine.terms import LAGGING_SENSOR, amounts, corrections_in, law_terms
+from dieseltwin.errors import InputError
 
 STATIC_SWEEPS = 3
 """Rounds of the fixed point between the gas temperature and the EGR that it heats; a round leaves a fiftieth."""
@@ -54,6 +55,10 @@ class TermModel:
             for name, (defect, pressure) in IMPLICIT.items()
         }
         self.model, self.pointwise = bind("torch", replace={**(maps or {}), **solved}), pointwise
+        if corrections_in(parameters.terms) is not None:
+            raise InputError(
+                "engine file", "learned corrections of the maps", "laws and effects", "take --method classical"
+            )
         self.laws = law_terms(parameters.terms)
         names = (*STATE_EFFECTS, *READING_LAGS)
         rows, factors, times = [], [], []

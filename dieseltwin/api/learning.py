@@ -1,0 +1,162 @@
+"""Learning an engine from recordings of when it was known to be well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dieseltwin.api.engines import Engine, diesel_engine
+from dieseltwin.api.reading import Channels, Source, diesel_recording
+from dieseltwin.discovery.reference.learn import Learned, learn_engine
+from dieseltwin.discovery.verdict.checks import check_recording
+from dieseltwin.engine import HEALTH
+from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
+from dieseltwin.errors import InputError
+from dieseltwin.learning.belief import prior_belief
+from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
+from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.report.discovery_words import magnitude_words
+
+MAP_ERROR = 0.02
+"""Size of the maps' smooth relative errors that is believed of an engine of the base's family, rms [-]."""
+
+MAP_ERRORS = (0.001, 0.1)
+_MISFIT = 1.3  # squared whitened residual a reading; above, the recording isn't what the corrected engine does
+
+
+@dataclass(frozen=True)
+class LearnedResult:
+    """What is known of an engine.
+
+    Attributes:
+        known: the engine with mean and covariance of its health, maps and sensors.
+        found: how the fit went, and by what the reference itself looks faulty.
+        notes: what is doubtful about the recordings, one sentence each.
+    """
+
+    known: LearnedEngine
+    found: Learned
+    notes: tuple[str, ...]
+
+    def save(self, out: str | Path) -> Path:
+        """Write the engine file and, beside it, what it rests on."""
+        return save_learned(self.known, Path(out))
+
+    def lines(self) -> list[str]:
+        """For people: notes, then health and every map."""
+        return [*self.notes, *summary(self.known)]
+
+
+def learn(
+    recordings: Sequence[Source | Recording],
+    engine: Engine | str | Path | None = None,
+    *,
+    channels: Channels | None = None,
+    map_error: float | None = None,
+) -> LearnedResult:
+    """Learn an engine's own maps, health and sensors from ordinary driving.
+
+    Args:
+        recordings: of the engine when it was known to be well, files or tables; one that comes twice counts once.
+        engine: the base, or the file of an engine that was learned before, which is then known further.
+        channels: channel map of the recordings.
+        map_error: size of the maps' errors that is believed [-]; None takes `MAP_ERROR`.
+
+    Raises:
+        InputError: a recording that can't be used or that isn't of this engine, none at all, another size of errors
+            than the engine was learned with.
+    """
+    if not recordings:
+        raise InputError("HEALTHY", "no recording", "one or more of the engine when it was well", "name them")
+    low, high = MAP_ERRORS
+    if map_error is not None and not low <= map_error <= high:
+        raise InputError("--map-error", f"{map_error:g}", f"{low:g} to {high:g}", "choose another")
+    before = _known(engine)
+    base = diesel_engine(engine) if before is None else before.base
+    if before is not None and map_error is not None and map_error != before.map_rms:
+        raise InputError("--map-error", f"{map_error:g}", f"{before.map_rms:g}, as {engine} says", "leave it out")
+    sources, notes = [], []
+    for item in recordings:
+        source = diesel_recording(item, channels, base, sensors=())
+        notes += [f"{source.path or 'recording'}: {note}" for note in check_recording(source, base, None)[1]]
+        sources.append(source)
+    known, found = learn_engine(sources, base, MAP_ERROR if map_error is None else map_error, before)
+    for source in sources:
+        _check_misfit(known, source)
+    if not found.converged:
+        notes.append("note: the fit stopped before it converged; the intervals may be too narrow")
+    return LearnedResult(known, found, (*notes, *_doubts(found)))
+
+
+def known_engine(
+    engine: Engine | str | Path | None, reference: Sequence[Source | Recording], channels: Channels | None
+) -> tuple[LearnedEngine | None, Sequence[str]]:
+    """What is known of an engine, from its file or from a reference, and notes; None where nothing is.
+
+    Raises:
+        InputError: as `learn`, or a learned engine's second file that is missing or changed.
+    """
+    if reference:
+        result = learn(reference, engine, channels=channels)
+        return result.known, result.notes
+    return _known(engine), ()
+
+
+def _known(engine: Engine | str | Path | None) -> LearnedEngine | None:
+    return load_learned(Path(engine)) if isinstance(engine, str | Path) and Path(engine).is_file() else None
+
+
+def summary(learned: LearnedEngine) -> list[str]:
+    """What is known, as lines of text: health, and of every map how much it was corrected, how well, and where."""
+    belief = learned.belief
+    std = np.sqrt(np.diag(belief.covariance))
+    lines = [f"learned from {learned.minutes:.1f} minutes of {len(learned.recordings)} recording(s)"]
+    lines += [
+        f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"
+        for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
+    ]
+    functions = basis()
+    tables = functions.tables.reshape(len(functions.maps), -1)
+    uncertain = uncertainty_along(belief, tables)
+    prior = uncertainty_along(prior_belief(learned.base, learned.map_rms), tables)
+    for m, point in enumerate(CORRECTED_POINTS):
+        if point not in learned.domain:
+            lines.append(f"  {point:<10}nothing is known of this map beyond what was believed")
+            continue
+        inside = uncertain[m] < KNOWN_SHARE * prior[m]
+        at = functions.maps == m
+        size = np.sqrt(np.mean((belief.coefficients[at] @ tables[at][:, inside]) ** 2))
+        left = np.sqrt(np.mean(uncertain[m][inside] ** 2))
+        ranges = ", ".join(
+            f"{argument} {low:.4g} to {high:.4g}"
+            for argument, (low, high) in ((a, learned.domain[point][a]) for a in ARGUMENTS[point])
+        )
+        lines.append(f"  {point:<10}corrected by {100 * size:.1f} % rms, known to {100 * left:.2g} %, for {ranges}")
+    return lines
+
+
+def _check_misfit(known: LearnedEngine, source: Recording) -> None:
+    misfit = known.misfits[source.sha256]
+    if misfit > _MISFIT:
+        raise InputError(
+            str(source.path or "recording"), f"{misfit:.2f} times the noise is left with all maps corrected",
+            f"up to {_MISFIT:g} for a healthy engine of this kind",
+            "check that it is this engine, that it was well, and that its columns and units are right",
+        )  # fmt: skip
+
+
+def _doubts(found: Learned) -> list[str]:
+    if not found.suspicions:
+        return []
+    first = found.suspicions[0]
+    size = magnitude_words(first.name, first.magnitude, first.std, first.unit, extra=False, digits=2)
+    others = ", ".join(item.name for item in found.suspicions[1:4])
+    told = f" (or {others})" if others else ""
+    return [
+        f"note: the reference itself looks like {first.name} of {size}{told}: more than errors of maps explain "
+        f"({np.sqrt(first.gain):.1f} standard deviations); it is now part of what counts as healthy"
+    ]

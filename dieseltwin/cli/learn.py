@@ -1,0 +1,41 @@
+"""`dieseltwin learn`: recordings of a healthy engine in, a file of that very engine out, which every command takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dieseltwin.atomic import check_writable
+from dieseltwin.cli.early import check_there
+from dieseltwin.cli.options import ChannelsFile, EngineFile, progress, say
+from dieseltwin.errors import InputError
+
+
+def learn_command(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="HEALTHY...", help="Recordings of the engine when it was known to be well.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="Engine file to write, a .yaml; a .learned.parquet beside it.")
+    ],
+    engine: EngineFile = None,
+    channels: ChannelsFile = None,
+    map_error: Annotated[
+        float | None,
+        typer.Option("--map-error", metavar="X", help="Believed size of the maps' errors, rms; 0.02 of a family."),
+    ] = None,
+) -> None:
+    """Learn an engine's own maps, health and sensors from ordinary driving; learning more later adds to the file."""
+    if out.suffix not in (".yaml", ".yml"):
+        raise InputError("--out", str(out), "a name that ends in .yaml", "choose another")
+    for path in recordings:
+        check_there(path)
+    check_writable(out)
+    progress("learning ...")
+    from dieseltwin.api.learning import learn
+
+    found = learn(recordings, engine, channels=channels, map_error=map_error)
+    found.save(out)
+    say([*found.lines(), f"{out}: --engine takes it, with the file beside it"])

@@ -1,0 +1,114 @@
+"""What was learned of an engine as directions of the likelihood: all that is still open of its maps and sensors.
+
+The directions are columns of a factor of the belief's covariance, turned so that those come first which move the
+readings of this recording; those that don't move them are left out. So a map is held where the reference drove and
+free where it didn't, and what maps and sensors have in common is one direction, not two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.nuisance import Nuisance, signal_responses
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.engine import MEASURED
+from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
+from dieseltwin.engine.quantities import POINTS
+from dieseltwin.learning.belief import GAINS_AT, MAPS_AT, OFFSETS_AT, Belief
+
+_SMALL = 1e-3  # of a coefficient, for its response
+_SEEN = 1e-2  # of squared whitened response to one standard deviation: a tenth of the noise of one reading
+
+
+@runtime_checkable
+class LearnedTwin(Protocol):
+    """A twin that may know its engine.
+
+    Attributes:
+        belief: what was learned, None for nothing.
+        deviation: (K,) by how much the simulated corrections differ from the belief's mean.
+        moved: (n, C) linear response to `deviation`, which `measured` contains, so that what is believed stays centred
+            at the belief's mean.
+    """
+
+    belief: Belief | None
+    deviation: Array
+    moved: Array
+
+    def deviating(self, deviation: Array, moved: Array) -> Twin:
+        """The twin about other corrections."""
+        ...
+
+
+def belief_of(twin: Twin) -> Belief | None:
+    """What a twin has learned of its engine, None for nothing."""
+    return twin.belief if isinstance(twin, LearnedTwin) else None
+
+
+def map_columns(twin: Twin, lanes: Lanes, simulated: Array) -> Array:
+    """Responses (K, n, C) of the readings to every coefficient of the corrections, next to one lane."""
+    points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps]
+    return signal_responses(twin, lanes, simulated, points, _SMALL * basis_along(twin.variables(lanes))) / _SMALL
+
+
+def learned_nuisances(
+    twin: Twin, belief: Belief, lanes: Lanes, simulated: Array, whitening: Whitening
+) -> list[Nuisance]:
+    """Directions of what is still open, one standard deviation each.
+
+    Args:
+        twin: bound to its recording; belief: its own.
+        lanes: one, next to which the responses are taken; simulated: its readings (n, C).
+        whitening: of the readings.
+    """
+    columns = np.zeros((belief.mean.size, *simulated.shape))
+    columns[MAPS_AT] = map_columns(twin, lanes, simulated)
+    for j, name in enumerate(twin.channels):
+        channel = MEASURED.index(name)
+        factor = 1.0 / (1.0 + belief.gains[channel])
+        columns[GAINS_AT.start + channel, :, j] = factor * simulated[:, j]
+        columns[OFFSETS_AT.start + channel, :, j] = factor
+    whitened = whitening.apply(columns)
+    factor_of_belief = belief.factor
+    seen, turn = np.linalg.eigh(factor_of_belief.T @ (whitened @ whitened.T) @ factor_of_belief)
+    loadings = (factor_of_belief @ turn[:, seen > _SEEN][:, ::-1]).T
+    of_maps = np.tensordot(loadings[:, MAPS_AT], columns[MAPS_AT], 1)
+    responses = np.tensordot(loadings, columns, 1)
+    return [
+        Nuisance(f"learned {k + 1}", response=responses[k], loading=loadings[k], of_maps=of_maps[k])
+        for k in range(len(loadings))
+    ]
+
+
+def loadings_of(nuisances: Sequence[Nuisance]) -> Array | None:
+    """Loadings (K, D) of directions of what was learned; None for other directions."""
+    found = [nuisance.loading for nuisance in nuisances if nuisance.loading is not None]
+    return np.stack(found) if found and len(found) == len(nuisances) else None
+
+
+def about(twin: Twin, lanes: Lanes, nuisances: Sequence[Nuisance], estimate: Array) -> Twin:
+    """The twin about an estimate of its maps, with the readings moved by the responses taken there.
+
+    Args:
+        twin: that has learned something.
+        lanes: one, next to which the responses are taken.
+        nuisances, estimate: directions, and (K,) where along them in standard deviations.
+    """
+    if not isinstance(twin, LearnedTwin):
+        return twin
+    deviation = np.tensordot(estimate, np.stack([n.loading for n in nuisances]), 1)[MAPS_AT]  # type: ignore[misc]
+    other = twin.deviating(deviation, np.zeros_like(twin.measured))
+    columns = map_columns(other, lanes, other.simulate(lanes)[0])
+    return twin.deviating(deviation, np.tensordot(deviation, columns, 1))
+
+
+def rebased_learned(twin: Twin, nuisances: Sequence[Nuisance], estimate: Array) -> Twin:
+    """As `about`, with the responses that the nuisances have, for metrics that are made of these."""
+    if not isinstance(twin, LearnedTwin) or not nuisances:
+        return twin
+    deviation = np.tensordot(estimate, np.stack([n.loading for n in nuisances]), 1)[MAPS_AT]  # type: ignore[misc]
+    return twin.deviating(deviation, np.tensordot(estimate, np.stack([n.of_maps for n in nuisances]), 1))  # type: ignore[misc]

@@ -1,0 +1,37 @@
+"""Health now over health when the reference was recorded: what errors of the maps do to both cancels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.likelihood.learned import belief_of
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.learning.belief import HEALTH_AT
+
+
+def since_reference(at: Linearisation) -> tuple[Array, Array] | None:
+    """Quotients (4,) of the health parameters to the reference's and their standard deviations; None without one.
+
+    Args:
+        at: the chosen explanation, linearised with what is still open of the engine as its nuisances.
+    """
+    belief = belief_of(at.twin)
+    if belief is None or at.loadings is None or at.nuisance_response is None:
+        return None
+    known, count = len(at.jacobian), len(at.twin.parameters)
+    columns = at.metric.without_local(np.concatenate([at.jacobian, at.nuisance_response]))
+    precision = np.concatenate([at.precision, np.ones(len(at.loadings))])
+    covariance = np.linalg.inv(columns @ columns.T + np.diag(np.maximum(precision, 1e-30)))
+    seen = at.loadings[:, HEALTH_AT]
+    then = belief.health + at.metric.nuisance_estimate(np.nan_to_num(at.residual)) @ seen
+    now = at.fit.parameters[:count]
+    unseen = belief.covariance[HEALTH_AT, HEALTH_AT] - seen.T @ seen  # of directions that this recording can't tell
+    quotient, std = now / then, np.empty(count)
+    for j in range(count):
+        row = np.zeros(len(covariance))
+        row[j] = 1.0 / then[j]
+        row[known:] = -quotient[j] / then[j] * seen[:, j]
+        rest = max(float(unseen[j, j]), 0.0) * (quotient[j] / then[j]) ** 2
+        std[j] = np.sqrt(float(row @ covariance @ row) + rest)
+    return quotient, std

@@ -1,0 +1,62 @@
+"""The file beside a learned engine's YAML: found, unchanged, and the mean corrections in it.
+
+What else is in it is read by `dieseltwin.learning.files`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.engine.map_corrections import basis
+from dieseltwin.errors import InputError
+
+LEARNED, SHA256 = "learned", "learned_sha256"
+"""Keys of an engine file that name the second file and its hash."""
+
+LEARN_AGAIN = "put the file back, or learn the engine again with `dieseltwin learn`"
+
+
+def learned_bytes(path: Path, document: Mapping[str, Any]) -> bytes:
+    """Content of the file that an engine file names.
+
+    Args:
+        path: of the engine file; document: its content.
+
+    Raises:
+        InputError: no such file beside it, or not the one that was written with it.
+    """
+    target = path.with_name(str(document[LEARNED]))
+    try:
+        content = target.read_bytes()
+    except OSError:
+        raise InputError(f"{path}: learned", f"no {target.name} beside it", "both files", LEARN_AGAIN) from None
+    got, wanted = hashlib.sha256(content).hexdigest(), str(document.get(SHA256))
+    if got != wanted:
+        raise InputError(str(target), f"SHA-256 {got[:12]}...", f"{wanted[:12]}..., as {path.name} says", LEARN_AGAIN)
+    return content
+
+
+def mean_coefficients(path: Path, document: Mapping[str, Any]) -> tuple[float, ...]:
+    """Mean coefficients (K,) of the maps' corrections that an engine file names [-].
+
+    Raises:
+        InputError: the file is missing, changed, not readable or of another version's corrections.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    content = learned_bytes(path, document)
+    try:
+        table = pq.read_table(io.BytesIO(content), columns=["name", "mean"])
+    except (pa.ArrowException, OSError, KeyError):
+        raise InputError(str(document[LEARNED]), "not readable", "what `dieseltwin learn` wrote", LEARN_AGAIN) from None
+    found = dict(zip(table["name"].to_pylist(), np.array(table["mean"]), strict=True))
+    if any(name not in found for name in basis().names):
+        raise InputError(str(document[LEARNED]), "other corrections", "this version's corrections", LEARN_AGAIN)
+    return tuple(float(found[name]) for name in basis().names)

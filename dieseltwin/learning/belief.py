@@ -1,0 +1,105 @@
+"""A belief about an engine: mean and joint covariance of its health, its maps' corrections and its sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters
+from dieseltwin.engine.map_corrections import basis
+from dieseltwin.engine.terms import SENSOR_UNITS
+
+Array = np.ndarray
+
+HEALTH_PRIOR = 0.3
+"""Standard deviation of a health parameter about the engine file's value [-]."""
+
+SENSOR_GAIN, SENSOR_OFFSET = 0.005, 0.003
+"""Standard deviation of a sensor's gain [-], and of its offset as a share of the channel's usual reading [-]."""
+
+USUAL_READINGS = (1.5e5, 2.0e5, 5000.0, 0.05, 700.0, 0.2)
+"""Of the columns of `MEASURED` [SI]: an offset is a property of the sensor, not of what was driven."""
+
+
+def coordinate_names() -> tuple[str, ...]:
+    """Names of a belief's coordinates: health, coefficients of the corrections, gains, offsets."""
+    return (
+        *HEALTH, *basis().names, *(f"gain {name}" for name in MEASURED), *(f"offset {name}" for name in MEASURED)
+    )  # fmt: skip
+
+
+def coordinate_units() -> tuple[str, ...]:
+    """Units of `coordinate_names`."""
+    return (
+        *(HEALTH_UNITS[name] for name in HEALTH), *("-" for _ in basis().names), *("-" for _ in MEASURED),
+        *(SENSOR_UNITS[name] for name in MEASURED),
+    )  # fmt: skip
+
+
+HEALTH_AT = slice(0, len(HEALTH))
+MAPS_AT = slice(len(HEALTH), len(HEALTH) + len(basis().names))
+GAINS_AT = slice(MAPS_AT.stop, MAPS_AT.stop + len(MEASURED))
+OFFSETS_AT = slice(GAINS_AT.stop, GAINS_AT.stop + len(MEASURED))
+
+
+@dataclass(frozen=True)
+class Belief:
+    """A Gaussian over the D coordinates of `coordinate_names`.
+
+    Attributes:
+        mean: (D,) in the units of `coordinate_units`.
+        covariance: (D, D).
+    """
+
+    mean: Array
+    covariance: Array
+
+    @property
+    def health(self) -> Array:
+        """Mean of the health parameters, (4,)."""
+        return self.mean[HEALTH_AT]
+
+    @property
+    def coefficients(self) -> Array:
+        """Mean of the corrections' coefficients, (K,) [-]."""
+        return self.mean[MAPS_AT]
+
+    @property
+    def gains(self) -> Array:
+        """Mean relative error of every sensor, (6,) [-]."""
+        return self.mean[GAINS_AT]
+
+    @property
+    def offsets(self) -> Array:
+        """Mean offset of every sensor, (6,) [unit of the column]."""
+        return self.mean[OFFSETS_AT]
+
+    @cached_property
+    def factor(self) -> Array:
+        """(D, D) whose product with its transpose is the covariance."""
+        scale = np.sqrt(np.diag(self.covariance))
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+
+    def truthful(self, readings: Array) -> Array:
+        """Readings (..., 6) of the sensors -> what they would be without the sensors' mean errors."""
+        return (readings - self.offsets) / (1.0 + self.gains)
+
+
+def prior_belief(engine: EngineParameters, map_rms: float) -> Belief:
+    """What is believed before any recording.
+
+    Args:
+        engine: gives the means of the health parameters.
+        map_rms: size of the maps' smooth relative errors [-].
+    """
+    health = np.array(engine.health())
+    mean = np.zeros(OFFSETS_AT.stop)
+    mean[HEALTH_AT] = health
+    std = np.concatenate([
+        HEALTH_PRIOR * health, np.full(len(basis().names), map_rms), np.full(len(MEASURED), SENSOR_GAIN),
+        SENSOR_OFFSET * np.array(USUAL_READINGS),
+    ])  # fmt: skip
+    return Belief(mean, np.diag(std**2))

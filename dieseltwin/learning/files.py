@@ -1,0 +1,176 @@
+"""Files of a learned engine: `mine.yaml` that every command takes, and `mine.learned.parquet` with what is known of it.
+
+The Parquet file holds one row a coordinate of `learning.belief`: name, unit, mean and its row of the joint covariance,
+and in its metadata the base engine, the recordings it rests on (hash, seconds, ambient, and their columns, so that
+more can be learned later without them) and versions. Neither file names a time or a place: the same recordings in any
+order make the same bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from dieseltwin import __version__
+from dieseltwin.atomic import write_bytes, write_text
+from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
+from dieseltwin.engine.learned_file import LEARN_AGAIN, LEARNED, SHA256, learned_bytes
+from dieseltwin.engine.terms import CorrectionTerm
+from dieseltwin.errors import InputError
+from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.strict import read_mapping
+
+SCHEMA = 1
+_KEY = b"dieseltwin.learned"
+
+
+@dataclass(frozen=True)
+class LearnedEngine:
+    """What is known of one engine, and from what.
+
+    Attributes:
+        base: the engine before anything was learned.
+        belief: mean and joint covariance.
+        map_rms: size of the maps' errors that was believed before [-].
+        recordings: of the engine when it was known to be well, sorted by hash.
+        domain: point -> lowest and highest of each argument where the belief was cut to less than half.
+        misfits: hash -> squared whitened residual a reading.
+    """
+
+    base: EngineParameters
+    belief: Belief
+    map_rms: float
+    recordings: tuple[Recording, ...]
+    domain: dict[str, dict[str, tuple[float, float]]]
+    misfits: dict[str, float]
+
+    @property
+    def engine(self) -> EngineParameters:
+        """The engine with its mean health, and the mean corrections of its maps among its terms."""
+        health = {name: float(value) for name, value in zip(HEALTH, self.belief.health, strict=True)}
+        term = CorrectionTerm(coefficients=tuple(float(value) for value in self.belief.coefficients))
+        return self.base.replace(**health, terms=(*self.base.terms, term))
+
+    @property
+    def minutes(self) -> float:
+        """Length of all recordings [min]."""
+        return sum(item.duration_s for item in self.recordings) / 60.0
+
+
+def save_learned(learned: LearnedEngine, path: Path) -> Path:
+    """Write `path` (YAML) and, beside it, the Parquet file that it names; returns the latter.
+
+    Raises:
+        InputError: a place that cannot be written to.
+    """
+    target = path.with_name(f"{path.stem}.learned.parquet")
+    content = _parquet(learned)
+    write_bytes(target, content)
+    values: dict[str, Any] = learned.engine.model_dump(mode="json")
+    values["terms"] = [term.model_dump(mode="json") for term in learned.base.terms]
+    values |= {LEARNED: target.name, SHA256: hashlib.sha256(content).hexdigest()}
+    minutes = f"{learned.minutes:.0f} minutes of {len(learned.recordings)} recording(s)"
+    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
+    write_text(path, f"# Learned by `dieseltwin learn` from {minutes}; --engine accepts it.\n{text}")
+    return target
+
+
+def load_learned(path: Path) -> LearnedEngine | None:
+    """What an engine file knows of its engine; None for a file that nothing was learned for.
+
+    Raises:
+        InputError: the Parquet file that it names is missing, changed or not readable.
+    """
+    document = read_mapping(path)
+    if LEARNED not in document:
+        return None
+    return _parsed(learned_bytes(path, document), path.with_name(str(document[LEARNED])))
+
+
+def _parquet(learned: LearnedEngine) -> bytes:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    covariance = [list(row) for row in learned.belief.covariance]
+    table = pa.table({
+        "name": list(coordinate_names()), "unit": list(coordinate_units()), "mean": learned.belief.mean,
+        "std": np.sqrt(np.diag(learned.belief.covariance)),
+        "covariance": pa.array(covariance, type=pa.list_(pa.float64())),
+    })  # fmt: skip
+    about = {
+        "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
+        "base": learned.base.model_dump(mode="json"),
+        "recordings": [
+            {
+                "sha256": item.sha256, "seconds": item.duration_s, "p_amb_pa": item.p_amb_pa, "t_amb_k": item.t_amb_k,
+                "misfit": learned.misfits[item.sha256],
+            }
+            for item in learned.recordings
+        ],
+    }  # fmt: skip
+    metadata = {_KEY: json.dumps(about, sort_keys=True, allow_nan=False).encode()}
+    for item in learned.recordings:
+        buffer = io.BytesIO()
+        item.frame().to_parquet(buffer, index=False, compression="zstd")
+        metadata[item.sha256.encode()] = base64.b64encode(buffer.getvalue())
+    sink = io.BytesIO()
+    pq.write_table(table.replace_schema_metadata(metadata), sink, compression="zstd")
+    return sink.getvalue()
+
+
+def _parsed(content: bytes, where: Path) -> LearnedEngine:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(io.BytesIO(content))
+        metadata = table.schema.metadata or {}
+        about = json.loads(metadata[_KEY])
+    except (pa.ArrowException, OSError, KeyError, ValueError):
+        raise InputError(str(where), "not readable", "what `dieseltwin learn` wrote", LEARN_AGAIN) from None
+    if about["schema"] != SCHEMA or tuple(table["name"].to_pylist()) != coordinate_names():
+        version = f"written by version {about['code_version']}"
+        raise InputError(str(where), version, "this version's corrections", LEARN_AGAIN)
+    belief = Belief(np.array(table["mean"]), np.array(table["covariance"].to_pylist()))
+    base = EngineParameters(**about["base"])
+    known = [(row, metadata[row["sha256"].encode()]) for row in about["recordings"]]
+    return LearnedEngine(
+        base, belief, float(about["map_rms"]), tuple(_recording(row, data, base) for row, data in known),
+        {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
+        {row["sha256"]: float(row["misfit"]) for row, _ in known},
+    )  # fmt: skip
+
+
+def _recording(row: dict[str, Any], data: bytes, base: EngineParameters) -> Recording:
+    frame = pd.read_parquet(io.BytesIO(base64.b64decode(data)))
+    columns = {name: frame[name].to_numpy() for name in frame}
+    return Recording(columns["time_s"], columns, row["p_amb_pa"], row["t_amb_k"], None, row["sha256"])
+
+
+def overlap(recordings: Sequence[Recording], other: Recording) -> float:
+    """Share of another recording's rows that are also in some recordings, 0-1: alike in all inputs and readings."""
+    names = sorted({*INPUTS, *MEASURED} & set(other.columns))
+    known = {row for item in recordings if set(names) <= set(item.columns) for row in _rows(item, names)}
+    rows = _rows(other, names)
+    return sum(row in known for row in rows) / max(len(rows), 1)
+
+
+def _rows(item: Recording, names: Sequence[str]) -> list[bytes]:
+    return [row.tobytes() for row in np.stack([item.columns[name] for name in names], axis=1)]
+
+
+def distinct(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Each recording once, sorted by hash."""
+    return tuple(sorted({item.sha256: item for item in recordings}.values(), key=lambda item: item.sha256))

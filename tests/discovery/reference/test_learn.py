@@ -1,0 +1,66 @@
+"""Learning from minutes of driving of an engine whose maps are off by 2 %: the truth inside, order of no matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dieseltwin.challenge.map_errors import MapErrors
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.discovery.reference.learn import Learned, combined, learn, learn_engine
+from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.learning.belief import HEALTH_AT, prior_belief
+from dieseltwin.recordings.reader import Recording, recording
+
+MAP_RMS = 0.02
+SHARES = {"A_egrmax": 0.92, "A_vgtmax": 1.08, "eta_sc": 0.98, "h_tot": 1.1}
+LABORATORY = we2011.PARAMETERS.model_dump()
+
+
+def _recording(seed: int) -> Recording:
+    maps, sensors = MapErrors.draw(MAP_RMS, np.random.default_rng(5)), SensorSet.draw(np.random.default_rng(6))
+    driving = draw_driving("random", 90.0, LABORATORY, np.random.default_rng(seed))
+    healthy = LABORATORY | {name: LABORATORY[name] * share for name, share in SHARES.items()}
+    rng = np.random.default_rng([seed, 1])
+    return recording(read(run_plant(driving, healthy, (), maps), driving, (), sensors, 6, rng))
+
+
+@pytest.fixture(scope="module")
+def recordings() -> tuple[Recording, Recording]:
+    return _recording(1), _recording(2)
+
+
+@pytest.fixture(scope="module")
+def learned(recordings) -> Learned:
+    return learn(recordings, we2011.PARAMETERS, MAP_RMS)
+
+
+def test_what_is_left_is_noise(learned: Learned):
+    assert learned.converged
+    assert all(0.85 < part.misfit < 1.15 for part in learned.evidence)
+
+
+def test_the_true_health_is_within_its_interval(learned: Learned):
+    true = np.array([LABORATORY[name] * SHARES[name] for name in HEALTH])
+    std = np.sqrt(np.diag(learned.belief.covariance)[HEALTH_AT])
+    assert np.all(np.abs(learned.belief.health - true) < 3.0 * std)
+    assert np.all(std < 0.1 * true)
+
+
+def test_information_adds_and_only_narrows(learned: Learned, recordings):
+    prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
+    scale = np.sqrt(np.diag(prior.covariance))
+    one = combined(prior, learned.evidence[:1])
+    for wide, narrow in ((prior, one), (one, learned.belief)):
+        cut = (wide.covariance - narrow.covariance) / np.outer(scale, scale)
+        assert np.linalg.eigvalsh(cut).min() > -1e-9
+
+
+def test_neither_order_nor_repetition_matters(learned: Learned, recordings):
+    first, second = recordings
+    again, found = learn_engine([second, first, second], we2011.PARAMETERS, MAP_RMS)
+    assert np.array_equal(found.belief.mean, learned.belief.mean)
+    assert np.array_equal(found.belief.covariance, learned.belief.covariance)
+    assert len(again.recordings) == 2

@@ -1,0 +1,98 @@
+"""Corrections of the maps: a fixed basis, the same value in the compiled simulator and along its trajectory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dieseltwin.engine import Inputs, load_engine, simulate, we2011
+from dieseltwin.engine.map_corrections import (
+    ARGUMENTS,
+    CORRECTED_POINTS,
+    NODES,
+    RANGES,
+    basis,
+    basis_along,
+    corrections_of,
+    look_up,
+)
+from dieseltwin.engine.terms import CorrectionTerm
+from dieseltwin.errors import InputError
+
+
+def _inputs() -> Inputs:
+    time = np.arange(0.0, 20.0, 0.2)
+    return Inputs(
+        time, 1400.0 + 300.0 * np.sin(0.4 * time), 110.0 + 60.0 * np.sin(0.7 * time), 20.0 + 15.0 * np.sin(time),
+        50.0 + 15.0 * np.cos(0.5 * time),
+    )  # fmt: skip
+
+
+def _engine(coefficients: np.ndarray):
+    return we2011.PARAMETERS.replace(terms=(CorrectionTerm(coefficients=tuple(coefficients)),))
+
+
+def test_every_map_has_unit_variance_inside_its_ranges():
+    functions = basis()
+    for m in range(len(CORRECTED_POINTS)):
+        variance = (functions.tables[functions.maps == m] ** 2).sum(axis=0)
+        assert 0.98 < variance.mean() <= 1.0
+    assert len(set(functions.names)) == len(functions.names) == len(functions.maps)
+
+
+def test_look_up_meets_the_nodes_and_holds_beyond_the_edges():
+    tables = basis().tables[:3]
+    low, high = zip(*(RANGES[name] for name in ARGUMENTS["eta_vol"]), strict=True)
+    x, y = (np.linspace(a, b, NODES) for a, b in zip(low, high, strict=True))
+    assert look_up(tables, 0, x, y) == pytest.approx(tables[:, np.arange(NODES), np.arange(NODES)], abs=1e-12)
+    beyond = look_up(tables, 0, np.array([0.0]), np.array([9e9]))[:, 0]
+    assert beyond == pytest.approx(tables[:, 0, -1])
+
+
+def test_corrections_of_zero_are_the_published_model():
+    plain = simulate(_inputs(), we2011.PARAMETERS)
+    corrected = simulate(_inputs(), _engine(np.zeros(len(basis().names))))
+    for name in ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s"):
+        assert corrected[name].to_numpy() == pytest.approx(plain[name].to_numpy(), rel=1e-3)
+
+
+def test_simulator_and_frame_look_up_the_same_correction():
+    """W_t of the frame is the simulated balance's own: with a corrected map the exhaust manifold still closes."""
+    coefficients = 0.02 * np.random.default_rng(3).standard_normal(len(basis().names))
+    table = simulate(_inputs(), _engine(coefficients))
+    variables = {
+        "p_im": table["p_im_pa"], "n_e": table["n_e_rpm"], "u_egr": table["u_egr1_pct"],
+        "u_vgt": table["u_vgt_act_pct"],
+        "Pi_t": table["p_es_pa"] / table["p_em_pa"], "omega_t": table["omega_t_rad_s"], "W_c": table["w_c_kg_s"],
+        "Pi_c": table["p_im_pa"] / table["p_bc_pa"], "Psi_c": np.zeros(len(table)),
+    }  # fmt: skip
+    along = basis_along({name: np.asarray(values) for name, values in variables.items()})
+    at = basis().maps == CORRECTED_POINTS.index("eta_vol")
+    c = we2011.PARAMETERS
+    published = c.c_vol[0] * np.sqrt(table["p_im_pa"]) + c.c_vol[1] * np.sqrt(table["n_e_rpm"]) + c.c_vol[2]
+    assert table["eta_vol"].to_numpy() == pytest.approx((published * (1.0 + coefficients[at] @ along[at])).to_numpy())
+    # at the end, nearly at rest over a step, the flows of the intake manifold balance its pressure's change
+    rate = c.R_a * table["t_im_k"] / c.V_im * (table["w_c_kg_s"] + table["w_egr_kg_s"] - table["w_ei_kg_s"])
+    change = np.gradient(table["p_im_pa"], table["time_s"])
+    inner = slice(5, -5)
+    assert np.corrcoef(rate[inner], change[inner])[0, 1] > 0.98
+
+
+def test_another_number_of_coefficients_is_refused():
+    with pytest.raises(InputError, match="coefficients"):
+        we2011.PARAMETERS.replace(terms=({"coefficients": [0.1]},))
+
+
+def test_tables_are_sums_of_the_basis():
+    coefficients = np.zeros(len(basis().names))
+    coefficients[0] = 0.5
+    tables = corrections_of(coefficients).tables
+    assert tables[0] == pytest.approx(0.5 * basis().tables[0])
+    assert not tables[1:].any()
+
+
+def test_engine_without_a_second_file_is_no_learned_engine(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("learned: mine.learned.parquet\nlearned_sha256: abc\n")
+    with pytest.raises(InputError, match=r"no mine\.learned\.parquet beside it"):
+        load_engine(path)

@@ -1,0 +1,107 @@
+"""Files of a learned engine: same bytes whatever the order, nothing taken that isn't what was written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dieseltwin.engine import load_engine, simulate, we2011
+from dieseltwin.engine.inputs import Inputs
+from dieseltwin.engine.terms import corrections_in
+from dieseltwin.errors import InputError
+from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
+from dieseltwin.learning.domain import domain_of
+from dieseltwin.learning.files import LearnedEngine, distinct, load_learned, overlap, save_learned
+from dieseltwin.recordings.reader import Recording, recording
+
+
+def _recording(seed: int) -> Recording:
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 30.0, 0.2)
+    inputs = Inputs(time, *(np.full(time.size, value) for value in (1300.0, 100.0, 20.0, 50.0)))
+    table = simulate(inputs, we2011.PARAMETERS, oxygen=False)
+    names = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s",
+             "w_egr_kg_s", "t_em_k", "w_c_kg_s")  # fmt: skip
+    frame = table[list(names)].copy()
+    for name in names[5:]:
+        frame[name] *= 1.0 + 0.01 * rng.standard_normal(time.size)
+    return recording(frame)
+
+
+def _belief() -> Belief:
+    rng = np.random.default_rng(7)
+    prior = prior_belief(we2011.PARAMETERS, 0.02)
+    half = np.diag(np.sqrt(np.diag(prior.covariance)))
+    whole = half @ (np.eye(len(half)) - 0.9 * np.diag(rng.random(len(half)))) @ half
+    mean = prior.mean.copy()
+    mean[MAPS_AT] = 0.01 * rng.standard_normal(MAPS_AT.stop - MAPS_AT.start)
+    return Belief(mean, whole)
+
+
+def _learned(*recordings: Recording) -> LearnedEngine:
+    kept, belief = distinct(recordings), _belief()
+    return LearnedEngine(
+        we2011.PARAMETERS, belief, 0.02, kept, domain_of(belief, 0.02), {item.sha256: 1.0 for item in kept}
+    )
+
+
+@pytest.fixture
+def two() -> tuple[Recording, Recording]:
+    return _recording(1), _recording(2)
+
+
+def test_round_trip_keeps_everything(tmp_path: Path, two):
+    learned = _learned(*two)
+    save_learned(learned, tmp_path / "mine.yaml")
+    again = load_learned(tmp_path / "mine.yaml")
+    assert again is not None
+    assert np.array_equal(again.belief.mean, learned.belief.mean)
+    assert np.array_equal(again.belief.covariance, learned.belief.covariance)
+    assert again.base == learned.base and again.domain == learned.domain
+    assert [item.sha256 for item in again.recordings] == [item.sha256 for item in learned.recordings]
+    assert np.array_equal(again.recordings[0].columns["p_em_pa"], learned.recordings[0].columns["p_em_pa"])
+
+
+def test_order_and_repetition_change_no_byte(tmp_path: Path, two):
+    first, second = two
+    for name, some in (("a", (first, second)), ("b", (second, first, second))):
+        (tmp_path / name).mkdir()
+        save_learned(_learned(*some), tmp_path / name / "mine.yaml")
+    for name in ("mine.yaml", "mine.learned.parquet"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_every_command_gets_the_mean_corrections(tmp_path: Path, two):
+    learned = _learned(*two)
+    save_learned(learned, tmp_path / "mine.yaml")
+    engine = load_engine(tmp_path / "mine.yaml")
+    found = corrections_in(engine.terms)
+    assert found is not None and np.array_equal(found, learned.belief.coefficients)
+
+
+@pytest.mark.parametrize("change", ["missing", "changed", "cut"])
+def test_a_second_file_that_is_missing_or_changed_is_refused(tmp_path: Path, two, change: str):
+    target = save_learned(_learned(*two), tmp_path / "mine.yaml")
+    content = target.read_bytes()
+    if change == "missing":
+        target.unlink()
+    else:
+        target.write_bytes(content[:-100] if change == "cut" else content[:500] + b"x" + content[501:])
+    for read in (load_learned, load_engine):
+        with pytest.raises(InputError, match="learn"):
+            read(tmp_path / "mine.yaml")
+
+
+def test_rows_of_the_reference_are_recognised(two):
+    first, second = two
+    part = Recording(first.time_s[50:], {k: v[50:] for k, v in first.columns.items()}, 1e5, 298.0)
+    assert overlap((first, second), part) == 1.0
+    assert overlap((second,), first) < 0.01
+
+
+def test_a_file_without_learned_corrections_is_an_ordinary_one(tmp_path: Path):
+    path = tmp_path / "base.yaml"
+    path.write_text("eta_sc: 1.05\n")
+    assert load_learned(path) is None
