@@ -73,7 +73,6 @@ class Tolerances(StrictModel):
     Attributes:
         cylinder_level, throttle_level: of a whole recording, air-flow sensor included [-].
         cylinder_field, throttle_field: smooth, over the map [-].
-        air_flow_curve: of the air-flow sensor, smooth over the flow; in both flow balances alike [-].
         drift: of both flow balances, of an anchor every five minutes: warm-up [-].
         boost_drift, cooler_drift: the same of the other two; 0.01 of the cooler's temperature is 3 K [-].
         throttle_zero_pct: of the throttle's closed position, which the controller learns anew [%].
@@ -85,7 +84,6 @@ class Tolerances(StrictModel):
     throttle_level: float = 0.02
     cylinder_field: float = 0.02
     throttle_field: float = 0.02
-    air_flow_curve: float = 0.01
     drift: float = 0.01
     boost_drift: float = 0.0005
     cooler_drift: float = 0.01

@@ -5,7 +5,7 @@ the calibrated maps and nothing fitted. With an effect, the other signals are ta
 it, each balance says which air flow should have been metered then, and that flow gives the misfit to be expected: any
 size is exact, and the noise of the air flow stays out of what is expected. What may differ between two healthy
 recordings are parameters with their tolerances (levels, the throttle's zero) and directions (covariance and smooth
-field of each map, curve of the air-flow sensor, slow drift). Scatter and its correlation are known from held-out driving.
+field of each map, slow drift). Scatter and its correlation are known from held-out driving.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.discovery.likelihood.metric import Whitening
-from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
+from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined
 from dieseltwin.petrol.effects import AIR_FLOW, HYPOTHESES, NEEDS, metered, undo_all
 from dieseltwin.petrol.model import (
@@ -198,11 +198,6 @@ class PetrolTwin:
                 modes = self._modes(basis, covariance + field**2 * np.eye(len(covariance)), j)
                 out += [self._direction(f"map of {name}, mode {k + 1}", j, mode) for k, mode in enumerate(modes)]
             out += [self._direction(f"drift of {name}", j, drifts[name] * hat) for hat in hats.T]
-        flows = [j for j, name in enumerate(self.channels) if name in bases]
-        for k, mode in enumerate(tolerance_modes([np.log(blocks.W_af)])):
-            response = np.zeros(self.plain.shape)
-            response[:, flows] = t.air_flow_curve * mode[:, None]
-            out.append(Nuisance(f"curve of the air-flow sensor, mode {k + 1}", response=response))
         return out
 
     def _modes(self, basis: Array, covariance: Array, channel: int) -> Array:
