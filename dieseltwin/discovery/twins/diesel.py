@@ -16,12 +16,13 @@ from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Param
 from dieseltwin.discovery.twins.windows import piece_start, speed_span, windows_of, without_gaps
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
+from dieseltwin.engine.binding import numpy_model
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.fixed_point import settled
 from dieseltwin.engine.inputs import INPUT_COLUMNS
-from dieseltwin.engine.parameters import parameter_batch
+from dieseltwin.engine.parameters import constants, parameter_batch
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import Observations, settle
@@ -349,7 +350,7 @@ class EngineTwin:
     @np.errstate(invalid="ignore")  # of a lane that ran away
     def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
         """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
-        c, moved = self.engine, self._actuations(*self._combined(one))
+        model, c, moved = numpy_model(), constants(self.engine), self._actuations(*self._combined(one))
         actuation = moved[0] if moved else self._plain[0]
         engine = self.engine_of(one)
         engine = engine.replace(terms=effect_terms(engine.terms))  # laws are among the signals
@@ -363,18 +364,18 @@ class EngineTwin:
         p_es, p_bc = frame["p_es_pa"].to_numpy(), frame["p_bc_pa"].to_numpy()
         W_c, W_egr = frame["w_c_kg_s"].to_numpy(), frame["w_egr_kg_s"].to_numpy()
         n_e, u_delta = actuation.at_samples()[:2]
-        Pi_t = np.minimum(p_es / p_em, 0.9999)
-        velocity = np.sqrt(2.0 * c.c_pe * T_em * (1.0 - Pi_t ** (1.0 - 1.0 / c.gamma_e)))
+        Pi_c = model.compressor_pressure_ratio(p_im, c._replace(p_amb=p_bc))
+        Pi_t = model.turbine_pressure_ratio(p_em, c._replace(p_amb=p_es))
         out = {
             "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": n_e, "u_delta": u_delta,
             "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em,
             "T_im": frame["t_im_k"].to_numpy(), "T_c": frame["t_c_k"].to_numpy(), "T_e": frame["t_e_k"].to_numpy(),
             "p_es": p_es, "p_bc": p_bc, "W_c": W_c, "W_t": frame["w_t_kg_s"].to_numpy(), "W_egr": W_egr,
             "W_ei": frame["w_ei_kg_s"].to_numpy(), "W_eo": frame["w_eo_kg_s"].to_numpy(),
-            "W_f": frame["w_f_kg_s"].to_numpy(), "Pi_c": np.maximum(p_im / p_bc, 1.0), "Pi_t": Pi_t,
-            "Pi_egr": p_im / p_em, "Pi_e": p_em / p_im, "BSR": c.R_t * omega / velocity,
-            "Psi_c": 2.0 * c.c_pa * c.T_amb * (np.maximum(p_im / p_bc, 1.0) ** (1.0 - 1.0 / c.gamma_a) - 1.0)
-            / (c.R_c * omega) ** 2,
+            "W_f": frame["w_f_kg_s"].to_numpy(), "Pi_c": Pi_c, "Pi_t": Pi_t,
+            "Pi_egr": p_im / p_em, "Pi_e": model.exhaust_to_intake_ratio(p_em, p_im),
+            "BSR": model.blade_speed_ratio(omega, T_em, Pi_t, c),
+            "Psi_c": model.energy_transfer_coefficient(c.T_amb, Pi_c, omega, c),
             "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6), "t": self.time_s - self.time_s[0],
             "p_amb": np.full(p_im.size, c.p_amb), "T_amb": np.full(p_im.size, c.T_amb),
         }  # fmt: skip
