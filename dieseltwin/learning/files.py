@@ -21,7 +21,6 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from dieseltwin import __version__
 from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
 from dieseltwin.engine.learned_file import LEARN_AGAIN, LEARNED, SHA256, learned_bytes
@@ -31,6 +30,7 @@ from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_unit
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.strict import read_mapping
+from dieseltwin.version import __version__
 
 SCHEMA = 1
 _KEY = b"dieseltwin.learned"
