@@ -31,8 +31,8 @@ FULL_HZ = 5.0  # below, the gas path's transients are not seen
 RATE_TOLERANCE = 1.15  # time stamps jitter, and a logger that says 5 Hz gives 4.6
 CRANKING_RPM = 300.0  # the engine is not running below this speed
 SLOW_ROWS = (
-    "what happens between them is unknown. Actuators and manifolds settle within it, so dead times, lags and play are "
-    "out of reach and quick transients count as noise; areas, efficiencies and leaks are told by slow driving"
+    "what happens between them is unknown. Dead times, lags and play of actuators are out of reach, quick transients "
+    "count as noise, and intervals widen with the root of the rate"
 )
 LONGEST_GAP_S = 1.0
 JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
