@@ -227,9 +227,9 @@ SAMPLE_SPREAD = 0.5
 
 
 def _root(covariance: Array) -> Array:
-    """A matrix L with L L' = covariance, (..., 7, 7); what rounding makes negative where nothing is told counts as 0."""
+    """L with L L' = covariance, (..., 7, 7); what rounding makes negative where nothing is told counts as 0."""
     try:
-        return np.linalg.cholesky(covariance)
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(covariance)
         return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
