@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,10 +22,12 @@ from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification
 from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report import timeseries, violins
 from dieseltwin.report.inputs import results_of
-from dieseltwin.settings.methods import Method, find
+from dieseltwin.settings.methods import EXACT, Method, find
+from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.params import DEFAULT_PROFILE, Params, load_params
 from dieseltwin.surrogates.files import networks_for
 
@@ -40,19 +42,21 @@ OPTIONAL_RESULTS = ("curves.parquet", "figures")  # another method in the same f
 
 @dataclass(frozen=True)
 class Setup:
-    """Where settings and pretrained networks come from.
+    """Where settings and pretrained networks come from, and which sensors are used.
 
     Attributes:
         models: folder of pretrained networks; None is `models` of the working folder.
         maps: which empirical maps: exact, paper or improved; None is the method's own.
         params: file of settings; None is params.yaml.
         profile: of the settings.
+        sensors: columns to use; None takes the paper's five, which must be there then.
     """
 
     models: str | Path | None = None
     maps: str | None = None
     params: str | Path | None = None
     profile: str = DEFAULT_PROFILE
+    sensors: Sequence[str] | None = None
 
     def settings(self) -> Params:
         """The settings; raises `InputError` for a file that can't be used."""
@@ -174,7 +178,7 @@ def identify(
         runs: independent starts a segment; None takes the settings' number for this method.
         segment_s: length of a segment [s]; None takes the settings'.
         seed: of everything random; None takes the settings'.
-        setup: where settings and pretrained networks come from.
+        setup: where settings and pretrained networks come from, and which sensors are used.
 
     Raises:
         InputError: anything that can't be used.
@@ -205,24 +209,45 @@ def ask(
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
         raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
     parameters = diesel_engine(engine)
-    source = diesel_recording(recording, channels, parameters, sensors=SENSORS)
-    problems, left_out = _usable(problems_of(source, parameters, settings, segment_s), source)
+    used = SENSORS if setup.sensors is None else _checked(setup.sensors, chosen)
+    source = diesel_recording(recording, channels, parameters, sensors=used)
+    masked = None if setup.sensors is None else used
+    problems, left_out = _usable(problems_of(source, parameters, settings, segment_s, masked), source)
     networks = setup.networks(chosen)
-    notes = (*_notes(source, parameters), *left_out)
+    without = [f"note: without {name}: {COSTS[name]}" for name in SENSORS if name not in used]
+    notes = (*_notes(source, parameters), *without, *left_out)
     seed = settings.seed if seed is None else seed
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source.sha256)
 
 
 def problems_of(
-    source: Recording, parameters: EngineParameters, settings: Params, segment_s: float | None = None
-) -> list[SegmentProblem]:
+    source: Recording, parameters: EngineParameters, settings: Params, segment_s: float | None = None,
+    sensors: Sequence[str] | None = None,
+) -> list[SegmentProblem]:  # fmt: skip
     """Segments of the recording as estimation problems; noise is the settings' share of the whole recording's means."""
     missing = np.full(source.time_s.shape, np.nan)
     signals = np.column_stack([source.columns.get(name, missing) for name in MEASURED])
     signals = signals[source.columns["n_e_rpm"] >= CRANKING_RPM]  # a standing engine would lower the means
     noise = NoiseLevels.from_signals(signals, relative=settings.noise.channels)
     duration_s = settings.identify.segment_s if segment_s is None else segment_s
-    return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s)
+    return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s, channels=sensors)
+
+
+def _checked(sensors: Sequence[str], method: Method) -> tuple[str, ...]:
+    """The sensors that were named.
+
+    Raises:
+        InputError: an unknown name, one of the states missing, or a method of the paper, which needs all five.
+    """
+    for name in sensors:
+        if name not in MEASURED:
+            raise unknown_name("--sensors", name, list(MEASURED))
+    needed = MEASURED[:3] if method.needs.maps == EXACT else SENSORS
+    absent = [name for name in needed if name not in sensors]
+    if absent:
+        raise InputError(f"--sensors {','.join(sensors)}", f"no {absent[0]}",
+                         f"{listed(needed)} at least for {method.name}", "add it")
+    return tuple(sensors)
 
 
 def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[SegmentProblem], list[str]]:

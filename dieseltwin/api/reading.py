@@ -32,7 +32,7 @@ def read(
     """Read and check a recording, or settled points where there is no column of time.
 
     Args:
-        source: CSV or Parquet file, or a table of the same columns.
+        source: CSV, Parquet, Excel, MATLAB, MDF file or CAN trace, or a table of the same columns.
         channels: channel map for foreign names and units.
         engine: gives ambient values where the columns are absent and the size of a cylinder; a petrol engine reads
             petrol recordings. The published engine without it.

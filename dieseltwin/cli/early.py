@@ -7,7 +7,7 @@ from pathlib import Path
 from dieseltwin.errors import InputError
 
 
-def check_there(path: Path | None, allowed: str = "a CSV or Parquet file") -> None:
+def check_there(path: Path | None, allowed: str = "a recording") -> None:
     """Refuse an input file that isn't there; None (an option that wasn't given) passes.
 
     Raises:

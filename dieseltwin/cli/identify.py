@@ -16,7 +16,7 @@ from dieseltwin.settings.names import unknown_name
 
 def identify_command(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="CSV or Parquet recording of a running engine.")
+        Path, typer.Argument(metavar="RECORDING", help="Recording of a running engine (CSV, Excel, MDF, CAN, ...).")
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
     method: Annotated[
@@ -26,6 +26,10 @@ def identify_command(
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Independent starts a segment.")] = None,
     engine: EngineFile = None,
     channels: ChannelsFile = None,
+    sensors: Annotated[
+        str | None,
+        typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; the paper's five without it."),
+    ] = None,
     models: Annotated[
         Path | None,
         typer.Option("--models", metavar="DIR", help="Pretrained networks of `make run`; ./models if none is named."),
@@ -52,7 +56,8 @@ def identify_command(
     check_there(recording)
     from dieseltwin.api.identification import Setup, ask
 
-    setup = Setup(models, maps, params, profile)
+    named = None if sensors is None else tuple(name.strip() for name in sensors.split(",") if name.strip())
+    setup = Setup(models, maps, params, profile, named)
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
     check_folder(out)  # a place that cannot be written to is better known before the work

@@ -226,6 +226,15 @@ SAMPLE_SPREAD = 0.5
 """Draws for bands leave the estimate by at most this logarithm, so that an unidentifiable parameter stays plausible."""
 
 
+def _root(covariance: Array) -> Array:
+    """L with L L' = covariance, (..., 7, 7); what rounding makes negative where nothing is told counts as 0."""
+    try:
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(covariance)
+        return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+
+
 def sample_states(
     shooting: Shooting, s: int, unknowns: Array, log_covariance: Array, normal: Array
 ) -> tuple[Array, Array]:
@@ -237,7 +246,7 @@ def sample_states(
         log_covariance: (K, 7, 7) or (1, 7, 7) joint covariance of the logarithms.
         normal: (K, 7) standard normal draws.
     """
-    factor = np.broadcast_to(np.linalg.cholesky(log_covariance), (len(normal), *log_covariance.shape[1:]))
+    factor = np.broadcast_to(_root(log_covariance), (len(normal), *log_covariance.shape[1:]))
     move = np.einsum("kij,kj->ki", factor, normal)
     # The whole draw is shortened: clipped one by one, unknowns that cancel each other would move the states apart.
     drawn = unknowns + move * np.minimum(SAMPLE_SPREAD / np.abs(move).max(axis=1, keepdims=True), 1.0)

@@ -301,4 +301,4 @@ def foreign_hint(missing: str, columns: Iterable[str]) -> str:
     hint = did_you_mean(missing, available)
     if hint.startswith("did you mean"):
         return f"{hint} rename it or give a channel map (--channels)"
-    return "add this column or name it in a channel map (--channels)"
+    return "add this column or name it in a channel map (--channels); `dieseltwin channels FILE` writes a first one"

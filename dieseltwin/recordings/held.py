@@ -16,6 +16,7 @@ _OFF_RASTER = 0.05  # of the gaps between changes may be off the raster: pauses,
 _USUAL_GAP = 2.0  # periods: where most gaps are longer, the value moves seldom, and the raster can't be told
 _LONGEST_LINE = 3.0  # periods
 _LONGEST_HOLD = 100.0  # rows; beyond, a channel is frozen, not held
+_MOSTLY_REPEATED = 0.5  # of the rows between two readings hold a number where a channel is held
 _SMALLEST_STEP = 1e-6  # of a channel's range: differences below are rounding
 
 
@@ -54,6 +55,8 @@ def own_readings(values: Array) -> NDArray[np.bool_] | None:
     before = changes[0] - period * np.arange(1, round(changes[0] / period) + 1)
     after = changes[-1] + period * np.arange(1, int((values.size - 1 - changes[-1]) / period) + 1)
     read[np.rint(np.concatenate([np.maximum(before, 0.0), after])).astype(int)] = True
+    if np.isfinite(values[~read]).mean() <= _MOSTLY_REPEATED:
+        return None  # nothing stands between the readings: the channel is slow, and says so
     return read & np.isfinite(values)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.channels import ChannelMap, channel_map, read_channel_map
+from dieseltwin.recordings.channels import ChannelMap, channel_map, known_columns, read_channel_map
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
 
@@ -55,7 +55,10 @@ def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = 
         if isinstance(channels, ChannelMap)
         else read_channel_map(channels)
     )
-    raw = read_raw(path, mapping.database, set(mapping.entries) or None)
+    wanted = {*mapping.entries, *known_columns()} if mapping.entries else None
+    raw = read_raw(path, mapping.database, wanted)
+    if raw.table is None and any(name not in raw.signals for name in mapping.entries):
+        raw = read_raw(path, mapping.database)  # for the message: every name that the file has
     if raw.table is None:
         columns, notes = on_one_raster(quantities(raw, mapping), str(path))
         return Imported(columns, (*raw.notes, *notes))

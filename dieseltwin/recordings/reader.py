@@ -31,8 +31,8 @@ FULL_HZ = 5.0  # below, the gas path's transients are not seen
 RATE_TOLERANCE = 1.15  # time stamps jitter, and a logger that says 5 Hz gives 4.6
 CRANKING_RPM = 300.0  # the engine is not running below this speed
 SLOW_ROWS = (
-    "what happens between them is unknown. Actuators and manifolds settle within it, so dead times, lags and play are "
-    "out of reach and quick transients count as noise; areas, efficiencies and leaks are told by slow driving"
+    "what happens between them is unknown. Dead times, lags and play of actuators are out of reach, quick transients "
+    "count as noise, and intervals widen with the root of the rate"
 )
 LONGEST_GAP_S = 1.0
 JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
@@ -329,6 +329,22 @@ def read_recording(
     made = recording(imported.columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors,
                      any_rate=any_rate)
     return replace(made, notes=(*imported.notes, *made.notes))
+
+
+def read(
+    path: str | Path, channels: ChannelMap | str | Path | None = None, engine: EngineParameters | None = None
+) -> Recording:
+    """Read a recording of any format with whichever sensors it has.
+
+    Args:
+        path: CSV, Parquet, Excel, MATLAB, MDF or a CAN trace.
+        channels: channel map or its YAML file for foreign names and units; `dieseltwin channels` writes a first one.
+        engine: gives ambient values where the columns are absent.
+
+    Raises:
+        InputError: one line saying what is wrong with the file.
+    """
+    return read_recording(path, channels, engine, sensors=())
 
 
 def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:

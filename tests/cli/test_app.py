@@ -297,6 +297,34 @@ def test_a_segment_without_a_sensor_is_left_out(run: Run, noisy: Path, tmp_path:
 
 
 @pytest.mark.usefixtures("no_figures")
+def test_identify_with_the_sensors_that_are_named(run: Run, noisy: Path, field_engine: Path, tmp_path: Path) -> None:
+    """Without exhaust temperature the estimates stay right, and the lines say what it costs."""
+    without = tmp_path / "without.csv"
+    pd.read_parquet(noisy).drop(columns="t_em_k").to_csv(without, index=False)
+    assert main(["identify", str(without), "--out", str(tmp_path / "refused")]) == 2
+    lines = run("identify", without, "--out", tmp_path / "out", "--runs", "1", "--sensors",
+                "p_im_pa,p_em_pa,omega_t_rad_s,w_egr_kg_s")  # fmt: skip
+    assert any(line.startswith("note: without t_em_k: injector drift") for line in lines)
+    found = json.loads((tmp_path / "out" / "identification.json").read_text())["parameters"]
+    truth = load_engine(field_engine)
+    for name in HEALTH:
+        assert abs(found[name]["mean"] - getattr(truth, name)) < 5.0 * found[name]["std"], name
+
+
+@pytest.mark.parametrize(
+    ("sensors", "method", "word"),
+    [("p_im_pa,p_em_pa", "classical", "omega_t_rad_s"), ("p_im_pa,p_em", "classical", "did you mean p_em_pa"),
+     ("p_im_pa,p_em_pa,omega_t_rad_s", "few-shot-adam", "w_egr_kg_s")],
+)  # fmt: skip
+def test_identify_refuses_too_few_sensors(
+    noisy: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], sensors: str, method: str, word: str
+) -> None:
+    command = ["identify", str(noisy), "--out", str(tmp_path / "out"), "--sensors", sensors, "--method", method]
+    assert main(command) == 2
+    said = capfd.readouterr().err
+    assert word in said and len(said.strip().splitlines()) == 1
+
+
 def test_a_fit_that_misses_the_readings_is_reported(run: Run, noisy: Path, tmp_path: Path) -> None:
     """A compressor that is best at another flow is not this engine, whatever its health parameters."""
     (tmp_path / "engine.yaml").write_text("W_copt: 0.4\n")

@@ -255,8 +255,8 @@ def test_no_such_file_a_folder_and_another_kind(tmp_path: Path, refuse: Callable
     assert "no such file" in refuse(*COMMANDS["identify"](tmp_path / "none.csv", tmp_path)).line
     (tmp_path / "folder.csv").mkdir()
     assert "a folder" in refuse(*COMMANDS["identify"](tmp_path / "folder.csv", tmp_path)).line
-    (tmp_path / "drive.mat").write_text("x")
-    assert ".parquet" in refuse(*COMMANDS["identify"](tmp_path / "drive.mat", tmp_path)).line
+    (tmp_path / "drive.pdf").write_text("%PDF-1.7")
+    assert "Parquet" in refuse(*COMMANDS["identify"](tmp_path / "drive.pdf", tmp_path)).line
 
 
 # --- settings and options

@@ -124,7 +124,7 @@ def facts_of(signal: Signal) -> Facts:
         missing=1.0 - readings.size / max(values.size, 1), step_s=step, low=float(quantiles[0]),
         median=float(quantiles[1]), high=float(quantiles[2]), gaps=gaps, longest_gap_s=longest if gaps else 0.0,
         frozen=bool(readings.size > 1 and quantiles[0] == quantiles[2]), resolution=_resolution(readings),
-        held_rows=None if held is None else values.size / max(np.count_nonzero(held), 1),
+        held_rows=None if held is None else values.size / max(int(np.count_nonzero(held)), 1),
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ GAUGE_BELOW_PA = 6.0e4  # an absolute pressure of a running engine at 3 km altit
 ABSOLUTE_ABOVE_PA = 7.5e4  # between the two it could be either
 HIGH_LOWEST_PA = 1.35e5  # an intake pressure that never comes down to the ambient may be either, too
 LOWEST_GAUGE_PA = -3.5e4  # behind a throttle or a clogged filter
+ENGINE_RPM = (300.0, 5000.0)
 FRACTION_HIGH = 1.2
 SHARE_RANGE = (-12.0, 130.0)  # %: sensors of positions drift beyond their ends
 TURBO_RPM = 2.5e4  # rad/s: no turbocharger turns faster, so larger values are rpm
@@ -201,8 +202,8 @@ def _temperature(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) 
 def _rotation(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Reading | None:
     column = meaning.column
     if column == "n_e_rpm":
-        order = [("rpm", 300.0, 5000.0), ("rad/s", 300.0, 5000.0), ("1/s", 300.0, 5000.0), ("Hz", 300.0, 5000.0)]
-        return _choose(facts, unit, [(ChannelEntry(column=column, unit=name), *limits) for name, *limits in order])
+        order = ("rpm", "rad/s", "1/s", "Hz")
+        return _choose(facts, unit, [(ChannelEntry(column=column, unit=name), *ENGINE_RPM) for name in order])
     names = ["rpm", "rad/s", "krpm"] if facts.high > TURBO_RPM / 2.0 else ["rad/s", "rpm", "krpm"]
     return _choose(facts, unit, [(ChannelEntry(column=column, unit=name), 300.0, TURBO_RPM) for name in names])
 

@@ -15,21 +15,23 @@ from dieseltwin.symbols import symbol
 ORDER = (*INPUTS, *SENSORS, "w_c_kg_s", "t_im_k", *AMBIENT, "torque_nm")
 NAME_WIDTH = 44
 
-# What the twin cannot tell without a channel. The pairs that then look alike were measured on concealed machines.
+# What the twin cannot tell without a channel. Factors: smallest visible size of each effect with five sensors over that
+# with six, ten minutes of simulated driving with the paper's noise (docs/formats.md).
 COSTS: Mapping[str, str] = {
     "n_e_rpm": "without engine speed nothing can be simulated or fitted",
     "u_delta_mg": "without fuel nothing can be simulated or fitted; fuel per hour would do, or air flow and lambda",
     "u_egr_pct": "without the EGR valve's position nothing can be simulated; if there is none, add a column of zeros",
     "u_vgt_pct": "without the VGT's position nothing can be simulated; for a fixed turbine, add a constant column",
-    "p_im_pa": "boost leak, volumetric efficiency and charge cooler loss are then out of reach",
-    "p_em_pa": "A_vgtmax then hangs on turbo speed and boost, A_egrmax on the EGR flow alone; exhaust leak and "
-    "back-pressure are out of reach",
-    "omega_t_rad_s": "the shaft is then unseen: friction of its bearings and losses of compressor and turbine "
-    "efficiency can't be told from A_vgtmax",
-    "w_egr_kg_s": "A_egrmax then shows in pressures only; a clogged or leaking EGR valve looks like a change of "
-    "cylinder flow",
-    "t_em_k": "eta_sc and h_tot can then hardly be told apart, and injector drift hides behind both",
-    "w_c_kg_s": "a boost leak then looks like a loss of compressor efficiency; compressor flow loss is out of reach",
+    "p_im_pa": "identify needs it to start; for discover an offset of the sensor is out of reach, and filter and "
+    "cooler must be 1.1 times as bad to show",
+    "p_em_pa": "identify needs it to start; for discover offset and gain of the sensor are out of reach, other effects "
+    "show as before (within 5 %)",
+    "omega_t_rad_s": "identify needs it to start; for discover the air filter must be 4.4 times as bad to show, an "
+    "exhaust leak 1.8, compressor flow, blow-by and VGT offset 1.5, bearings 1.4",
+    "w_egr_kg_s": "a leaking, late or worn EGR valve must be twice as bad to show, volumetric efficiency 1.3 times",
+    "t_em_k": "injector drift, EGR heating and the exhaust's inertia must be 1.5 times as large to show, back-pressure "
+    "1.3; eta_sc and h_tot get intervals 1.1 times as wide",
+    "w_c_kg_s": "a boost leak must be 1.2 times as large to show, and then looks like a loss of compressor efficiency",
     "t_im_k": "the engine file's constant stands in; charge cooler loss and EGR heating show through flows only",
     "p_amb_pa": "the engine file's value stands in: at 1000 m that is 11 kPa wrong in every pressure ratio",
     "t_amb_k": "the engine file's value stands in: 10 K change compressor flow and speed by 1.7 %",

@@ -13,7 +13,8 @@ import numpy as np
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.content import Content
-from dieseltwin.recordings.importers.signals import missing_library, unreadable
+from dieseltwin.recordings.importers.signals import unreadable
+from dieseltwin.settings.extras import require
 
 FILLER = 0xFF  # bytes beyond a frame's length: "not available" in J1939
 # (000.005001)  can0  18FEDF00   [8]  8A A0 28 7D 7D FF FF F5
@@ -175,10 +176,9 @@ def _packed(
 
 def _from_python_can(path: Path, content: Content) -> CanFrames:
     kind = {"blf": "BLF trace", "asc": "ASC trace", "trc": "TRC trace"}[content.format]
-    try:
-        import can
-    except ImportError:
-        raise missing_library(path, f"a {kind}", "python-can") from None
+    require("can", "formats", f"{path}: a {kind}")
+    import can
+
     readers = {"blf": can.BLFReader, "asc": can.ASCReader, "trc": can.TRCReader}
     times: list[float] = []
     identifiers: list[int] = []

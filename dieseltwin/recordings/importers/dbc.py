@@ -10,7 +10,8 @@ import numpy as np
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.can_frames import CanFrames
 from dieseltwin.recordings.importers.j1939 import not_available, parameter_group
-from dieseltwin.recordings.importers.signals import Signal, missing_library
+from dieseltwin.recordings.importers.signals import Signal
+from dieseltwin.settings.extras import require
 
 
 def decode_by_dbc(path: Path, frames: CanFrames, database: Path) -> list[Signal]:
@@ -19,10 +20,9 @@ def decode_by_dbc(path: Path, frames: CanFrames, database: Path) -> list[Signal]
     Raises:
         InputError: cantools is missing, the database is not readable, or none of its messages is in the trace.
     """
-    try:
-        import cantools
-    except ImportError:
-        raise missing_library(path, "a CAN trace with a DBC", "cantools") from None
+    require("cantools", "formats", f"{path}: a CAN trace with a DBC")
+    import cantools
+
     if not database.is_file():
         raise InputError(str(database), "no such file", "a DBC file", "check the path")
     try:

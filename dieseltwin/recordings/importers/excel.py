@@ -9,7 +9,8 @@ import pandas as pd
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.clock import seconds_from_stamps
 from dieseltwin.recordings.importers.layout import LOOKED_AT, Layout, find_layout, is_missing
-from dieseltwin.recordings.importers.signals import RawChannels, missing_library, unreadable
+from dieseltwin.recordings.importers.signals import RawChannels, unreadable
+from dieseltwin.settings.extras import require
 
 Cell = object  # what a workbook may hold: numbers, text, dates, booleans, nothing
 
@@ -20,10 +21,9 @@ def read_excel(path: Path) -> RawChannels:
     Raises:
         InputError: openpyxl is missing, not readable, no sheet with names above numbers, a name twice.
     """
-    try:
-        from openpyxl import load_workbook
-    except ImportError:
-        raise missing_library(path, "an Excel workbook", "openpyxl") from None
+    require("openpyxl", "formats", f"{path}: an Excel workbook")
+    from openpyxl import load_workbook
+
     try:
         book = load_workbook(path, read_only=True, data_only=True)
         sheets = {sheet.title: [tuple(row) for row in sheet.iter_rows(values_only=True)] for sheet in book.worksheets}

@@ -12,7 +12,8 @@ import pandas as pd
 import scipy.io
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.importers.signals import RawChannels, Signal, missing_library, unique_names, unreadable
+from dieseltwin.recordings.importers.signals import RawChannels, Signal, unique_names, unreadable
+from dieseltwin.settings.extras import require
 
 # fields of a structure that holds one signal, in lower case
 TIME_FIELDS = ("time", "t", "timestamps", "zeit")
@@ -68,10 +69,9 @@ def read_hdf5(path: Path) -> RawChannels:
     Raises:
         InputError: h5py is missing, not readable, or no vectors of numbers inside.
     """
-    try:
-        import h5py
-    except ImportError:
-        raise missing_library(path, "a MATLAB 7.3 file", "h5py") from None
+    require("h5py", "formats", f"{path}: a MATLAB 7.3 file")
+    import h5py
+
     opaque: list[str] = []
 
     def tree_of(group: Any) -> dict[str, Any]:

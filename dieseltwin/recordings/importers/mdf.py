@@ -13,7 +13,8 @@ import numpy as np
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.can_frames import CanFrames, stacked
-from dieseltwin.recordings.importers.signals import Signal, missing_library, unreadable
+from dieseltwin.recordings.importers.signals import Signal, unreadable
+from dieseltwin.settings.extras import require
 
 FRAMES = "CAN_DataFrame"
 MASTER = 2  # asammdf's channel type of a group's time, as VIRTUAL_MASTER
@@ -36,10 +37,9 @@ def read_mdf(
     Raises:
         InputError: asammdf is missing, not readable, or without any channel of numbers.
     """
-    try:
-        from asammdf import MDF
-    except ImportError:
-        raise missing_library(path, "an MDF file", "asammdf") from None
+    require("asammdf", "formats", f"{path}: an MDF file")
+    from asammdf import MDF
+
     problem = ""
     notes: list[str] = []
     with _quiet_disposal():

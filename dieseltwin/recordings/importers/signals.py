@@ -11,8 +11,6 @@ import pandas as pd
 
 from dieseltwin.errors import InputError
 
-INSTALL = "pip install 'dieseltwin[formats]'"
-
 
 @dataclass(frozen=True)
 class Signal:
@@ -75,13 +73,6 @@ def unique_names(signals: Sequence[Signal]) -> dict[str, Signal]:
             name, count = f"{signal.name} ({signal.origin}, {count})", count + 1
         found[name] = replace(signal, name=name)
     return found
-
-
-def missing_library(path: Path, kind: str, library: str) -> InputError:
-    """The one line for a format whose library is not installed."""
-    return InputError(
-        str(path), f"{kind}, and no package {library} to read it with", f"{library} installed", f"install it: {INSTALL}"
-    )
 
 
 def unreadable(

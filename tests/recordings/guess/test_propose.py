@@ -90,7 +90,7 @@ def test_a_missing_quantity_is_named_with_its_cost(tmp_path, known, capsys):
     (tmp_path / "drive.csv").write_text(written(file, known))
     assert main(["channels", str(tmp_path / "drive.csv")]) == 0
     said = capsys.readouterr().out
-    assert "omega_t_rad_s  not found: the shaft is then unseen" in said
+    assert "omega_t_rad_s  not found: identify needs it to start" in said
     assert "u_vgt_pct      not found" in said and "p_em_pa        not found" in said
     assert "6 cylinders are assumed: give --cylinders" in said
 

@@ -248,3 +248,35 @@ def test_one_hertz_is_accepted_and_says_what_it_costs(drive):
     assert any("1 rows per second" in note and "out of reach" in note for note in made.notes)
     with pytest.raises(InputError, match="rows per second"):
         recording(drive.iloc[::10].reset_index(drop=True))
+
+
+def test_a_bus_log_in_an_mdf_file_is_read_with_its_dbc(tmp_path, drive):
+    asammdf = pytest.importorskip("asammdf")
+    database, frames = _bus(drive, tmp_path)
+    rows = np.zeros(len(frames), dtype=[("CAN_DataFrame.BusChannel", "u1"), ("CAN_DataFrame.ID", "<u4"),
+                                        ("CAN_DataFrame.IDE", "u1"), ("CAN_DataFrame.DLC", "u1"),
+                                        ("CAN_DataFrame.DataLength", "u1"), ("CAN_DataFrame.DataBytes", "u1", (8,))])
+    for row, frame in zip(rows, frames, strict=True):
+        row["CAN_DataFrame.ID"], row["CAN_DataFrame.DataLength"] = frame.arbitration_id, 8
+        row["CAN_DataFrame.DataBytes"] = list(frame.data)
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append(asammdf.Signal(rows, np.array([frame.timestamp for frame in frames]), name="CAN_DataFrame"))
+        mdf.save(tmp_path / "bus.mf4")
+    raw = read_raw(tmp_path / "bus.mf4", database)
+    np.testing.assert_array_equal(raw.signals["p_em_pa"].values, drive["p_em_pa"])
+
+
+def test_a_map_for_an_mdf_file_lets_our_own_names_pass_and_names_the_nearest(tmp_path, drive):
+    asammdf = pytest.importorskip("asammdf")
+    time = drive["time_s"].to_numpy()
+    names = {"p_im_pa": "PBoost", "t_em_k": "TExh"}
+    with asammdf.MDF(version="4.10") as mdf:
+        for name in COLUMNS[1:]:
+            mdf.append(asammdf.Signal(drive[name].to_numpy(), time, name=names.get(name, name)))
+        mdf.save(tmp_path / "drive.mf4")
+    (tmp_path / "map.yaml").write_text("PBoost: p_im_pa\nTExh: t_em_k\n")
+    made = read_recording(tmp_path / "drive.mf4", tmp_path / "map.yaml")
+    np.testing.assert_array_equal(made.columns["w_egr_kg_s"], drive["w_egr_kg_s"])
+    (tmp_path / "map.yaml").write_text("PBoos: p_im_pa\nTExh: t_em_k\n")
+    with pytest.raises(InputError, match="did you mean PBoost"):
+        read_recording(tmp_path / "drive.mf4", tmp_path / "map.yaml")
