@@ -18,7 +18,7 @@ def discover_command(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
     recording: Annotated[
         Path | None,
-        typer.Argument(metavar="RECORDING", help="CSV or Parquet recording of a running engine, 10 min or more."),
+        typer.Argument(metavar="RECORDING", help="Recording of a running engine (CSV, MDF, ...), 10 min or more."),
     ] = None,
     engine: EngineFile = None,
     sensors: Annotated[
@@ -52,7 +52,7 @@ def discover_command(
 
     if recording is None:
         if name is None:
-            raise InputError("RECORDING", "nothing", "a CSV or Parquet file", "name the recording")
+            raise InputError("RECORDING", "nothing", "a recording", "name the recording")
         say(explain(name, out))
         return
     question = ask(recording, engine, channels=channels, sensors=_names(sensors), withhold=_names(withhold),

@@ -15,7 +15,7 @@ from dieseltwin.errors import InputError
 
 ENGINE_SUFFIXES = (".yaml", ".yml")
 
-Points = Annotated[Path, typer.Argument(metavar="POINTS", help="CSV or Parquet: steady points, or a recording.")]
+Points = Annotated[Path, typer.Argument(metavar="POINTS", help="Steady points, or a recording, in any format.")]
 Channels = Annotated[Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign columns.")]
 
 

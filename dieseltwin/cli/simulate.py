@@ -20,7 +20,7 @@ def simulate_command(
         Path,
         typer.Argument(
             metavar="INPUTS",
-            help="CSV or Parquet with time_s, n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct. The states start at the first "
+            help="Any recording with time_s, n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct. The states start at the first "
             "row's p_im_pa, p_em_pa, omega_t_rad_s where it has them, else at rest at the first inputs.",
         ),
     ],

@@ -331,22 +331,6 @@ def read_recording(
     return replace(made, notes=(*imported.notes, *made.notes))
 
 
-def read(
-    path: str | Path, channels: ChannelMap | str | Path | None = None, engine: EngineParameters | None = None
-) -> Recording:
-    """Read a recording of any format with whichever sensors it has.
-
-    Args:
-        path: CSV, Parquet, Excel, MATLAB, MDF or a CAN trace.
-        channels: channel map or its YAML file for foreign names and units; `dieseltwin channels` writes a first one.
-        engine: gives ambient values where the columns are absent.
-
-    Raises:
-        InputError: one line saying what is wrong with the file.
-    """
-    return read_recording(path, channels, engine, sensors=())
-
-
 def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:
     """Write a recording (or any table) to .csv or .parquet atomically; float64 survives the round trip bit for bit.
 

@@ -110,7 +110,8 @@ def _decoded(path: Path, content: bytes) -> tuple[str, str]:
 def _without_marks(text: str) -> tuple[str, list[str]]:
     """The text without Excel's 'sep=;' line, comment lines and zero bytes."""
     notes: list[str] = []
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
     if "\0" in text:
         text = text.replace("\0", "")
         notes.append("zero bytes left out (the logger lost power?)")
@@ -208,7 +209,7 @@ def _numbers_of(path: Path, text: str, dialect: Dialect) -> pd.DataFrame:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # more cells than names: pandas would drop them
             frame = pd.read_csv(
-                io.StringIO(text), sep=dialect.separator, header=None, names=names, index_col=False,
+                io.BytesIO(text.encode()), sep=dialect.separator, header=None, names=names, index_col=False,
                 skiprows=_text_row(text, layout.first_data), decimal=dialect.decimal, thousands=dialect.thousands,
                 float_precision="round_trip", na_values=missing, skipinitialspace=True, low_memory=False,
             )  # fmt: skip
