@@ -25,7 +25,7 @@ MAP_ERROR = 0.02
 """Size of the maps' smooth relative errors that is believed of an engine of the base's family, rms [-]."""
 
 MAP_ERRORS = (0.001, 0.1)
-_MISFIT = 1.3  # squared whitened residual a reading; above, the recording isn't what the corrected engine does
+_MISFIT = 1.6  # squared whitened residual a reading; above, the recording isn't what the corrected engine does
 
 
 @dataclass(frozen=True)
