@@ -15,7 +15,7 @@ from dieseltwin.discovery.verdict.checks import check_recording
 from dieseltwin.engine import HEALTH
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import prior_belief
+from dieseltwin.learning.belief import HEALTH_AT, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
 from dieseltwin.recordings.reader import Recording
@@ -25,7 +25,7 @@ MAP_ERROR = 0.02
 """Size of the maps' smooth relative errors that is believed of an engine of the base's family, rms [-]."""
 
 MAP_ERRORS = (0.001, 0.1)
-_MISFIT = 1.3  # squared whitened residual a reading; above, the recording isn't what the corrected engine does
+_MISFIT = 1.6  # squared whitened residual a reading; above, the recording isn't what the corrected engine does
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _known(engine: Engine | str | Path | None) -> LearnedEngine | None:
 def summary(learned: LearnedEngine) -> list[str]:
     """What is known, as lines of text: health, and of every map how much it was corrected, how well, and where."""
     belief = learned.belief
-    std = np.sqrt(np.diag(belief.covariance))
+    std = np.sqrt(np.diag(belief.covariance))[HEALTH_AT]
     lines = [f"learned from {learned.minutes:.1f} minutes of {len(learned.recordings)} recording(s)"]
     lines += [
         f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"

@@ -11,6 +11,16 @@ import pandas as pd
 
 from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.map_errors import MapErrors
+from dieseltwin.challenge.own_engine import (
+    REFERENCE_MIN,
+    TIERS,
+    draw_health,
+    record_reference,
+    same_sensors,
+    weather,
+    with_ambient,
+    worn,
+)
 from dieseltwin.challenge.plant import PlantRun, run_plant
 from dieseltwin.challenge.plant_effects import FAMILIES, Family, Fault
 from dieseltwin.challenge.routes import draw_driving
@@ -18,10 +28,10 @@ from dieseltwin.challenge.sensors import SENSORS, SensorSet, read
 from dieseltwin.errors import InputError
 
 Kind = Literal["healthy", "withheld", "two", "partial", "single"]
-Tier = Literal["main", "one-percent"]
+Tier = Literal["main", "one-percent", "own-engine", "own-engine-5"]
 
 MIX: Mapping[Kind, float] = {"healthy": 0.25, "withheld": 0.15, "two": 0.15, "partial": 0.15}  # the rest single
-MAP_RMS: Mapping[Tier, float] = {"main": 0.003, "one-percent": 0.01}
+MAP_RMS: Mapping[Tier, float] = {"main": 0.003, "one-percent": 0.01, "own-engine": 0.02, "own-engine-5": 0.05}
 HEALTH_SPREAD = {"A_egrmax": 0.25, "A_vgtmax": 0.25, "eta_sc": 0.08, "h_tot": 0.25}  # uniform about the laboratory's
 LARGEST_RATIO = 10.0  # of magnitude to tolerance; log-uniform from 1
 UNCATALOGUED_SHARE = 0.2  # of the withheld cases: families that no catalogue holds
@@ -33,7 +43,7 @@ REGION_SHARE = (0.35, 0.65)  # of the samples, before two columns are combined
 DURATION_S = 600.0
 
 # streams of random numbers of a case
-_FAULTS, _MACHINE, _DRIVING, _HELD_OUT, _NOISE, _HELD_OUT_NOISE = range(6)
+_FAULTS, _MACHINE, _DRIVING, _HELD_OUT, _NOISE, _HELD_OUT_NOISE, _REFERENCE = range(7)
 _PLAN = 2**31
 
 
@@ -82,6 +92,7 @@ class Case:
     held_out: pd.DataFrame
     held_out_clean: PlantRun
     answers: dict[str, Any]
+    references: tuple[pd.DataFrame, ...] = ()
 
 
 def make_plans(n: int, seed: int, *, sensors: int = 6, healthy_only: bool = False) -> tuple[Plan, ...]:
@@ -159,29 +170,43 @@ class _Deck:
 
 def build_case(
     plan: Plan, seed: int, laboratory: Mapping[str, Any], *, tier: Tier = "main", sensors: int = 6,
-    duration_s: float = DURATION_S,
+    duration_s: float = DURATION_S, reference_min: float = REFERENCE_MIN,
 ) -> Case:  # fmt: skip
     """Drive, fault and record one machine, and a second time on other driving.
 
     Args:
         plan: what it is to be; seed: of the benchmark; laboratory: published parameters by name.
+        reference_min: minutes of the engine when it was well, in the own-engine tiers [min].
     """
 
     def stream(k: int) -> np.random.Generator:
         return np.random.default_rng([seed, plan.number, k])
 
     rng = stream(_MACHINE)
-    parameters = dict(laboratory)
-    for name, spread in HEALTH_SPREAD.items():
-        parameters[name] = laboratory[name] * (1.0 + rng.uniform(-spread, spread))
+    own = tier in TIERS
+    then, wear = draw_health(laboratory, rng) if own else (dict(laboratory), {})
+    parameters = worn(then, wear)
+    if not own:
+        for name, spread in HEALTH_SPREAD.items():
+            parameters[name] = laboratory[name] * (1.0 + rng.uniform(-spread, spread))
     maps = MapErrors.draw(MAP_RMS[tier], rng)
     sensor_set = SensorSet.draw(rng)
     driving = draw_driving(plan.route, duration_s, laboratory, stream(_DRIVING))
     later = draw_driving("whtc" if plan.route == "random" else "random", duration_s, laboratory, stream(_HELD_OUT))
     faults = tuple(_draw_fault(name, plan, driving, stream(_FAULTS), k) for k, name in enumerate(plan.effects))
     lasting = tuple(fault.lasting() for fault in faults)
-    run = run_plant(driving, parameters, faults, maps)
-    run_later = run_plant(later, parameters, lasting, maps)
+    days = [weather(parameters, laboratory, rng) if own else parameters for _ in range(2)]
+    run = run_plant(driving, days[0], faults, maps)
+    run_later = run_plant(later, days[1], lasting, maps)
+    recording = read(run, driving, faults, sensor_set, sensors, stream(_NOISE))
+    others = same_sensors(sensor_set, run, run_later) if own else sensor_set
+    held_out = read(run_later, later, lasting, others, sensors, stream(_HELD_OUT_NOISE))
+    references: tuple[pd.DataFrame, ...] = ()
+    if own:
+        recording, held_out = with_ambient(recording, days[0]), with_ambient(held_out, days[1])
+        references = record_reference(
+            then, laboratory, maps, (sensor_set, run, sensors), reference_min, stream(_REFERENCE)
+        )
     machine = Machine(parameters, maps, sensor_set, faults)
     answers = {
         "case": plan.name, "kind": plan.kind, "partial": plan.partial, "effects": [f.document() for f in faults],
@@ -189,12 +214,9 @@ def build_case(
         "health": {name: parameters[name] for name in HEALTH_SPREAD}, "sensors": sensor_set.document(),
         "map_rms": {"mean": float(np.sqrt(np.mean(maps.tables**2)))},
     }  # fmt: skip
-    return Case(
-        plan, machine, driving,
-        read(run, driving, faults, sensor_set, sensors, stream(_NOISE)),
-        read(run_later, later, lasting, sensor_set, sensors, stream(_HELD_OUT_NOISE)),
-        run_later, answers,
-    )  # fmt: skip
+    if own:
+        answers["since_reference"] = wear
+    return Case(plan, machine, driving, recording, held_out, run_later, answers, references)
 
 
 def _draw_fault(name: str, plan: Plan, driving: Driving, rng: np.random.Generator, k: int) -> Fault:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from dieseltwin.atomic import atomic_path, check_writable, write_json
 from dieseltwin.challenge.cases import DURATION_S, MAP_RMS, Plan, Tier, build_case, make_plans
+from dieseltwin.challenge.own_engine import REFERENCE_MIN
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import SEALED, file_sha256, new_salt, salted_sha256, write_answers, write_salt
 from dieseltwin.engine import we2011
@@ -25,7 +26,8 @@ _DIGITS = "%.10g"
 
 def make_challenge(
     out: Path, n: int, seed: int, *, tier: Tier = "main", sensors: int = 6, healthy_only: bool = False,
-    duration_s: float = DURATION_S, jobs: int = 1, progress: Callable[[int, int], None] | None = None,
+    duration_s: float = DURATION_S, reference_min: float = REFERENCE_MIN, jobs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Make a benchmark of n cases in `out`; returns the manifest.
 
@@ -44,7 +46,8 @@ def make_challenge(
     check_writable(out / MANIFEST)
     salt = new_salt()
     write_salt(out / SEALED, salt)
-    write = partial(_write_case, out=out, seed=seed, tier=tier, sensors=sensors, duration_s=duration_s, salt=salt)
+    write = partial(_write_case, out=out, seed=seed, tier=tier, sensors=sensors, duration_s=duration_s,
+                    reference_min=reference_min, salt=salt)  # fmt: skip
     made: dict[int, dict[str, Any]] = {}
     for k, entry in in_processes(write, plans, jobs):
         made[k] = entry
@@ -61,18 +64,26 @@ def make_challenge(
 
 
 def _write_case(
-    plan: Plan, *, out: Path, seed: int, tier: Tier, sensors: int, duration_s: float, salt: bytes
+    plan: Plan, *, out: Path, seed: int, tier: Tier, sensors: int, duration_s: float, reference_min: float,
+    salt: bytes,
 ) -> dict[str, Any]:
     laboratory: Mapping[str, Any] = we2011.PARAMETERS.model_dump()
-    case = build_case(plan, seed, laboratory, tier=tier, sensors=sensors, duration_s=duration_s)
+    case = build_case(plan, seed, laboratory, tier=tier, sensors=sensors, duration_s=duration_s,
+                      reference_min=reference_min)  # fmt: skip
     folder, sealed = out / plan.name, out / SEALED
     folder.mkdir(exist_ok=True)
     _write_csv(case.recording, folder / "recording.csv")
+    references = []
+    for k, frame in enumerate(case.references):
+        name = f"{plan.name}/reference_{k + 1}.csv"
+        _write_csv(frame, out / name)
+        references.append({"recording": name, "sha256": file_sha256(out / name)})
     _write_csv(case.held_out, sealed / f"{plan.name}_held_out.csv")
     with atomic_path(sealed / f"{plan.name}_held_out_clean.parquet") as temporary:
         pd.DataFrame(case.held_out_clean.columns).to_parquet(temporary, index=False)
     answers_hash = write_answers(sealed, plan.name, case.answers, salt)
     return {
+        **({"references": references} if references else {}),
         "case": plan.name, "recording": f"{plan.name}/recording.csv",
         "recording_sha256": file_sha256(folder / "recording.csv"), "withhold": list(plan.withhold),
         "answers_salted_sha256": answers_hash,

@@ -217,6 +217,24 @@ def health_bias(rows: Sequence[CaseRow]) -> HealthBias | None:
     )  # fmt: skip
 
 
+def since_errors(rows: Sequence[CaseRow]) -> dict[str, np.ndarray]:
+    """Health parameter -> relative errors of what is said of its change since the reference [-]."""
+    names = dict.fromkeys(name for row in rows for name in row.since_said)
+    return {
+        name: np.array([abs(r.since_said[name][0] / r.since_true[name] - 1.0) for r in rows if name in r.since_said])
+        for name in names
+    }
+
+
+def since_coverage(rows: Sequence[CaseRow]) -> Share:
+    """Changes since the reference inside their 90 % intervals."""
+    inside = [
+        abs(value - row.since_true[name]) <= COVERAGE_Z * std
+        for row in rows for name, (value, std) in row.since_said.items()
+    ]  # fmt: skip
+    return Share(sum(inside), len(inside))
+
+
 def gains(rows: Sequence[CaseRow]) -> tuple[np.ndarray, int]:
     """Share of the oracle's gain on the second recording over counted nameable cases, (k,), and how many were left out
     because the oracle itself gains less than 10 log-likelihood units there."""

@@ -65,6 +65,7 @@ class CaseRow:
         truth: faults; said: reported effects, strongest first; problem: why there is no result, else None.
         mismatch, p_value, site, sites: of the document (`sites`: with the alternatives).
         health_true, health_before, health_after: name -> value.
+        since_true, since_said: name -> health over that at the reference; what was said with its standard deviation.
         nll_before, nll_after, nll_oracle: per sample on the second recording; `samples` of it.
         oracle_health, oracle_magnitudes: what the oracle estimates, name -> value.
         law_error: of the found law on unseen driving, relative; None where there is none or it can't be told.
@@ -90,6 +91,8 @@ class CaseRow:
     nll_before: float | None = None
     nll_after: float | None = None
     nll_oracle: float | None = None
+    since_true: Mapping[str, float] = field(default_factory=dict)
+    since_said: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     oracle_health: Mapping[str, float] = field(default_factory=dict)
     oracle_magnitudes: Mapping[str, float] = field(default_factory=dict)
     samples: int = 0
@@ -174,6 +177,7 @@ def case_row(folder: Path, answers: Mapping[str, Any], scoring: Scoring) -> Case
         "case": name, "kind": answers["kind"], "partial": answers["partial"], "route": answers["route"],
         "truth": tuple(_true_effect(fault) for fault in faults), "withhold": tuple(answers["withhold"]),
         "health_true": {k: float(v) for k, v in answers["health"].items()},
+        "since_true": {k: float(v) for k, v in answers.get("since_reference", {}).items()},
     }  # fmt: skip
     if not (result / FILE_NAME).is_file():
         problem = "not run"
@@ -201,6 +205,9 @@ def said(document: Discrepancy) -> dict[str, Any]:
         "said": tuple(SaidEffect(e.name, e.names, e.magnitude, e.std) for e in document.effects),
         "health_before": {k: v.before for k, v in document.health.items() if k in HEALTH},
         "health_after": {k: v.value for k, v in document.health.items() if k in HEALTH},
+        "since_said": {
+            k: (v.since_reference.value, v.since_reference.std) for k, v in document.health.items() if v.since_reference
+        },
     }  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from dieseltwin.challenge.seal import check_file
 from dieseltwin.discovery.verdict.document import FILE_NAME
 from dieseltwin.engine import EngineParameters, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.reader import read_recording
+from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.settings.strict import unknown_name
 
 RESULTS = "results"
@@ -45,11 +45,17 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise InputError(str(path), error, "the manifest of `challenge make`", "give its folder") from None
 
 
-def the_tool(recording: Any, engine: EngineParameters, **options: Any) -> Any:
-    """`discover` with its defaults but for the options given."""
+def the_tool(
+    recording: Recording, engine: EngineParameters, *, references: Sequence[Recording] = (), **options: Any
+) -> Any:
+    """`discover` with its defaults but for the options given; with references the engine is learned from them first."""
     from dieseltwin.discovery.discover import Options, discover
+    from dieseltwin.discovery.reference.learn import learn_engine
 
-    return discover(recording, engine, Options(**options))
+    if not references:
+        return discover(recording, engine, Options(**options))
+    learned, _ = learn_engine(references, engine, options.pop("map_tolerance"))
+    return discover(recording, learned.engine, Options(**options), learned)
 
 
 def run_challenge(
@@ -105,8 +111,10 @@ def run_case(folder: Path, entry: Mapping[str, Any], *, map_tolerance: float, di
     start = time.perf_counter()
     try:
         recording = read_recording(path)
+        references = [read_recording(folder / item["recording"]) for item in entry.get("references", ())]
         found = discover(
-            recording, we2011.PARAMETERS, withhold=tuple(entry["withhold"]), map_tolerance=map_tolerance, seed=0
+            recording, we2011.PARAMETERS, withhold=tuple(entry["withhold"]), map_tolerance=map_tolerance, seed=0,
+            **({"references": references} if references else {}),
         )
     except Exception as error:  # one case must not end the run; it is listed as a failure by the scorer
         seconds = time.perf_counter() - start

@@ -62,7 +62,30 @@ def lines(rows: Sequence[CaseRow]) -> list[Line]:
         _health(metrics.health_bias(rows)),
         _gain(*metrics.gains(rows)),
         _time(metrics.times(rows)),
+        *_since(rows),
     ]
+
+
+def _since(rows: Sequence[CaseRow]) -> list[Line]:
+    """Health since the reference; no line where no case has one."""
+    errors = metrics.since_errors(rows)
+    if not errors:
+        return []
+    medians = {name: float(np.median(values)) for name, values in errors.items()}
+    passed, aimed = (
+        all(value <= (loose if name == "h_tot" else tight) for name, value in medians.items())
+        for tight, loose in ((0.006, 0.02), (0.003, 0.01))
+    )
+    text = ", ".join(f"{name} {100 * value:.2f} %" for name, value in medians.items())
+    share = metrics.since_coverage(rows)
+    covered = share.value
+    return [
+        Line("since", "health since the reference, median error", text, "<= 0.6 %, h_tot 2 %", "<= 0.3 %, h_tot 1 %",
+             passed, aimed, {"medians": medians, "of": len(rows)}),
+        Line("since_coverage", "its 90 % intervals cover", str(share), "85-95 %", "88-92 %",
+             None if covered is None else 0.85 <= covered <= 0.95, None if covered is None else 0.88 <= covered <= 0.92,
+             {"hits": share.hits, "of": share.of, "value": covered}),
+    ]  # fmt: skip
 
 
 def _law(share: Share, oracle: Share) -> Line:

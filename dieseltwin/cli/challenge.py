@@ -35,10 +35,16 @@ def make(
     n: Annotated[int, typer.Option("--n", metavar="N", help="Number of cases.")],
     seed: Annotated[int, typer.Option("--seed", metavar="S", min=0, help="Seed; kept in the sealed part only.")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder for the benchmark.")],
-    tier: Annotated[str, typer.Option("--tier", metavar="T", help="main (maps off by 0.3 %) or one-percent.")] = "main",
+    tier: Annotated[
+        str,
+        typer.Option("--tier", metavar="T", help="main (maps off by 0.3 %), one-percent, own-engine, own-engine-5."),
+    ] = "main",
     sensors: Annotated[int, typer.Option("--sensors", metavar="K", help="5 (the paper's) or 6 (with w_c).")] = 6,
     healthy_only: Annotated[bool, typer.Option("--healthy-only", help="Healthy machines only.")] = False,
     duration: Annotated[float, typer.Option("--duration", metavar="S", min=60.0, help="Seconds of each.")] = 600.0,
+    reference: Annotated[
+        float, typer.Option("--reference-min", metavar="M", min=0.0, help="Minutes of reference of own-engine tiers.")
+    ] = 20.0,
     jobs: Jobs = None,
 ) -> None:
     """Make recordings, seal the answers apart and publish their salted hashes."""
@@ -46,7 +52,7 @@ def make(
 
     manifest = make_challenge(
         out, n, seed, tier=tier, sensors=sensors, healthy_only=healthy_only, duration_s=duration,  # type: ignore[arg-type]
-        jobs=jobs or _cores(), progress=_progress,
+        reference_min=reference, jobs=jobs or _cores(), progress=_progress,
     )  # fmt: skip
     typer.echo(f"{out}: {manifest['n']} recordings; answers in {out / 'sealed'}, their salted hashes in manifest.json")
 

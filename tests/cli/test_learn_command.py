@@ -1,0 +1,79 @@
+"""`dieseltwin learn` from the command line: what it refuses at once, and a learned engine in the other commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.challenge.map_errors import MapErrors
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.plant_effects import Fault
+from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.cli.app import main
+from dieseltwin.engine import we2011
+
+LABORATORY = we2011.PARAMETERS.model_dump()
+
+
+def _recorded(seed: int, faults: tuple[Fault, ...] = (), **worn: float) -> pd.DataFrame:
+    maps, sensors = MapErrors.draw(0.02, np.random.default_rng(5)), SensorSet.perfect()
+    driving = draw_driving("random", 120.0, LABORATORY, np.random.default_rng(seed))
+    engine = LABORATORY | {name: LABORATORY[name] * share for name, share in worn.items()}
+    rng = np.random.default_rng([seed, 1])
+    return read(run_plant(driving, engine, faults, maps), driving, faults, sensors, 6, rng)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A learned engine, its reference, and a later recording with a large leak and a worn turbine."""
+    folder = tmp_path_factory.mktemp("learned")
+    _recorded(1).to_csv(folder / "healthy.csv", index=False)
+    _recorded(2, (Fault("boost_leak", 8e-5),), A_vgtmax=0.9).to_csv(folder / "new.csv", index=False)
+    assert main(["learn", str(folder / "healthy.csv"), "--out", str(folder / "mine.yaml")]) == 0
+    return folder
+
+
+def test_a_leak_is_found_beside_learned_maps(folder: Path):
+    out = folder / "found"
+    assert main(["discover", str(folder / "new.csv"), "--engine", str(folder / "mine.yaml"), "--out", str(out)]) == 0
+    document = json.loads((out / "discrepancy.json").read_text())
+    assert "boost_leak" in [document["effects"][0]["name"], *document["effects"][0]["equivalent_names"]]
+    assert document["reference"]["recordings"] == 1 and document["reference"]["minutes"] == pytest.approx(2.0, abs=0.1)
+    since = document["health"]["A_vgtmax"]["since_reference"]
+    assert abs(since["value"] - 0.9) < 4.0 * since["std"] < 0.1
+
+
+def test_the_reference_itself_is_not_judged(folder: Path, capsys: pytest.CaptureFixture[str]):
+    code = main(["discover", str(folder / "healthy.csv"), "--engine", str(folder / "mine.yaml"), "--out",
+                 str(folder / "same")])  # fmt: skip
+    assert code == 2 and "in the reference" in capsys.readouterr().err
+    assert not (folder / "same").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--out", "mine.txt"], ".yaml"),
+        (["--out", "mine.yaml", "--map-error", "0.5"], "0.001 to 0.1"),
+    ],
+)
+def test_wrong_options_are_refused(
+    folder: Path, arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(folder)
+    assert main(["learn", "healthy.csv", *arguments]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_idling_alone_teaches_nothing(tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]):
+    frame = pd.read_csv(folder / "healthy.csv")
+    frame["n_e_rpm"], frame["u_delta_mg"] = 600.0, 15.0
+    frame.to_csv(tmp_path / "idle.csv", index=False)
+    assert main(["learn", str(tmp_path / "idle.csv"), "--out", str(tmp_path / "mine.yaml")]) == 2
+    assert not (tmp_path / "mine.yaml").exists()
+    assert capsys.readouterr().err.count("\n") == 1
