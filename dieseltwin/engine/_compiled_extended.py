@@ -35,7 +35,6 @@ from dieseltwin.engine.effects import DRIFTS, GAS_LAG, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS
 from dieseltwin.engine.model_constants import CONSTANT_NAMES
 from dieseltwin.engine.quantities import Gas, OperatingPoint, Signals
-from dieseltwin.engine.turbocharger import PI_T_MAX
 
 N_EFFECTS, N_POINTS = len(STATE_EFFECTS), len(Signals._fields)
 N_CORRECTED = len(CORRECTED_POINTS)
@@ -54,11 +53,7 @@ CONSTANT = CORRECTION + N_CORRECTED
 
 INERTIA = STATE_EFFECTS.index(GAS_LAG)
 GROWS = np.array(DRIFTS)
-VGT_OFFSET = STATE_EFFECTS.index("vgt_offset")
-U_EGR, U_VGT = Signals._fields.index("u_egr"), Signals._fields.index("u_vgt")
-P_AMB, T_AMB, C_PA, R_C, INVERSE_GAMMA_A = (
-    CONSTANT_NAMES.index(name) for name in ("p_amb", "T_amb", "c_pa", "R_c", "inverse_gamma_a")
-)
+P_AMB = CONSTANT_NAMES.index("p_amb")
 
 
 @numba.njit(**_INLINED)
@@ -78,6 +73,9 @@ exhaust_side = _free_model.exhaust_side
 charge_constants = _model.charge_constants
 cylinder_sweep = _model.cylinder_sweep
 exhaust_to_intake_ratio = _model.exhaust_to_intake_ratio
+compressor_pressure_ratio = _model.compressor_pressure_ratio
+turbine_pressure_ratio = _model.turbine_pressure_ratio
+energy_transfer_coefficient = _model.energy_transfer_coefficient
 
 
 def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
@@ -94,6 +92,15 @@ def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
 
 load_magnitudes = _loader("load_magnitudes", Magnitudes, EFFECT)
 load_signals = _loader("load_signals", Signals, SIGNAL, moving=True)
+
+
+@numba.njit(**_INLINED)
+def load_point(work, k, lanes):  # type: ignore[no-untyped-def]
+    return OperatingPoint(
+        work[k], work[lanes + k], work[2 * lanes + k], work[3 * lanes + k], work[4 * lanes + k],
+        work[INPUT * lanes + k], work[(INPUT + 1) * lanes + k], work[(INPUT + 2) * lanes + k],
+        work[(INPUT + 3) * lanes + k],
+    )  # fmt: skip
 
 
 @numba.njit(**_INLINED)
@@ -120,28 +127,17 @@ def correct_maps(work, fraction, tables, low, per_unit):  # type: ignore[no-unty
     if tables.shape[0] == 0:
         return
     for k in range(LANES):
-        p_im, p_em, omega_t = work[k], work[LANES + k], work[2 * LANES + k]
-        p_amb = work[(CONSTANT + P_AMB) * LANES + k]
-        u_egr = work[(INPUT + 2) * LANES + k] + work[(SIGNAL + U_EGR) * LANES + k]
-        u_egr += fraction * work[(SLOPE + U_EGR) * LANES + k]
-        u_vgt = work[(INPUT + 3) * LANES + k] + work[(SIGNAL + U_VGT) * LANES + k]
-        u_vgt += fraction * work[(SLOPE + U_VGT) * LANES + k] + work[(EFFECT + VGT_OFFSET) * LANES + k]
-        Pi_t = turbine_pressure_ratio_of(p_em, p_amb)
-        Pi_c = max(p_im / p_amb, 1.0)
-        tip = work[(CONSTANT + R_C) * LANES + k] * omega_t
-        heating = Pi_c ** (1.0 - work[(CONSTANT + INVERSE_GAMMA_A) * LANES + k]) - 1.0
-        Psi_c = 2.0 * work[(CONSTANT + C_PA) * LANES + k] * work[(CONSTANT + T_AMB) * LANES + k] * heating / (tip * tip)
-        work[CORRECTION * LANES + k] = _table(tables, 0, low, per_unit, p_im, work[INPUT * LANES + k])
-        work[(CORRECTION + 1) * LANES + k] = _table(tables, 1, low, per_unit, u_egr, 0.0)
-        work[(CORRECTION + 2) * LANES + k] = _table(tables, 2, low, per_unit, u_vgt, Pi_t)
-        work[(CORRECTION + 3) * LANES + k] = _table(tables, 3, low, per_unit, omega_t, Pi_t)
+        c = load_constants(work, CONSTANT * LANES + k, LANES)
+        m, s = load_magnitudes(work, k, LANES, fraction), load_signals(work, k, LANES, fraction)
+        x = driven(load_point(work, k, LANES), m, s, c)
+        Pi_c, Pi_t = compressor_pressure_ratio(x.p_im, c), turbine_pressure_ratio(x.p_em, c)
+        Psi_c = energy_transfer_coefficient(c.T_amb, Pi_c, x.omega_t, c)
+        work[CORRECTION * LANES + k] = _table(tables, 0, low, per_unit, x.p_im, x.n_e)
+        work[(CORRECTION + 1) * LANES + k] = _table(tables, 1, low, per_unit, x.u_egr, 0.0)
+        work[(CORRECTION + 2) * LANES + k] = _table(tables, 2, low, per_unit, x.u_vgt, Pi_t)
+        work[(CORRECTION + 3) * LANES + k] = _table(tables, 3, low, per_unit, x.omega_t, Pi_t)
         work[(CORRECTION + 4) * LANES + k] = _table(tables, 4, low, per_unit, work[W_C * LANES + k], Pi_c)
-        work[(CORRECTION + 5) * LANES + k] = _table(tables, 5, low, per_unit, Psi_c, omega_t)
-
-
-@numba.njit(**_INLINED)
-def turbine_pressure_ratio_of(p_em, p_amb):  # type: ignore[no-untyped-def]
-    return min(p_amb / p_em, PI_T_MAX)
+        work[(CORRECTION + 5) * LANES + k] = _table(tables, 5, low, per_unit, Psi_c, x.omega_t)
 
 
 def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
@@ -153,12 +149,7 @@ def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
         c = load_constants(work, CONSTANT * LANES + k, LANES)
         m = load_magnitudes(work, k, LANES, fraction)
         s = load_signals(work, k, LANES, fraction)
-        given = OperatingPoint(
-            work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k],
-            work[INPUT * LANES + k], work[(INPUT + 1) * LANES + k], work[(INPUT + 2) * LANES + k],
-            work[(INPUT + 3) * LANES + k],
-        )  # fmt: skip
-        x = driven(given, m, s, c)
+        x = driven(load_point(work, k, LANES), m, s, c)
         gas = Gas(work[GAS * LANES + k], work[GAIN * LANES + k], work[CARRY * LANES + k])
         i = intake_side(x, gas, m, s, c)
         warm = cylinder_sweep(

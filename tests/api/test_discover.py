@@ -16,7 +16,7 @@ from dieseltwin.calibration import repair
 from dieseltwin.calibration.coefficients import TERMS
 from dieseltwin.cli.app import main
 from dieseltwin.engine import load_engine, we2011
-from dieseltwin.engine.effects import Term
+from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import fit_maps
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol

@@ -13,7 +13,7 @@ from mypy import api as mypy
 
 import dieseltwin as dt
 from dieseltwin.engine import we2011
-from dieseltwin.engine.effects import Term
+from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.recordings.channels import channel_map

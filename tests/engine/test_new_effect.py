@@ -40,7 +40,7 @@ EFFECT = Effect(
 """
 PROOF = """
 import json
-from dieseltwin.discovery.twins.diesel import hypotheses_of
+from dieseltwin.discovery.twins.diesel_points import hypotheses_of
 from dieseltwin.discovery.verdict.document import FoundEffect
 from dieseltwin.engine import MEASURED, we2011
 from dieseltwin.report.discovery_words import effect_words

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, signals_of_lane
-from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
+from dieseltwin.discovery.twins.diesel_points import POINT_FACTS, hypotheses_of
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.diesel_variables import variables_along
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
@@ -59,17 +59,6 @@ _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start 
 _LAW_ROUNDS = 6
 _LAW_SETTLED = 1e-5  # change of a law's signal relative to its size
 _ACTUATORS_REST_S = 1.5  # after a gap, until dead time and lags have forgotten what is not known
-
-
-def hypotheses_of(channels: Sequence[str]) -> dict[str, Hypothesis]:
-    """The effects that may explain a recording with these sensors, by name."""
-    return {
-        e.name: Hypothesis(
-            e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
-        )
-        for e in EFFECTS.values()
-        if e.enters.through != "reading" or e.enters.name in channels
-    }
 
 
 class EngineTwin:

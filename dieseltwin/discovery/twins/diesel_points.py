@@ -1,8 +1,13 @@
-"""The insertion points of the diesel engine: where, what a law may depend on there, over what its map may be off."""
+"""What may differ in the diesel engine: its insertion points (where, what a law may depend on there, over what its map
+may be off), and the effects by name."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from dieseltwin.discovery.twins.interface import Hypothesis
+from dieseltwin.engine.effects import EFFECTS
 
 
 @dataclass(frozen=True)
@@ -39,4 +44,15 @@ POINT_FACTS: dict[str, PointFacts] = {
     "u_vgt": PointFacts("vgt_actuator", ("u_vgt",), 20.0),
     "egr_opening": PointFacts("egr_flow", ("u_egr", "Pi_egr", "t"), 0.2),
 }
-"""By the names of `engine.effects.POINTS`."""
+"""By the names of `engine.quantities.POINTS`."""
+
+
+def hypotheses_of(channels: Sequence[str]) -> dict[str, Hypothesis]:
+    """The effects that may explain a recording with these sensors, by name."""
+    return {
+        e.name: Hypothesis(
+            e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
+        )
+        for e in EFFECTS.values()
+        if e.enters.through != "reading" or e.enters.name in channels
+    }
