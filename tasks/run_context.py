@@ -310,8 +310,7 @@ def _run_worker(
 ) -> float:
     """Run the step's function in a process. Returns the CPU seconds it took, its imports included."""
     specification = {
-        "module": step.function.__module__,
-        "function": step.function.__name__,
+        "step": step.reference,
         "inputs": {name: str(artifact.path) for name, artifact in inputs.items()},
         "parameters": dict(parameters),
         "out": str(out),

@@ -8,7 +8,6 @@ the worker: no orphan computes on.
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import sys
@@ -18,6 +17,8 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
+
+from tasks.run_context import find_step
 
 # A progress message at most this often [s]: a callback in an inner loop must not cost.
 _MESSAGE_INTERVAL_S = 0.2
@@ -30,8 +31,7 @@ def main() -> int:
     specification: dict[str, Any] = json.loads(sys.stdin.readline())
     threading.Thread(target=_die_with_parent, daemon=True).start()
     try:
-        module = importlib.import_module(specification["module"])
-        function: Callable[..., None] = getattr(module, specification["function"]).function
+        function = find_step(specification["step"]).function
         inputs = {name: Path(path) for name, path in specification["inputs"].items()}
         function(Path(specification["out"]), _reporter(channel), **inputs, **specification["parameters"])
     except Exception as error:
