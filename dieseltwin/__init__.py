@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.engines import engine as engine
     from dieseltwin.api.identification import Setup as Setup
     from dieseltwin.api.identification import identify as identify
+    from dieseltwin.api.learning import learn as learn
     from dieseltwin.api.points import imply as imply
     from dieseltwin.api.reading import read as read
     from dieseltwin.api.simulation import simulate as simulate
@@ -36,13 +37,15 @@ _ROOMS = {
     "discover": "discovery",
     "identify": "identification",
     "imply": "points",
+    "learn": "learning",
     "read": "reading",
     "show_versions": "versions",
     "simulate": "simulation",
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "discover", "engine", "identify", "imply", "read", "show_versions", "simulate",
+    "Setup", "__version__", "calibrate", "discover", "engine", "identify", "imply", "learn", "read", "show_versions",
+    "simulate",
 ]  # fmt: skip
 
 

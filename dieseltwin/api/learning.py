@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine
+from dieseltwin.api.figures import drawn
 from dieseltwin.api.reading import Channels, Source, diesel_recording
+from dieseltwin.api.results import Result
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording
-from dieseltwin.engine import HEALTH
+from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import HEALTH_AT, prior_belief
@@ -20,6 +24,10 @@ from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.discovery_words import magnitude_words
+from dieseltwin.report.learned import corrections
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MAP_ERROR = 0.02
 """Size of the maps' smooth relative errors that is believed of an engine of the base's family, rms [-]."""
@@ -28,8 +36,8 @@ MAP_ERRORS = (0.001, 0.1)
 _MISFIT = 1.6  # squared whitened residual a reading; above, the recording isn't what the corrected engine does
 
 
-@dataclass(frozen=True)
-class LearnedResult:
+@dataclass(frozen=True, repr=False)
+class LearnedResult(Result):
     """What is known of an engine.
 
     Attributes:
@@ -42,9 +50,34 @@ class LearnedResult:
     found: Learned
     notes: tuple[str, ...]
 
+    @property
+    def engine(self) -> EngineParameters:
+        """The engine as it was learned; its file says how surely, so give that to `discover`."""
+        return self.known.engine
+
+    @property
+    def sentence(self) -> str:
+        maps = self.table()
+        learned = ", ".join(f"{point} by {row.corrected_pct:.1f} %" for point, row in maps.iterrows())
+        return (f"Learned from {self.known.minutes:.1f} minutes of {len(self.known.recordings)} recording(s); maps "
+                f"corrected: {learned or 'none'}.")  # fmt: skip
+
+    def table(self) -> pd.DataFrame:
+        """One row a map: what was believed of its error before, the correction, how well it is known now (rms) [%]."""
+        rows = {row.point: {"believed_pct": 100.0 * row.believed, "corrected_pct": 100.0 * row.corrected,
+                            "known_to_pct": 100.0 * row.known_to} for row in corrected_maps(self.known)}
+        return pd.DataFrame.from_dict(
+            rows, orient="index", columns=["believed_pct", "corrected_pct", "known_to_pct"]
+        ).rename_axis("map")
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`maps`: belief before, correction, and what is left unknown, for every map."""
+        return drawn(self.table(), {"maps": corrections}, name)
+
     def save(self, out: str | Path) -> Path:
         """Write the engine file and, beside it, what it rests on."""
-        return save_learned(self.known, Path(out))
+        save_learned(self.known, Path(out))
+        return Path(out)
 
     def lines(self) -> list[str]:
         """For people: notes, then health and every map."""
@@ -119,24 +152,51 @@ def summary(learned: LearnedEngine) -> list[str]:
         f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
-    functions = basis()
-    tables = functions.tables.reshape(len(functions.maps), -1)
-    uncertain = uncertainty_along(belief, tables)
-    prior = uncertainty_along(prior_belief(learned.base, learned.map_rms), tables)
-    for m, point in enumerate(CORRECTED_POINTS):
-        if point not in learned.domain:
+    known = {row.point: row for row in corrected_maps(learned)}
+    for point in CORRECTED_POINTS:
+        if point not in known:
             lines.append(f"  {point:<10}nothing is known of this map beyond what was believed")
             continue
-        inside = uncertain[m] < KNOWN_SHARE * prior[m]
-        at = functions.maps == m
-        size = np.sqrt(np.mean((belief.coefficients[at] @ tables[at][:, inside]) ** 2))
-        left = np.sqrt(np.mean(uncertain[m][inside] ** 2))
+        row = known[point]
         ranges = ", ".join(
             f"{argument} {low:.4g} to {high:.4g}"
             for argument, (low, high) in ((a, learned.domain[point][a]) for a in ARGUMENTS[point])
         )
-        lines.append(f"  {point:<10}corrected by {100 * size:.1f} % rms, known to {100 * left:.2g} %, for {ranges}")
+        lines.append(f"  {point:<10}corrected by {100 * row.corrected:.1f} % rms, known to {100 * row.known_to:.2g} %, "
+                     f"for {ranges}")  # fmt: skip
     return lines
+
+
+@dataclass(frozen=True)
+class CorrectedMap:
+    """A map of which something was learned; sizes are root mean squares over where it is known [-].
+
+    Attributes:
+        point: what it corrects.
+        believed: its error, as believed before.
+        corrected: the correction.
+        known_to: standard deviation that is left.
+    """
+
+    point: str
+    believed: float
+    corrected: float
+    known_to: float
+
+
+def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
+    """Every map of which something was learned, where the belief was cut to less than half."""
+    belief, functions = learned.belief, basis()
+    tables = functions.tables.reshape(len(functions.maps), -1)
+    uncertain = uncertainty_along(belief, tables)
+    prior = uncertainty_along(prior_belief(learned.base, learned.map_rms), tables)
+    rows = []
+    for m, point in enumerate(CORRECTED_POINTS):
+        if point in learned.domain:
+            inside, at = uncertain[m] < KNOWN_SHARE * prior[m], functions.maps == m
+            parts = (prior[m][inside], belief.coefficients[at] @ tables[at][:, inside], uncertain[m][inside])
+            rows.append(CorrectedMap(point, *(float(np.sqrt(np.mean(part**2))) for part in parts)))
+    return rows
 
 
 def _check_misfit(known: LearnedEngine, source: Recording) -> None:

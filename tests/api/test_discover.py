@@ -136,7 +136,9 @@ def test_petrol_engine(tmp_path: Path) -> None:
     command = ["discover", str(tmp_path / "drive.csv"), "--engine", str(file), "--out", str(tmp_path / "command")]
     assert main(command) == 0
     same_files(tmp_path / "function", tmp_path / "command")
-    with pytest.raises(InputError, match="no such option for a petrol engine"):
-        dt.discover(tmp_path / "drive.csv", file, withhold=["boost_leak"])
+    repaired = dt.simulate(tmp_path / "drive.csv", tmp_path / "command" / "engine.yaml")
+    assert repaired.engine == dt.engine(tmp_path / "command" / "engine.yaml") and len(repaired.plot().axes) == 2
+    with pytest.raises(InputError, match="did you mean intake_leak"):
+        dt.discover(tmp_path / "drive.csv", file, withhold=["intake_lek"])
     with pytest.raises(InputError, match="at least 600 s"):
         dt.calibrate(tmp_path / "drive.csv", "liu_petrol")

@@ -18,5 +18,6 @@ def main() -> None:
     health = dt.identify("drive.csv", found.engine, method="classical", setup=dt.Setup(profile="paper"))
     calibrated = dt.calibrate("points.csv", geometry="geometry.yaml")
     implied = dt.imply("points.csv", "repaired.yaml")
-    print(where, sentence, again.table(), health.table(), calibrated.engine, implied.plot())
+    learned = dt.learn(["healthy.csv"], map_error=0.02)
+    print(where, sentence, again.table(), health.table(), calibrated.engine, implied.plot(), learned.engine)
     dt.show_versions()
