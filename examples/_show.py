@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dieseltwin.atomic import write_json
 from dieseltwin.discovery.search.stepwise import discover_stepwise, free_run, metric_of, repaired
 
 
@@ -59,6 +60,7 @@ def show(make, relative, published, window_s, held_window_s, floor, unit, fitted
     blind, _, _, blind_errors = evaluate(make, path, window_s, held_window_s, floor, fitted_rows, **options)
     print("The same without any catalogue: " + "; ".join(blind.sentences()))
     print("  rms error " + ", ".join(f"{k} {v:.4g} {unit}" for k, v in blind_errors.items() if k != "names"))
+    write_json(Path("reports") / f"{Path(relative).parent.name}.json", story.to_json())
     draw(Path(relative).parent.name, story, held, runs, errors, unit)
 
 

@@ -21,6 +21,7 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.worth import Worth, independent
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
 from dieseltwin.recordings.noise import estimate_noise
+from dieseltwin.settings.strict import unknown_name
 
 _ROUNDS = 25
 _LOCAL_ROUNDS = 12
@@ -41,6 +42,7 @@ class Step:
         name, site, law, unit: of the hypothesis.
         worth: gain less its charge when it was taken, in units of -2 log likelihood.
         rivals: other names within 9 units at that step.
+        weighed: every name that was fitted at that step with its worth, best first.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Step:
     unit: str
     worth: float
     rivals: tuple[str, ...]
+    weighed: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ class Story:
         law: of what remained, or None.
         magnitudes: effect -> (magnitude, standard deviation scaled to the misfit) [unit].
         unresolved: sites of laws that explain what remained alike, where none of them was kept.
+        left: every name that was fitted beside the last step's with its worth, best first; none was taken.
+        withheld: names that were not to be used.
     """
 
     before: Fit
@@ -69,6 +74,49 @@ class Story:
     law: law_search.Law | None
     magnitudes: dict[str, tuple[float, float]]
     unresolved: tuple[str, ...] = ()
+    left: tuple[tuple[str, float], ...] = ()
+    withheld: tuple[str, ...] = ()
+
+    def explain(self, name: str) -> list[str]:
+        """Why a name was or wasn't taken.
+
+        Raises:
+            InputError: a name that was neither weighed nor withheld.
+        """
+        if name in self.withheld:
+            return [f"{name}: withheld from the catalogue"]
+        lines = []
+        for number, step in enumerate(self.steps, 1):
+            worth = dict(step.weighed).get(name)
+            if worth is None:
+                continue
+            told = f"step {number}: worth {worth:.0f} beyond its charge"
+            if name == step.name:
+                return [*lines, f"{told}, the best of {len(step.weighed)}: taken"]
+            alike = f"; within {_RIVALS:g} units they can't be told apart" if name in step.rivals else ""
+            lines.append(f"{told}, {step.worth - worth:.0f} behind {step.name}{alike}")
+        if (worth := dict(self.left).get(name)) is not None:
+            why = f"{_LEAST_WORTH:g} is needed" if worth < _LEAST_WORTH else "it does not hold on the last windows"
+            lines.append(f"beside what was named: worth {worth:.0f} beyond its charge, where {why}")
+        if not lines:
+            known = sorted({n for step in self.steps for n, _ in step.weighed} | {n for n, _ in self.left})
+            raise unknown_name("effect", name, known)
+        return [*lines, f"{name}: not taken"]
+
+    def to_json(self) -> dict[str, Any]:
+        """The story as JSON types: parameters before and after, effects with sizes, the law, what was weighed."""
+        return {
+            "parameters_before": self.before.parameters.tolist(), "parameters_after": self.after.parameters.tolist(),
+            "effects": [
+                {"name": s.name, "site": s.site, "law": s.law, "unit": s.unit, "worth": s.worth,
+                 "magnitude": self.magnitudes[s.name][0], "std": self.magnitudes[s.name][1],
+                 "equivalent_names": list(s.rivals), "weighed": dict(s.weighed)}
+                for s in self.steps
+            ],
+            "law": None if self.law is None else {"site": self.law.site, "text": self.law.text},
+            "unresolved": list(self.unresolved), "left": dict(self.left), "withheld": list(self.withheld),
+            "sentences": self.sentences(),
+        }  # fmt: skip
 
     def sentences(self) -> list[str]:
         """For people."""
@@ -119,6 +167,7 @@ def discover_stepwise(
     before = here.fit
     steps: list[Step] = []
     names = [name for name in twin.hypotheses if name not in withhold]
+    left: tuple[tuple[str, float], ...] = ()
     while len(steps) < most:
         readings = independent(here.residual, twin.starts, len(twin.states))
         worth = Worth(here.fit.objective, readings)
@@ -131,6 +180,7 @@ def discover_stepwise(
                     continue
                 trials.append((worth(here.fit.objective - fitted.fit.objective) - charge, name, fitted))
         trials.sort(key=lambda trial: -trial[0])
+        left = tuple((name, float(value)) for value, name, _ in trials)
         if not trials or trials[0][0] < _LEAST_WORTH:
             break
         if not _holds(twin, whitening, twin, here.fit, twin, trials[0][2].fit, _LOSS_OF_NAME):
@@ -138,7 +188,8 @@ def discover_stepwise(
         value, name, here = trials[0]
         rivals = tuple(other for other_value, other, _ in trials[1:] if value - other_value < _RIVALS)
         hypothesis = twin.hypotheses[name]
-        steps.append(Step(name, hypothesis.site, hypothesis.law, hypothesis.unit, value, rivals))
+        steps.append(Step(name, hypothesis.site, hypothesis.law, hypothesis.unit, value, rivals, left))
+        left = ()
     kept: law_search.Law | None = None
     sites: tuple[str, ...] = ()
     if law and len(steps) < most:
@@ -160,7 +211,8 @@ def discover_stepwise(
         name: (float(value), float(scale * std))
         for name, value, std in zip(here.fit.candidate.names, here.fit.magnitudes, stds, strict=True)
     }
-    return Story(before, here.fit, tuple(steps), kept, magnitudes, () if kept is not None else sites)
+    unresolved = () if kept is not None else sites
+    return Story(before, here.fit, tuple(steps), kept, magnitudes, unresolved, left, tuple(withhold))
 
 
 def metric_like(whitening: Whitening, from_row: int) -> Whitening:
@@ -248,12 +300,13 @@ def free_run(twin: Twin, fit: Fit, whitening: Whitening, fitted_rows: int | None
     shrink = np.ones(len(twin.starts))
     best_cost, best_local = np.full(len(twin.starts), np.inf), local.copy()
     for _ in range(_LOCAL_ROUNDS):
-        simulated = twin.simulate(_local_lanes(twin, fit, local))
+        with np.errstate(over="ignore", invalid="ignore"):  # a long run may diverge; its step is taken back
+            simulated = twin.simulate(_local_lanes(twin, fit, local))
         residual = np.nan_to_num((twin.measured - simulated[0]) * weights, nan=0.0, posinf=1e6, neginf=-1e6)
         for w, (start, end) in enumerate(zip(twin.starts, ends, strict=True)):
             rows = slice(int(start), int(end))
             cost = float(np.sum(residual[rows] ** 2))
-            if cost < best_cost[w]:
+            if cost < best_cost[w] and np.isfinite(simulated[:, rows]).all():
                 best_cost[w], best_local[w], shrink[w] = cost, local[w], min(1.0, 2 * shrink[w])
                 columns = [
                     ((simulated[1 + j] - simulated[0])[rows] * weights[rows]).ravel()

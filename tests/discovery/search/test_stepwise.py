@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from dieseltwin.discovery.likelihood.fit import first_fit
 from dieseltwin.discovery.search import stepwise
-from dieseltwin.discovery.search.stepwise import Story, discover_stepwise
+from dieseltwin.discovery.search.stepwise import Story, discover_stepwise, free_run, metric_of
+from dieseltwin.discovery.twins.interface import Lanes
+from dieseltwin.errors import InputError
 from tests.discovery.toy import Toy
 
 
@@ -61,3 +65,29 @@ def test_a_story_without_anything_says_what_was_asked(story: Story) -> None:
     empty = replace(story, law=None, steps=(), unresolved=())
     assert empty.sentences() == ["nothing that a name or a law explains on this recording"]
     assert np.isfinite(story.before.objective)
+
+
+def test_every_name_that_was_weighed_has_its_reason() -> None:
+    toy = Toy(1000, 10).record(leak=0.15)
+    others = tuple(name for name in toy.hypotheses if name != "leak")
+    named = discover_stepwise(toy, law=False, withhold=others[:1])
+    assert named.explain("leak")[-1].endswith("taken") and "not" not in named.explain("leak")[-1]
+    assert named.explain(others[0]) == [f"{others[0]}: withheld from the catalogue"]
+    assert named.explain(others[1])[-1] == f"{others[1]}: not taken"
+    with pytest.raises(InputError, match="leak"):
+        named.explain("laek")
+    assert json.loads(json.dumps(named.to_json()))["effects"][0]["name"] == "leak"
+
+
+def test_a_run_that_diverges_is_no_fit() -> None:
+    """A diverged reading used to count as met exactly, and its slopes ended in a LinAlgError."""
+
+    class Runaway(Toy):
+        def simulate(self, lanes: Lanes) -> np.ndarray:
+            out = super().simulate(lanes)
+            out[:, len(self.time_s) // 2 :][lanes.local[:, 0, 0] > 2.0] = np.nan
+            return out
+
+    toy = Runaway(200, 1).record(leak=0.15)
+    fit = replace(first_fit(toy), local=np.full_like(toy.first_local(), 5.0))
+    assert free_run(toy, fit, metric_of(toy)).shape == toy.measured.shape
