@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ from dieseltwin.settings.points import PointSettings
 Array = NDArray[np.float64]
 
 DEGREES = 4.0  # of Student's t
-FULL_ITERATIONS, TRAIN_ITERATIONS = 8, 4
+FULL_ITERATIONS, TRAIN_ITERATIONS = 20, 4
 _SIGNIFICANT = 2.0  # standard deviations
 
 
@@ -64,7 +64,7 @@ class Options:
     withhold: tuple[str, ...] = ()
     seed: int = 0
     law_search: bool = True
-    beliefs: PointSettings = PointSettings()
+    beliefs: PointSettings = field(default_factory=PointSettings)
 
     def settings(self) -> search.Settings:
         """For the search: a point is no moment, so nothing has an onset; what is left is the next round's."""
@@ -150,7 +150,8 @@ class PointsDiscovery:
         changes: dict[str, Any] = {}
         if self.law is not None and self.lawful:
             parameters = self.rounds[-1].found.twin.parameters
-            changes = {p.name: float(v) for p, v in zip(parameters, self.law.parameters, strict=True) if p.name in HEALTH}
+            pairs = zip(parameters, self.law.parameters, strict=True)
+            changes = {p.name: float(v) for p, v in pairs if p.name in HEALTH}
         return self.repaired.engine.replace(**changes, terms=(*self.calibration.engine.terms, *self.terms()))
 
 
@@ -217,7 +218,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
 
 
 def _named(found: search.Search, beliefs: PointSettings) -> tuple[str, ...]:
-    """What a round takes: the search's choice, or the strongest name where something is left that is the next round's."""
+    """What a round takes: the search's choice, or the strongest name where what it leaves is the next round's."""
     if found.kind == "healthy":
         return ()
     if found.best is not None and found.kind in ("single", "pair"):

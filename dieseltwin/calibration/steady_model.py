@@ -106,7 +106,7 @@ class SteadyModel:
                                  "T_em": T_em, "n_e": n_e, "c": c_0}  # fmt: skip
 
         def changed(name: str, quantity: Any) -> Any:
-            """The quantity under the effects and the signal that enter it; laws find it under its name from then on."""
+            """The quantity under the effects and the signal that enter it; laws then find it under its name."""
             known[name] = signal(name, t.changed(name, quantity, known, points))
             return known[name]
 
@@ -131,11 +131,11 @@ class SteadyModel:
         eta_vol = eta_vol * t.wall_heating(T_im)
         c_i = c._replace(T_im=T_im, T_amb=T_0)
         W_ei_model = _eq.cylinder_inflow(eta_vol, p_im, n_e, c_i)
-        W_ei = known["W_ei"] = np.maximum(W_c + added("intake_balance", t.changed("intake_balance", 0.0, known, points))
-                                          + W_egr, LEAST_FLOW)  # fmt: skip
+        lost_im = added("intake_balance", t.changed("intake_balance", 0.0, known, points))
+        W_ei = known["W_ei"] = np.maximum(W_c + lost_im + W_egr, LEAST_FLOW)
         W_eo = changed("W_eo", _eq.cylinder_outflow(W_f, W_ei))
-        T_em_model = signal("T_em", t.changed("T_em", self._exhaust_temperature(p_im, p_em, W_ei, W_f, W_eo, c_i), known,
-                                              points))  # fmt: skip
+        T_em_static = self._exhaust_temperature(p_im, p_em, W_ei, W_f, W_eo, c_i)
+        T_em_model = signal("T_em", t.changed("T_em", T_em_static, known, points))
 
         # turbine: what lies behind it
         lost_em = added("exhaust_balance", t.changed("exhaust_balance", 0.0, known, points))

@@ -145,7 +145,7 @@ class SteadyTwin:
         return Whitening.of(self.measured, self.noise(), self.starts)
 
     def nuisances(self, lanes: Lanes) -> list[Nuisance]:
-        """As `KnownErrors.nuisances`: coefficients of the maps, their smooth errors, gain and offset of every sensor."""
+        """As `KnownErrors.nuisances`: coefficients and smooth errors of the maps, gain and offset of every sensor."""
         maps = map_nuisances(self, self.variables(lanes))
         simulated = self.simulate(lanes)[0]
         found = [
@@ -155,7 +155,8 @@ class SteadyTwin:
         free = {p.name for p in self.parameters}
         for c in self._coefficients:
             if c.name not in free:
-                step = _COEFFICIENT_STEP * c.std * (-1.0 if self._fixed[c.name] + _COEFFICIENT_STEP * c.std > c.high else 1.0)
+                step = _COEFFICIENT_STEP * c.std
+                step = -step if self._fixed[c.name] + step > c.high else step
                 moved = self._balances(lanes, {}, {c.name: self._fixed[c.name] + step})
                 found.append(Nuisance(c.name, response=(moved[0] - simulated) * c.std / step))
         for column in self.used:
@@ -176,7 +177,8 @@ class SteadyTwin:
         return -np.asarray(np.clip(np.einsum("nij,bnj->bni", self._whiten, bounded), -_LIMIT, _LIMIT))
 
     def _relations(self, lanes: Lanes, errors: Mapping[str, Array], changed: Mapping[str, float] | None = None) -> Any:
-        values: dict[str, Any] = {**self._fixed, **{p.name: lanes.parameters[:, i] for i, p in enumerate(self.parameters)}}
+        own = {p.name: lanes.parameters[:, i] for i, p in enumerate(self.parameters)}
+        values: dict[str, Any] = {**self._fixed, **own}
         values.update(changed or {})
         for name, magnitude in lanes.magnitudes.items():
             values[name] = self._fixed.get(name, 0.0) + magnitude

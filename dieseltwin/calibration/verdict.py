@@ -119,6 +119,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
         p_value=float(np.clip(first.chance.p_value(first.gain(first.singles[0])), 0.0, 1.0)),
         location=_location(result) if result.mismatch else None,
         effects=_effects(result) if result.mismatch else (),
+        more_is_missing=result.more_is_missing,
         health={name: HealthValue(value=float(getattr(engine, name)), std=std.get(name),
                                   before=float(getattr(before, name))) for name in HEALTH},
         fit=Fit(held_out_nll_before=result.nll_before, held_out_nll_after=result.nll_after,
@@ -138,7 +139,7 @@ def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]
     rows = []
     for row in candidate_rows(first):
         if row["name"] in chosen:
-            row["reason"] = f"chosen in round {_round_of(result, row['name'])}; held-out points are foretold better with it"
+            row["reason"] = f"chosen in round {_round_of(result, row['name'])}: held-out points are foretold better"
         rows.append(dict(row))
     return plain({
         "recording_sha256": result.calibration.points.sha256,

@@ -17,7 +17,7 @@ class PointSettings(StrictModel):
     sensor_offset: NonNegativeFloat = Field(0.003, description="the same of an offset, share of the median [-]")
     cylinder_flow: PositiveFloat = Field(0.008, description="error of volumetric efficiency [-]: Wahlstrom & Eriksson "
                                          "(2011) report 0.9 %; calibrated UW points 1.4 %")
-    turbine_flow: PositiveFloat = Field(0.010, description="of the turbine's flow [-]: 2.5 % there, 1.3 % with the flap")
+    turbine_flow: PositiveFloat = Field(0.010, description="of the turbine's flow [-]: 2.5 % there, 1.3 % on UW")
     turbo_power: PositiveFloat = Field(0.020, description="of turbine over compressor power [-]: 4 to 7 % there")
     compressor_flow: PositiveFloat = Field(0.015, description="of the compressor's ellipse [-]: 2 to 4 % there")
     egr_flow: PositiveFloat = Field(0.020, description="of the EGR valve [-]: 4 to 5 % there")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.twins.diesel import EngineTwin

@@ -134,8 +134,7 @@ class EngineTwin:
         self._even_steps = step_s is not None
         rows, self.starts, self.pieces = windows_of(recording, window_s)
         self.rows = rows
-        time = recording.time_s[rows]
-        self.recording_time_s = time
+        self.recording_time_s = time = recording.time_s[rows]
         self.time_s = without_gaps(time, self.pieces)
         self._at = [MEASURED.index(c) for c in self.channels]
         columns = recording.columns
@@ -149,7 +148,7 @@ class EngineTwin:
         self._readings = measured
         self.conditions: Mapping[str, Array] = {c: columns[c][rows] for c in INPUT_COLUMNS}
         further = {name: values[rows] for name, values in optional_inputs(columns).items()}
-        inputs: dict[str, Any] = {**self.conditions, **further}
+        inputs: Mapping[str, Any] = {**self.conditions, **further}
         self.inputs = Inputs(self.time_s, **inputs).clipped(self.engine)
         self.parameters = tuple(
             Parameter(name, value, HEALTH_PRIOR * value, HEALTH_UNITS[name], 0.1 * value)
