@@ -43,6 +43,7 @@ SHARE = 0.02  # of a standard deviation, for the slopes in the coefficients
 ITERATIONS = 25
 STEP = 5e-4
 GUESS_FACTOR, GUESS_LEAST = 1.5, 0.03  # spread of a state known from the regression on the inputs alone [-]
+_NO_VARIANCE = 1e-300
 LARGEST = 0.15  # of ln x in one iteration
 
 
@@ -207,7 +208,7 @@ class Answers:
         for column in COLUMNS:
             between = np.var(np.stack([frame[column].to_numpy() for frame in frames]), axis=0)
             within = np.mean(np.stack([frame[f"{column}_std"].to_numpy() for frame in frames]) ** 2, axis=0)
-            out[column] = float(np.mean(between / (between + within)))
+            out[column] = float(np.mean(between / np.maximum(between + within, _NO_VARIANCE)))
         return out
 
 
