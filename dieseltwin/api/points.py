@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,11 +34,13 @@ from dieseltwin.calibration.verdict import details, document
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import DETAILS
 from dieseltwin.engine import EngineParameters
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS, SENSORS
 from dieseltwin.recordings.reader import Recording, write_recording
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report import calibration as pages
+from dieseltwin.settings.names import unknown_name
 from dieseltwin.version import __version__
 
 if TYPE_CHECKING:
@@ -242,14 +244,18 @@ class PointsQuestion(Question):
 
 def ask_points(
     points: Source | Recording | SteadyPoints, engine: Engine | str | Path | None, channels: Channels | None, seed: int,
-    sensors: tuple[str, ...] | None = None, withhold: tuple[str, ...] = (),
+    sensors: Sequence[str] | None = None, withhold: Sequence[str] = (),
 ) -> PointsQuestion:  # fmt: skip
     """Read settled points, and the engine file's sidecar where there is one; see `discovery.discover`."""
     if isinstance(engine, str | Path) and Path(engine).is_file():
         base, geometry = base_and_geometry(Path(engine))
     else:
         base = geometry = diesel_engine(engine)
-    options = Options(sensors=sensors, withhold=withhold, seed=seed)
+    for given, known, flag in ((sensors or (), STATES, "--sensors"), (withhold, tuple(EFFECTS), "--withhold")):
+        for name in given:
+            if name not in known:
+                raise unknown_name(flag, name, list(known))
+    options = Options(sensors=tuple(sensors) if sensors else None, withhold=tuple(withhold), seed=seed)
     return PointsQuestion(settled_points(points, channels, geometry, NEEDED), base, geometry, seed, options)
 
 

@@ -28,6 +28,7 @@ from dieseltwin.discovery.verdict.findings import finite, valid_for
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import HEALTH
+from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.steady_points import STATES
 from dieseltwin.version import __version__
 
@@ -67,7 +68,7 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
                             else f"{column}: reading {magnitude:+.4g} {hypothesis.unit}")
                 continue
             law = hypothesis.law
-            own = next(term for term in result.terms() if getattr(term, "effect", None) == name).coefficients  # type: ignore[union-attr]
+            own = next(t.coefficients for t in result.terms() if isinstance(t, Term) and t.effect == name)
             if own:
                 law += "; " + ", ".join(f"{key} = {value:.4g}" for key, value in own.items())
             entries.append(FoundEffect(
