@@ -82,6 +82,5 @@ def ask(
     if timed(recording, channels):
         known = known_engine(engine, reference, channels)
         return ask_driving(recording, engine, channels, sensors, withhold or (), map_tolerance, seed, known)
-    refuse_options({"--sensors": sensors, "--withhold": withhold, "--map-tolerance": map_tolerance,
-                    "--reference": tuple(reference) or None}, "for settled points")  # fmt: skip
-    return ask_points(recording, engine, channels, seed)
+    refuse_options({"--map-tolerance": map_tolerance, "--reference": tuple(reference) or None}, "for settled points")
+    return ask_points(recording, engine, channels, seed, sensors, withhold or ())

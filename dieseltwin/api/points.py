@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,25 +19,28 @@ from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.calibration.calibrate import Calibration, read_geometry
 from dieseltwin.calibration.calibrate import calibrate as calibrated
-from dieseltwin.calibration.imply import Answerer
+from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
+from dieseltwin.calibration.imply import Answers
 from dieseltwin.calibration.likelihood import NOISE
-from dieseltwin.calibration.repair import Repair, repair
 from dieseltwin.calibration.saved import (
-    answerer_of,
+    answers_of,
     base_and_geometry,
     calibration_sidecar,
-    load_answerer,
+    load_answers,
     write_calibration,
     write_repaired,
 )
-from dieseltwin.calibration.verdict import document, sentence
+from dieseltwin.calibration.verdict import details, document
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.discovery.verdict.explain import DETAILS
 from dieseltwin.engine import EngineParameters
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS, SENSORS
 from dieseltwin.recordings.reader import Recording, write_recording
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report import calibration as pages
+from dieseltwin.settings.names import unknown_name
 from dieseltwin.version import __version__
 
 if TYPE_CHECKING:
@@ -45,8 +48,10 @@ if TYPE_CHECKING:
 
 NEEDED = (*INPUTS, *SENSORS, "w_c_kg_s")
 LARGEST_NOISE_PCT = 20.0
+SHOWN = 5  # names of a round in the printed lines
+DECIDED = 0.5  # of a variance, from which beliefs are said to decide
 FAR = 3.0  # standard deviations of the inputs that the engine was calibrated with
-OWNED = ("discrepancy.json", "report.html", "report_figures", "implied.parquet", "repaired.yaml",
+OWNED = ("discrepancy.json", "details.json", "report.html", "report_figures", "implied.parquet", "repaired.yaml",
          "repaired.steady.json", "runtime.json")  # fmt: skip
 
 
@@ -140,11 +145,13 @@ class PointsDiscovered(Discovered):
     """What settled points say that the mean-value model lacks.
 
     Attributes:
-        found: every term that was tried, and the engine with those that were taken.
+        found: every name that was tried, and the engine with those that were taken.
+        asked: the question as JSON types, for `details.json`.
         seconds: wall time of the answer [s].
     """
 
-    found: Repair
+    found: PointsDiscovery
+    asked: Mapping[str, object]
     seconds: float
 
     @property
@@ -157,7 +164,7 @@ class PointsDiscovered(Discovered):
 
     @property
     def sentence(self) -> str:
-        return sentence(self.found)
+        return pages.sentence(self.found)
 
     def plot(self, name: str | None = None) -> Figure:
         """`before_after`: errors of the submodels with and without what was found; `submodels_repaired`, `implied`."""
@@ -169,22 +176,28 @@ class PointsDiscovered(Discovered):
         return drawn(self.found, drawings, name)
 
     def save(self, out: str | Path) -> Path:
-        """discrepancy.json, report.html with figures, implied.parquet, repaired.yaml with its sidecar, runtime.json."""
+        """discrepancy.json, details.json, report.html with figures, implied.parquet, repaired.yaml with its sidecar,
+        runtime.json."""
         began = time.perf_counter()
         used = self.found.calibration.points
         with atomic_folder(out, owned=OWNED) as folder:
             implied = _implied(self.found)
             self.document.write(folder / FILE_NAME)
+            write_json(folder / DETAILS, details(self.found, self.asked))
             write_repaired(self.found, folder / "repaired.yaml")
             _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
-            pages.repair_report(self.found, implied, self.sentence, folder / "report.html")
+            pages.discovery_report(self.found, implied, self.sentence, folder / "report.html")
             seconds = self.seconds + time.perf_counter() - began
             write_json(folder / "runtime.json", {"seconds": seconds, "version": __version__})
         return Path(out)
 
     def lines(self) -> list[str]:
-        tried = [f"round {c.round}: {c.term.name:32s} gain {c.gain:8.1f}  {c.magnitude:.4g} +- {c.std:.2g}  "
-                 f"{'taken' if c.chosen else ''}" for c in self.found.candidates]
+        tried = [
+            f"round {k}: {name:32s} gain {item.found.gain(fit):8.1f}  {fit.magnitudes[0]:.4g}"
+            f"{'  taken' if item.taken and name in item.names else ''}"
+            for k, item in enumerate(self.found.rounds, 1) for fit in item.found.singles[:SHOWN]
+            for name in fit.candidate.names
+        ]  # fmt: skip
         return [*tried, "", self.sentence]
 
 
@@ -197,12 +210,21 @@ class PointsQuestion(Question):
         base: engine whose coefficients are believed before.
         geometry: engine with the size of this one.
         seed: of the held-out third.
+        options: of the search.
     """
 
     points: SteadyPoints
     base: EngineParameters
     geometry: EngineParameters
     seed: int
+    options: Options
+
+    @property
+    def asked(self) -> dict[str, object]:
+        """The question as JSON types."""
+        options = self.options
+        return {"sensors": list(options.sensors) if options.sensors else None, "withhold": list(options.withhold),
+                "seed": self.seed, "code_version": __version__}  # fmt: skip
 
     @property
     def kind(self) -> str:
@@ -215,23 +237,30 @@ class PointsQuestion(Question):
     def answer(self) -> PointsDiscovered:
         began = time.perf_counter()
         where = str(self.points.path or "points")
-        found = repair(calibrated(self.points, self.base, self.geometry, seed=self.seed, where=where))
-        return PointsDiscovered(found, time.perf_counter() - began)
+        first = calibrated(self.points, self.base, self.geometry, seed=self.seed, where=where)
+        found = discover_points(first, self.options)
+        return PointsDiscovered(found, self.asked, time.perf_counter() - began)
 
 
 def ask_points(
-    points: Source | Recording | SteadyPoints, engine: Engine | str | Path | None, channels: Channels | None, seed: int
-) -> PointsQuestion:
+    points: Source | Recording | SteadyPoints, engine: Engine | str | Path | None, channels: Channels | None, seed: int,
+    sensors: Sequence[str] | None = None, withhold: Sequence[str] = (),
+) -> PointsQuestion:  # fmt: skip
     """Read settled points, and the engine file's sidecar where there is one; see `discovery.discover`."""
     if isinstance(engine, str | Path) and Path(engine).is_file():
         base, geometry = base_and_geometry(Path(engine))
     else:
         base = geometry = diesel_engine(engine)
-    return PointsQuestion(settled_points(points, channels, geometry, NEEDED), base, geometry, seed)
+    for given, known, flag in ((sensors or (), STATES, "--sensors"), (withhold, tuple(EFFECTS), "--withhold")):
+        for name in given:
+            if name not in known:
+                raise unknown_name(flag, name, list(known))
+    options = Options(sensors=tuple(sensors) if sensors else None, withhold=tuple(withhold), seed=seed)
+    return PointsQuestion(settled_points(points, channels, geometry, NEEDED), base, geometry, seed, options)
 
 
-def _implied(found: Repair) -> pd.DataFrame:
-    return answerer_of(found)(found.calibration.points)
+def _implied(found: PointsDiscovery) -> pd.DataFrame:
+    return answers_of(found)(found.calibration.points)
 
 
 # --- imply
@@ -286,19 +315,25 @@ def imply(
     Raises:
         InputError: files that can't be used, an engine that wasn't repaired on points.
     """
-    answerer, turned = _answerer(engine)
-    source = settled_points(points, channels, answerer.model.engine, INPUTS)
-    if "exhaust_flap" in answerer.model.active and "u_flap_pct" not in source:
+    answers, turned = _answers(engine)
+    source = settled_points(points, channels, answers.first.model.engine, INPUTS)
+    if "exhaust_flap" in answers.first.values and "u_flap_pct" not in source:
         raise InputError(f"{source.path or 'points'}: column u_flap_pct", "none",
                          "this column: the engine has an exhaust flap", "add the flap's position")
-    quantities = answerer(source.with_columns(**{column: 100.0 - source[column] for column in turned}))
-    return Implied(source, quantities, tuple(outside(source, answerer.guess.centre, answerer.guess.spread)))
+    straight = source.with_columns(**{column: 100.0 - source[column] for column in turned})
+    notes = outside(source, answers.first.guess.centre, answers.first.guess.spread)
+    decided = [f"{column} ({100 * share:.0f} %)" for column, share in answers.disagreement(straight).items()
+               if share > DECIDED]
+    if decided:
+        notes.insert(0, "beliefs decide (share of the variance that formulations of the unmeasured places disagree "
+                     f"about): {', '.join(decided)}")
+    return Implied(source, answers(straight), tuple(notes))
 
 
-def _answerer(engine: PointsDiscovered | str | Path) -> tuple[Answerer, tuple[str, ...]]:
+def _answers(engine: PointsDiscovered | str | Path) -> tuple[Answers, tuple[str, ...]]:
     if not isinstance(engine, PointsDiscovered):
-        return load_answerer(Path(engine))
-    return answerer_of(engine.found), tuple(a.column for a in engine.found.calibration.actuators if a.opens < 0)
+        return load_answers(Path(engine))
+    return answers_of(engine.found), tuple(a.column for a in engine.found.calibration.actuators if a.opens < 0)
 
 
 def outside(source: SteadyPoints, centre: np.ndarray, spread: np.ndarray) -> list[str]:

@@ -13,13 +13,14 @@ import pandas as pd
 from dieseltwin.api.engines import Engine, with_effects
 from dieseltwin.api.reading import Channels, Source, as_engine, diesel_recording, petrol_recording
 from dieseltwin.api.results import Result
-from dieseltwin.engine import EngineParameters, Inputs, settle
+from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine import simulate as simulate_inputs
+from dieseltwin.engine.simulate import settle_first
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.petrol.simulate import simulate_petrol
-from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.channels import INPUTS, optional_inputs
 from dieseltwin.recordings.reader import Recording, write_recording
 from dieseltwin.settings.names import refuse_options
 
@@ -112,7 +113,7 @@ def _inputs(recording: Recording) -> Inputs:
             raise InputError(f"{recording.path or 'inputs'}: column {name}, data row {missing[0] + 1}", "no number",
                              "a number in every row of an input", "fill in or drop this row")
     n_e, u_delta, u_egr, u_vgt = (columns[name] for name in INPUTS)
-    return Inputs(recording.time_s, n_e, u_delta, u_egr, u_vgt)
+    return Inputs(recording.time_s, n_e, u_delta, u_egr, u_vgt, u_flap_pct=optional_inputs(columns).get("u_flap_pct"))
 
 
 def _initial(recording: Recording, parameters: EngineParameters) -> np.ndarray:
@@ -121,5 +122,5 @@ def _initial(recording: Recording, parameters: EngineParameters) -> np.ndarray:
     if np.isfinite(first).all():
         return first
     inputs = _inputs(recording).clipped(parameters)
-    settled = settle(inputs.n_e_rpm[0], inputs.u_delta_mg[0], inputs.u_egr_pct[0], inputs.u_vgt_pct[0], parameters)
+    settled = settle_first(inputs, parameters)
     return np.where(np.isfinite(first), first, settled)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut
 from dieseltwin.calibration.coefficients import Coefficient, engine_coefficients, with_scalars
 from dieseltwin.calibration.likelihood import Estimate, estimate
-from dieseltwin.calibration.steady_model import EXTRA_ROWS, ROWS, SteadyModel
+from dieseltwin.calibration.steady_model import EXTRA_ROWS, ROWS, SteadyModel, term_values
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.steady_points import SteadyPoints
@@ -98,6 +98,11 @@ class Calibration:
     start: Mapping[str, float]
     trained: Mapping[str, float]
 
+    @property
+    def geometry(self) -> EngineParameters:
+        """The engine that was started from, with the points' ambient and ranges: what the balances fall back on."""
+        return self.model.engine
+
     def tolerances(self) -> dict[str, float]:
         """Relative tolerance of each submodel's map [-]."""
         return {name: fit.tolerance for name, fit in self.fits.items()}
@@ -173,7 +178,7 @@ def calibrate(
     extra = tuple(name for name in EXTRA_ROWS if name in points and np.isfinite(points[name]).mean() > 0.5)
     model = SteadyModel(engine, extra=extra)
     free, fixed = _free(points, base, engine, valves, notes)
-    start = {**fixed, **{c.name: c.mean for c in free}}
+    start = {**fixed, **{c.name: c.mean for c in free}, **term_values(engine)}
     mask = split(points, seed)
     trained, _ = _fit(model, points.take(~mask), free, start, noise, seed)
     whole, final = _fit(model, points, free, {**start, **trained.values()}, noise, seed, staged=False)

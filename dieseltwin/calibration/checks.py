@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
 Array = NDArray[np.float64]
 
 FEWEST_POINTS = 20
+_SAME_DIGITS = 3  # of rpm, mg and %: points that agree in all of them say the same
 SHUT = 0.005  # an EGR fraction below this everywhere is a shut valve [-]
 STILL = 1.5  # an actuator whose spread (standard deviation) stays below this does not move [%]
 STOICHIOMETRIC = 14.57
@@ -60,6 +62,11 @@ def check_points(points: SteadyPoints, where: str) -> SteadyPoints:
         raise InputError(where, f"{int(complete.sum())} usable points", f"at least {FEWEST_POINTS}; 60 or more to tell "
                          "the maps' coefficients", "measure more points over speed, load, EGR and VGT")
     points = points.take(complete)
+    different = np.unique(np.round(np.stack([points[name] for name in INPUTS], axis=1), _SAME_DIGITS), axis=0)
+    if len(different) < FEWEST_POINTS // 2:
+        raise InputError(where, f"{len(different)} different operating points in {points.size} rows",
+                         f"at least {FEWEST_POINTS // 2}; 60 or more to tell the maps' coefficients",
+                         "measure points over speed, load, EGR and VGT")
     _swapped(points, where)
     return points
 

@@ -1,4 +1,4 @@
-"""Which coefficients each submodel has, what is believed of them before the data, and the terms that may be added.
+"""Which coefficients each submodel has, and what is believed of them before the data.
 
 Priors are the base engine's values, flows scaled with the displacement, with wide standard deviations. Where the
 balances give a product alone (the two efficiencies of the turbocharger; volumetric efficiency over temperature) the
@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from dieseltwin.discovery.twins.interface import Hypothesis
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 
 VECTORS: Mapping[str, tuple[str, int]] = {
@@ -22,6 +24,10 @@ VECTORS: Mapping[str, tuple[str, int]] = {
     **{f"c_omega_phi{i + 1}": ("c_omega_phi", i) for i in range(3)},
 }
 """Element of a vector parameter -> (parameter, index)."""
+
+
+FLAP_COEFFICIENTS: Mapping[str, str] = {"flap_m": "m", "flap_q": "q"}
+"""Names among the numbers of a calibration -> coefficients of the exhaust flap's law."""
 
 
 @dataclass(frozen=True)
@@ -84,102 +90,48 @@ _SCALED = ("A_vgtmax", "W_copt", "A_egrmax")  # with the displacement
 _SLOPE = ("a_1", "a_3")  # over the flow: fall with its square, with it
 
 
-@dataclass(frozen=True)
-class SteadyTerm:
-    """Physics that the mean-value model leaves out, for settled points.
-
-    Attributes:
-        name: of the catalogue of effects, or of this engine's own law.
-        site: DISCOVERY.md's word.
-        law: in symbols.
-        catalogue: whether the name is one of the catalogue of effects (else the report says none_of_these and the law).
-        parameters: its coefficients with priors; the first is the magnitude of the report.
-        magnitude_unit: of the report.
-        needs: columns that it needs.
-        confused_with: names that look alike in these balances.
-        smallest: size of the magnitude below which it is not reported.
-        split_by: sensor or points that would tell it from those.
-    """
-
-    name: str
-    site: str
-    law: str
-    catalogue: bool
-    parameters: tuple[Coefficient, ...]
-    needs: tuple[str, ...] = ()
-    confused_with: tuple[str, ...] = ()
-    smallest: float = 0.0
-    split_by: str = ""
-
-
 def _c(name: str, row: str, mean: float, std: float, low: float, high: float, unit: str, source: str) -> Coefficient:
     return Coefficient(name, row, mean, std, low, high, unit, source)
 
 
 _HD = "heavy-duty practice (stated belief)"
 
-TERMS: Mapping[str, SteadyTerm] = {
-    term.name: term
-    for term in (
-        SteadyTerm(
-            "back_pressure", "turbine_flow", "p_es = p_amb + k W_t^2 T_es/700 K", True,
-            (_c("k_back_pressure", "turbine_flow", 1.1e5, 4e4, 0.0, 2e6, "Pa/(kg/s)^2",
-                "10 to 25 kPa at 0.4 kg/s, " + _HD),),
-            confused_with=("turbine_efficiency_loss",), smallest=2e4, split_by="p_es_pa",
-        ),
-        SteadyTerm(
-            "exhaust_flap", "turbine_flow",
-            "p_es^2 = (p_amb + k W_t^2 T_es/700 K)^2 + W_t^2 R_e T_es/A^2, ln A = flap_0 + flap_1 y + flap_2 y^2, "
-            "y = ln(u_flap/50 %)", False,
-            (_c("flap_0", "turbine_flow", -5.5, 1.0, -9.0, -2.0, "ln m2", _HD),
-             _c("flap_1", "turbine_flow", 1.5, 0.8, -4.0, 8.0, "-", _HD),
-             _c("flap_2", "turbine_flow", 0.0, 0.8, -6.0, 6.0, "-", _HD)),
-            needs=("u_flap_pct",), split_by="p_es_pa",
-        ),
-        SteadyTerm(
-            "air_filter_restriction", "compressor_flow", "p_bc = p_amb - k W_c^2", True,
-            (_c("k_filter", "compressor_flow", 1.8e4, 8e3, 0.0, 8e4, "Pa/(kg/s)^2", "2 to 5 kPa at 0.4 kg/s, " + _HD),),
-            confused_with=("compressor_efficiency_loss",), smallest=1.5e4, split_by="p_bc_pa",
-        ),
-        SteadyTerm(
-            "charge_cooler_loss", "intake_temperature", "T_ic = T_amb + dT + (1 - effectiveness)(T_c - T_amb)", True,
-            (_c("cooler_loss", "cylinder_flow", 0.10, 0.05, 0.0, 0.5, "-", "effectiveness 0.85 to 0.95, " + _HD),
-             _c("cooler_approach", "cylinder_flow", 10.0, 7.0, -5.0, 40.0, "K", _HD)),
-            confused_with=("egr_heating", "volumetric_efficiency_residual"), smallest=0.05, split_by="t_im_k",
-        ),
-        SteadyTerm(
-            "egr_heating", "intake_temperature", "T_im = T_ic + W_egr/(W_c + W_egr) (T_egr - T_ic), "
-            "T_egr = T_w + f (T_em - T_w)", True,
-            (_c("egr_cooler_loss", "cylinder_flow", 0.12, 0.06, 0.0, 0.7, "-",
-                "EGR cooler effectiveness 0.8 to 0.95, " + _HD),
-             _c("egr_coolant", "cylinder_flow", 360.0, 6.0, 330.0, 390.0, "K", "engine coolant, " + _HD)),
-            confused_with=("charge_cooler_loss", "volumetric_efficiency_residual"), smallest=0.05, split_by="t_im_k",
-        ),
-        SteadyTerm(
-            "volumetric_efficiency_residual", "cylinder_flow",
-            "eta_vol (1 - k (p_em/p_im - 1)) (T_im/310 K)^m", True,
-            (_c("vol_residual", "cylinder_flow", 0.06, 0.05, -0.3, 0.5, "-", "1/(r_c - 1), clearance volume"),
-             _c("vol_heating", "cylinder_flow", 0.35, 0.12, 0.0, 0.8, "-",
-                "charge heated by the walls: eta_vol ~ T^0.2..0.5")),
-            confused_with=("egr_heating",), smallest=0.1, split_by="t_im_k",
-        ),
-        SteadyTerm(
-            "turbo_speed_low", "sensor:omega_t_rad_s",
-            "omega_t = reading (1 + s + q (omega_k - reading)/1000) below omega_k", False,
-            (_c("omega_step", "compressor_flow", 0.05, 0.1, -0.3, 0.4, "-", "none"),
-             _c("omega_slope", "compressor_flow", 0.0, 0.05, -0.3, 0.3, "s/rad/1000", "none"),
-             _c("omega_knee", "compressor_flow", 4500.0, 400.0, 2500.0, 7000.0, "rad/s", "none")),
-            confused_with=("compressor_flow_loss",), smallest=0.01, split_by="a second speed sensor",
-        ),
-    )
-}  # fmt: skip
-
-COOLER_DROP = _c("k_cooler_dp", "compressor_flow", 1.0e5, 6e4, 0.0, 5e5, "Pa/(kg/s)^2 at 300 K and 1 bar",
-                 "5 to 12 kPa at full load, " + _HD)
-WORK = (
+BELIEFS: tuple[Coefficient, ...] = (
+    _c("back_pressure", "turbine_flow", 1.1e5, 4e4, 0.0, 2e6, "Pa/(kg/s)^2", "10 to 25 kPa at 0.4 kg/s, " + _HD),
+    _c("air_filter_restriction", "compressor_flow", 1.8e4, 8e3, 0.0, 8e4, "Pa/(kg/s)^2",
+       "2 to 5 kPa at 0.4 kg/s, " + _HD),
+    _c("charge_cooler_loss", "cylinder_flow", 0.10, 0.05, 0.0, 0.5, "-", "effectiveness 0.85 to 0.95, " + _HD),
+    _c("cooler_approach", "cylinder_flow", 10.0, 7.0, -5.0, 40.0, "K", _HD),
+    _c("egr_heating", "cylinder_flow", 0.12, 0.06, 0.0, 0.7, "-", "EGR cooler effectiveness 0.8 to 0.95, " + _HD),
+    _c("egr_coolant", "cylinder_flow", 360.0, 6.0, 330.0, 390.0, "K", "engine coolant, " + _HD),
+    _c("volumetric_efficiency_residual", "cylinder_flow", 0.06, 0.05, -0.3, 0.5, "-", "1/(r_c - 1), clearance volume"),
+    _c("vol_heating", "cylinder_flow", 0.35, 0.12, 0.0, 0.8, "-", "charge heated by the walls: eta_vol ~ T^0.2..0.5"),
+    _c("k_cooler_dp", "compressor_flow", 1.0e5, 6e4, 0.0, 5e5, "Pa/(kg/s)^2 at 300 K and 1 bar",
+       "5 to 12 kPa at full load, " + _HD),
     _c("work_0", "compressor_work", 1.0, 0.2, 0.4, 2.0, "-", "Euler's work at no flow over R_c^2 omega_t^2"),
     _c("work_slope", "compressor_work", 2.0, 0.7, 0.0, 5.0, "-", "backswept blades, 30 to 40 degrees"),
 )
+"""What is believed of places that settled points don't see: effects by their names, and what is none of the catalogue.
+`imply` needs them; discovery doesn't use them."""
+
+_ROW_OF_SITE = {
+    "turbine_power": "turbo_power", "compressor_power": "turbo_power", "shaft_power": "turbo_power",
+    "intake_mass_balance": "cylinder_flow", "intake_temperature": "cylinder_flow", "vgt_actuator": "turbine_flow",
+    "exhaust_mass_balance": "turbine_flow", "fuel_injection": "exhaust_temperature",
+}  # fmt: skip
+_WIDE = 30.0  # tolerances: prior standard deviation of a found magnitude
+
+
+def effect_coefficients(name: str, hypothesis: Hypothesis, flap_spread: float) -> tuple[Coefficient, ...]:
+    """Magnitude of an effect as a free number with a wide belief about 0, and the coefficients of its law."""
+    low, high = hypothesis.limits
+    row = _ROW_OF_SITE.get(hypothesis.site, hypothesis.site)
+    found = [Coefficient(name, row, 0.0, _WIDE * hypothesis.tolerance, low, high, hypothesis.unit, "found")]
+    if name == "exhaust_flap":
+        nominal = EFFECTS[name].coefficients
+        found += [Coefficient(column, row, nominal[key], flap_spread, -8.0, 20.0, "-", "found")
+                  for column, key in FLAP_COEFFICIENTS.items()]
+    return tuple(found)
 
 
 def engine_coefficients(base: EngineParameters, engine: EngineParameters) -> tuple[Coefficient, ...]:

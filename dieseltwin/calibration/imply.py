@@ -43,6 +43,7 @@ SHARE = 0.02  # of a standard deviation, for the slopes in the coefficients
 ITERATIONS = 25
 STEP = 5e-4
 GUESS_FACTOR, GUESS_LEAST = 1.5, 0.03  # spread of a state known from the regression on the inputs alone [-]
+_NO_VARIANCE = 1e-300
 LARGEST = 0.15  # of ln x in one iteration
 
 
@@ -89,7 +90,7 @@ def guess_of(points: SteadyPoints) -> Guess:
 
 @dataclass(frozen=True)
 class Answerer:
-    """A repaired engine that answers for new points.
+    """A repaired engine that answers for new points, by one formulation of the places that nobody measured.
 
     Attributes:
         model: with all its terms.
@@ -169,6 +170,46 @@ class Answerer:
             T_IM_K / T_im, np.full(points.size, ETA_C_SHARE),
         ]  # fmt: skip
         return np.stack(parts, axis=1)
+
+
+@dataclass(frozen=True)
+class Answers:
+    """All formulations together: their mean, and intervals that hold what they disagree about.
+
+    Attributes:
+        formulations: name -> answerer, all alike probable.
+    """
+
+    formulations: Mapping[str, Answerer]
+
+    @property
+    def first(self) -> Answerer:
+        """The formulation with everything that is believed."""
+        return next(iter(self.formulations.values()))
+
+    def __call__(self, points: SteadyPoints) -> pd.DataFrame:
+        """As `Answerer.__call__`; `<column>_std` is the root of the mean variance and of the variance of the means."""
+        every = {name: answerer(points) for name, answerer in self.formulations.items()}
+        frames = list(every.values())
+        out = {}
+        for column in frames[0]:
+            values = np.stack([frame[column].to_numpy() for frame in frames])
+            if column.endswith("_std"):
+                between = np.stack([frame[column.removesuffix("_std")].to_numpy() for frame in frames])
+                out[column] = np.sqrt(np.mean(values**2, axis=0) + np.var(between, axis=0))
+            else:
+                out[column] = np.mean(values, axis=0)
+        return pd.DataFrame(out)
+
+    def disagreement(self, points: SteadyPoints) -> dict[str, float]:
+        """Share of each column's variance that the formulations disagree about, mean over the points [-]."""
+        frames = [answerer(points) for answerer in self.formulations.values()]
+        out = {}
+        for column in COLUMNS:
+            between = np.var(np.stack([frame[column].to_numpy() for frame in frames]), axis=0)
+            within = np.mean(np.stack([frame[f"{column}_std"].to_numpy() for frame in frames]) ** 2, axis=0)
+            out[column] = float(np.mean(between / np.maximum(between + within, _NO_VARIANCE)))
+        return out
 
 
 def _with(model: SteadyModel, y: Array) -> SteadyModel:

@@ -87,6 +87,19 @@ def state_jacobian(model: SteadyModel, points: SteadyPoints, x: Array, values: M
     return np.clip(np.nan_to_num(np.stack(columns, axis=-1)), -STEEPEST, STEEPEST)
 
 
+def reading_covariance(model: SteadyModel, points: SteadyPoints, x: Array, values: Mapping[str, float],
+                       sigma: Array) -> Array:  # fmt: skip
+    """What the noise of readings makes of the balances of each point, (n, R, R), second order in flat places included.
+
+    Args:
+        x: (n, 6) readings; sigma: (n, 6) or (6,) relative standard deviation of each [-].
+    """
+    J = state_jacobian(model, points, x, values)
+    C = np.einsum("nij,nj,nkj->nik", J, np.broadcast_to(sigma**2, x.shape), J)
+    bent = np.einsum("nii->ni", C)
+    return np.asarray(C + np.eye(C.shape[1]) * (CURVATURE * bent)[:, None, :] ** 2)
+
+
 @dataclass(frozen=True)
 class _Linear:
     whiten: Array  # (n, R, R) L^-1

@@ -1,8 +1,8 @@
 """Files of a calibration: an engine file that every command takes, and a sidecar with what it doesn't hold.
 
 `engine.yaml` holds engine parameters; beside it `engine.calibration.json` the fits, the covariance and each map's
-tolerance. A repaired engine is `repaired.yaml` with `repaired.steady.json`: the terms, every coefficient with its
-covariance, and the first guess of the states, so that `imply` can answer for new points.
+tolerance. A repaired engine is `repaired.yaml`, terms included, with `repaired.steady.json`: every formulation of the
+unmeasured places with its covariance, and the first guess of the states, so that `imply` can answer for new points.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ import yaml
 
 from dieseltwin.atomic import write_json, write_text
 from dieseltwin.calibration.calibrate import Calibration
-from dieseltwin.calibration.coefficients import TERMS
-from dieseltwin.calibration.imply import Answerer, Guess, guess_of
+from dieseltwin.calibration.coefficients import BELIEFS
+from dieseltwin.calibration.discover import PointsDiscovery
+from dieseltwin.calibration.imply import Answerer, Answers, Guess, guess_of
 from dieseltwin.calibration.likelihood import NOISE
-from dieseltwin.calibration.repair import Repair
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 
 FORMAT = 1
+STEADY_FORMAT = 2  # 1 held one formulation and the terms that the engine file now has
 
 
 def calibration_sidecar(engine_file: Path) -> Path:
@@ -56,7 +57,7 @@ def write_calibration(calibration: Calibration, path: Path) -> list[Path]:
     """Engine file, sidecar, and a channel map where an actuator is turned round; returns what was written."""
     written = [write_engine(calibration.engine, path, "Calibrated by `dieseltwin calibrate`; fits, covariance and "
                             f"tolerances: {calibration_sidecar(path).name}")]
-    geometry = calibration.model.engine
+    geometry = calibration.geometry
     content = {
         "format": FORMAT,
         "points": {"path": str(calibration.points.path), "sha256": calibration.points.sha256,
@@ -87,47 +88,50 @@ def write_calibration(calibration: Calibration, path: Path) -> list[Path]:
 def base_and_geometry(path: Path) -> tuple[EngineParameters, EngineParameters]:
     """Base and geometry of a calibrated engine file (from its sidecar), else the engine itself for both."""
     engine = load_engine(path)
-    sidecar = calibration_sidecar(path)
-    if not sidecar.is_file():
+    sidecar = next((f for f in (calibration_sidecar(path), steady_sidecar(path)) if f.is_file()), None)
+    if sidecar is None:
         return engine, engine
-    content = _read(sidecar)
+    content = _read(sidecar, FORMAT if sidecar == calibration_sidecar(path) else STEADY_FORMAT)
     try:
-        return EngineParameters(**content["base"]), EngineParameters(**content["geometry"])
+        base, geometry = EngineParameters(**content["base"]), EngineParameters(**content["geometry"])
+        return base, geometry.replace(terms=engine.terms)
     except (KeyError, TypeError, ValueError) as error:
         raise _broken(sidecar, error) from None
 
 
-def write_repaired(repair: Repair, path: Path) -> list[Path]:
-    """The repaired engine: engine file and the sidecar that `imply` reads."""
-    full, model = repair.full_estimate, repair.full_model
-    written = [write_engine(repair.engine(), path, "Repaired by `dieseltwin discover`; its terms (back-pressure with "
-                            f"flap, filter, coolers, sensor) stand in {steady_sidecar(path).name}")]
-    guess = guess_of(repair.calibration.points)
-    values = repair.values()
+def write_repaired(result: PointsDiscovery, path: Path) -> list[Path]:
+    """The repaired machine: an engine file with its terms, and the sidecar that `imply` reads."""
+    written = [write_engine(result.engine(), path, "Repaired by `dieseltwin discover`; --engine accepts it. What is "
+                            f"believed of unmeasured places stands in {steady_sidecar(path).name}")]
+    answers = answers_of(result)
+    guess = answers.first.guess
     content = {
-        "format": FORMAT,
-        "engine": model.engine.model_dump(mode="json"),
-        "terms": {name: {"law": TERMS[name].law, "site": TERMS[name].site,
-                         "found": any(c.term.name == name for c in repair.chosen),
-                         "parameters": {c.name: {"value": values[c.name], "std": full.std()[c.name], "unit": c.unit,
-                                                 "belief": [c.mean, c.std], "source": c.source}
-                                        for c in TERMS[name].parameters}}
-                  for name in TERMS if name in model.active},
-        "active": sorted(model.active),
-        "values": values,
-        "free": [{"name": c.name, "low": c.low, "high": c.high} for c in full.coefficients],
-        "covariance": full.covariance.tolist(),
-        "discrepancy": dict(zip(model.rows, full.discrepancy.tolist(), strict=True)),
+        "format": STEADY_FORMAT,
+        "terms": [term.model_dump(mode="json", exclude_none=True) for term in result.engine().terms],
+        "beliefs": [asdict(c) for c in BELIEFS],
+        "formulations": {name: _formulation(answerer) for name, answerer in answers.formulations.items()},
         "noise": dict(NOISE),
         "guess": {"weights": guess.weights.tolist(), "centre": guess.centre.tolist(), "spread": guess.spread.tolist(),
                   "residual": guess.residual.tolist()},
-        "turned": [a.column for a in repair.calibration.actuators if a.opens < 0],
+        "turned": [a.column for a in result.calibration.actuators if a.opens < 0],
+        "base": result.calibration.base.model_dump(mode="json"),
+        "geometry": result.calibration.geometry.model_dump(mode="json"),
     }  # fmt: skip
     written.append(write_json(steady_sidecar(path), content))
     return written
 
 
-def load_answerer(path: Path) -> tuple[Answerer, tuple[str, ...]]:
+def _formulation(answerer: Answerer) -> dict[str, Any]:
+    return {
+        "engine": answerer.model.engine.model_dump(mode="json"), "active": sorted(answerer.model.active),
+        "values": dict(answerer.values),
+        "free": [{"name": name, "low": answerer.bounds[name][0], "high": answerer.bounds[name][1]}
+                 for name in answerer.names],
+        "covariance": answerer.covariance.tolist(), "discrepancy": dict(answerer.discrepancy),
+    }  # fmt: skip
+
+
+def load_answers(path: Path) -> tuple[Answers, tuple[str, ...]]:
     """What `imply` needs of a repaired engine file, and the actuator columns that must be turned round.
 
     Raises:
@@ -138,40 +142,47 @@ def load_answerer(path: Path) -> tuple[Answerer, tuple[str, ...]]:
     if not sidecar.is_file():
         raise InputError(str(path), f"no {sidecar.name} beside it", "the repaired.yaml of `dieseltwin discover POINTS`",
                          "run `dieseltwin discover POINTS --engine engine.yaml --out DIR` first")
-    content = _read(sidecar)
+    content = _read(sidecar, STEADY_FORMAT)
     try:
-        model = SteadyModel(EngineParameters(**content["engine"]), frozenset(content["active"]))
         guess = Guess(*(np.array(content["guess"][k]) for k in ("weights", "centre", "spread", "residual")))
-        answerer = Answerer(
-            model, content["values"], tuple(c["name"] for c in content["free"]), np.array(content["covariance"]),
-            content["discrepancy"], guess, content["noise"],
-            {c["name"]: (float(c["low"]), float(c["high"])) for c in content["free"]},
-        )  # fmt: skip
-        return answerer, tuple(content["turned"])
+        found = {
+            name: Answerer(
+                SteadyModel(EngineParameters(**part["engine"]), frozenset(part["active"])), part["values"],
+                tuple(c["name"] for c in part["free"]), np.array(part["covariance"]), part["discrepancy"], guess,
+                content["noise"], {c["name"]: (float(c["low"]), float(c["high"])) for c in part["free"]},
+            )
+            for name, part in content["formulations"].items()
+        }  # fmt: skip
+        return Answers(found), tuple(content["turned"])
     except (KeyError, TypeError, ValueError) as error:
         raise _broken(sidecar, error) from None
 
 
-def answerer_of(repair: Repair) -> Answerer:
+def answers_of(result: PointsDiscovery) -> Answers:
     """The same without a file."""
-    full = repair.full_estimate
-    return Answerer(repair.full_model, repair.values(), tuple(c.name for c in full.coefficients), full.covariance,
-                    dict(zip(repair.full_model.rows, full.discrepancy.tolist(), strict=True)),
-                    guess_of(repair.calibration.points), NOISE, {c.name: (c.low, c.high) for c in full.coefficients})
+    guess = guess_of(result.calibration.points)
+    return Answers({
+        name: Answerer(
+            model, {**result.repaired.start, **found.values()}, tuple(c.name for c in found.coefficients),
+            found.covariance, dict(zip(model.rows, found.discrepancy.tolist(), strict=True)), guess, NOISE,
+            {c.name: (c.low, c.high) for c in found.coefficients},
+        )
+        for name, (model, found) in result.formulations.items()
+    })  # fmt: skip
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path, version: int) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise _broken(path, error) from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if not isinstance(content, dict) or content.get("format") != version:
         raise _broken(path, "another format")
     return content
 
 
 def _broken(path: Path, error: object) -> InputError:
-    return InputError(str(path), f"no readable sidecar ({error})", f"JSON of format {FORMAT}", "write it anew")
+    return InputError(str(path), f"no readable sidecar ({error})", "JSON that this version wrote", "write it anew")
 
 
 def _finite(values: Mapping[str, Any]) -> dict[str, Any]:

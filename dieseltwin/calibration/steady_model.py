@@ -1,22 +1,25 @@
 """The balances of settled points: what each submodel says beside what was measured, for many parameter sets at once.
 
-Only the engine's own equations are used (`bind("numpy")`). What the mean-value model leaves out enters through their
-arguments: the pressure after the turbine and before the compressor stand in place of `p_amb`, the temperature of the
-charge in place of the constant `T_im`. A term that is not active leaves the published model.
+Only the engine's own equations and the laws of its effects are used (`bind("numpy")`), with measured flows and
+temperatures in their places: so an error of one submodel stays there, and no state at rest has to be found. Effects
+have the names, laws and units of the engine's catalogue; one that is not among the values is absent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS
 from dieseltwin.engine.binding import bind
+from dieseltwin.engine.effects import EFFECTS, effects_at
 from dieseltwin.engine.parameters import CONSTANT_NAMES, EngineParameters, parameter_batch
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.engine.terms import Term, effect_terms, law_terms, sensor_slot
+from dieseltwin.recordings.steady_points import LEAST, STATES, SteadyPoints
 
 Array = NDArray[np.float64]
 
@@ -28,15 +31,15 @@ EXTRA_ROWS: Mapping[str, str] = {"t_im_k": "T_im", "t_c_k": "T_c", "p_es_pa": "p
 
 IMPLIED = ("p_es", "p_bc", "T_im", "T_c")
 WORK_ROW = "compressor_work"
-T_REFERENCE = 700.0  # K, of the back-pressure law (DISCOVERY.md)
 T_CHARGE = 310.0  # K, temperature at which eta_vol's map is meant
-FLAP_REFERENCE = 50.0  # %
 SMALL_FLOW = 0.05  # of the median flow: relative residuals are damped below
 SHARE_OF_HEAD = 0.25  # where the flow has no part in the ellipse, an error of the head counts as four of the flow
 ELLIPSE_MIN = 1e-4  # limiter of the implicit compressor map: keeps the logarithm of trial states finite
 T_ES_MIN = 200.0  # K, limiter: keeps trial states physical
 SWEEPS = 4  # of the cylinder's fixed point
-KNEE_WIDTH = 60.0  # rad/s over which the speed sensor's fault sets in
+LEAST_FLOW = 1e-5  # kg/s, limiter: keeps trial flows positive
+COOLED_CHARGE, COOLED_EGR = "cooled_charge", "cooled_egr"
+"""Beliefs of `imply` that say how the charge gets its temperature, in `SteadyModel.active`."""
 
 _eq = bind("numpy")
 
@@ -63,7 +66,7 @@ class SteadyModel:
 
     Attributes:
         engine: every coefficient that `values` does not name.
-        active: names of the terms that are switched on (see `terms.TERMS`).
+        active: names of the beliefs that are switched on.
         extra: optional measured columns that add a relation (`EXTRA_ROWS`).
     """
 
@@ -84,56 +87,77 @@ class SteadyModel:
         Args:
             points: the n points (inputs, ambient, extra channels).
             x: states (n, 6) or (B, n, 6) in the order of `steady_points.STATES`.
-            values: coefficient or term parameter -> number or (B,).
+            values: coefficient of the engine, effect, fault of a sensor (`SENSOR_SLOTS`), coefficient of an effect
+                (`FLAP_COEFFICIENTS`) or of a belief -> number or (B,).
         """
+        if law_terms(self.engine.terms):
+            return self._with_laws(points, x, values)
         lanes = max([np.size(v) for v in values.values()] or [1])
         engine_values = {k: np.broadcast_to(v, (lanes,)) for k, v in values.items() if k in CONSTANT_NAMES}
         if "c_m1" in engine_values and self.engine.c_m[0] > 0:  # the straight part of c_m follows, or the curve jumps
             engine_values["c_mlin"] = self.engine.c_mlin * engine_values["c_m1"] / self.engine.c_m[0]
         c = parameter_batch(self.engine, size=lanes, **engine_values).constants()
         t = _Terms({k: np.reshape(v, (-1, 1)) for k, v in values.items() if k not in CONSTANT_NAMES}, self.active)
-        signal = self._signal
-        p_im, p_em, reading, W_c, W_egr, T_em = (x[..., i] for i in range(6))
-        n_e, u_delta = points["n_e_rpm"], points["u_delta_mg"]
-        T_0, p_0 = points["t_amb_k"], points["p_amb_pa"]
+        signal, added = self._signal, self._added
+        p_im, p_em, omega, W_c, W_egr, T_em = (t.true(name, x[..., i]) for i, name in enumerate(STATES))
+        n_e, T_0, p_0 = points["n_e_rpm"], points["t_amb_k"], points["p_amb_pa"]
+        c_0 = c._replace(p_amb=p_0, T_amb=T_0)
+        known: dict[str, Any] = {"p_im": p_im, "p_em": p_em, "omega_t": omega, "W_c": W_c, "W_egr": W_egr,
+                                 "T_em": T_em, "n_e": n_e, "c": c_0}  # fmt: skip
+
+        def changed(name: str, quantity: Any) -> Any:
+            """The quantity under the effects and the signal that enter it; laws then find it under its name."""
+            known[name] = signal(name, t.changed(name, quantity, known, points))
+            return known[name]
+
+        u_delta = changed("u_delta", points["u_delta_mg"])
         W_f = _eq.fuel_flow(u_delta, n_e, c)
-        W_t = W_c + W_f
-        omega = t.true_speed(reading)
 
         # compressor: what lies before and behind it
-        p_bc = signal("p_bc", p_0 - t("k_filter") * W_c * W_c)
+        p_bc = changed("p_bc", p_0)
         p_c = p_im + t("k_cooler_dp") * W_c * W_c * (c.T_im / 300.0) * (1e5 / p_im)
         c_c = c._replace(p_amb=p_bc, T_amb=T_0)
-        Pi_c = _eq.compressor_pressure_ratio(p_c, c_c)
+        Pi_c = known["Pi_c"] = _eq.compressor_pressure_ratio(p_c, c_c)
         phi = _eq.Phi_c(T_0, Pi_c, omega, c_c)
-        W_c_model = signal("W_c", _eq.compressor_flow(phi, omega, c_c))
-        eta_c = signal("eta_c", _eq.eta_c(W_c, Pi_c, c_c))
-        T_c = _eq.compressor_out_temperature(eta_c, Pi_c, c_c)
+        lost = signal("W_c", t.changed("W_c", 1.0, known, points))
+        W_c_model = lost * _eq.compressor_flow(phi, omega, c_c)
+        eta_c = changed("eta_c", _eq.eta_c(W_c, Pi_c, c_c))
+        T_c = known["T_c"] = _eq.compressor_out_temperature(eta_c, Pi_c, c_c)
         P_c = _eq.compressor_power(_eq.isentropic_compressor_power(W_c, Pi_c, c_c), eta_c)
 
-        # charge: cooler, EGR cooler, cylinder
-        T_im = signal("T_im", t.charge_temperature(c.T_im, T_0, T_c, T_em, W_c, W_egr))
+        # charge: coolers, cylinder
+        eta_vol = changed("eta_vol", _eq.eta_vol(p_im, n_e, c))
+        T_im = known["T_im"] = signal("T_im", t.charge_temperature(c.T_im, known, points))
+        eta_vol = eta_vol * t.wall_heating(T_im)
         c_i = c._replace(T_im=T_im, T_amb=T_0)
-        eta_vol = signal("eta_vol", _eq.eta_vol(p_im, n_e, c_i) * t.volumetric(p_em / p_im, T_im))
         W_ei_model = _eq.cylinder_inflow(eta_vol, p_im, n_e, c_i)
-        T_em_model = signal("T_em", self._exhaust_temperature(p_im, p_em, W_c + W_egr, W_f, c_i))
+        lost_im = added("intake_balance", t.changed("intake_balance", 0.0, known, points))
+        W_ei = known["W_ei"] = np.maximum(W_c + lost_im + W_egr, LEAST_FLOW)
+        W_eo = changed("W_eo", _eq.cylinder_outflow(W_f, W_ei))
+        T_em_static = self._exhaust_temperature(p_im, p_em, W_ei, W_f, W_eo, c_i)
+        T_em_model = signal("T_em", t.changed("T_em", T_em_static, known, points))
 
         # turbine: what lies behind it
+        lost_em = added("exhaust_balance", t.changed("exhaust_balance", 0.0, known, points))
+        W_t = known["W_t"] = np.maximum(W_eo + lost_em - W_egr, LEAST_FLOW)
         T_es = np.maximum(T_em - P_c / (W_t * c.c_pe), T_ES_MIN)
-        p_es = signal("p_es", t.pressure_after_turbine(p_0, W_t, T_es, c.R_e, points))
+        p_es = changed("p_es", p_0)
         c_t = c._replace(p_amb=p_es)
-        Pi_t = _eq.turbine_pressure_ratio(p_em, c_t)
-        opening = _eq.F_vgt_Pi_t(points["u_vgt_pct"], Pi_t, c_t)
-        W_t_model = signal("W_t", _eq.turbine_flow(opening, p_em, T_em, c_t))
-        eta_tm = signal("eta_tm", _eq.eta_tm(omega, T_em, Pi_t, c_t))
-        P_t = _eq.turbine_power(eta_tm, W_t, T_em, Pi_t, c_t)
+        Pi_t = known["Pi_t"] = _eq.turbine_pressure_ratio(p_em, c_t)
+        u_vgt = added("u_vgt", t.changed("u_vgt", points["u_vgt_pct"], known, points))
+        opening = _eq.F_vgt_Pi_t(u_vgt, Pi_t, c_t)
+        W_t_model = signal("W_t", t.changed("W_t", _eq.turbine_flow(opening, p_em, T_em, c_t), known, points))
+        eta_tm = changed("eta_tm", _eq.eta_tm(omega, T_em, Pi_t, c_t))
+        extra_power = added("shaft_power", t.changed("shaft_power", 0.0, known, points))
+        P_t = _eq.turbine_power(eta_tm, W_t, T_em, Pi_t, c_t) + extra_power
 
         Psi = _eq.egr_flow_factor(_eq.egr_pressure_ratio(p_im, p_em, c), c)
-        f_egr = _eq.f_egr(points["u_egr_pct"], c)
+        u_egr = added("u_egr", t.changed("u_egr", points["u_egr_pct"], known, points))
+        f_egr = t.changed("egr_opening", added("egr_opening", signal("f_egr", _eq.f_egr(u_egr, c))), known, points)
         W_egr_model = signal("W_egr", _eq.egr_flow(_eq.egr_area(f_egr, c), p_em, Psi, T_em, c))
 
         pairs: dict[str, tuple[Any, Any]] = {
-            "cylinder_flow": (W_c + W_egr, W_ei_model),
+            "cylinder_flow": (W_ei, W_ei_model),
             "turbine_flow": (W_t, W_t_model),
             "turbo_power": (P_c, P_t),
             "compressor_flow": (W_c, W_c_model),
@@ -154,7 +178,7 @@ class SteadyModel:
         # The compressor's map is judged in its implicit form (A.46): solved for the flow, a flat speed line would
         # turn 1 % of pressure into 30 % of flow.
         psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c) - c.c_psi2
-        flow = W_c * c.R_a * T_0 / (p_bc * c.wheel_volume * omega * (1.0 + self.signals.get("W_c", 0.0))) - c.c_phi2
+        flow = W_c * c.R_a * T_0 / (p_bc * c.wheel_volume * omega * lost) - c.c_phi2
         of_flow = _eq.ellipse_coefficient_phi(omega, c) * flow * flow
         ellipse = np.maximum(_eq.ellipse_coefficient_psi(omega, c) * psi * psi + of_flow, ELLIPSE_MIN)
         share = of_flow / ellipse + SHARE_OF_HEAD  # else a map of the head alone, blind to the flow, would fit best
@@ -162,27 +186,66 @@ class SteadyModel:
         quantities = {
             **implied, "eta_c": eta_c, "eta_tm": eta_tm, "eta_vol": eta_vol, "Pi_c": Pi_c, "Pi_t": Pi_t, "P_c": P_c,
             "T_es": T_es, "W_f": W_f, "W_t": W_t, "Phi_c": phi, "omega_t": omega, "f_egr": f_egr, "W_ei": W_ei_model,
-            "flap_area": t.flap_area(points) if "exhaust_flap" in self.active else np.full(shape, np.inf),
+            "W_egr": W_egr, "W_eo": W_eo, "T_em": T_em, "p_im": p_im, "p_em": p_em, "W_c": W_c, "u_egr": u_egr,
+            "u_vgt": u_vgt, "BSR": _eq.blade_speed_ratio(omega, T_em, Pi_t, c_t),
+            "Psi_c": _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c),
         }  # fmt: skip
         return Relations(residual, measured, predicted,
                          {k: np.broadcast_to(v, shape) for k, v in quantities.items()})
+
+    def _with_laws(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
+        """Found laws of the engine as signals, of the quantities without them."""
+        bare = replace(self, engine=self.engine.replace(terms=effect_terms(self.engine.terms)))
+        variables = law_variables(points, bare.relations(points, x, values).quantities)
+        entered = dict(self.signals)
+        for law in law_terms(self.engine.terms):
+            acts = law.factor(np.zeros(points.size), 0.0, dict(points.columns))
+            entered[law.point] = entered.get(law.point, 0.0) + np.nan_to_num(acts * law.signal(variables))
+        return replace(bare, signals=entered).relations(points, x, values)
 
     def _signal(self, name: str, quantity: Any) -> Any:
         """The quantity times (1 + signal) where a signal enters at its insertion point."""
         return quantity * (1.0 + self.signals[name]) if name in self.signals else quantity
 
+    def _added(self, name: str, quantity: Any) -> Any:
+        """The quantity plus the signal where one enters a balance."""
+        return quantity + self.signals[name] if name in self.signals else quantity
+
     @staticmethod
-    def _exhaust_temperature(p_im: Any, p_em: Any, W_ei: Any, W_f: Any, c: Any) -> Any:
+    def _exhaust_temperature(p_im: Any, p_em: Any, W_ei: Any, W_f: Any, W_eo: Any, c: Any) -> Any:
         x_r, T_1 = 0.03 + 0.0 * p_im, 330.0 + 0.0 * p_im
         ratio = _eq.exhaust_to_intake_ratio(p_em, p_im)
         for _ in range(SWEEPS):
             sweep = _eq.cylinder_sweep(ratio, W_ei, W_f, x_r, T_1, c)
             x_r, T_1 = sweep.x_r, sweep.T_1
-        return _eq.exhaust_manifold_temperature(sweep.T_e, _eq.cylinder_outflow(W_f, W_ei), c)
+        return _eq.exhaust_manifold_temperature(sweep.T_e, W_eo, c)
+
+
+def law_variables(points: SteadyPoints, q: Mapping[str, Array]) -> dict[str, Array]:
+    """Every variable that laws, ports and tolerances name, from the quantities of a relation, (B, n) or (n,)."""
+    inputs = {"n_e": "n_e_rpm", "u_delta": "u_delta_mg", "p_amb": "p_amb_pa", "T_amb": "t_amb_k"}
+    columns = {name: points[column] for name, column in inputs.items()}
+    if "u_flap_pct" in points:
+        columns["u_flap"] = points["u_flap_pct"]
+    return {
+        **q, **columns, "Pi_egr": q["p_im"] / q["p_em"], "Pi_e": q["p_em"] / q["p_im"], "t": np.zeros(points.size),
+        "egr_share": q["W_egr"] / np.maximum(q["W_egr"] + q["W_c"], LEAST_FLOW), "T_e": q["T_em"],
+    }  # fmt: skip
+
+
+def term_values(engine: EngineParameters) -> dict[str, float]:
+    """Magnitudes of an engine's terms by slot, and coefficients of their laws: what `SteadyModel` takes as values."""
+    found: dict[str, float] = {}
+    for term in effect_terms(engine.terms):
+        found[term.slot] = found.get(term.slot, 0.0) + term.magnitude
+        if isinstance(term, Term):
+            names = {key: name for name, key in FLAP_COEFFICIENTS.items()}
+            found |= {names[key]: value for key, value in term.coefficients.items() if key in names}
+    return found
 
 
 class _Terms:
-    """The laws of what the published model leaves out; parameters (B, 1), neutral where a term is not active."""
+    """Effects, faults of sensors and beliefs; numbers (B, 1), neutral where one is absent."""
 
     def __init__(self, values: Mapping[str, Array], active: frozenset[str]) -> None:
         self.values, self.active = values, active
@@ -190,39 +253,37 @@ class _Terms:
     def __call__(self, name: str, neutral: float = 0.0) -> Any:
         return self.values.get(name, neutral)
 
-    def true_speed(self, reading: Any) -> Any:
-        """Turbo speed [rad/s] from its reading: below a knee the sensor reads low (sensor:omega_t_rad_s)."""
-        if "turbo_speed_low" not in self.active:
-            return reading
-        below = (self("omega_knee") - reading) / KNEE_WIDTH
-        on = 1.0 / (1.0 + np.exp(-np.clip(below, -50.0, 50.0)))
-        return reading * (1.0 + on * (self("omega_step") + self("omega_slope") * below * KNEE_WIDTH / 1000.0))
+    def true(self, column: str, reading: Any) -> Any:
+        """What a sensor would read without its offset and gain (reading = true (1 + g) + b)."""
+        gain, offset = (self(sensor_slot(column, fault)) for fault in ("gain", "offset"))
+        return np.maximum((reading - offset) / (1.0 + gain), LEAST)
 
-    def charge_temperature(self, T_im: Any, T_0: Any, T_c: Any, T_em: Any, W_c: Any, W_egr: Any) -> Any:
-        """Charge temperature [K]: behind the cooler T_amb + dT + (1 - eff)(T_c - T_amb), then mixed with cooled EGR."""
-        if "charge_cooler_loss" in self.active:
-            T_im = T_0 + self("cooler_approach") + self("cooler_loss") * (T_c - T_0)
-        if "egr_heating" in self.active:
-            T_egr = self("egr_coolant") + self("egr_cooler_loss") * (T_em - self("egr_coolant"))
-            T_im = T_im + W_egr / (W_c + W_egr) * (T_egr - T_im)
-        return T_im
+    def changed(self, name: str, quantity: Any, known: Mapping[str, Any], points: SteadyPoints) -> Any:
+        """The quantity under the effects that enter it, in the order of their names."""
+        for effect in (EFFECTS[n] for n in effects_at(name) if n in self.values):
+            magnitude = self(effect.name)
+            if effect.follows is not None:
+                own = {key: self(column, effect.coefficients[key]) for column, key in FLAP_COEFFICIENTS.items()}
+                magnitude = magnitude * effect.follows(points.columns, own)
+            c = known["c"]
+            further = [known[a] if a in known else getattr(c, a) for a in effect.arguments]
+            quantity = effect.change(quantity, magnitude, *further) if effect.change is not None else quantity
+        return quantity
 
-    def volumetric(self, Pi_e: Any, T_im: Any) -> Any:
-        """Factor of eta_vol [-]: residual gas and the heating of the charge by the walls."""
-        return (1.0 - self("vol_residual") * (Pi_e - 1.0)) * (T_im / T_CHARGE) ** self("vol_heating")
+    def charge_temperature(self, T_im: Any, known: Mapping[str, Any], points: SteadyPoints) -> Any:
+        """Charge temperature [K]; by the beliefs of `imply` the coolers' approach and coolant stand for a constant."""
+        T_0, T_em = points["t_amb_k"], known["T_em"]
+        if COOLED_CHARGE in self.active:
+            T_im = T_0 + self("cooler_approach")
+        if COOLED_EGR not in self.active:
+            return self.changed("T_im", T_im, known, points)
+        T_im = T_im + self("charge_cooler_loss") * (known["T_c"] - T_0)
+        T_egr = self("egr_coolant") + self("egr_heating") * (T_em - self("egr_coolant"))
+        return T_im + known["W_egr"] / (known["W_c"] + known["W_egr"]) * (T_egr - T_im)
 
-    def flap_area(self, points: SteadyPoints) -> Any:
-        """Effective area of the exhaust flap [m2], ln A a parabola of ln(u_flap/50 %)."""
-        u = np.log(np.clip(points["u_flap_pct"], 1.0, 100.0) / FLAP_REFERENCE)
-        return np.exp(self("flap_0") + self("flap_1") * u + self("flap_2") * u * u)
-
-    def pressure_after_turbine(self, p_0: Any, W_t: Any, T_es: Any, R_e: Any, points: SteadyPoints) -> Any:
-        """p_es [Pa]: pipes p = p_amb + k W_t^2 T/700 K, before them a flap p_es^2 - p^2 = W_t^2 R_e T/A^2."""
-        flow = W_t * W_t * T_es
-        p = p_0 + self("k_back_pressure") * flow / T_REFERENCE
-        if "exhaust_flap" not in self.active:
-            return p
-        return np.sqrt(p * p + flow * R_e / self.flap_area(points) ** 2)
+    def wall_heating(self, T_im: Any) -> Any:
+        """Factor of eta_vol [-]: by belief the charge is heated by the walls."""
+        return (T_im / T_CHARGE) ** self("vol_heating")
 
     def work_coefficient(self, volume: Any, Pi_c: Any) -> Any:
         """Euler work over tip speed squared [-]: falls with the flow at the wheel's exit (backsweep)."""

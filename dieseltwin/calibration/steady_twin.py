@@ -1,170 +1,234 @@
-"""A twin whose samples are settled points: no time, no local states; its readings are the settled states of each point.
+"""The diesel engine at settled points as a twin for discovery: balances of every point, whitened by what is known.
 
-`simulate` solves the six balances of every point for all lanes at once (Newton's method from the measured states).
-Signals enter at the insertion points of `STEADY_POINTS`; hypotheses are the terms of `calibration.coefficients.TERMS`.
+One sample is a point, one channel a submodel's balance (`SteadyModel`), read with measured flows and temperatures in
+their places. So no state at rest has to be found, and an error of one submodel stays there. Every reading is noisy and
+every submodel only nearly right: the balances of a point have a covariance J N J' + S, and the twin hands on
+L^-1 (ln measured/predicted) with L L' that covariance, so that a valve with a small pressure difference counts as
+little as it knows. Smooth errors of maps and errors of sensors are the directions that the search takes out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dieseltwin.calibration.calibrate import Calibration
-from dieseltwin.calibration.coefficients import TERMS
-from dieseltwin.calibration.repair import available
-from dieseltwin.calibration.steady_model import ROWS, SteadyModel
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point
+from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS
+from dieseltwin.calibration.likelihood import NOISE, reading_covariance
+from dieseltwin.calibration.steady_model import SteadyModel, law_variables
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
+from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
+from dieseltwin.discovery.twins.diesel_points import hypotheses_of as shown
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, single
+from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, GAS_LAG
+from dieseltwin.engine.parameters import HEALTH
+from dieseltwin.engine.quantities import ADDED_AT
+from dieseltwin.engine.terms import LAW_VARIABLES, SENSOR_SLOTS, SENSOR_UNITS
+from dieseltwin.recordings.channels import OPTIONAL_INPUTS
+from dieseltwin.recordings.noise import Noise
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
+from dieseltwin.settings.points import PointSettings
 
-STEADY_POINTS: tuple[Point, ...] = (
-    Point("W_t", "turbine_flow", True, "-", ("p_em", "T_em", "p_amb", "u_vgt", "u_flap"), tolerance=0.01,
-          tolerance_over=("u_vgt", "p_em")),
-    Point("p_es", "turbine_flow", True, "-", ("W_t", "T_es", "p_amb", "u_flap")),
-    Point("p_bc", "compressor_flow", True, "-", ("W_c", "p_amb")),
-    Point("W_c", "compressor_flow", True, "-", ("p_im", "p_amb", "omega_t"), tolerance=0.02,
-          tolerance_over=("omega_t", "p_im")),
-    Point("eta_c", "compressor_power", True, "-", ("W_c", "p_im", "p_amb"), tolerance=0.02,
-          tolerance_over=("W_c", "p_im")),
-    Point("eta_tm", "turbine_power", True, "-", ("omega_t", "T_em", "p_em", "p_amb", "u_vgt"), tolerance=0.02,
-          tolerance_over=("omega_t", "p_em")),
-    Point("eta_vol", "cylinder_flow", True, "-", ("p_im", "p_em", "n_e", "T_im"), tolerance=0.01,
-          tolerance_over=("p_im", "n_e")),
-    Point("T_im", "intake_temperature", True, "-", ("T_c", "T_amb", "T_em", "W_c", "W_egr")),
-    Point("T_em", "exhaust_temperature", True, "-", ("W_ei", "W_f", "T_im", "T_amb"), tolerance=0.01,
-          tolerance_over=("W_f", "n_e")),
-    Point("W_egr", "egr_flow", True, "-", ("p_em", "p_im", "T_em", "u_egr"), tolerance=0.02,
-          tolerance_over=("u_egr", "p_em")),
+MOVING_ONLY = (
+    *ACTUATION_EFFECTS, GAS_LAG, *(n for n, e in EFFECTS.items() if e.drifts or e.enters.operator == "lag"),
 )  # fmt: skip
+"""Effects that a settled point can't show: they need time."""
 
-NEWTON_STEPS = 30
-LARGEST_STEP = 0.1  # of ln x
-ENOUGH = 1e-7  # of ln x
-DIFFERENCE = 1e-5
-DAMPING = 1e-8  # keeps a speed line that is flat at a trial state from throwing the state away
+SUBMODEL_OF: Mapping[str, str] = {
+    "eta_vol": "cylinder_flow", "W_t": "turbine_flow", "eta_tm": "turbo_power", "eta_c": "turbo_power",
+    "W_c": "compressor_flow", "f_egr": "egr_flow", "T_em": "exhaust_temperature",
+}  # fmt: skip
+"""Insertion point of a map -> submodel whose tolerance it has."""
 
-
-def settle(model: SteadyModel, points: SteadyPoints, values: Mapping[str, Any], start: Array) -> Array:
-    """States at which every balance holds, (B, n, 6).
-
-    Args:
-        model, points: relations and n points.
-        values: coefficient -> number or (B,).
-        start: (n, 6) or (B, n, 6) states to start from.
-
-    Points without a settled state keep the state of the smallest residual found.
-    """
-    lanes = max([np.size(v) for v in values.values()] or [1])
-    bare = replace(model, extra=(), active=model.active & frozenset(TERMS))
-    y = np.log(np.broadcast_to(start, (lanes, *start.shape[-2:]))).copy()
-    size = len(STATES)
-
-    def residual(y: Array) -> Array:
-        r = bare.relations(points, np.exp(y), values).residual[..., : len(ROWS)]
-        return np.clip(np.nan_to_num(r), -3.0, 3.0)
-
-    r = residual(y)
-    best, best_y = np.max(np.abs(r), axis=-1), y.copy()
-    for _ in range(NEWTON_STEPS):
-        J = np.stack([(residual(y + DIFFERENCE * np.eye(size)[j]) - r) / DIFFERENCE for j in range(size)], axis=-1)
-        normal = np.swapaxes(J, -1, -2) @ J + DAMPING * np.eye(size)
-        step = -np.linalg.solve(normal, np.swapaxes(J, -1, -2) @ r[..., None])[..., 0]
-        longest = np.max(np.abs(step), axis=-1, keepdims=True)
-        step = step * np.minimum(1.0, LARGEST_STEP / np.maximum(longest, 1e-300))
-        y = y + step
-        r = residual(y)
-        worst = np.max(np.abs(r), axis=-1)
-        better = worst < best
-        best, best_y = np.where(better, worst, best), np.where(better[..., None], y, best_y)
-        if np.max(np.abs(step)) < ENOUGH:
-            break
-    return np.exp(best_y)
+_WITHOUT_SIGNAL = ("T_e",)
+_COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
+_LIMIT = 30.0  # whitened balances beyond are cut: a trial state far off
+_OUTLIER, _MAD_TO_STD = 6.0, 1.4826
+_SENSOR_TOLERANCES = {"gain": 0.01, "offset": 0.01}  # of interest, of faults that the catalogue has no name for
 
 
 class SteadyTwin:
-    """The `Twin` of settled points; every point is a sample, one window holds all, there are no local states.
+    """`Twin` and `KnownErrors` of settled points; every point is a sample and a window of its own.
 
     Args:
-        calibration: engine, points and coefficients without terms.
+        calibration: engine, points and coefficients; the engine's terms are part of the twin.
+        settings: what is believed of sensors and submodels.
+        sensors: columns to use, None for all.
     """
 
-    channels: tuple[str, ...] = STATES
-    states: tuple[str, ...] = ()
+    law_kinds = ("power", "ratio", "difference", "head", "above_one", "share", "orifice")
+    law_variables = LAW_VARIABLES
+    lagging_sensors = ()
+    channel_units = SENSOR_UNITS
+    own_schedules = False
 
-    def __init__(self, calibration: Calibration) -> None:
-        self.calibration = calibration
-        self.data = calibration.points
-        self.points: tuple[Point, ...] = STEADY_POINTS
-        self._coefficients = calibration.estimate.coefficients
-        self.parameters: tuple[Parameter, ...] = tuple(
-            Parameter(c.name, float(v), c.std, c.unit, 0.1 * c.std)
-            for c, v in zip(self._coefficients, calibration.estimate.theta, strict=True)
-        )
+    def __init__(
+        self, calibration: Calibration, settings: PointSettings, sensors: Sequence[str] | None = None, seed: int = 0
+    ) -> None:
+        self.calibration, self.settings = calibration, settings
+        order = np.random.default_rng(seed).permutation(calibration.points.size)  # the last ones are held out
+        self.order = order
+        self.data: SteadyPoints = calibration.points.take(order)
+        self.engine = calibration.model.engine
+        self.model: SteadyModel = calibration.model
+        self.used = tuple(c for c in STATES if sensors is None or c in sensors)
+        self.channels = self.model.rows
+        self.states: tuple[str, ...] = ()
         self.state_scales: Array = np.zeros(0)
+        self._coefficients = calibration.estimate.coefficients
+        self._fixed = {**calibration.start, **calibration.estimate.values()}
         self.hypotheses: Mapping[str, Hypothesis] = {
-            term.name: Hypothesis(
-                name=term.name, site=term.site, law=term.law, unit=term.parameters[0].unit, tolerance=term.smallest,
-                limits=(term.parameters[0].low, term.parameters[0].high), smooth=False,
-                sizes=(term.parameters[0].mean,), confused_with=term.confused_with,
-                kind="sensor" if term.site.startswith("sensor:") else "physics",
+            name: h for name, h in hypotheses_of(self.data, self.used).items() if name not in self._fixed
+        }  # fmt: skip
+        self.parameters: tuple[Parameter, ...] = tuple(
+            Parameter(c.name, float(v), c.std, c.unit, 0.3 * c.std)
+            for c, v in zip(self._coefficients, calibration.estimate.theta, strict=True) if c.name in HEALTH
+        )
+        if "exhaust_flap" in self.hypotheses:
+            nominal = EFFECTS["exhaust_flap"].coefficients
+            spread = settings.flap_spread
+            self.parameters += tuple(
+                Parameter(name, nominal[key], spread, "-", spread) for name, key in FLAP_COEFFICIENTS.items()
             )
-            for term in available(self.data)
-        }  # fmt: skip
+        flap = ("u_flap",) if "u_flap_pct" in self.data else ()
+        self.points: tuple[Point, ...] = tuple(
+            Point(
+                name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"),
+                (*facts.ports, *(flap if name == "p_es" else ())), facts.scale,
+                settings.smooth_error(SUBMODEL_OF[name]) if name in SUBMODEL_OF else 0.0, facts.over, facts.also,
+            )
+            for name, facts in POINT_FACTS.items() if name not in _WITHOUT_SIGNAL
+        )  # fmt: skip
         self.time_s: Array = np.arange(self.data.size, dtype=np.float64)
-        self.starts = np.zeros(1, dtype=np.int64)
-        self.measured: Array = self.data.states()
+        self.recording_time_s = self.time_s
+        self.starts = np.arange(self.data.size, dtype=np.int64)
         self.conditions: Mapping[str, Array] = {
-            name: self.data[name]
-            for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "u_flap_pct") if name in self.data
-        }  # fmt: skip
+            name: self.data[name] for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+        }
+        readings = self.data.states()
+        known = np.isfinite(readings) & np.array([c in self.used for c in STATES])
+        self._x = np.where(known, readings, calibration.estimate.x[order])
+        self._whiten = np.zeros((self.data.size, len(self.channels), len(self.channels)))
+        start = self.values(np.array([p.value for p in self.parameters]))
+        scatter = np.array([settings.scatter(row) for row in self.channels])
+        sigma = np.array([NOISE[name] for name in STATES])
+        covariance = reading_covariance(self.model, self.data, self._x, start, np.where(known, sigma, 1.0))
+        covariance = covariance + np.diag(scatter**2)
+        self._whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        self.measured: Array = np.zeros((self.data.size, len(self.channels)))
+        self.measured[self._outlying()] = np.nan
+
+    def _outlying(self) -> np.ndarray:
+        """(n, C) balances far off all others of their channel.
+
+        Next to a kink (EGR flow at p_em = p_im) noise makes a balance nonsense; one such point would outweigh all.
+        """
+        off = self.simulate(self.plain_lane())[0]
+        off = np.abs(off - np.median(off, axis=0))
+        return np.asarray(off > np.maximum(_OUTLIER, _OUTLIER * _MAD_TO_STD * np.median(off, axis=0)))
 
     def first_local(self) -> Array:
-        """No local states: (1, 0)."""
-        return np.zeros((1, 0))
+        """No state starts anew: (n, 0)."""
+        return np.zeros((self.data.size, 0))
+
+    def noise(self) -> Noise:
+        """As `KnownErrors.noise`: the balances come whitened."""
+        size = len(self.channels)
+        return Noise(np.ones(size), np.zeros(size))
+
+    def whitening(self) -> Whitening:
+        """As `KnownErrors.whitening`."""
+        return Whitening.of(self.measured, self.noise(), self.starts)
+
+    def nuisances(self, lanes: Lanes) -> list[Nuisance]:
+        """As `KnownErrors.nuisances`: coefficients and smooth errors of the maps, gain and offset of every sensor."""
+        maps = map_nuisances(self, self.variables(lanes))
+        simulated = self.simulate(lanes)[0]
+        found = [
+            Nuisance(nuisance.label, response=response)
+            for nuisance, response in zip(maps, nuisance_responses(self, lanes, simulated, maps), strict=True)
+        ]
+        free = {p.name for p in self.parameters}
+        for c in self._coefficients:
+            if c.name not in free:
+                step = _COEFFICIENT_STEP * c.std
+                step = -step if self._fixed[c.name] + step > c.high else step
+                moved = self._balances(lanes, {}, {c.name: self._fixed[c.name] + step})
+                found.append(Nuisance(c.name, response=(moved[0] - simulated) * c.std / step))
+        for column in self.used:
+            level = float(np.nanmedian(self.data[column]))
+            for fault, size in (("gain", self.settings.sensor_gain), ("offset", self.settings.sensor_offset * level)):
+                moved = self._balances(lanes, {f"reading of {column}:{fault}": np.full(lanes.size, size)})
+                found.append(Nuisance(f"{fault} of {column}", response=moved[0] - simulated))
+        return found
 
     def simulate(self, lanes: Lanes) -> Array:
-        """Settled states of every point as the sensors read them, (B, n, 6).
+        """Balances that the lanes explain, whitened, (B, n, C)."""
+        return self._balances(lanes, {})
 
-        A term's other parameters (a flap's exponents) stand at their prior means; lanes in which its magnitude is at
-        the neutral value of 0 are solved without it.
-        """
-        values: dict[str, Any] = {p.name: lanes.parameters[:, i] for i, p in enumerate(self.parameters)}
-        out = np.empty((lanes.size, self.data.size, len(STATES)))
-        keys = [tuple(name for name, m in lanes.magnitudes.items() if m[b] != 0.0) for b in range(lanes.size)]
-        extra = {p: np.zeros((lanes.size, self.data.size)) for p in (q.name for q in self.points)}
-        for name, signal in lanes.signals.items():
-            extra[name] += signal
+    def _balances(self, lanes: Lanes, errors: Mapping[str, Array], changed: Mapping[str, float] | None = None) -> Array:
+        """`simulate` with errors of readings ("reading of <column>:<fault>" -> (B,)) and with changed coefficients."""
+        residual = self._relations(lanes, errors, changed).residual
+        bounded = np.clip(np.nan_to_num(residual), -_LIMIT, _LIMIT)
+        return -np.asarray(np.clip(np.einsum("nij,bnj->bni", self._whiten, bounded), -_LIMIT, _LIMIT))
+
+    def _relations(self, lanes: Lanes, errors: Mapping[str, Array], changed: Mapping[str, float] | None = None) -> Any:
+        own = {p.name: lanes.parameters[:, i] for i, p in enumerate(self.parameters)}
+        values: dict[str, Any] = {**self._fixed, **own}
+        values.update(changed or {})
+        for name, magnitude in lanes.magnitudes.items():
+            values[name] = self._fixed.get(name, 0.0) + magnitude
+        values = {name: np.broadcast_to(value, (lanes.size,)) for name, value in values.items()}
+        x = self._x
+        for name, size in errors.items():
+            column, fault = name.removeprefix("reading of ").split(":")
+            j = STATES.index(column)
+            x = np.array(np.broadcast_to(x, (lanes.size, *self._x.shape)))
+            x[..., j] = x[..., j] * (1.0 - size[:, None]) if fault == "gain" else x[..., j] - size[:, None]
+        return replace(self.model, signals=self._signals(lanes)).relations(self.data, x, values)
+
+    def _signals(self, lanes: Lanes) -> dict[str, Array]:
+        shape = (lanes.size, self.data.size)
+        entered = {name: np.broadcast_to(signal, shape) for name, signal in lanes.signals.items()}
         if lanes.lane_points is not None and lanes.lane_signals is not None:
-            for b, index in enumerate(lanes.lane_points):
-                if index >= 0:
-                    extra[self.points[int(index)].name][b] += lanes.lane_signals[b]
-        for key in dict.fromkeys(keys):
-            rows = np.array([i for i, k in enumerate(keys) if k == key])
-            used = {name: column[rows] for name, column in values.items()}
-            for name in key:
-                term = TERMS[name]
-                used |= {c.name: np.full(rows.size, c.mean) for c in term.parameters}
-                used[term.parameters[0].name] = lanes.magnitudes[name][rows]
-            used = {**{k: np.full(rows.size, v) for k, v in self._fixed(used).items()}, **used}
-            model = replace(self.calibration.model, active=frozenset(key),
-                            signals={p: s[rows] for p, s in extra.items() if s[rows].any()})
-            out[rows] = settle(model, self.data, used, self.calibration.estimate.x)
-        return out
-
-    def _fixed(self, used: Mapping[str, Any]) -> dict[str, float]:
-        return {k: v for k, v in self.calibration.start.items() if k not in used}
+            for index in np.unique(lanes.lane_points[lanes.lane_points >= 0]):
+                name = self.points[int(index)].name
+                own = np.where((lanes.lane_points == index)[:, None], lanes.lane_signals, 0.0)
+                entered[name] = entered.get(name, 0.0) + own
+        return entered
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
-        """Every variable that ports name, at the settled states of lane 0, (n,) each."""
-        x = self.simulate(lanes)[0]
-        values = {p.name: float(lanes.parameters[0, i]) for i, p in enumerate(self.parameters)}
-        values = {**self._fixed(values), **values}
-        q = {k: v[0] for k, v in self.calibration.model.relations(self.data, x, values).quantities.items()}
-        named = dict(zip(("p_im", "p_em", "omega_t", "W_c", "W_egr", "T_em"), x.T, strict=True))
-        inputs = {"n_e": "n_e_rpm", "u_delta": "u_delta_mg", "u_egr": "u_egr_pct", "u_vgt": "u_vgt_pct",
-                  "p_amb": "p_amb_pa", "T_amb": "t_amb_k"}  # fmt: skip
-        columns = {name: self.data[column] for name, column in inputs.items()}
-        columns["u_flap"] = self.data["u_flap_pct"] if "u_flap_pct" in self.data else np.full(self.data.size, 100.0)
-        return {**{k: v for k, v in q.items() if np.isfinite(v).all()}, **columns, **named}
+        """Every variable that ports and tolerances name, at the points as measured, lane 0, (n,) each."""
+        q = {k: np.asarray(v[0]) for k, v in self._relations(lanes, {}).quantities.items()}
+        return law_variables(self.data, q)
+
+    def values(self, parameters: Array) -> dict[str, float]:
+        """Every number of the balances at parameters (P,), effects aside."""
+        return {**self._fixed, **{p.name: float(v) for p, v in zip(self.parameters, parameters, strict=True)}}
+
+    def plain_lane(self) -> Lanes:
+        """The lane at which fits start."""
+        return single(np.array([p.value for p in self.parameters]), self.first_local())
+
+
+def hypotheses_of(points: SteadyPoints, used: Sequence[str]) -> dict[str, Hypothesis]:
+    """Effects that settled points can show with these sensors, and faults of sensors beyond the catalogue."""
+    moved = [name for name in OPTIONAL_INPUTS if name in points and np.nanstd(points[name]) > 1.0]
+    found = {
+        name: hypothesis
+        for name, hypothesis in shown(used, moved).items()
+        if name not in MOVING_ONLY
+    }  # fmt: skip
+    for slot in SENSOR_SLOTS:
+        column, _, fault = slot.partition(":")
+        if fault in _SENSOR_TOLERANCES and column in used:
+            level = 1.0 if fault == "gain" else float(np.nanmedian(points[column]))
+            size = _SENSOR_TOLERANCES[fault] * level
+            law = "reading (1 + g)" if fault == "gain" else "reading + b"
+            found[slot] = Hypothesis(slot, f"sensor:{column}", law, "-" if fault == "gain" else SENSOR_UNITS[column],
+                                     size, (-0.3 * level, 0.3 * level), True, (size,), "sensor")
+    return found

@@ -1,11 +1,16 @@
-"""The words and the document (schema 1) of what settled points call for."""
+"""The document (schema 1) of what settled points call for."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
-from dieseltwin.calibration.repair import Candidate, Repair
-from dieseltwin.calibration.steady_model import FLAP_REFERENCE, ROWS, T_REFERENCE
+from dieseltwin.calibration.discover import PointsDiscovery, Round
+from dieseltwin.calibration.steady_model import ROWS
+from dieseltwin.discovery.likelihood.score import minimum_detectable
+from dieseltwin.discovery.search.run import Search
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Alternative,
@@ -18,135 +23,161 @@ from dieseltwin.discovery.verdict.document import (
     Provenance,
     RecordingInfo,
 )
+from dieseltwin.discovery.verdict.explain import plain
+from dieseltwin.discovery.verdict.findings import finite, valid_for
+from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import HEALTH
+from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.steady_points import STATES
 from dieseltwin.version import __version__
 
-_PLAIN = {
-    "exhaust_flap": "the exhaust behind the turbine is throttled by the flap",
-    "back_pressure": "the exhaust behind the turbine has back-pressure",
-    "turbo_speed_low": "the turbo speed reads low at low speed",
-    "charge_cooler_loss": "the charge-air cooler leaves part of the compressor's heat",
-    "egr_heating": "recirculated gas heats the charge",
-    "air_filter_restriction": "the air filter restricts the flow",
-    "volumetric_efficiency_residual": "residual gas and hot walls lower the volumetric efficiency",
-}
+_LEAST_PROBABILITY = 1e-3  # of a site that is still worth a line
+_COLUMN = {"compressor_flow": "w_c_kg_s", "egr_flow": "w_egr_kg_s", "exhaust_temperature": "t_em_k"}
 
 
-def flap_magnitude(repair: Repair) -> tuple[float, float]:
-    """Back-pressure coefficient of the flap at 50 % near ambient pressure, and its deviation [Pa/(kg/s)^2]."""
-    values, std = repair.estimate.values(), repair.estimate.std()
-    engine = repair.model.engine
-    area = np.exp(values["flap_0"])
-    k = T_REFERENCE * engine.R_e / (2.0 * engine.p_amb * area**2)
-    return float(k), float(2.0 * k * std["flap_0"])
+def _probabilities(found: Search) -> dict[str, float]:
+    """Of the single names by their gains, which sum to one."""
+    gains = np.array([0.5 * found.gain(fit) for fit in found.singles])
+    weights = np.exp(np.maximum(gains - gains.max(), -60.0))
+    names = [fit.candidate.names[0] for fit in found.singles]
+    return {name: float(w / weights.sum()) for name, w in zip(names, weights, strict=True)}
 
 
-def sentence(repair: Repair) -> str:
-    """Where, what, how large, how much the held-out fit improved, and what could not be told apart."""
-    if not repair.chosen:
-        return (f"The {repair.calibration.points.size} points call for no term beyond the mean-value model "
-                f"(held-out negative log-likelihood {repair.nll_before:.2f} per point).")
-    parts = []
-    for found in repair.chosen:
-        also = repair.equivalent.get(found.term.name, ())
-        told = f" (not told apart from {', '.join(also)})" if also else ""
-        parts.append(f"{_PLAIN[found.term.name]} [{found.term.site}; gain {found.gain:.0f}]{told}")
-    power, flow = repair.fits_before["turbo_power"], repair.fits_before["turbine_flow"]
-    after = repair.fits_after
-    text = (
-        f"{'; '.join(parts)}. Held-out third: turbine flow {flow.held_out:.1f} -> {after['turbine_flow'].held_out:.1f} "
-        f"%, turbo power {power.held_out:.1f} -> {after['turbo_power'].held_out:.1f} %, negative log-likelihood "
-        f"{repair.nll_before:.1f} -> {repair.nll_after:.1f} per point."
-    )
-    return text[0].upper() + text[1:]
+def _equivalent(item: Round, name: str) -> tuple[str, ...]:
+    """Names of the catalogue that the points can't tell from one."""
+    found = item.found
+    best = max(found.gain(fit) for fit in found.singles)
+    own = next((found.gain(fit) for fit in found.singles if fit.candidate.names == (name,)), best)
+    others = [fit.candidate.names[0] for fit in found.singles
+              if own - found.gain(fit) < found.settings.equivalent_gain and fit.candidate.names[0] not in item.names]
+    return tuple(n for n in others if n in EFFECTS)
 
 
-def _effect(repair: Repair, found: Candidate) -> FoundEffect:
-    probability = float(1.0 / (1.0 + np.exp(-min(found.gain, 50.0))))
-    law, split = found.term.law, found.term.split_by
-    if found.term.name == "exhaust_flap":
-        k, std = flap_magnitude(repair)
-        values = repair.estimate.values()
-        law += "; " + ", ".join(f"{name} = {values[name]:.4g}" for name in ("flap_0", "flap_1", "flap_2"))
-        return FoundEffect(name="back_pressure", probability=probability, law=law, magnitude=k, std=std,
-                           unit="Pa/(kg/s)^2", split_by=split,
-                           valid_for=f"magnitude at u_flap_pct = {FLAP_REFERENCE:g} %; the law over the flap's range")
-    if not found.term.catalogue:
-        values = repair.estimate.values()
-        law += "; " + ", ".join(f"{c.name} = {values[c.name]:.4g}" for c in found.term.parameters)
-        return FoundEffect(name=NONE_OF_THESE, probability=probability, law=law, magnitude=None, std=None, unit=None,
-                           split_by=split)
-    names = tuple(n for n in repair.equivalent.get(found.term.name, ()) if n not in ("exhaust_flap", "turbo_speed_low"))
-    head = found.term.parameters[0]
-    return FoundEffect(name=found.term.name, probability=probability, equivalent_names=names, law=law,
-                       magnitude=repair.estimate.values()[head.name], std=repair.estimate.std()[head.name],
-                       unit=head.unit, split_by=split)
+def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
+    """What was found, strongest first; what has no name of the catalogue is one entry, with its law."""
+    entries: list[FoundEffect] = []
+    laws: list[str] = []
+    for item in result.rounds:
+        for name in item.names if item.taken else ():
+            magnitude, std = result.effects[name]
+            hypothesis = item.found.twin.hypotheses[name]
+            if name not in EFFECTS:
+                column, _, fault = name.partition(":")
+                laws.append(f"{column}: reading (1 {magnitude:+.4g})" if fault == "gain"
+                            else f"{column}: reading {magnitude:+.4g} {hypothesis.unit}")
+                continue
+            law = hypothesis.law
+            own = next(t.coefficients for t in result.terms() if isinstance(t, Term) and t.effect == name)
+            if own:
+                law += "; " + ", ".join(f"{key} = {value:.4g}" for key, value in own.items())
+            entries.append(FoundEffect(
+                name=name, probability=_probabilities(item.found).get(name, 1.0) if len(item.names) == 1 else 1.0,
+                equivalent_names=_equivalent(item, name), law=law, magnitude=magnitude, std=finite(std),
+                unit=hypothesis.unit, valid_for=valid_for(item.found),
+            ))  # fmt: skip
+    if result.more_is_missing:
+        laws.append(result.law.text if result.law is not None else "more is missing; no law is resolved")
+    if laws:
+        entries.append(FoundEffect(name=NONE_OF_THESE, probability=1.0, law="; ".join(laws), magnitude=None, std=None,
+                                   unit=None))
+    return tuple(entries)
 
 
-def document(repair: Repair) -> Discrepancy:
+def _location(result: PointsDiscovery) -> Location:
+    first = result.rounds[0]
+    found = first.found
+    weights: dict[str, float] = {}
+    for name, probability in _probabilities(found).items():
+        site = found.twin.hypotheses[name].site
+        weights[site] = weights.get(site, 0.0) + probability
+    if first.taken:
+        site = found.twin.hypotheses[first.names[0]].site
+    elif result.law is not None:
+        site = result.law.site
+    else:
+        site = found.structure[0].feature.site
+    weights.setdefault(site, 0.0)
+    if not first.taken:
+        weights = {site: 1.0}
+    ranked = sorted(weights.items(), key=lambda pair: -pair[1])
+    others = tuple(Alternative(site=s, probability=w) for s, w in ranked if s != site and w > _LEAST_PROBABILITY)
+    return Location(site=site, probability=min(weights[site], 1.0), alternatives=others, regions=(_region(result),),
+                    onset_s=None)
+
+
+def document(result: PointsDiscovery) -> Discrepancy:
     """`discrepancy.json` of settled points: duration 0, no onset; names not of the catalogue are laws."""
-    points = repair.calibration.points
-    effects: list[FoundEffect] = []
-    for found in repair.chosen:
-        effect = _effect(repair, found)
-        if effect.name not in [e.name for e in effects]:  # the schema takes each name once
-            effects.append(effect)
-    location = None
-    if repair.chosen:
-        rivals = [c for c in repair.candidates if c.round == 1]
-        weight = {c.term.site: 0.0 for c in rivals}
-        best = max(c.gain for c in rivals)
-        for c in rivals:
-            weight[c.term.site] = max(weight[c.term.site], float(np.exp(max(c.gain - best, -60.0))))
-        total = sum(weight.values())
-        site = repair.chosen[0].term.site
-        ordered = sorted(weight.items(), key=lambda pair: -pair[1])
-        others = tuple(Alternative(site=s, probability=w / total) for s, w in ordered if s != site)
-        regions = (_region(repair),)
-        location = Location(site=site, probability=weight[site] / total, alternatives=others, regions=regions,
-                            onset_s=None)
-    engine, before = repair.engine(), repair.calibration.engine
-    std = repair.full_estimate.std()
-    health = {name: HealthValue(value=float(getattr(engine, name)), std=std.get(name),
-                                before=float(getattr(before, name))) for name in HEALTH}
-    smallest: dict[str, float] = {}
-    for c in repair.candidates:  # the last round in which it was tried
-        if c.term.catalogue:
-            smallest[c.term.name] = float(3.0 * c.std)
+    points = result.calibration.points
+    first = result.rounds[0].found
+    std = result.repaired.estimate.std()
+    engine, before = result.engine(), result.calibration.engine
     return Discrepancy(
-        schema=1,
-        recording=RecordingInfo(path=str(points.path), sha256=points.sha256, duration_s=0.0,
-                                channels=tuple(name for name in STATES if name in points)),
-        mismatch=bool(repair.chosen),
-        p_value=repair.p_value,
-        location=location,
-        effects=tuple(effects),
-        health=health,
-        fit=Fit(held_out_nll_before=repair.nll_before, held_out_nll_after=repair.nll_after,
-                chi2_per_sample_before=repair.chi2_before, chi2_per_sample_after=repair.chi2_after,
-                rmse_before=_rmse(repair, before=True), rmse_after=_rmse(repair, before=False)),
-        minimum_detectable=smallest,
+        schema=1,  # type: ignore[call-arg]  # the alias of schema_version
+        recording=RecordingInfo(path=str(points.path.name if points.path else "points"), sha256=points.sha256,
+                                duration_s=0.0, channels=tuple(name for name in STATES if name in points)),
+        mismatch=result.mismatch,
+        p_value=float(np.clip(first.chance.p_value(first.gain(first.singles[0])), 0.0, 1.0)),
+        location=_location(result) if result.mismatch else None,
+        effects=_effects(result) if result.mismatch else (),
+        more_is_missing=result.more_is_missing,
+        health={name: HealthValue(value=float(getattr(engine, name)), std=std.get(name),
+                                  before=float(getattr(before, name))) for name in HEALTH},
+        fit=Fit(held_out_nll_before=result.nll_before, held_out_nll_after=result.nll_after,
+                chi2_per_sample_before=result.chi2_before, chi2_per_sample_after=result.chi2_after,
+                rmse_before=_rmse(result, before=True), rmse_after=_rmse(result, before=False)),
+        minimum_detectable={name: float(size) for name, size in
+                            minimum_detectable(first.scored, first.settings.alarm_gain).items()
+                            if np.isfinite(size) and name in EFFECTS},
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
 
 
-def _rmse(repair: Repair, before: bool) -> dict[str, float]:
-    points = repair.calibration.points
-    model = repair.calibration.model if before else repair.model
-    values = dict(repair.calibration.start) if before else {**repair.calibration.start, **repair.estimate.values()}
-    relations = model.relations(points, points.states(), values)
-    column = {"compressor_flow": "w_c_kg_s", "egr_flow": "w_egr_kg_s", "exhaust_temperature": "t_em_k"}
-    return {column[row]: float(np.sqrt(np.nanmean((relations.measured[row] - relations.predicted[row]) ** 2)))
-            for row in ROWS if row in column}
+def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Content of `details.json`, from which `--explain` answers."""
+    first = result.rounds[0].found
+    chosen = [name for item in result.rounds if item.taken for name in item.names]
+    rows = []
+    for row in candidate_rows(first):
+        if row["name"] in chosen:
+            row["reason"] = f"chosen in round {_round_of(result, row['name'])}: held-out points are foretold better"
+        rows.append(dict(row))
+    return plain({
+        "recording_sha256": result.calibration.points.sha256,
+        "options": dict(asked),
+        "notes": list(result.calibration.notes),
+        "candidates": rows,
+        "rounds": [
+            {"names": list(item.names), "taken": item.taken, "held_out_nll": item.nll, "kind": item.found.kind,
+             "singles": [{"name": fit.candidate.names[0], "gain": item.found.gain(fit),
+                          "magnitude": float(fit.magnitudes[0])} for fit in item.found.singles[:8]]}
+            for item in result.rounds
+        ],
+        "minimum_detectable": minimum_detectable(first.scored, first.settings.alarm_gain),
+        "tolerance": {name: h.tolerance for name, h in first.twin.hypotheses.items()},
+        "units": {name: h.unit for name, h in first.twin.hypotheses.items()},
+        "beliefs": result.options.beliefs.model_dump(),
+    })  # type: ignore[no-any-return]  # fmt: skip
 
 
-def _region(repair: Repair) -> FoundRegion:
+def _round_of(result: PointsDiscovery, name: str) -> int:
+    return next(k for k, item in enumerate(result.rounds, 1) if name in item.names and item.taken)
+
+
+def _rmse(result: PointsDiscovery, before: bool) -> dict[str, float]:
+    points = result.calibration.points
+    here = result.calibration if before else result.repaired
+    relations = here.model.relations(points, points.states(), here.start)
+    return {_COLUMN[row]: float(np.sqrt(np.nanmean((relations.measured[row] - relations.predicted[row]) ** 2)))
+            for row in ROWS if row in _COLUMN}
+
+
+def _region(result: PointsDiscovery) -> FoundRegion:
     """The box of the points that hold most of the evidence (upper half of the gain)."""
-    points = repair.calibration.points
-    values = {**repair.calibration.start, **repair.estimate.values()}
-    r_0 = repair.calibration.model.relations(points, points.states(), repair.calibration.start).residual[0]
-    r_1 = repair.model.relations(points, points.states(), values).residual[0]
+    points = result.calibration.points
+    states = points.states()
+    r_0 = result.calibration.model.relations(points, states, result.calibration.start).residual[0]
+    r_1 = result.repaired.model.relations(points, states, result.repaired.start).residual[0]
     gain = np.nansum(r_0[:, : len(ROWS)] ** 2 - r_1[:, : len(ROWS)] ** 2, axis=1)
     strong = gain >= np.median(gain)
     total = float(np.sum(np.maximum(gain, 0.0)))
@@ -155,4 +186,3 @@ def _region(repair: Repair) -> FoundRegion:
            for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")}
     return FoundRegion(n_e_rpm=box["n_e_rpm"], u_delta_mg=box["u_delta_mg"], u_egr_pct=box["u_egr_pct"],
                        u_vgt_pct=box["u_vgt_pct"], share_of_evidence=min(share, 1.0))
-

@@ -15,7 +15,7 @@ from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
 from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, half_step_times, steps_between
 from dieseltwin.engine.parameters import EngineParameters, constants
-from dieseltwin.engine.terms import REGION_COLUMNS, amounts
+from dieseltwin.engine.terms import amounts
 from dieseltwin.errors import InputError
 
 _BY_ENTRY = {EFFECTS[name].enters: name for name in ACTUATION_EFFECTS}
@@ -160,7 +160,7 @@ def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.nda
             from `inputs.recording_start_s`.
         step_s: largest integration step [s], one for all or one per sample interval, (n - 1,).
     """
-    start, conditions = inputs.recording_start_s, {name: getattr(inputs, name) for name in REGION_COLUMNS}
+    start, conditions = inputs.recording_start_s, inputs.columns
     rows = amounts(parameters.terms, ACTUATION_EFFECTS, inputs.time_s, start, conditions)
     used = {name: row for name, row in zip(ACTUATION_EFFECTS, rows, strict=True) if row.any()}
     magnitudes = {name: float(row.max()) for name, row in used.items()}

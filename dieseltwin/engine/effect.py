@@ -7,9 +7,12 @@ discovery, tables, curves and sentences are made from these objects (`effects.EF
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from inspect import signature
 from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dieseltwin.engine.array_namespace import Array
 from dieseltwin.engine.model_constants import Constants
@@ -18,6 +21,7 @@ Kind = Literal["physics", "actuator", "input", "sensor"]
 Through = Literal["quantity", "gas", "command", "input", "reading"]
 Operator = Literal["", "gain", "offset", "lag", "play", "dead_time"]
 Law = Callable[..., Array]
+_FUNCTIONS = ("change", "follows")
 
 SITES = (
     "intake_mass_balance", "exhaust_mass_balance", "cylinder_flow", "compressor_flow", "compressor_power",
@@ -91,6 +95,9 @@ class Effect:
         curve: how it is drawn; None: not at all.
         plain: a dimensionless magnitude that is no share: told as it is, not in per cent.
         at_flow: flow at which a quadratic restriction is also told as a pressure [kg/s].
+        needs: optional input columns without which the effect can't act.
+        coefficients: of the law beside the magnitude, with nominal values; a term may give its own.
+        follows: factor (n,) of the magnitude that the inputs (column -> (n,)) make with these coefficients; None: 1.
     """
 
     name: str
@@ -112,6 +119,9 @@ class Effect:
     curve: Curve | None = None
     plain: bool = False
     at_flow: float | None = None
+    needs: tuple[str, ...] = ()
+    coefficients: Mapping[str, float] = field(default_factory=dict)
+    follows: Callable[..., NDArray[np.float64]] | None = None
 
     def __post_init__(self) -> None:
         if not self.sizes:
@@ -124,10 +134,10 @@ class Effect:
 
     def document(self) -> dict[str, Any]:
         """All attributes that are words and numbers, for JSON."""
-        found = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "change"}
-        found["enters"] = {field.name: getattr(self.enters, field.name) for field in fields(Entry)}
+        found = {part.name: getattr(self, part.name) for part in fields(self) if part.name not in _FUNCTIONS}
+        found["enters"] = {part.name: getattr(self.enters, part.name) for part in fields(Entry)}
         if self.curve is not None:
-            found["curve"] = {field.name: getattr(self.curve, field.name) for field in fields(Curve)}
+            found["curve"] = {part.name: getattr(self.curve, part.name) for part in fields(Curve)}
         return found
 
 

@@ -23,7 +23,6 @@ from dieseltwin.engine.parameters import ParameterBatch
 from dieseltwin.engine.quantities import POINTS, ExtendedQuantities, Gas, OperatingPoint, Signals
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.terms import (
-    REGION_COLUMNS,
     SENSOR_SLOTS,
     LawTerm,
     OneTerm,
@@ -54,9 +53,9 @@ Nozzle = Callable[[Any, Any, Any], Any]
 
 
 def conditions_of(actuation: Actuation) -> dict[str, np.ndarray]:
-    """The input columns over which regions are stated, commanded positions, at the samples, (n,) each."""
+    """The input columns over which regions and terms are stated, commanded positions, at the samples, (n,) each."""
     inputs = actuation.inputs
-    return {name: np.interp(actuation.time_s, inputs.time_s, getattr(inputs, name)) for name in REGION_COLUMNS}
+    return {name: np.interp(actuation.time_s, inputs.time_s, values) for name, values in inputs.columns.items()}
 
 
 def extension_of(

@@ -15,6 +15,8 @@ DEFAULT_STEP_S = 0.0125
 STEP_TOLERANCE = 1e-3  # of a step: time stamps far from zero (epoch time) are rounded by 1e-7 s
 
 INPUT_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+OPTIONAL_COLUMNS = ("u_flap_pct",)
+"""Further inputs that terms of an engine may need."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class Inputs:
             the states start at row `n_history`.
         start_s: start of the recording that they were cut from, from which drifts and onsets of terms count [s];
             None: the first row.
+        u_flap_pct: position of an exhaust flap [%], (n,), or None.
     """
 
     time_s: np.ndarray
@@ -39,11 +42,12 @@ class Inputs:
     u_vgt_pct: np.ndarray
     n_history: int = 0
     start_s: float | None = None
+    u_flap_pct: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         time = np.ascontiguousarray(self.time_s, dtype=np.float64)
         object.__setattr__(self, "time_s", time)
-        for name in INPUT_COLUMNS:
+        for name in self.columns:
             values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if values.shape != time.shape:
                 raise InputError(
@@ -71,6 +75,12 @@ class Inputs:
             raise InputError(
                 "inputs: time_s", got="time stamps that don't increase", allowed="strictly increasing", do="sort or cut"
             )
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Input column -> (n,), history included, the optional ones where there are any."""
+        found = {name: getattr(self, name) for name in INPUT_COLUMNS}
+        return found if self.u_flap_pct is None else {**found, "u_flap_pct": self.u_flap_pct}
 
     @property
     def recording_start_s(self) -> float:
@@ -101,7 +111,7 @@ class Inputs:
             [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(time[:-1], time[1:], steps, strict=True)]
             + [time[-1:]]
         )
-        columns = {name: np.interp(fine, time, getattr(self, name)[rows]) for name in INPUT_COLUMNS}
+        columns = {name: np.interp(fine, time, values[rows]) for name, values in self.columns.items()}
         return Inputs(fine, **columns, start_s=self.recording_start_s)
 
 

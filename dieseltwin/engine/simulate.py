@@ -117,17 +117,25 @@ def simulate_states(
 
 
 def settle(
-    n_e_rpm: float, u_delta_mg: float, u_egr_pct: float, u_vgt_pct: float, parameters: EngineParameters
-) -> np.ndarray:
+    n_e_rpm: float, u_delta_mg: float, u_egr_pct: float, u_vgt_pct: float, parameters: EngineParameters,
+    u_flap_pct: float | None = None,
+) -> np.ndarray:  # fmt: skip
     """States at rest p_im, p_em [Pa], omega_t [rad/s] at a constant operating point, shape (3,).
 
     The engine is not stable everywhere (light load, high speed); there it returns a state on the limit cycle.
     """
     time = np.array([0.0, _SETTLE_S])
     n_e, u_delta, u_egr, u_vgt = (np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct))
-    inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt)
+    inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt, u_flap_pct=None if u_flap_pct is None else np.full(2, u_flap_pct))
     result = simulate_states(actuate(inputs, parameters), parameter_batch(parameters), np.array(_SETTLE_START))
     return result.states[0, -1, :3].copy()
+
+
+def settle_first(inputs: Inputs, parameters: EngineParameters) -> np.ndarray:
+    """States at rest at the first row of a segment (after its history), shape (3,)."""
+    first = {name: float(values[inputs.n_history]) for name, values in inputs.columns.items()}
+    return settle(first.pop("n_e_rpm"), first.pop("u_delta_mg"), first.pop("u_egr_pct"), first.pop("u_vgt_pct"),
+                  parameters, **first)
 
 
 def simulate(
@@ -150,10 +158,7 @@ def simulate(
     inputs = inputs.clipped(parameters)
     actuation = actuate(inputs, parameters, step_s)
     if initial is None:
-        row = inputs.n_history
-        initial = settle(
-            inputs.n_e_rpm[row], inputs.u_delta_mg[row], inputs.u_egr_pct[row], inputs.u_vgt_pct[row], parameters
-        )
+        initial = settle_first(inputs, parameters)
     initial = np.asarray(initial, dtype=np.float64)
     observed = _simulated(actuation, parameters, initial)
     frame = quantities_frame(observed.states[0], actuation, parameters)

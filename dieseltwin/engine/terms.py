@@ -15,6 +15,7 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
+from dieseltwin.errors import InputError
 
 Region = dict[str, tuple[float, float]]
 """Input column -> (low, high): where a term acts."""
@@ -77,6 +78,7 @@ class Term(_Limited):
 
     effect: str = Field(description="name in the catalogue (`dieseltwin effects`)")
     magnitude: float = Field(description="in the effect's unit")
+    coefficients: dict[str, float] = Field({}, description="of its law beside the magnitude; nominal where not given")
 
     @field_validator("effect")
     @classmethod
@@ -91,12 +93,30 @@ class Term(_Limited):
         low, high = effect.limits
         if not low <= self.magnitude <= high:  # not so for NaN either
             raise ValueError(f"{self.effect}: magnitude {self.magnitude:g} outside {low:g} to {high:g} {effect.unit}")
+        for name, value in self.coefficients.items():
+            if name not in effect.coefficients or not math.isfinite(value):
+                raise ValueError(f"{self.effect}: coefficient {name} = {value:g}; {_close(name, effect.coefficients)}")
         return self
 
     @property
     def slot(self) -> str:
         """Where it acts: its own name."""
         return self.effect
+
+    def factor(self, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+        """As of every term, times what an input makes of the magnitude.
+
+        Raises:
+            InputError: the input isn't among the conditions.
+        """
+        factor, effect = super().factor(time_s, start_s, conditions), EFFECTS[self.effect]
+        for column in effect.needs:
+            if column not in conditions:
+                raise InputError(f"inputs: column {column}", "none", f"this column: the engine has {self.effect}",
+                                 "add it, or take the term out of the engine file")
+        if effect.follows is not None:
+            factor = factor * effect.follows(conditions, {**effect.coefficients, **self.coefficients})
+        return factor
 
     @property
     def law(self) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dieseltwin.engine import INPUT_COLUMNS, MEASURED, EngineParameters, Inputs
+from dieseltwin.engine import MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.sensor_effects import undo_sensor_terms
 from dieseltwin.errors import InputError
 
@@ -224,7 +224,7 @@ def problem_from_segment(
         InputError: an unknown channel name.
     """
     inputs = segment.inputs
-    conditions = {name: getattr(inputs, name)[inputs.n_history :] for name in INPUT_COLUMNS}
+    conditions = {name: values[inputs.n_history :] for name, values in inputs.columns.items()}
     measured, parameters = undo_sensor_terms(
         segment.measured, inputs.segment_time_s, inputs.recording_start_s, conditions, parameters
     )

@@ -33,6 +33,7 @@ DATABASE_KEY = "dbc"  # key of a channel map that names a database of CAN messag
 DATABASE_SUFFIXES = (".dbc", ".arxml", ".kcd", ".sym")
 INPUTS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 SENSORS = MEASURED[:5]
+OPTIONAL_INPUTS = ("u_flap_pct",)
 OPTIONAL_SENSORS = ("w_c_kg_s", "t_im_k")
 AMBIENT = ("p_amb_pa", "t_amb_k")
 
@@ -90,9 +91,14 @@ def unit_of(column: str) -> str | None:
     return None
 
 
+def optional_inputs(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Further inputs that columns hold in at least one row, (n,) each."""
+    return {name: columns[name] for name in OPTIONAL_INPUTS if name in columns and np.isfinite(columns[name]).any()}
+
+
 def known_columns() -> tuple[str, ...]:
     """Columns that a recording may carry by DISCOVERY's recording format, required ones first."""
-    return (TIME, *INPUTS, *SENSORS, *OPTIONAL_SENSORS, *AMBIENT, "torque_nm")
+    return (TIME, *INPUTS, *OPTIONAL_INPUTS, *SENSORS, *OPTIONAL_SENSORS, *AMBIENT, "torque_nm")
 
 
 class ChannelEntry(StrictModel):

@@ -20,7 +20,16 @@ import pandas as pd
 from dieseltwin.atomic import atomic_path
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.channels import AMBIENT, INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
+from dieseltwin.recordings.channels import (
+    AMBIENT,
+    INPUTS,
+    OPTIONAL_INPUTS,
+    SENSORS,
+    TIME,
+    ChannelMap,
+    foreign_hint,
+    optional_inputs,
+)
 from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.named_columns import import_columns, numbers
 from dieseltwin.recordings.plausibility import check_plausible
@@ -165,13 +174,14 @@ class Recording:
         before = int(np.searchsorted(time[piece_start:start], time[start] - HISTORY_S - _ROUNDING_S)) + piece_start
         rows = slice(before, stop)
         n_e, u_delta, u_egr, u_vgt = (_bridged(time[rows], self.columns[name][rows]) for name in INPUTS)
+        further = {name: _bridged(time[rows], values[rows]) for name, values in optional_inputs(self.columns).items()}
         columns = {name: values[start:stop] for name, values in self.columns.items()}
         n = stop - start
         measured = np.column_stack([columns.get(name, np.full(n, np.nan)) for name in MEASURED])
         return Segment(
             t0_s=float(time[start]),
             t1_s=float(time[stop - 1]),
-            inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, start - before, float(time[0])),
+            inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, start - before, float(time[0]), **further),
             measured=np.where(np.isfinite(measured), measured, np.nan),
             columns=MappingProxyType(columns),
             p_amb_pa=_median_or(columns.get("p_amb_pa"), self.p_amb_pa),
@@ -223,7 +233,7 @@ def recording(
             raise InputError(
                 f"{where}: column {name}", f"none ({listed(list(columns))})", "this column", foreign_hint(name, columns)
             )
-    needed = (TIME, *INPUTS, *sensors, *MEASURED, *AMBIENT)
+    needed = (TIME, *INPUTS, *OPTIONAL_INPUTS, *sensors, *MEASURED, *AMBIENT)
     columns = {name: numbers(name, values, where, name in needed) for name, values in columns.items()
                if name in needed or np.issubdtype(values.dtype, np.number)}
     time = columns[TIME]

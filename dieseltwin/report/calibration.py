@@ -13,8 +13,12 @@ from matplotlib.figure import Figure
 
 from dieseltwin.atomic import write_text
 from dieseltwin.calibration.calibrate import Calibration
-from dieseltwin.calibration.repair import Repair
+from dieseltwin.calibration.coefficients import BELIEFS
+from dieseltwin.calibration.discover import PointsDiscovery
 from dieseltwin.calibration.steady_model import ROWS, Relations
+from dieseltwin.calibration.verdict import document
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.report.discovery_words import magnitude_words, site_words
 from dieseltwin.report.style import ReportFigure, data_uri, styled
 
 TRAIN, HELD, LINE = "#0072B2", "#D55E00", "#555555"
@@ -130,51 +134,80 @@ def calibration_report(calibration: Calibration, path: Path) -> list[Path]:
     return _write("Calibration", body, path, [figure])
 
 
-def _with_terms(repair: Repair) -> Relations:
-    """The relations at the points with the terms that were found."""
-    points = repair.calibration.points
-    values = {**repair.calibration.start, **repair.estimate.values()}
-    return repair.model.relations(points, points.states(), values)
+def sentence(result: PointsDiscovery) -> str:
+    """Where, what, how large, how much the held-out fit improved, and what could not be told apart."""
+    points = result.calibration.points
+    if not result.mismatch:
+        return (f"The {points.size} points call for nothing beyond the mean-value model "
+                f"(held-out negative log-likelihood {result.nll_before:.2f} per point).")
+    said = document(result)
+    parts = []
+    for effect in said.effects:
+        if not effect.named:
+            parts.append(f"what has no name: {effect.law}")
+            continue
+        words = magnitude_words(effect.name, float(effect.magnitude or 0.0), effect.std, effect.unit)
+        phrase = EFFECTS[effect.name].phrase.format(m=words)
+        site = result.rounds[0].found.twin.hypotheses[effect.name].site
+        told = f" (not told apart from {', '.join(effect.equivalent_names)})" if effect.equivalent_names else ""
+        parts.append(f"{phrase} in {site_words(site)}{told}")
+    before, after = result.fits_before, result.fits_after
+    moved = sorted(before, key=lambda row: after[row].held_out - before[row].held_out)[:2]
+    figures = ", ".join(f"{TITLES[r][0].lower()} {before[r].held_out:.1f} -> {after[r].held_out:.1f} %" for r in moved)
+    text = (f"The points show {'; '.join(parts)}. Held-out third: {figures}, negative log-likelihood "
+            f"{result.nll_before:.1f} -> {result.nll_after:.1f} per point.")
+    if result.more_is_missing:
+        text += " More is missing than has a name."
+    return text
 
 
-def before_after_figure(repair: Repair) -> ReportFigure:
-    """Errors of the submodels without and with the terms that were found."""
-    points = repair.calibration.points
-    before = repair.calibration.model.relations(points, points.states(), repair.calibration.start)
-    return residuals(before, _with_terms(repair), dict(points.columns), "before_after")
+def before_after_figure(result: PointsDiscovery) -> ReportFigure:
+    """Errors of the submodels without and with what was found."""
+    points = result.calibration.points
+    before, after = (here.model.relations(points, points.states(), here.start)
+                     for here in (result.calibration, result.repaired))  # fmt: skip
+    return residuals(before, after, dict(points.columns), "before_after")
 
 
-def repaired_figure(repair: Repair) -> ReportFigure:
-    """Measured against predicted with the terms that were found."""
-    return parity(_with_terms(repair), repair.calibration.held_out, "submodels_repaired",
+def repaired_figure(result: PointsDiscovery) -> ReportFigure:
+    """Measured against predicted with what was found."""
+    points = result.calibration.points
+    relations = result.repaired.model.relations(points, points.states(), result.repaired.start)
+    return parity(relations, result.calibration.held_out, "submodels_repaired",
                   "With the terms found, fitted to all points; the figures in the table are of coefficients that never "
                   "saw the held-out third.")  # fmt: skip
 
 
-def repair_report(repair: Repair, implied: pd.DataFrame, words: str, path: Path) -> list[Path]:
+def discovery_report(result: PointsDiscovery, implied: pd.DataFrame, words: str, path: Path) -> list[Path]:
     """Report of `dieseltwin discover` on points."""
-    columns = dict(repair.calibration.points.columns)
-    figures = [before_after_figure(repair), repaired_figure(repair), implied_figure(columns, implied, "implied")]
+    columns = dict(result.calibration.points.columns)
+    figures = [before_after_figure(result), repaired_figure(result), implied_figure(columns, implied, "implied")]
     fits = _table(
         ("submodel", "held out before [%]", "held out after [%]", "median after [%]"),
-        [(TITLES[r][0], f"{repair.fits_before[r].held_out:.2f}", f"{repair.fits_after[r].held_out:.2f}",
-          f"{repair.fits_after[r].median_held_out:.2f}") for r in ROWS],
+        [(TITLES[r][0], f"{result.fits_before[r].held_out:.2f}", f"{result.fits_after[r].held_out:.2f}",
+          f"{result.fits_after[r].median_held_out:.2f}") for r in ROWS],
+    )
+    found = _table(
+        ("found", "site", "magnitude", "std", "unit"),
+        [(name, result.rounds[0].found.twin.hypotheses[name].site, f"{m:.4g}", f"{s:.2g}",
+          result.rounds[0].found.twin.hypotheses[name].unit) for name, (m, s) in result.effects.items()],
     )
     tried = _table(
-        ("round", "term", "site", "gain in log-likelihood", "magnitude", "std", "taken"),
-        [(str(c.round), c.term.name, c.term.site, f"{c.gain:.1f}", f"{c.magnitude:.4g}", f"{c.std:.2g}",
-          "yes" if c.chosen else "no") for c in repair.candidates],
+        ("round", "name", "gain in 2 log-likelihood", "taken"),
+        [(str(k), fit.candidate.names[0], f"{item.found.gain(fit):.1f}",
+          "yes" if item.taken and fit.candidate.names[0] in item.names else "no")
+         for k, item in enumerate(result.rounds, 1) for fit in item.found.singles[:6]],
     )
-    full, std = repair.full_estimate.values(), repair.full_estimate.std()
     beliefs = _table(
-        ("coefficient", "value", "std", "belief before", "source of the belief"),
-        [(c.name, f"{full[c.name]:.4g}", f"{std[c.name]:.2g}", f"{c.mean:.4g} ± {c.std:.2g} {c.unit}", c.source)
-         for c in repair.full_estimate.coefficients if c.source != "base engine"],
+        ("belief", "value", "std", "unit", "source"),
+        [(c.name, f"{c.mean:.4g}", f"{c.std:.2g}", c.unit, c.source) for c in BELIEFS],
     )
+    ways = _table(("formulation of the unmeasured places",), [(name,) for name in result.formulations])
     body = (
-        f"<p class=s>{html.escape(words)}</p>{fits}{_picture(figures[0])}<h2>Terms tried</h2>{tried}"
+        f"<p class=s>{html.escape(words)}</p>{fits}{found}{_picture(figures[0])}<h2>Names tried</h2>{tried}"
         f"{_picture(figures[1])}<h2>What nobody measured</h2>{_picture(figures[2])}<p>Where the points can't tell, "
-        f"stated beliefs decide; the table holds them.</p>{beliefs}"
+        f"stated beliefs decide; the tables hold them, and intervals hold what the formulations disagree about.</p>"
+        f"{ways}{beliefs}"
     )
     return _write("What this engine has that the mean-value model lacks", body, path, figures)
 

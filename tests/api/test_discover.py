@@ -12,8 +12,6 @@ import dieseltwin as dt
 from dieseltwin.api.findings import COLUMNS
 from dieseltwin.api.points import PointsDiscovered
 from dieseltwin.calibration import calibrate as calibration
-from dieseltwin.calibration import repair
-from dieseltwin.calibration.coefficients import TERMS
 from dieseltwin.cli.app import main
 from dieseltwin.engine import load_engine, we2011
 from dieseltwin.engine.terms import Term
@@ -22,7 +20,7 @@ from dieseltwin.petrol.calibrate import fit_maps
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import read_petrol
 from tests.api.simulated import drive
-from tests.calibration.simulated import GEOMETRY, made_points
+from tests.calibration.simulated import FLAP, GEOMETRY, made_points
 from tests.petrol.plant import drive as drive_petrol
 
 
@@ -85,8 +83,7 @@ def test_a_refusal_is_one_line_and_nothing_is_searched(leaking: Path) -> None:
 @pytest.fixture(scope="module")
 def points(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An engine whose exhaust is throttled by a flap, 0.5 % noise."""
-    made = made_points(count=80, noise=0.005, active=("exhaust_flap",),
-                       term_values={"k_back_pressure": 8e4, "flap_0": -6.3, "flap_1": 2.0, "flap_2": 0.3})
+    made = made_points(count=80, noise=0.005, effects=FLAP)
     path = tmp_path_factory.mktemp("points") / "points.csv"
     pd.DataFrame(dict(made.columns)).to_csv(path, index=False)
     return path
@@ -94,10 +91,8 @@ def points(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def quick_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One start, and the two terms behind the turbine: seconds instead of minutes."""
+    """One start: seconds instead of a minute."""
     monkeypatch.setattr(calibration, "STARTS", 0)
-    monkeypatch.setattr(repair, "TERMS", {n: TERMS[n] for n in ("back_pressure", "exhaust_flap")})
-    monkeypatch.setattr(repair, "MOST_TERMS", 1)
 
 
 @pytest.mark.usefixtures("quick_points")

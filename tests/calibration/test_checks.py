@@ -42,6 +42,11 @@ def test_twelve_points_are_too_few(few: SteadyPoints) -> None:
         check_points(few.take(np.arange(12)), "points.csv")
 
 
+def test_one_point_sixty_times_is_refused(few: SteadyPoints) -> None:
+    with pytest.raises(InputError, match="1 different operating points in 60 rows"):
+        check_points(few.take(np.zeros(60, dtype=int)), "points.csv")
+
+
 def test_directions_are_found(few: SteadyPoints) -> None:
     egr, vgt = actuators(few)
     assert (egr.opens, vgt.opens) == (1, 1)

@@ -10,63 +10,67 @@ import pytest
 
 from dieseltwin.api.points import imply
 from dieseltwin.calibration import calibrate as module
-from dieseltwin.calibration import repair as repair_module
 from dieseltwin.calibration.calibrate import calibrate
-from dieseltwin.calibration.coefficients import TERMS
-from dieseltwin.calibration.repair import Repair, repair
-from dieseltwin.calibration.saved import answerer_of, load_answerer, write_repaired
+from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
+from dieseltwin.calibration.saved import answers_of, load_answers, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel
-from dieseltwin.calibration.verdict import document, sentence
+from dieseltwin.calibration.verdict import document
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
-from dieseltwin.report.calibration import calibration_report, repair_report
-from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
-
-FLAP = {"k_back_pressure": 8e4, "flap_0": -6.3, "flap_1": 2.0, "flap_2": 0.3}
+from dieseltwin.report.calibration import calibration_report, discovery_report, sentence
+from dieseltwin.settings.points import PointSettings
+from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
 
 
 @pytest.fixture(scope="module")
 def data() -> SteadyPoints:
     """An engine whose exhaust is throttled by a flap, 0.5 % noise."""
-    return made_points(count=80, noise=0.005, term_values=FLAP, active=("exhaust_flap",))
+    return made_points(count=80, noise=0.005, effects=FLAP)
 
 
 @pytest.fixture(scope="module")
-def mended(data: SteadyPoints) -> Repair:
-    """What its points call for, among the two terms after the turbine."""
+def mended(data: SteadyPoints) -> PointsDiscovery:
+    """What its points call for, at most one effect."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "STARTS", 0)
-        patch.setattr(repair_module, "TERMS", {n: TERMS[n] for n in ("back_pressure", "exhaust_flap")})
-        patch.setattr(repair_module, "MOST_TERMS", 1)
-        return repair(calibrate(data, we2011.PARAMETERS, GEOMETRY))
+        options = Options(law_search=False, beliefs=PointSettings(most_effects=1))
+        return discover_points(calibrate(data, we2011.PARAMETERS, GEOMETRY), options)
 
 
-def test_the_flap_is_found(mended: Repair) -> None:
-    assert [c.term.name for c in mended.chosen] == ["exhaust_flap"]
+def test_the_flap_is_found(mended: PointsDiscovery) -> None:
+    assert list(mended.effects) == ["exhaust_flap"]
     assert mended.fits_after["turbine_flow"].held_out < 0.5 * mended.fits_before["turbine_flow"].held_out
     said = document(mended)
     assert said.mismatch and said.location is not None and said.location.site == "turbine_flow"
-    assert said.effects[0].name == "back_pressure"
+    assert said.effects[0].name == "exhaust_flap"
     assert "flap" in sentence(mended)
 
 
-def test_pressure_after_the_turbine_is_implied(mended: Repair, data: SteadyPoints) -> None:
-    implied = answerer_of(mended)(data)
-    truth = SteadyModel(TRUTH, frozenset({"exhaust_flap"})).relations(data, data.states(), FLAP).quantities["p_es"][0]
+def test_pressure_after_the_turbine_is_implied(mended: PointsDiscovery, data: SteadyPoints) -> None:
+    implied = answers_of(mended)(data)
+    truth = SteadyModel(TRUTH).relations(data, data.states(), FLAP).quantities["p_es"][0]
     z = (implied["p_es_pa"] - truth) / implied["p_es_pa_std"]
     assert np.mean(np.abs(z) < 2.0) > 0.85
     assert np.sqrt(np.mean((implied["p_es_pa"] - truth) ** 2)) < 0.4 * np.std(truth)
     assert (implied.filter(like="_std") >= 0.0).all().all()
 
 
-def test_files_answer_for_inputs_alone(mended: Repair, data: SteadyPoints, tmp_path: Path) -> None:
+def test_formulations_widen_the_interval(mended: PointsDiscovery, data: SteadyPoints) -> None:
+    answers = answers_of(mended)
+    together, alone = answers(data), [answerer(data) for answerer in answers.formulations.values()]
+    smallest = np.min([frame["t_im_k_std"] for frame in alone], axis=0)
+    assert (together["t_im_k_std"] > smallest).all()
+    assert all(0.0 <= share <= 1.0 for share in answers.disagreement(data).values())
+
+
+def test_files_answer_for_inputs_alone(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
     engine = tmp_path / "repaired.yaml"
     write_repaired(mended, engine)
-    answerer, turned = load_answerer(engine)
+    answers, turned = load_answers(engine)
     assert turned == ()
-    pd.testing.assert_frame_equal(answerer(data), answerer_of(mended)(data), rtol=1e-9)
+    pd.testing.assert_frame_equal(answers(data), answers_of(mended)(data), rtol=1e-9)
     file, out = tmp_path / "inputs.csv", tmp_path / "implied.csv"
     pd.DataFrame({name: data[name] for name in (*INPUTS, "u_flap_pct")}).to_csv(file, index=False)
     imply(file, engine).save(out)
@@ -75,12 +79,12 @@ def test_files_answer_for_inputs_alone(mended: Repair, data: SteadyPoints, tmp_p
     assert np.median(np.abs(np.log(answer["p_im_pa"] / data["p_im_pa"]))) < 0.05
     pd.DataFrame({name: data[name] for name in INPUTS}).to_csv(file, index=False)
     with pytest.raises(InputError, match="u_flap_pct"):
-        imply(file, engine).save(out)
+        imply(file, engine)
 
 
-def test_reports_are_written(mended: Repair, data: SteadyPoints, tmp_path: Path) -> None:
+def test_reports_are_written(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
     pages = calibration_report(mended.calibration, tmp_path / "engine.html")
-    pages += repair_report(mended, answerer_of(mended)(data), sentence(mended), tmp_path / "report.html")
+    pages += discovery_report(mended, answers_of(mended)(data), sentence(mended), tmp_path / "report.html")
     assert all(page.stat().st_size > 5000 for page in pages)
     assert "exhaust_flap" in (tmp_path / "report.html").read_text()
 
@@ -89,4 +93,4 @@ def test_an_engine_without_its_sidecar_is_refused(tmp_path: Path) -> None:
     engine = tmp_path / "engine.yaml"
     engine.write_text("r_c: 17\n")
     with pytest.raises(InputError, match=r"engine\.steady\.json"):
-        load_answerer(engine)
+        load_answers(engine)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,12 @@ from dieseltwin.calibration.coefficients import scalar
 from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.saved import calibration_sidecar, write_calibration
 from dieseltwin.calibration.steady_twin import SteadyTwin
-from dieseltwin.discovery.twins.interface import Twin, single
+from dieseltwin.discovery.likelihood.known import KnownErrors
+from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.engine import we2011
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.recordings.steady_points import read_points
+from dieseltwin.settings.points import PointSettings
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,15 +61,16 @@ def test_saved_engine_is_read_back(found: Calibration, tmp_path: Path) -> None:
     assert calibration_sidecar(file).is_file()
 
 
-def test_steady_twin_settles_near_the_readings(found: Calibration) -> None:
-    twin = SteadyTwin(found)
-    assert isinstance(twin, Twin)
-    theta = np.array([p.value for p in twin.parameters])
-    simulated = twin.simulate(single(theta, twin.first_local()))
-    error = np.log(simulated[0] / twin.measured)
-    assert np.median(np.abs(error[:, 0])) < 0.02
-    more = twin.simulate(single(theta, twin.first_local(), magnitudes={"back_pressure": np.array([3e5])}))
-    assert np.mean(more[0, :, 2] < simulated[0, :, 2]) > 0.9  # back-pressure slows the turbo down
+def test_balances_of_the_twin_answer_effects(found: Calibration) -> None:
+    twin = SteadyTwin(found, PointSettings())
+    assert isinstance(twin, Twin) and isinstance(twin, KnownErrors)
+    plain = twin.plain_lane()
+    off = twin.simulate(plain)[0]
+    row = twin.channels.index("turbine_flow")
+    more = twin.simulate(replace(plain, magnitudes={"back_pressure": np.array([3e5])}))[0]
+    assert np.nanmean(np.abs(more[:, row] - off[:, row])) > 3.0  # whitened: three standard deviations
+    before = twin.channels.index("cylinder_flow")  # whitening mixes a balance with those before it alone
+    np.testing.assert_allclose(more[:, before], off[:, before], atol=1e-9)
 
 
 @pytest.mark.skipif(not UW.is_file(), reason=f"needs {UW.name} of the shared data (DIESELTWIN_DATA)")

@@ -27,6 +27,7 @@ SIGNS: dict[str, tuple[int | None, ...]] = {
     "boost_leak": (-1, 0, 0, 0, 0, 0),
     "exhaust_leak": (0, -1, 0, 0, 0, 0),
     "back_pressure": (0, 1, -1, 0, 0, 0),
+    "exhaust_flap": (0, 1, -1, 0, 0, 0),
     "air_filter_restriction": (-1, 0, 1, 0, 0, -1),
     "charge_cooler_loss": (1, None, None, None, 1, 0),
     "egr_heating": (1, None, None, None, 1, 0),

@@ -40,6 +40,7 @@ def drive(field_trace):  # type: ignore[no-untyped-def]
     """20 s of driving: inputs, actuation, initial state (3,)."""
     table, inputs, _, _ = field_trace
     inputs = _cut(inputs, 60.0, 80.0)
+    inputs = replace(inputs, u_flap_pct=np.full(inputs.time_s.size, 40.0))
     row = table[np.isclose(table["time_s"], 60.0)].iloc[0]
     return inputs, actuate(inputs, ENGINE), row[["p_im_pa", "p_em_pa", "omega_t_rad_s"]].to_numpy(dtype=float)
 

@@ -27,7 +27,8 @@ from dieseltwin.identification.few_shot.residuals import PointModel, driven_inpu
 from dieseltwin.identification.few_shot.term_model import TermModel
 
 TRACE = pd.read_csv(Path(__file__).parents[1] / "reference" / "field_random_300s.csv").iloc[290:341]
-INPUTS = Inputs(*(TRACE[name].to_numpy() for name in ("time_s", *INPUT_COLUMNS)), n_history=10)
+INPUTS = Inputs(*(TRACE[name].to_numpy() for name in ("time_s", *INPUT_COLUMNS)), n_history=10,
+                u_flap_pct=np.full(len(TRACE), 40.0))
 START = np.array([1.3e5, 1.5e5, 5000.0])
 TERMS = [(Term(effect=name, magnitude=3.0 * EFFECTS[name].tolerance),) for name in STATE_EFFECTS]
 LAW = LawTerm(point="shaft_power", coefficient=-300.0, unit="W", factors=(("omega_t", 5000.0, 2.0), ("W_t", 0.2, 1.0)))

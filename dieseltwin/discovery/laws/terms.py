@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.interface import Point
 from dieseltwin.engine.effects import EFFECTS, GAS_LAG
 from dieseltwin.engine.terms import ActuatorTerm, LawGroup, LawTerm, OneTerm, SensorTerm, Term
 
 _WRITTEN = ("power", "time", "ratio", "orifice", "difference", "head", "above_one", "share", "bump")
 
 
-def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
+def law_terms_of(law: Law, points: Sequence[Point]) -> tuple[OneTerm, ...]:
     """The law's terms for the engine file; none where the file has no words for one of them.
 
     It has for products of powers, differences, shares and nozzles of known variables, for gain, offset and lag of a
@@ -41,7 +44,7 @@ def law_terms_of(law: Law, twin: EngineTwin) -> tuple[OneTerm, ...]:
             powers, own = _written(factor)
             factors += powers
             groups += own
-        point = next(p for p in twin.points if p.name == placed.form.point)
+        point = next(p for p in points if p.name == placed.form.point)
         try:
             term = LawTerm(
                 point=point.name, coefficient=placed.coefficient, unit=point.unit, factors=tuple(factors),

@@ -85,7 +85,7 @@ class Story:
         """
         if name in self.withheld:
             return [f"{name}: withheld from the catalogue"]
-        lines = []
+        lines: list[str] = []
         for number, step in enumerate(self.steps, 1):
             worth = dict(step.weighed).get(name)
             if worth is None:

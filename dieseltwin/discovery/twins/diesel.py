@@ -39,6 +39,7 @@ from dieseltwin.engine.terms import (
 )
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief
+from dieseltwin.recordings.channels import optional_inputs
 from dieseltwin.recordings.held import between_readings
 from dieseltwin.recordings.reader import Recording
 
@@ -116,17 +117,14 @@ class EngineTwin:
         self.channels = tuple(c for c in MEASURED if c in (present if sensors is None else sensors))
         missing = [c for c in self.channels if c not in present]
         if missing or not self.channels:
-            raise InputError(
-                f"{recording.path or 'recording'}: sensors", ", ".join(missing) or "none", ", ".join(MEASURED),
-                "name columns that the recording has",
-            )  # fmt: skip
+            raise InputError(f"{recording.path or 'recording'}: sensors", ", ".join(missing) or "none",
+                             ", ".join(MEASURED), "name columns that the recording has")
         self.engine = engine.replace(p_amb=recording.p_amb_pa, T_amb=recording.t_amb_k)
         self.step_s = STEP_S if step_s is None else step_s  # even ones
         self._even_steps = step_s is not None
         rows, self.starts, self.pieces = windows_of(recording, window_s)
         self.rows = rows
-        time = recording.time_s[rows]
-        self.recording_time_s = time
+        self.recording_time_s = time = recording.time_s[rows]
         self.time_s = without_gaps(time, self.pieces)
         self._at = [MEASURED.index(c) for c in self.channels]
         columns = recording.columns
@@ -139,7 +137,8 @@ class EngineTwin:
             measured[start : start + int(np.searchsorted(time[start:], time[start] + _ACTUATORS_REST_S))] = np.nan
         self._readings = measured
         self.conditions: Mapping[str, Array] = {c: columns[c][rows] for c in INPUT_COLUMNS}
-        inputs: dict[str, Any] = dict(self.conditions)
+        further = {name: values[rows] for name, values in optional_inputs(columns).items()}
+        inputs: Mapping[str, Any] = {**self.conditions, **further}
         self.inputs = Inputs(self.time_s, **inputs).clipped(self.engine)
         self.parameters = tuple(
             Parameter(name, value, HEALTH_PRIOR * value, HEALTH_UNITS[name], 0.1 * value)
@@ -151,14 +150,14 @@ class EngineTwin:
         self.states: tuple[str, ...] = ("omega_t",)
         self.state_scales = np.array([_SPEED_SCALE])
         self.points = tuple(
-            Point(
-                name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"), facts.ports, facts.scale,
-                map_tolerance if facts.over else 0.0, facts.over, facts.also,
-            )
+            Point(name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"), facts.ports, facts.scale,
+                  map_tolerance if facts.over else 0.0, facts.over, facts.also)
             for name, facts in ((name, POINT_FACTS[name]) for name in POINTS)
         )  # fmt: skip
-        self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels)
-        self._known = known_terms(self.engine.terms, self.recording_time_s, self.conditions)
+        self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels, further)
+        self._driven = {name: Term(effect=name, magnitude=0.0).factor(self.time_s, 0.0, inputs)
+                        for name in self.hypotheses if EFFECTS[name].follows is not None}  # fmt: skip
+        self._known = known_terms(self.engine.terms, self.recording_time_s, inputs)
         self._laws = law_terms(self.engine.terms)
         self._law_signals: dict[str, Array] = {}
         self._begin()
@@ -337,12 +336,12 @@ class EngineTwin:
         """Magnitudes and schedules of the lanes together with the engine's own terms."""
         magnitudes = {name: np.asarray(value, dtype=np.float64) for name, value in lanes.magnitudes.items()}
         schedules = dict(lanes.schedules)
+        for name, driven in self._driven.items():
+            schedules[name] = driven * schedules.get(name, 1.0)
         for name, (magnitude, schedule) in self._known.items():
             if name in magnitudes and schedule is not None:
-                raise InputError(
-                    f"effect {name}", "a term of the engine with onset or region", "one without",
-                    "search for another effect, or take the term out of the engine file",
-                )  # fmt: skip
+                raise InputError(f"effect {name}", "a term of the engine with onset or region", "one without",
+                                 "search for another effect, or take the term out of the engine file")
             magnitudes[name] = magnitudes.get(name, np.zeros(lanes.size)) + magnitude
             if schedule is not None:
                 schedules[name] = schedule

@@ -15,9 +15,10 @@ import numpy as np
 from dieseltwin.discovery.twins.interface import Array, Lanes, Point, some_lanes
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.simulate import Observations
-from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, effect_terms
+from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, Term, effect_terms
 
 _REMEMBERED = 8  # lanes of a call at most: larger ones are responses, which nobody asks for twice
 _MOST_BYTES = 64 * 2**20
@@ -69,7 +70,8 @@ def known_terms(
     """
     known: dict[str, tuple[float, Array | None]] = {}
     for term in effect_terms(terms):
-        limited = term.onset_s is not None or term.region is not None
+        driven = isinstance(term, Term) and EFFECTS[term.effect].follows is not None
+        limited = term.onset_s is not None or term.region is not None or driven
         schedule = term.factor(time_s, float(time_s[0]), dict(conditions)) if limited else None
         before = known.get(term.slot, (0.0, None))[0]
         known[term.slot] = (before + term.magnitude, schedule)

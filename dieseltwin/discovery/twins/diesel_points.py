@@ -3,7 +3,7 @@ may be off), and the effects by name."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from dieseltwin.discovery.twins.interface import Hypothesis
@@ -47,12 +47,12 @@ POINT_FACTS: dict[str, PointFacts] = {
 """By the names of `engine.quantities.POINTS`."""
 
 
-def hypotheses_of(channels: Sequence[str]) -> dict[str, Hypothesis]:
-    """The effects that may explain a recording with these sensors, by name."""
+def hypotheses_of(channels: Sequence[str], further: Collection[str] = ()) -> dict[str, Hypothesis]:
+    """The effects that may explain a recording with these sensors and further inputs, by name."""
     return {
         e.name: Hypothesis(
             e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
         )
         for e in EFFECTS.values()
-        if e.enters.through != "reading" or e.enters.name in channels
+        if (e.enters.through != "reading" or e.enters.name in channels) and set(e.needs) <= set(further)
     }

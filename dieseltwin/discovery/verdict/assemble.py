@@ -199,7 +199,7 @@ def _held_rows(found: Search) -> np.ndarray:
 
 def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
     if found.kind == "law":
-        return () if found.law is None else law_terms_of(found.law, twin)
+        return () if found.law is None else law_terms_of(found.law, twin.points)
     at = found.best
     if at is None:
         return ()

@@ -19,7 +19,6 @@ from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search.stepwise import metric_of
-from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Twin, single
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
@@ -72,7 +71,7 @@ def test_nothing_on_a_healthy_recording() -> None:
 def _terms(*laws: Placed, faults: tuple[ReadingFault, ...] = ()) -> tuple[object, ...]:
     points = [SimpleNamespace(name=name, unit=ADDED_AT.get(name, "-")) for name in POINTS]
     law = SimpleNamespace(placed=laws, faults=faults, text="", std=0.1)
-    return law_terms_of(cast(Law, law), cast(EngineTwin, SimpleNamespace(points=points)))
+    return law_terms_of(cast(Law, law), points)
 
 
 def test_laws_become_terms_of_the_engine_file() -> None:

@@ -1,0 +1,350 @@
+"""What settled points say that the mean-value model lacks: the search of recordings, round by round.
+
+Every round runs `discovery.search.run` on the balances (`SteadyTwin`) about the present engine. What it names enters
+the engine, all coefficients are fitted again together with its magnitude, and a held-out third of the points judges
+whether that foretells better; then the search looks at what is left. So a second effect is sought with maps that the
+first no longer bends.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
+
+from dieseltwin.calibration.calibrate import Calibration, Fit, fit_of
+from dieseltwin.calibration.coefficients import (
+    BELIEFS,
+    FLAP_COEFFICIENTS,
+    Coefficient,
+    effect_coefficients,
+    engine_coefficients,
+    with_scalars,
+)
+from dieseltwin.calibration.likelihood import Estimate, estimate
+from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel
+from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
+from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.laws.sensor import best_law
+from dieseltwin.discovery.laws.terms import law_terms_of
+from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.twins.interface import single
+from dieseltwin.discovery.verdict.held_out import held_out_scores
+from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.parameters import HEALTH, EngineParameters
+from dieseltwin.engine.terms import OneTerm, SensorTerm, Term
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints
+from dieseltwin.settings.points import PointSettings
+
+Array = NDArray[np.float64]
+
+DEGREES = 4.0  # of Student's t
+FULL_ITERATIONS, TRAIN_ITERATIONS = 20, 4
+_SIGNIFICANT = 2.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a user may choose.
+
+    Attributes:
+        sensors: columns to use, None for all.
+        withhold: effects to keep out of the catalogue.
+        seed: of everything random.
+        law_search: look for a law where no name fits.
+        beliefs: of sensors and submodels.
+    """
+
+    sensors: tuple[str, ...] | None = None
+    withhold: tuple[str, ...] = ()
+    seed: int = 0
+    law_search: bool = True
+    beliefs: PointSettings = field(default_factory=PointSettings)
+
+    def settings(self) -> search.Settings:
+        """For the search: a point is no moment, so nothing has an onset; what is left is the next round's."""
+        beliefs = self.beliefs
+        return search.Settings(
+            withhold=self.withhold, seed=self.seed, least_share=0.5, sensor_gain=beliefs.sensor_gain,
+            sensor_offset=beliefs.sensor_offset, left_share=(beliefs.left_share,) * 3,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the search.
+
+    Attributes:
+        found: the search.
+        names: what it would add.
+        nll: negative log-likelihood per held-out point with it.
+        taken: whether the held-out points like it.
+    """
+
+    found: search.Search
+    names: tuple[str, ...]
+    nll: float
+    taken: bool
+
+
+@dataclass(frozen=True)
+class PointsDiscovery:
+    """What the points say.
+
+    Attributes:
+        calibration: of the engine as it was given.
+        repaired: the same with what was found, `start` and `estimate` holding the magnitudes under the effects' names.
+        rounds: of the search, the last one took nothing (or none was left).
+        effects: name (or fault of a sensor) -> magnitude and standard deviation [its unit], in the order of finding.
+        nll_before, nll_after: negative log-likelihood per held-out point.
+        fits_before, fits_after: per submodel, of coefficients that never saw the held-out third.
+        chi2_before, chi2_after: mean squared residual over the scale of the repaired model.
+        law: of the last round, where no name explains what it sees and a law is resolved.
+        lawful: whether the held-out points are foretold better with that law: it is part of the repaired machine then.
+        options: as asked.
+        formulations: competing models of the unmeasured places, with their estimates, for `imply`.
+        seconds: wall time.
+    """
+
+    calibration: Calibration
+    repaired: Calibration
+    rounds: tuple[Round, ...]
+    effects: Mapping[str, tuple[float, float]]
+    nll_before: float
+    nll_after: float
+    fits_before: Mapping[str, Fit]
+    fits_after: Mapping[str, Fit]
+    chi2_before: float
+    chi2_after: float
+    law: Law | None
+    lawful: bool
+    options: Options
+    formulations: Mapping[str, tuple[SteadyModel, Estimate]]
+    seconds: float
+
+    @property
+    def mismatch(self) -> bool:
+        """Whether something is missing, with a name or without."""
+        return bool(self.effects) or self.more_is_missing
+
+    @property
+    def more_is_missing(self) -> bool:
+        """Whether the last round still sees something that no name explains."""
+        return bool(self.rounds) and self.rounds[-1].found.kind != "healthy" and not self.rounds[-1].taken
+
+    def terms(self) -> tuple[OneTerm, ...]:
+        """What was found, as terms of an engine file."""
+        values = self.repaired.start
+        named = tuple(_term(name, magnitude, std, values) for name, (magnitude, std) in self.effects.items())
+        if self.law is None or not self.lawful:
+            return named
+        return (*named, *law_terms_of(self.law, self.rounds[-1].found.twin.points))
+
+    def engine(self) -> EngineParameters:
+        """The repaired machine: fitted coefficients and the found terms, beside those that the engine had."""
+        changes: dict[str, Any] = {}
+        if self.law is not None and self.lawful:
+            parameters = self.rounds[-1].found.twin.parameters
+            pairs = zip(parameters, self.law.parameters, strict=True)
+            changes = {p.name: float(v) for p, v in pairs if p.name in HEALTH}
+        return self.repaired.engine.replace(**changes, terms=(*self.calibration.engine.terms, *self.terms()))
+
+
+def _term(name: str, magnitude: float, std: float, values: Mapping[str, float]) -> OneTerm:
+    if name not in EFFECTS:
+        column, _, fault = name.partition(":")
+        return SensorTerm(sensor=column, fault="gain" if fault == "gain" else "offset", magnitude=magnitude, std=std)
+    own = {key: values[column] for column, key in FLAP_COEFFICIENTS.items()} if name == "exhaust_flap" else {}
+    return Term(effect=name, magnitude=float(np.clip(magnitude, *EFFECTS[name].limits)), std=std, coefficients=own)
+
+
+def discover_points(calibration: Calibration, options: Options | None = None) -> PointsDiscovery:
+    """Detect, locate, name, model, prove; on settled points.
+
+    Args:
+        calibration: of the engine as it is believed.
+        options: None for the defaults.
+    """
+    options = options or Options()
+    clock = time.perf_counter()
+    points, mask = calibration.points, calibration.held_out
+    hypotheses = hypotheses_of(points, STATES)
+    free = list(calibration.estimate.coefficients)
+    here = calibration
+    nll_before, trained_before = _held_out(here, free)
+    nll, trained = nll_before, trained_before
+    rounds: list[Round] = []
+    names: list[str] = []
+    faded: set[str] = set()
+    while True:
+        twin = SteadyTwin(here, options.beliefs, options.sensors, options.seed)
+        settings = options.settings()
+        found = search.run(twin, replace(settings, withhold=(*settings.withhold, *faded)), laws=False)
+        added = _named(found, options.beliefs)
+        if not added or len(names) + len(added) > options.beliefs.most_effects:
+            rounds.append(Round(found, (), nll, False))
+            break
+        more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.beliefs.flap_spread)]
+        candidate = _refitted(here, [*free, *more], _start_of(found, added, more))
+        vanished = _vanished(candidate, added, found)
+        if vanished:  # the maps bend so that nothing is left of it: the search looks again without that name
+            faded |= vanished
+            continue
+        foretold, coefficients = _held_out(candidate, [*free, *more])
+        taken = foretold < nll
+        rounds.append(Round(found, added, foretold, taken))
+        if not taken:
+            break
+        here, nll, trained = candidate, foretold, coefficients
+        free += more
+        names += added
+    std = here.estimate.std()
+    values = here.estimate.values()
+    scale = _scales(here.model, points, here.start)
+    law = _law(rounds[-1].found) if options.law_search and rounds[-1].found.kind != "healthy" and not rounds[-1].taken \
+        else None
+    lawful = law is not None and _foretells(rounds[-1].found, law)
+    return PointsDiscovery(
+        calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
+        _all_fits(calibration.model, points, mask, trained_before), _all_fits(here.model, points, mask, trained),
+        _chi2(calibration.model, points, calibration.start, scale), _chi2(here.model, points, here.start, scale),
+        law, lawful, options, _formulations(here, free), time.perf_counter() - clock,
+    )  # fmt: skip
+
+
+def _named(found: search.Search, beliefs: PointSettings) -> tuple[str, ...]:
+    """What a round takes: the search's choice, or the strongest name where what it leaves is the next round's."""
+    if found.kind == "healthy":
+        return ()
+    if found.best is not None and found.kind in ("single", "pair"):
+        return found.best.fit.candidate.names
+    if not found.singles or not found.refused:
+        return ()
+    lead = found.singles[0]
+    misfit = max(found.null.fit.objective - found.twin.measured.size, 1.0)
+    strong = found.gain(lead) > found.settings.left_gain[0] and found.gain(lead) > beliefs.least_explained * misfit
+    return lead.candidate.names if strong and found.of_interest(lead) else ()
+
+
+def _vanished(candidate: Calibration, added: tuple[str, ...], found: search.Search) -> set[str]:
+    """Names that the joint fit makes smaller than what is of interest, or than twice their deviation."""
+    values, std = candidate.estimate.values(), candidate.estimate.std()
+    least = {name: found.settings.alarm_size * found.twin.hypotheses[name].tolerance for name in added}
+    return {name for name in added if abs(values[name]) < max(least[name], _SIGNIFICANT * std[name])}
+
+
+def _start_of(found: search.Search, names: tuple[str, ...], more: list[Coefficient]) -> dict[str, float]:
+    """Where the joint fit starts: the magnitudes of the search."""
+    at = found.best.fit if found.best is not None and found.best.fit.candidate.names == names else None
+    fit = at or next(f for f in [*found.singles, *found.pairs] if f.candidate.names == names)
+    start = {c.name: c.mean for c in more}
+    start |= dict(zip(names, (float(m) for m in fit.magnitudes), strict=True))
+    own = {p.name: float(v) for p, v in zip(found.twin.parameters, fit.parameters, strict=True)}
+    return start | {name: value for name, value in own.items() if name in start}
+
+
+def _rows(model: SteadyModel, free: list[Coefficient]) -> tuple[str, ...]:
+    return tuple(row for row in model.rows if row not in ROWS or any(c.submodel == row for c in free))
+
+
+def _refitted(here: Calibration, free: list[Coefficient], start: Mapping[str, float]) -> Calibration:
+    """All coefficients again, with further ones."""
+    begin = {**here.start, **start}
+    found = estimate(here.model, here.points, free, begin, iterations=FULL_ITERATIONS, rows=_rows(here.model, free),
+                     inflate=True)
+    values = {**begin, **found.values()}
+    return replace(here, estimate=found, start=values, covariance=found.covariance,
+                   engine=with_scalars(here.engine, found.values()))
+
+
+def _held_out(here: Calibration, free: list[Coefficient]) -> tuple[float, dict[str, float]]:
+    """Negative log-likelihood per held-out point with coefficients and scales of the others, and those coefficients."""
+    points, mask = here.points, here.held_out
+    found = estimate(here.model, points.take(~mask), free, here.start, iterations=TRAIN_ITERATIONS,
+                     rows=_rows(here.model, free))
+    trained = {**here.start, **found.values()}
+    scale = _scales(here.model, points.take(~mask), trained)
+    return float(-_log_density(here.model, points.take(mask), trained, scale).mean()), trained
+
+
+def _law(found: search.Search) -> Law | None:
+    """A law for what no name explains."""
+    return best_law(found.twin, found.null, found.everything_unnamed(),
+                    lambda here: search.tolerance_responses(here.twin, here, found.settings))
+
+
+def _foretells(found: search.Search, law: Law) -> bool:
+    """Whether held-out points are foretold better with a law."""
+    twin, values = law.on(found.twin)
+    after = twin.simulate(single(values, law.local))[0]
+    before_nll, after_nll = held_out_scores(replace(found, kind="law", best=None), after)
+    return after_nll < before_nll
+
+
+FORMULATIONS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
+    "coolers and wheel": (frozenset({COOLED_CHARGE, COOLED_EGR, WORK_ROW}), frozenset()),
+    "coolers, efficiencies as believed": (frozenset({COOLED_CHARGE, COOLED_EGR}), frozenset({"work_0", "work_slope"})),
+    "coolers and wheel, pipes as found": (
+        frozenset({COOLED_CHARGE, COOLED_EGR, WORK_ROW}), frozenset({"back_pressure", "air_filter_restriction"})),
+    "charge at a constant temperature, wheel": (
+        frozenset({WORK_ROW}),
+        frozenset({"charge_cooler_loss", "cooler_approach", "egr_heating", "egr_coolant", "vol_heating"})),
+}  # fmt: skip
+"""Ways to think of what settled points don't see: what is switched on, and which beliefs are left out."""
+
+
+def _formulations(here: Calibration, free: list[Coefficient]) -> dict[str, tuple[SteadyModel, Estimate]]:
+    """Every formulation of the unmeasured places, fitted to all points; what was found keeps no belief."""
+    known = {c.name for c in free}
+    out = {}
+    for name, (active, without) in FORMULATIONS.items():
+        beliefs = [c for c in BELIEFS if c.name not in known | without]
+        model = replace(here.model, active=active)
+        every = [*free, *beliefs]
+        floors = {row: PointSettings().error(row) for row in model.rows}
+        start = {**{c.name: c.mean for c in beliefs}, **here.start}
+        out[name] = (model, estimate(model, here.points, every, start, iterations=FULL_ITERATIONS, inflate=True,
+                                     floors=floors, rows=_rows(model, every)))
+    return out
+
+
+def _scales(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float]) -> Array:
+    """Scale of Student's t of each submodel's residual, (6,): maximum likelihood by fixed point."""
+    r = model.relations(points, points.states(), values).residual[0][:, : len(ROWS)]
+    s2 = np.nanmedian(r**2, axis=0) + 1e-6
+    for _ in range(20):
+        weight = (DEGREES + 1.0) / (DEGREES + r**2 / s2)
+        s2 = np.nanmean(weight * r**2, axis=0) + 1e-6
+    return np.asarray(np.sqrt(s2))
+
+
+def _log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], scale: Array) -> Array:
+    """Log-density of the residuals of each point, (n,)."""
+    r = model.relations(points, points.states(), values).residual[0][:, : len(ROWS)]
+    constant = gammaln((DEGREES + 1) / 2) - gammaln(DEGREES / 2) - 0.5 * np.log(DEGREES * np.pi)
+    density = constant - np.log(scale) - 0.5 * (DEGREES + 1) * np.log1p((r / scale) ** 2 / DEGREES)
+    return np.asarray(np.nansum(density, axis=1))
+
+
+def _chi2(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], scale: Array) -> float:
+    r = model.relations(points, points.states(), values).residual[0][:, : len(ROWS)]
+    return float(np.nanmean(np.minimum((r / scale) ** 2, 1e4)))
+
+
+def _all_fits(model: SteadyModel, points: SteadyPoints, mask: NDArray[np.bool_],
+              values: Mapping[str, float]) -> dict[str, Fit]:  # fmt: skip
+    relations = model.relations(points, points.states(), values)
+    scale = _scales(model, points, values)
+    return {
+        row: fit_of(relations.residual[0, :, i], relations.measured[row][0], relations.predicted[row][0], mask,
+                    float(scale[i]))
+        for i, row in enumerate(ROWS)
+    }  # fmt: skip
+
+
+__all__ = ["Options", "PointsDiscovery", "Round", "discover_points", "engine_coefficients"]
