@@ -93,6 +93,17 @@ def test_flipped_byte_is_computed_again_with_the_same_result(context: RunContext
     assert ran(fresh) == {"toy-make"}
 
 
+def test_steps_that_share_a_function_run_by_their_names_and_rest_on_their_own_entries(context: RunContext) -> None:
+    made = {name: shared(word="the same") for name, shared in toy_steps.SHARED.items()}
+    assert ran(context) == {"toy-draw", "toy-report"}
+    assert {(artifact.path / "word.txt").read_text() for artifact in made.values()} == {"the same"}
+    (context.workspace.root / "toylib" / "report.py").write_text("COLOUR = 'blue'\n")
+    fresh = again(context)
+    for shared in toy_steps.SHARED.values():
+        shared(word="the same")
+    assert ran(fresh) == {"toy-report"}
+
+
 def test_arrays_are_refused(context: RunContext) -> None:
     with pytest.raises(TypeError, match="plain JSON values"):
         toy_steps.make(count=5, seed=np.zeros(2))

@@ -41,3 +41,14 @@ def fail(out: Path, progress, *, user: bool) -> None:
 
     (out / "half.txt").write_text("half-written")
     raise errors.InputError("wrong column") if user else ValueError("broken")
+
+
+def written(out: Path, progress, *, word: str) -> None:
+    """One text that two steps share, as the methods do."""
+    (out / "word.txt").write_text(word)
+
+
+SHARED = {
+    name: step(f"toy-{name}", f"toy {name}", expected_s=1.0, entries=(f"toylib.{name}",))(written)
+    for name in ("draw", "report")
+}
