@@ -73,3 +73,14 @@ def test_segments_are_grouped_by_their_sample_times(problem: SegmentProblem) -> 
     assert by_grid([problem, slower, later]) == [[0, 2], [1]]
     with pytest.raises(InputError, match="one grid"):
         Shooting((problem, slower))
+
+
+def test_a_covariance_without_information_has_a_root():
+    """Rounding leaves tiny negative eigenvalues where nothing is told of a parameter: no traceback then."""
+    from dieseltwin.identification.shooting import _root
+
+    direction = np.linspace(1.0, 7.0, 7)
+    nearly_singular = np.outer(direction, direction) - 1e-12 * np.eye(7)
+    np.testing.assert_allclose(_root(nearly_singular) @ _root(nearly_singular).T, nearly_singular, atol=1e-9)
+    whole = nearly_singular + np.eye(7)
+    np.testing.assert_array_equal(_root(whole), np.linalg.cholesky(whole))  # as before where there is a root
