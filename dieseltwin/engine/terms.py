@@ -331,7 +331,10 @@ class CorrectionTerm(BaseModel):
         return coefficients
 
 
-_MARKS = {"point": "law", "sensor": "sensor", "actuator": "actuator", "coefficients": "corrections"}
+# The name of an effect comes first: effects have coefficients too.
+_MARKS = {
+    "effect": "effect", "point": "law", "sensor": "sensor", "actuator": "actuator", "coefficients": "corrections",
+}  # fmt: skip
 
 
 def _kind_of_term(value: Any) -> str:

@@ -84,3 +84,11 @@ def test_they_equal_the_effects_of_the_same_kind() -> None:
     for found, named in pairs:
         assert (found.unit, found.law) == (named.unit, found.law)
         np.testing.assert_allclose(_readings(found), _readings(named), rtol=1e-12)
+
+
+def test_an_engine_with_any_kind_of_term_can_be_changed() -> None:
+    terms = (
+        Term(effect="vgt_backlash", magnitude=2.0), SensorTerm(sensor="p_im_pa", fault="gain", magnitude=0.02),
+        LawTerm(point="shaft_power", coefficient=-125.0, unit="W", factors=(("omega_t", 5000.0, 2.0),)),
+    )  # fmt: skip
+    assert ENGINE.replace(terms=terms).replace(V_d=0.013).terms == terms
