@@ -17,7 +17,7 @@ from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.search import run as shared
 from dieseltwin.discovery.search.preparation import recentred
-from dieseltwin.discovery.search.state import Search, Settings
+from dieseltwin.discovery.search.state import Search, Settings, set_probabilities
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.assemble import after_of, details_of_search, finite_only, fit_figures, p_value
@@ -126,8 +126,19 @@ def judge(
     found = shared.run(twin, replace(SETTINGS, withhold=options.withhold, seed=options.seed), laws=False)
     if found.best is not None and not found.of_interest(found.best.fit):
         found.kind, found.best, found.variant = "healthy", None, None
+    _one_fault_a_sensor(found)
     _likelier_first(found)
     return twin, found
+
+
+def _one_fault_a_sensor(found: Search) -> None:
+    """Of a gain and an offset of one sensor the better one alone: known near one value they only balance each other."""
+    if found.kind != "pair" or found.best is None:
+        return
+    sites = {found.twin.hypotheses[name].site for name in found.best.fit.candidate.names}
+    if len(sites) == 1 and found.of_interest(found.singles[0]):
+        found.kind, found.best = "single", recentred(found, found.singles[0])
+        set_probabilities(found, "single")
 
 
 def _likelier_first(found: Search) -> None:

@@ -41,7 +41,6 @@ AMBIENT = ("p_amb", "T_amb")
 TIMES = ("t", "time_s")
 _EXPONENT_SPREAD = 0.5  # of an exponent about its first value, one standard deviation
 _SMOOTHED = 1e-3  # of the reference: width of the smoothed sign
-_WIDTHS = (1.0, 20.0)  # of a sign over the sharp one's: dry friction of what creeps before it slides
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,7 @@ class Factor:
     def has_free_shape(self) -> bool:
         """The shape may be estimated."""
         free = ("power", "signed_power", "ratio", "difference", "excess", "shortage", "bump")
-        return self.kind in free or self.operator or (self.kind == "sign" and self.shape != 1.0)
+        return self.kind in free or self.operator
 
     @property
     def shape_spread(self) -> float:
@@ -141,7 +140,7 @@ class Factor:
         if self.kind == "signed_power":
             return signed_power(x / r, s)
         if self.kind == "sign":
-            return np.tanh(x / (s * _SMOOTHED * r))
+            return np.tanh(x / (_SMOOTHED * r))
         if self.kind == "time":
             return x / r
         if self.kind == "above_one":
@@ -195,7 +194,7 @@ class Factor:
         if self.kind == "signed_power":
             return f"({x}/{size})" if s == 1.0 else f"sign({x}) |{x}/{size}|{raised}"
         if self.kind == "sign":
-            return f"sign({x})" if s == 1.0 else f"tanh({x}/({s * _SMOOTHED * self.references[0]:.3g} {self.units[0]}))"
+            return f"sign({x})"
         if self.kind == "time":
             return f"(t/{size})"
         if self.kind == "above_one":
@@ -308,7 +307,7 @@ def factors(names: Iterable[str], variables: Mapping[str, Variable]) -> list[Fac
             out.append(Factor("time", *one, 1.0, ("s",)))
             continue
         if v.signed:
-            out += [Factor("sign", *one, width, (v.unit,)) for width in _WIDTHS]
+            out.append(Factor("sign", *one, 1.0, (v.unit,)))
             out += [Factor("signed_power", *one, s, (v.unit,)) for s in _SIGNED_POWERS]
             out += [Factor("one_way", *one, s, (v.unit,)) for s in (1.0, -1.0)]
         else:
