@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +30,9 @@ from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS,
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
-from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.search import run as search
-from dieseltwin.discovery.twins.interface import single
-from dieseltwin.discovery.verdict.held_out import held_out_scores
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.parameters import HEALTH, EngineParameters
+from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import OneTerm, SensorTerm, Term
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.settings.points import PointSettings
@@ -105,7 +101,6 @@ class PointsDiscovery:
         fits_before, fits_after: per submodel, of coefficients that never saw the held-out third.
         chi2_before, chi2_after: mean squared residual over the scale of the repaired model.
         law: of the last round, where no name explains what it sees and a law is resolved.
-        lawful: whether the held-out points are foretold better with that law: it is part of the repaired machine then.
         options: as asked.
         formulations: competing models of the unmeasured places, with their estimates, for `imply`.
         seconds: wall time.
@@ -122,7 +117,6 @@ class PointsDiscovery:
     chi2_before: float
     chi2_after: float
     law: Law | None
-    lawful: bool
     options: Options
     formulations: Mapping[str, tuple[SteadyModel, Estimate]]
     seconds: float
@@ -138,21 +132,17 @@ class PointsDiscovery:
         return bool(self.rounds) and self.rounds[-1].found.kind != "healthy" and not self.rounds[-1].taken
 
     def terms(self) -> tuple[OneTerm, ...]:
-        """What was found, as terms of an engine file."""
+        """What was found by name, as terms of an engine file.
+
+        A law without a name stays out: it was fitted with the maps' coefficients taken out linearly, and an engine that
+        holds the law without them foretells worse.
+        """
         values = self.repaired.start
-        named = tuple(_term(name, magnitude, std, values) for name, (magnitude, std) in self.effects.items())
-        if self.law is None or not self.lawful:
-            return named
-        return (*named, *law_terms_of(self.law, self.rounds[-1].found.twin.points))
+        return tuple(_term(name, magnitude, std, values) for name, (magnitude, std) in self.effects.items())
 
     def engine(self) -> EngineParameters:
         """The repaired machine: fitted coefficients and the found terms, beside those that the engine had."""
-        changes: dict[str, Any] = {}
-        if self.law is not None and self.lawful:
-            parameters = self.rounds[-1].found.twin.parameters
-            pairs = zip(parameters, self.law.parameters, strict=True)
-            changes = {p.name: float(v) for p, v in pairs if p.name in HEALTH}
-        return self.repaired.engine.replace(**changes, terms=(*self.calibration.engine.terms, *self.terms()))
+        return self.repaired.engine.replace(terms=(*self.calibration.engine.terms, *self.terms()))
 
 
 def _term(name: str, magnitude: float, std: float, values: Mapping[str, float]) -> OneTerm:
@@ -160,7 +150,7 @@ def _term(name: str, magnitude: float, std: float, values: Mapping[str, float]) 
         column, _, fault = name.partition(":")
         return SensorTerm(sensor=column, fault="gain" if fault == "gain" else "offset", magnitude=magnitude, std=std)
     own = {key: values[column] for column, key in FLAP_COEFFICIENTS.items()} if name == "exhaust_flap" else {}
-    return Term(effect=name, magnitude=float(np.clip(magnitude, *EFFECTS[name].limits)), std=std, coefficients=own)
+    return Term(effect=name, magnitude=float(np.clip(magnitude, *EFFECTS[name].limits)), std=std, shape=own)
 
 
 def discover_points(calibration: Calibration, options: Options | None = None) -> PointsDiscovery:
@@ -208,12 +198,11 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     scale = _scales(here.model, points, here.start)
     law = _law(rounds[-1].found) if options.law_search and rounds[-1].found.kind != "healthy" and not rounds[-1].taken \
         else None
-    lawful = law is not None and _foretells(rounds[-1].found, law)
     return PointsDiscovery(
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
         _all_fits(calibration.model, points, mask, trained_before), _all_fits(here.model, points, mask, trained),
         _chi2(calibration.model, points, calibration.start, scale), _chi2(here.model, points, here.start, scale),
-        law, lawful, options, _formulations(here, free), time.perf_counter() - clock,
+        law, options, _formulations(here, free), time.perf_counter() - clock,
     )  # fmt: skip
 
 
@@ -276,14 +265,6 @@ def _law(found: search.Search) -> Law | None:
     """A law for what no name explains."""
     return best_law(found.twin, found.null, found.everything_unnamed(),
                     lambda here: search.tolerance_responses(here.twin, here, found.settings))
-
-
-def _foretells(found: search.Search, law: Law) -> bool:
-    """Whether held-out points are foretold better with a law."""
-    twin, values = law.on(found.twin)
-    after = twin.simulate(single(values, law.local))[0]
-    before_nll, after_nll = held_out_scores(replace(found, kind="law", best=None), after)
-    return after_nll < before_nll
 
 
 FORMULATIONS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {

@@ -240,7 +240,7 @@ def term_values(engine: EngineParameters) -> dict[str, float]:
         found[term.slot] = found.get(term.slot, 0.0) + term.magnitude
         if isinstance(term, Term):
             names = {key: name for name, key in FLAP_COEFFICIENTS.items()}
-            found |= {names[key]: value for key, value in term.coefficients.items() if key in names}
+            found |= {names[key]: value for key, value in term.shape.items() if key in names}
     return found
 
 

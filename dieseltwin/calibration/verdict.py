@@ -68,7 +68,7 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
                             else f"{column}: reading {magnitude:+.4g} {hypothesis.unit}")
                 continue
             law = hypothesis.law
-            own = next(t.coefficients for t in result.terms() if isinstance(t, Term) and t.effect == name)
+            own = next(t.shape for t in result.terms() if isinstance(t, Term) and t.effect == name)
             if own:
                 law += "; " + ", ".join(f"{key} = {value:.4g}" for key, value in own.items())
             entries.append(FoundEffect(

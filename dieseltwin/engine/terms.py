@@ -78,7 +78,7 @@ class Term(_Limited):
 
     effect: str = Field(description="name in the catalogue (`dieseltwin effects`)")
     magnitude: float = Field(description="in the effect's unit")
-    coefficients: dict[str, float] = Field({}, description="of its law beside the magnitude; nominal where not given")
+    shape: dict[str, float] = Field({}, description="of its law beside the magnitude; nominal where not given")
 
     @field_validator("effect")
     @classmethod
@@ -93,7 +93,7 @@ class Term(_Limited):
         low, high = effect.limits
         if not low <= self.magnitude <= high:  # not so for NaN either
             raise ValueError(f"{self.effect}: magnitude {self.magnitude:g} outside {low:g} to {high:g} {effect.unit}")
-        for name, value in self.coefficients.items():
+        for name, value in self.shape.items():
             if name not in effect.coefficients or not math.isfinite(value):
                 raise ValueError(f"{self.effect}: coefficient {name} = {value:g}; {_close(name, effect.coefficients)}")
         return self
@@ -115,7 +115,7 @@ class Term(_Limited):
                 raise InputError(f"inputs: column {column}", "none", f"this column: the engine has {self.effect}",
                                  "add it, or take the term out of the engine file")
         if effect.follows is not None:
-            factor = factor * effect.follows(conditions, {**effect.coefficients, **self.coefficients})
+            factor = factor * effect.follows(conditions, {**effect.coefficients, **self.shape})
         return factor
 
     @property
