@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-MODULE_LINES = 400  # STYLE: longer modules get split
+MODULE_LINES = 400  # longer modules get split
 FILE_BYTES = 1_500_000  # reference tables are below a megabyte; data and models belong to DVC
 TEXT_SUFFIXES = {".py", ".md", ".toml", ".yaml", ".yml", ".cff", ".html", ".lock", ".txt", ".json", ".j2", ""}
 
@@ -19,6 +19,8 @@ _OWN_FOLDERS = "|".join(["work", "root", "home", "Users", "opt", "mnt"])
 MACHINE_PATH = re.compile(rf"(?:file://|(?<![\w.:/]))/(?:{_OWN_FOLDERS})/\w")
 MADE = {"data", "models", "results", "discoveries", "proof", "evaluation", "reports", "mlruns", "dieseltwin.egg-info"}
 LOCK_LINE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*==[A-Za-z0-9.]+$")
+DOCUMENT = re.compile(r"\b[\w./-]+\.md\b")
+WRITTEN = {"score.md"}  # by the benchmark
 CONFLICT = re.compile(r"^(<{7} |>{7} )", flags=re.MULTILINE)
 
 
@@ -67,9 +69,23 @@ def lock_problems(lines: Iterable[str]) -> Iterator[str]:
         seen.add(name)
 
 
+def missing_documents(root: Path, names: Iterable[str]) -> Iterator[str]:
+    """Pages that a file refers to and the repository doesn't hold; what a program writes is named in `WRITTEN`."""
+    listed = list(names)
+    known = {Path(name).name for name in listed if name.endswith(".md")} | WRITTEN
+    for name in listed:
+        if not name.endswith((".py", ".md", ".yaml", ".toml")):
+            continue
+        text = (root / name).read_text(encoding="utf-8", errors="replace")
+        for page in sorted({Path(found).name for found in DOCUMENT.findall(text)} - known):
+            yield f"{name}: refers to {page}, which the repository doesn't hold"
+
+
 def problems(root: Path = ROOT) -> list[str]:
     """All problems of a checkout."""
-    found = [p for path in tracked_files(root) for p in file_problems(path, path.relative_to(root).as_posix())]
+    names = [path.relative_to(root).as_posix() for path in tracked_files(root)]
+    found = [p for name in names for p in file_problems(root / name, name)]
+    found += missing_documents(root, names)
     found += lock_problems((root / "requirements.lock").read_text().splitlines())
     return found
 

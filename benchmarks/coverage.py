@@ -28,7 +28,7 @@ from dieseltwin.recordings.reader import recording
 from dieseltwin.settings.params import Params, load_params
 
 CLEARLY_IDENTIFIABLE = 0.10
-"""Relative bound below which a segment must not be flagged (PROTOCOL.md, Bound)."""
+"""Relative bound below which a segment must not be flagged (docs/definitions.md)."""
 
 
 def idle_problem(u_egr_pct: float, parameters: Any = we2011.PARAMETERS) -> SegmentProblem:

@@ -4,8 +4,8 @@
     python benchmarks/fewshot.py gain --runs 150 --epochs 40 [--models models]
 
 `accuracy` runs `few-shot-adam` on the benchmark driving (five segments of tests/reference/field_random_300s.csv, field
-parameters, noise of PROTOCOL.md) from the laboratory values, or once from the truth, and prints mean +- std of the
-estimate over the truth beside the paper's cells (its minutes are another driving; its minute 2-3 is idle). `gain`
+parameters, noise of docs/definitions.md) from the laboratory values, or once from the truth, and prints mean +- std of
+the estimate over the truth beside the paper's cells (its minutes are another driving; its minute 2-3 is idle). `gain`
 measures CPU seconds per run and epoch of one run alone and of many in one batch, with exact and with learned formulae,
 in one process. `benchmarks/paper_loop.py` measures the same against a loop written as the paper describes it.
 """

@@ -7,7 +7,7 @@
 Inputs of tests/reference/field_random_300s.csv, field parameters, five segments of 301 points, noise
 3/3/1/5/3 % of the means
 of the recording, five sensors; every run has its own noise draw and its own start around the laboratory
-values (PROTOCOL.md).
+values (docs/definitions.md).
 """
 
 from __future__ import annotations

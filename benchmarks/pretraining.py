@@ -1,7 +1,7 @@
 """Actuator operators and multi-head bodies beside the paper's tables: errors, floors, epochs, seconds.
 
     python benchmarks/pretraining.py                       # quick profile; held out: validation driving
-    python benchmarks/pretraining.py --case-v              # and Case-V, once per released version (PROTOCOL)
+    python benchmarks/pretraining.py --case-v              # and Case-V, once per released version (docs/definitions.md)
     python benchmarks/pretraining.py --noise 0.03          # operators trained on labels with 3 % noise
 
 Seconds are CPU seconds of one thread, training only; the data are simulated first.

@@ -51,7 +51,7 @@ def whtc_drive(config) -> Driving:
     ("norm", "rpm"), [(0.0, 600.0), (1.0, 611.78966), (41.5, 1089.27089), (55.0, 1248.4313), (100.0, 1778.966)]
 )
 def test_gtr4_speed_against_hand_figures(config, norm, rpm):
-    # 580 * 2.0327 = 1178.966; the table of PROTOCOL rounds it to 11.79 rpm per %
+    # 580 * 2.0327 = 1178.966; the table of docs/definitions.md rounds it to 11.79 rpm per %
     assert denormalised_speed(np.array([norm]), config.speed_map)[0] == pytest.approx(rpm, rel=1e-9)
 
 
@@ -111,7 +111,7 @@ def lambda_of(measured, n_e, fuel):
 
 
 def test_full_load_torque_is_what_the_engine_gives():
-    """PROTOCOL: lambda >= 1.2, EGR closed, at most 250 mg/cycle, VGT at its best."""
+    """docs/definitions.md: lambda >= 1.2, EGR closed, at most 250 mg/cycle, VGT at its best."""
     torque, c = bind("numpy").torque, constants(LAB)
     u_vgt = np.arange(20.0, 101.0, 5.0)
     for n_e, expected in list(zip(FULL_LOAD_SPEED_RPM, FULL_LOAD_TORQUE_NM, strict=True))[1:]:

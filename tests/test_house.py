@@ -130,6 +130,14 @@ def test_hygiene_leaves_good_files_alone(tmp_path: Path, hygiene: ModuleType) ->
     assert list(hygiene.file_problems(path, "dieseltwin/good.py")) == []
 
 
+def test_a_page_that_is_not_there_is_noticed(tmp_path: Path, hygiene: ModuleType) -> None:
+    there, nowhere = "there" + ".md", "nowhere" + ".md"  # assembled, so that this file does not find itself
+    (tmp_path / "a.py").write_text(f'"""See docs/{there} and {nowhere}."""\n')
+    (tmp_path / there).write_text("a page\n")
+    found = list(hygiene.missing_documents(tmp_path, ["a.py", there]))
+    assert found == [f"a.py: refers to {nowhere}, which the repository doesn't hold"]
+
+
 def test_a_forbidden_import_is_noticed(project_root: Path, tmp_path: Path) -> None:
     """The contracts of pyproject.toml, run over a small house with a forbidden import in it."""
     (tmp_path / "pyproject.toml").write_bytes((project_root / "pyproject.toml").read_bytes())

@@ -1,1 +1,1 @@
-"""The concealed benchmark: a plant of its own, sealed answers, a scorer and baselines (DISCOVERY.md, "Proof")."""
+"""The concealed benchmark: a plant of its own, sealed answers, a scorer and baselines (docs/benchmark.md)."""

@@ -1,4 +1,4 @@
-"""The cases of a benchmark: the mix of DISCOVERY.md ("Proof"), each machine with health, maps, sensors, faults."""
+"""The cases of a benchmark: the mix of docs/benchmark.md, each machine with health, maps, sensors, faults."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import numpy as np
 
 NODES = 33  # of a table per argument; a field of correlation length 1/3 is met within 0.002 of its rms
 FEATURES = 48
-CORRELATION_LENGTH = 1.0 / 3.0  # of the map's range (DISCOVERY.md, Proof)
+CORRELATION_LENGTH = 1.0 / 3.0  # of the map's range (docs/benchmark.md)
 
 MAPS = ("eta_vol", "f_egr", "F_vgt_Pi_t", "eta_tm", "eta_c", "Phi_c")
 """Order of the tables; arguments below."""

@@ -1,4 +1,4 @@
-"""Every line of DISCOVERY.md's table ("Proof"), counted from `CaseRow`s. Definitions stand with each function.
+"""Every line of the table of docs/benchmark.md, counted from `CaseRow`s. Definitions stand with each function.
 
 Counted cases are those whose largest fault is at least three tolerances; a case without a result counts against the
 tool wherever it is counted.

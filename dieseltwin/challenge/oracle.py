@@ -83,7 +83,7 @@ def separability(
     """D of every other catalogue effect at the truth: what it would leave of the true effect's evidence.
 
     D = lambda (1 - cos^2), lambda the expected gain of the true effect, cos between the two responses after health
-    parameters, initial states and tolerances are taken out (DISCOVERY.md, step 3).
+    parameters, initial states and tolerances are taken out (docs/discovery.md).
     """
     twin = EngineTwin(recording, engine, map_tolerance=map_tolerance)
     noise = estimate_noise(twin.measured)

@@ -1,4 +1,4 @@
-"""What can be left out of the textbook model, as the plant sees it (DISCOVERY.md, "Vocabulary").
+"""What can be left out of the textbook model, as the plant sees it (docs/discovery.md).
 
 The table stands apart from the tool's catalogue `dieseltwin.engine.effects` on purpose; a test compares them.
 """
@@ -28,7 +28,7 @@ class Family:
     """One family of faults of the plant.
 
     Attributes:
-        name, site, unit: of DISCOVERY.md.
+        name, site, unit: of docs/discovery.md.
         tolerance: smallest size of interest.
         upper: largest size that a case may have.
         signed: both signs occur.
@@ -97,7 +97,7 @@ FAMILIES: Mapping[str, Family] = {
         Family("afterburning", "exhaust_temperature", "-", 0.01, 0.1, catalogued=False),
     )
 }
-"""Every family; the magnitudes' units and signs as in DISCOVERY.md."""
+"""Every family; the magnitudes' units and signs as in docs/discovery.md."""
 
 
 @dataclass(frozen=True)

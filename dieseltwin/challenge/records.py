@@ -23,7 +23,7 @@ from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.reader import Recording, read_recording
 
 COUNTED_RATIO = 3.0
-"""Detection, sites and names are counted from this magnitude over tolerance on (DISCOVERY.md, "Proof")."""
+"""Detection, sites and names are counted from this magnitude over tolerance on (docs/benchmark.md)."""
 
 SEPARABLE_D = 9.0
 

@@ -28,7 +28,7 @@ from dieseltwin.duty_cycles import (
 )
 from dieseltwin.settings.params import EcuConfig, RandomDrivingConfig, SpeedMapConfig
 
-# The benchmark's own settings: what it is must not move with params.yaml. Values as in PROTOCOL, "Driving".
+# The benchmark's own settings: what it is must not move with params.yaml. Values as in docs/definitions.md.
 RANDOM = RandomDrivingConfig(
     speed_rpm=(900.0, 1850.0), load_rel=(0.0, 0.9), hold_s=(3.0, 15.0), ramp_s=(1.0, 4.0), idle_share=(0.10, 0.30),
     idle_speed_rpm=(600.0, 630.0), smoothing_s=0.6, speed_jitter_rpm=3.0, fuel_jitter_mg=0.5,
@@ -42,7 +42,7 @@ ECU = EcuConfig(
 
 PASSES = 5
 PASS_STEP_S = 0.01  # the limits don't need the plant's accuracy
-UNSTABLE_RPM, UNSTABLE_LOAD_REL = (1770.0, 1810.0), (0.02, 0.10)  # where runs of the engine part (DISCOVERY.md)
+UNSTABLE_RPM, UNSTABLE_LOAD_REL = (1770.0, 1810.0), (0.02, 0.10)  # where runs of the engine part (docs/discovery.md)
 JOINT_S = 4.0
 SMOKE_EGR_CUT = 0.3  # wanted fuel this share above the allowed one shuts the EGR valve, as ECUs do on tip-in
 MARGIN = 0.01

@@ -16,8 +16,8 @@ from dieseltwin.challenge.plant_effects import Fault, schedule
 SENSORS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s")
 """The paper's five and the compressor flow, which the last of `--sensors 6` adds."""
 
-NOISE_REL = (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)  # of the mean of the clean signal (PROTOCOL, "Noise")
-GAIN_STD = 0.005  # DISCOVERY.md, "Proof"
+NOISE_REL = (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)  # of the mean of the clean signal (docs/definitions.md)
+GAIN_STD = 0.005  # docs/benchmark.md
 OFFSET_STD_REL = 0.003  # of the mean
 LARGEST_RHO = 0.5
 FULL_SCALE = ((0.0, 6e5), (0.0, 8e5), (0.0, 16000.0), (-0.05, 0.35), (200.0, 1300.0), (-0.1, 0.9))  # SI
@@ -39,7 +39,7 @@ class SensorSet:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> SensorSet:
-        """Gains and offsets Gaussian, rho uniform (DISCOVERY.md, "Proof")."""
+        """Gains and offsets Gaussian, rho uniform (docs/benchmark.md)."""
         n = len(SENSORS)
         return cls(
             GAIN_STD * rng.standard_normal(n), OFFSET_STD_REL * rng.standard_normal(n), rng.uniform(0, LARGEST_RHO, n)

@@ -1,4 +1,4 @@
-"""The table of DISCOVERY.md ("Proof") as numbers, verdicts and Markdown."""
+"""The table of docs/benchmark.md as numbers, verdicts and Markdown."""
 
 from __future__ import annotations
 

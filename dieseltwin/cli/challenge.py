@@ -1,4 +1,4 @@
-"""`dieseltwin challenge make | run | score`: the concealed benchmark (DISCOVERY.md, "Proof")."""
+"""`dieseltwin challenge make | run | score`: the concealed benchmark (docs/benchmark.md)."""
 
 from __future__ import annotations
 

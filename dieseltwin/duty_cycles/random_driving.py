@@ -1,4 +1,4 @@
-"""Seeded random transient driving (PROTOCOL "Driving"): levels of speed and load, ramps, idle phases, jitter."""
+"""Seeded random transient driving (docs/definitions.md): levels of speed and load, ramps, idle phases, jitter."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ SCHEDULES = ("whtc", "whsc")
 _WEIGHTS_LO_PREF_HI = (0.45, 0.45, 0.10)
 _SPEED_SCALE = 2.0327
 
-# PROTOCOL "Driving": greatest torque with lambda >= 1.2, EGR valve closed and at most 250 mg/cycle. The published
+# docs/definitions.md: greatest torque with lambda >= 1.2, EGR valve closed and at most 250 mg/cycle. The published
 # engine at its best VGT position; 600 rpm is smoke-limited, the others are limited by the fuel (tests recompute them).
 FULL_LOAD_SPEED_RPM = (600.0, 1000.0, 1300.0, 1600.0, 1900.0)
 FULL_LOAD_TORQUE_NM = (1720.0, 2150.0, 2110.0, 2030.0, 1890.0)
@@ -81,7 +81,7 @@ def load_schedule(name: str) -> Schedule:
 
 
 def speed_per_norm(speeds: SpeedMapConfig) -> float:
-    """Engine speed per normalised speed [rpm/%] (GTR 4); 11.79 for PROTOCOL's speeds."""
+    """Engine speed per normalised speed [rpm/%] (GTR 4); 11.79 for the speeds of docs/definitions.md."""
     lo, pref, hi = _WEIGHTS_LO_PREF_HI
     reference = lo * speeds.n_lo_rpm + pref * speeds.n_pref_rpm + hi * speeds.n_hi_rpm
     return (reference - speeds.n_idle_rpm) * _SPEED_SCALE / 100.0

@@ -1,6 +1,6 @@
 """The paper's data: Set-I to Set-IV (inputs), Cases I-VII (recordings), clean and noisy field data.
 
-Paper: section "Data generation" and its case table; where it leaves something open PROTOCOL "Driving" rules, and the
+Paper: section "Data generation" and its case table; where it leaves something open docs/definitions.md rules, and the
 numbers stand in `params.yaml` under `driving` and `noise`. Inputs are made once, with laboratory parameters at the
 baseline ambient, and reused in all cases.
 
@@ -202,7 +202,7 @@ def simulated(
 def noise_sigma(clean: Mapping[str, np.ndarray] | pd.DataFrame, noise: NoiseConfig) -> np.ndarray:
     """Standard deviation of the noise of each sensor, in the order of `engine.MEASURED`, (6,) [SI].
 
-    A percentage of the mean of the clean signal over the whole recording (PROTOCOL "Noise"); NaN for an absent sensor.
+    A percentage of the mean of the clean signal over the whole recording; NaN for an absent sensor.
     """
     means = np.array([np.nanmean(clean[name]) if name in clean else np.nan for name in MEASURED])
     return np.asarray(noise.channels) * means
@@ -234,7 +234,7 @@ def make_validation(
 ) -> tuple[pd.DataFrame, EngineParameters]:
     """A clean recording to choose hyper-parameters on: random driving of another seed, other health values.
 
-    Case-V is not for tuning (PROTOCOL). Health values are drawn uniformly within `spread_rel` about the laboratory's
+    Case-V is not for tuning. Health values are drawn uniformly within `spread_rel` about the laboratory's
     (eta_sc within a third of it), the baseline ambient, Set-II's sampling.
 
     Returns:

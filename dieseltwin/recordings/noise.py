@@ -1,4 +1,4 @@
-"""Noise of each channel, from the data alone (DISCOVERY.md, step 0): never from a model's residuals."""
+"""Noise of each channel, from the data alone (docs/discovery.md): never from a model's residuals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Generic terms at every insertion point: what a model could lack that has no name (DISCOVERY.md, steps 2 and 3)."""
+"""Generic terms at every insertion point: what a model could lack that has no name (docs/discovery.md)."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.worth import Worth, independent
 from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
 
-_RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)
+_RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
 _FINAL_ROUNDS = 8
 _LEADING = 0.5  # of the best score: points whose laws reach it are ranked again with the best law inside

@@ -19,7 +19,7 @@ from dieseltwin.discovery.twins.interface import Twin
 _WITHIN = 0.5  # of the best linear gain: faults that are refitted
 _MOST = 4
 _ROUNDS = 8
-_RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (DISCOVERY.md)
+_RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _LAGS_S = (0.2, 1.0)  # where a lag's fit begins: at none it has no useful slope
 _RESOLVED = 6.0  # score that a fault must reach over no law
 

@@ -1,4 +1,4 @@
-"""Tolerances as directions: smooth errors of maps, gains and offsets of sensors (DISCOVERY.md, "Maps are never exact").
+"""Tolerances as directions: smooth errors of maps, gains and offsets of sensors (docs/discovery.md).
 
 A map's error is a Gaussian random function of the map's own arguments with a declared standard deviation and a
 correlation length of a third of the range driven. Its leading modes along the recording are the nuisance directions.
@@ -14,7 +14,7 @@ import numpy as np
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithSignals, joined
 
 CORRELATION_LENGTH = 1.0 / 3.0
-"""Of the range of each argument (DISCOVERY.md, Proof) [-]."""
+"""Of the range of each argument (docs/benchmark.md) [-]."""
 
 _KEPT_VARIANCE = 0.985  # of a map's tolerance; the rest is below a tenth of it
 _KNOTS = 220  # points of the recording that carry the random function

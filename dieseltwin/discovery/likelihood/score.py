@@ -1,4 +1,4 @@
-"""Scores of all hypotheses at one linearisation, and what chance alone would give (DISCOVERY.md, step 1)."""
+"""Scores of all hypotheses at one linearisation, and what chance alone would give (docs/discovery.md)."""
 
 from __future__ import annotations
 

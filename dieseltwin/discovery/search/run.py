@@ -1,6 +1,6 @@
 """The search: health-only fit, scores, refits of every competitive explanation, and the choice among them.
 
-Works on any `Twin`. Gains are decreases of -2 log marginal likelihood over the health-only fit (DISCOVERY.md, "Steps").
+Works on any `Twin`. Gains are decreases of -2 log marginal likelihood over the health-only fit (docs/discovery.md).
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class Settings:
         left_ahead: what it must be ahead of the best second effect.
         missing_share: of the gain of an explanation: what it may leave before more is said to be missing.
         local_gain: gain of a bump over an argument of a map that raises an alarm, or beyond an explanation refuses it.
-        equivalent_gain: names within this gain of the best can't be told apart: DISCOVERY.md's 9, and what maps that
+        equivalent_gain: names within this gain of the best can't be told apart: 9 by chance, and what maps that
             are off by their tolerance add to it.
         edges_share: of the gain of an effect in a region: closer names can't be told apart.
         own_metric_gain: from this gain on the leading explanations are compared with the nuisances of each about

@@ -53,7 +53,7 @@ HEALTH_PRIOR = 0.3
 """Standard deviation of a health parameter about the engine file's value [-]."""
 
 MAP_TOLERANCE = 0.003
-"""Standard deviation of a map's smooth relative error [-] (DISCOVERY.md, "Maps are never exact")."""
+"""Standard deviation of a map's smooth relative error [-] (docs/discovery.md)."""
 
 _SPEED_SCALE = 500.0  # rad/s
 _PRESSURES_REST_S = 0.35  # after a restart; the manifolds forget a wrong start within 0.2 s

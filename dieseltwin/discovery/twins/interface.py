@@ -45,7 +45,7 @@ class Point:
 
     Attributes:
         name: of the quantity ("W_t", "intake_balance").
-        site: the word for the report (DISCOVERY.md, Vocabulary).
+        site: the word for the report (docs/discovery.md).
         relative: the signal multiplies the quantity by (1 + signal); else it is added in `unit`.
         unit: of an added signal; "-" for a relative one.
         ports: variables of the nodes that the quantity touches; a law at this point may depend on these only.

@@ -1,4 +1,4 @@
-"""What discovery says, as one strict document: `discrepancy.json`, schema 1 (DISCOVERY.md, "Output").
+"""What discovery says, as one strict document: `discrepancy.json`, schema 1 (docs/discovery.md).
 
 SI units, no NaN, no keys beyond the schema; whatever else is worth keeping goes into `details.json`, and times into
 `runtime.json`. A document that contradicts itself (a healthy one with effects, a name without a magnitude) can't be

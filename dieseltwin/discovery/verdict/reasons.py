@@ -11,7 +11,8 @@ from dieseltwin.discovery.search.run import Search, occam
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.engine import MEASURED
 
-_USUAL_NOISE = dict(zip(MEASURED, (0.03, 0.03, 0.01, 0.05, 0.03, 0.03), strict=True))  # of the mean (PROTOCOL.md)
+# Of the mean (docs/definitions.md).
+_USUAL_NOISE = dict(zip(MEASURED, (0.03, 0.03, 0.01, 0.05, 0.03, 0.03), strict=True))
 _ENOUGH = 9.0  # squared distance that splits two names
 
 

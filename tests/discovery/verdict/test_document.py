@@ -16,7 +16,7 @@ from dieseltwin.errors import InputError
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "report"))
 import synthetic_discovery as synthetic
 
-# DISCOVERY.md, "Output": every key in its order
+# docs/discovery.md: every key in its order
 KEYS = ["schema", "recording", "mismatch", "p_value", "location", "effects", "more_is_missing", "health", "fit",
         "minimum_detectable", "provenance"]  # fmt: skip
 PARTS = {
