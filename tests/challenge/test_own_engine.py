@@ -41,5 +41,5 @@ def test_the_table_has_a_line_for_the_change_since_the_reference():
                   since_said={name: (0.903, 0.003) for name in HEALTH})  # fmt: skip
     found = {line.key: line for line in lines([row])}
     assert "A_egrmax 0.33 %" in found["since"].value and found["since"].passed
-    assert found["since_coverage"].value.startswith("4/4")
+    assert "4/4" in found["since_coverage"].value
     assert "since" not in {line.key for line in lines([CaseRow("case_0002", "healthy", None, "random", (), ())])}
