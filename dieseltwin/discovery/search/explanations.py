@@ -161,7 +161,7 @@ def try_pairs(found: Search, first: Linearisation) -> None:
     """Two effects: the best pairs of the linear table, and what the residual of the best single asks for."""
     lead = first.fit.candidate.names[0]
     beyond = _beyond(found, first)
-    found.beyond = beyond[0].gain if beyond else 0.0
+    found.second_effect_gain = beyond[0].gain if beyond else 0.0
     found.spreads = {item.name: spread(first, item.projected) for item in beyond}
     items = best_of_each(found.scored)
     by_name = {s.name: s for s in items}
@@ -225,7 +225,7 @@ def _best_pair(found: Search) -> Fit | None:
     return next((fit for fit in found.pairs if found.of_interest(fit)), None)
 
 
-def two_are_ahead(found: Search) -> bool:
+def pair_beats_single(found: Search) -> bool:
     """Whether two effects explain more than one by what the second costs."""
     pair = _best_pair(found)
     return pair is not None and found.gain(pair) - _pair_bar(found, pair) > found.gain(found.singles[0])
@@ -268,12 +268,12 @@ def choose(found: Search, first: Linearisation) -> None:
         gained = single if kind == "single" or fit is None else found.gain(fit)
         limit = max(settings.left_gain[place], settings.left_share[place] * gained)
         held = max((item.held for item in found.left), default=0.0)
-        ahead = held - found.beyond if kind == "single" else np.inf
+        ahead = held - found.second_effect_gain if kind == "single" else np.inf
         bumps = max((item.held for item in found.left_local), default=0.0)
         if (
             (held > limit and ahead > settings.left_ahead)
             or bumps > max(settings.local_gain, settings.left_share[place] * gained)
-            or (left > CHANCE_LEAVES and _outdone(found, best))
+            or (left > CHANCE_LEAVES and _one_term_explains_more(found, best))
         ):
             found.refused, found.kind = kind, "law"
             return
@@ -298,7 +298,7 @@ def beyond_law(found: Search, law: Law) -> tuple[list[Structure], list[Structure
     return score_features(at, kinds[0]), score_features(at, kinds[1])
 
 
-def _outdone(found: Search, value: float) -> bool:
+def _one_term_explains_more(found: Search, value: float) -> bool:
     """Whether one term without a name, refitted as names are, explains more than the chosen names.
 
     Wherever it does, the names leave as much beside the term, so that what they leave is looked at first. By chance a

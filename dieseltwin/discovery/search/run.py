@@ -17,11 +17,11 @@ from dieseltwin.discovery.search.explanations import (
     VARIANTS,
     beyond_law,
     choose,
+    pair_beats_single,
     polish,
     try_more_pairs,
     try_pairs,
     try_variants,
-    two_are_ahead,
 )
 from dieseltwin.discovery.search.preparation import (
     prepare,
@@ -69,7 +69,7 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.local = score_features(base, local_features(twin, found.null.fit))
     found.seconds["structure"] = time.perf_counter() - clock
     unnamed = _unnamed(found)
-    alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _said_by_name(found, unnamed))
+    alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _explained_by_catalogue(found, unnamed))
     clock = time.perf_counter()
     if alarm or hidden:
         try_variants(found)
@@ -83,7 +83,7 @@ def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
     found.best = first
     clock = time.perf_counter()
     try_pairs(found, first)
-    widened = two_are_ahead(found)
+    widened = pair_beats_single(found)
     if widened:  # which two is another question: the strongest by itself may be neither
         try_more_pairs(found)
     choose(found, first)
@@ -145,7 +145,7 @@ def _unnamed(found: Search) -> Structure | None:
     return found.local_ahead(0.0)
 
 
-def _said_by_name(found: Search, item: Structure) -> bool:
+def _explained_by_catalogue(found: Search, item: Structure) -> bool:
     """Whether the best name says the same as a term: one finding, and it has a name."""
     fit = found.singles[0]
     return (

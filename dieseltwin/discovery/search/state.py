@@ -90,8 +90,8 @@ class Settings:
 class Search:
     """Everything that the search found out.
 
-    `null` is the health-only fit, `best` the explanation; `beyond` is what the best second effect would gain beside the
-    best single one, `spreads` which share of it each second effect keeps without its best window.
+    `null` is the health-only fit, `best` the explanation; `second_effect_gain` is what the best second effect would
+    gain beside the best single one, `spreads` which share of it each second effect keeps without its best window.
     """
 
     twin: Twin
@@ -103,7 +103,7 @@ class Search:
     chance: Chance
     singles: list[Fit] = field(default_factory=list)
     pairs: list[Fit] = field(default_factory=list)
-    beyond: float = 0.0
+    second_effect_gain: float = 0.0
     spreads: dict[str, float] = field(default_factory=dict)
     scanned: list[Variant] = field(default_factory=list)
     variants: list[tuple[Variant, Fit]] = field(default_factory=list)
