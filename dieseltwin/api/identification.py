@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 # Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
 SEGMENT_RANGE_S = (10.0, 3600.0)
+MOST_RUNS = 10_000
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 OPTIONAL_RESULTS = ("curves.parquet", "figures")  # another method in the same folder must not leave its own behind
 
@@ -204,8 +205,8 @@ def ask(
     chosen.check_installed()
     settings = setup.settings()
     runs = settings.identify.runs_of(method) if runs is None else runs
-    if runs < 1:
-        raise InputError("--runs", runs, "1 or more", "ask for at least one run")
+    if not 1 <= runs <= MOST_RUNS:
+        raise InputError("--runs", runs, f"1 or more, up to {MOST_RUNS}", "choose another number")
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
         raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
     parameters = diesel_engine(engine)
