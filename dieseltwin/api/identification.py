@@ -21,6 +21,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification
+from dieseltwin.notes import Note, warnings_of
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
@@ -113,7 +114,7 @@ class Identified(Result):
     def save(self, out: str | Path) -> Path:
         """identification.json, runtime.json, states.parquet, figures/ and, with learning curves, curves.parquet."""
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
-            write_json(folder / "identification.json", self.found.to_json())
+            write_json(folder / "identification.json", {**self.found.to_json(), "warnings": self.warnings})
             write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
             self.found.states.to_parquet(folder / "states.parquet", index=False)
             curves = report.curves_table(self.found)
@@ -121,6 +122,11 @@ class Identified(Result):
                 curves.to_parquet(folder / "curves.parquet", index=False)
             report.identification_figures(self.found, self.problems, folder / "figures")
         return Path(out)
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """All that is doubtful, as in identification.json: code, text, affects."""
+        return warnings_of([*self.notes, *misfits(self.found.to_json())])
 
     def lines(self) -> list[str]:
         """The table as text, and the notes."""
@@ -215,7 +221,8 @@ def ask(
     masked = None if setup.sensors is None else used
     problems, left_out = _usable(problems_of(source, parameters, settings, segment_s, masked), source)
     networks = setup.networks(chosen)
-    without = [f"note: without {name}: {COSTS[name]}" for name in SENSORS if name not in used]
+    without = [Note(f"without {name}: {COSTS[name]}", "missing_sensor", (name,))
+               for name in SENSORS if name not in used]
     notes = (*_notes(source, parameters), *without, *left_out)
     seed = settings.seed if seed is None else seed
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source.sha256)
@@ -261,7 +268,7 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
     for problem in problems:
         dead = [name for i, name in enumerate(MEASURED[:3]) if not problem.observed[:, i].any()]
         if dead:
-            notes.append(f"note: {problem.name} left out: no reading of {', '.join(dead)}")
+            notes.append(Note(f"{problem.name} left out: no reading of {', '.join(dead)}", "left_out", dead))
         else:
             usable.append(problem)
     if not usable:
@@ -279,26 +286,27 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[str]:
         "u_vgt_pct": parameters.u_vgt_range,
     }
     counts = rows_out_of_range(source.columns, ranges)
-    read = [f"note: {note}" for note in source.notes]
-    return read + [f"note: {count} of {len(source.time_s)} rows of {name} are outside the engine's range "
-                   f"{ranges[name][0]:g} to {ranges[name][1]:g}" for name, count in counts.items()]
+    read = [Note(note, "reading") for note in source.notes]
+    return read + [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
+                        f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
+                   for name, count in counts.items()]
 
 
-def misfits(document: Mapping[str, Any]) -> list[str]:
+def misfits(document: Mapping[str, Any]) -> list[Note]:
     """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
     everything = [s for run in document["runs"] for s in run["segments"]]
     stuck = sum(not s["converged"] for s in everything)
-    notes = []
+    notes: list[Note] = []
     if stuck:
-        notes = [f"note: {stuck} of {len(everything)} fits did not converge (`converged` in identification.json); a "
-                 "segment without a converged fit is left out of the pooled values"]
+        notes = [Note(f"{stuck} of {len(everything)} fits did not converge (`converged` in identification.json); a "
+                      "segment without a converged fit is left out of the pooled values", "not_converged")]
     values = [s["chi2_per_sample"] for s in everything]
     known = [value for value in values if value is not None]
     if not known or float(np.median(known)) <= MISFIT:
         return notes
     size = float(np.sqrt(np.median(known)))
-    return [*notes, f"note: the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine "
-            "file or the model is off, or the method has not converged; the intervals are too narrow"]
+    return [*notes, Note(f"the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine "
+            "file or the model is off, or the method has not converged; the intervals are too narrow", "misfit")]
 
 
 def text_table(document: Mapping[str, Any]) -> list[str]:

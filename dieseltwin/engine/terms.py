@@ -173,8 +173,6 @@ class SensorTerm(_Limited):
     def _possible(self) -> SensorTerm:
         if self.sensor not in SENSOR_UNITS:
             raise ValueError(f"unknown sensor {self.sensor!r}; {_close(self.sensor, SENSOR_UNITS)}")
-        if not math.isfinite(self.magnitude):
-            raise ValueError("magnitude is not finite")
         if self.fault == "gain" and not -1.0 < self.magnitude <= LARGEST_GAIN:
             raise ValueError(f"gain {self.magnitude:g}; allowed: above -1 (no reading is left) to {LARGEST_GAIN:g}")
         if self.fault == "lag" and (self.sensor != LAGGING_SENSOR or self.magnitude < 0.0):
@@ -305,8 +303,6 @@ class LawTerm(_Limited):
         expected = ADDED_AT.get(self.point, "-")
         if self.unit != expected:
             raise ValueError(f"unit {self.unit!r} at point {self.point}; allowed {expected!r}")
-        if not math.isfinite(self.coefficient):
-            raise ValueError("coefficient is not finite")
         for variable, reference, exponent in self.factors:
             if variable not in LAW_VARIABLES:
                 raise ValueError(f"unknown variable {variable!r}; {_close(variable, LAW_VARIABLES)}")
