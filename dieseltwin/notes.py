@@ -27,7 +27,7 @@ class Note(str):
         made.code, made.affects = code, tuple(affects)
         return made
 
-    def __getnewargs__(self) -> tuple[str, str, tuple[str, ...]]:
+    def __getnewargs__(self) -> tuple[str, str, tuple[str, ...]]:  # type: ignore[override]
         """For copies in other processes."""
         return self.removeprefix("note: "), self.code, self.affects
 

@@ -135,7 +135,6 @@ SENSOR_UNITS = {
 """Columns that a fault of a sensor can change, with their units."""
 
 LARGEST_GAIN = 10.0  # of a sensor's reading [-]; beyond it the column is in another unit
-
 LAGGING_SENSOR = "t_em_k"
 """The one whose reading may lag (a sheathed thermocouple)."""
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dieseltwin.errors import InputError
 from dieseltwin.paths import refuse_unreadable
@@ -22,16 +22,9 @@ __all__ = [
 
 
 class StrictModel(BaseModel):
-    """Base of all settings: frozen, no unknown keys, no NaN or infinity, no yes or no for a number."""
+    """Base of all settings: frozen, no unknown keys, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, protected_namespaces=())
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _no_yes_for_a_number(cls, value: Any, info: ValidationInfo) -> Any:
-        if holds_boolean(value) and not _takes_boolean(cls.model_fields[info.field_name or ""].annotation):
-            raise ValueError("no number but yes or no; YAML reads true, yes and on so")
-        return value
 
 
 def holds_boolean(value: Any) -> bool:
@@ -39,15 +32,6 @@ def holds_boolean(value: Any) -> bool:
     if isinstance(value, Mapping):
         value = tuple(value.values())
     return isinstance(value, bool) or (isinstance(value, list | tuple) and any(isinstance(v, bool) for v in value))
-
-
-def _takes_boolean(annotation: Any) -> bool:
-    """Whether a field's type has a place for a boolean, directly or in a model of its own."""
-    if annotation in (bool, Any, object):
-        return True
-    if isinstance(annotation, type) and not typing.get_args(annotation):
-        return issubclass(annotation, BaseModel)
-    return any(_takes_boolean(part) for part in typing.get_args(annotation))
 
 
 Model = TypeVar("Model", bound=BaseModel)
