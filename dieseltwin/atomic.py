@@ -69,6 +69,17 @@ def sync_file(path: str | Path) -> None:
         os.close(descriptor)
 
 
+def _refuse_name(path: Path) -> None:
+    """Raise OSError for a name that no file can have, and for a link to nowhere or in a circle."""
+    try:
+        os.lstat(path)
+    except FileNotFoundError:
+        return
+    except ValueError:
+        raise OSError(errno.ENOENT, "a zero byte in the name", str(path)) from None
+    os.stat(path)
+
+
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` (same suffix); on success it becomes `path`, on any error it vanishes.
@@ -77,8 +88,9 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         InputError: full disk, read-only or missing folder.
     """
     path = Path(path)
-    temporary = path.with_name(f"{PARTIAL_PREFIX}{secrets.token_hex(4)}-{path.name}")
     with _user_errors(path):
+        _refuse_name(path)
+        temporary = path.with_name(f"{PARTIAL_PREFIX}{secrets.token_hex(4)}-{path.name[-100:]}")
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
         try:
@@ -103,12 +115,13 @@ def atomic_folder(path: str | Path, owned: Collection[str] = ()) -> Iterator[Pat
     """
     path = Path(path)
     with _user_errors(path):
+        _refuse_name(path)
         if path.exists() and not path.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, "not a folder", str(path))
         created = [p for p in [path, *path.parents] if not p.exists()]
         # inside `path` where it exists: beside it could be another file system, and renames would copy
         home = path if path.exists() else path.parent
-        temporary = home / f"{PARTIAL_PREFIX}{secrets.token_hex(4)}-{path.name}"
+        temporary = home / f"{PARTIAL_PREFIX}{secrets.token_hex(4)}-{path.name[-100:]}"
         try:
             temporary.mkdir(parents=True)
             yield temporary

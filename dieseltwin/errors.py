@@ -12,6 +12,23 @@ class DieselTwinError(Exception):
     exit_code: int = 1
 
 
+LONGEST_LINE = 300
+"""Characters of a message on the command line; whatever a file holds, one line stays readable."""
+
+
+def one_line(text: str) -> str:
+    """Text without line ends, escape sequences and lone surrogates."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+
+
+def shortened(text: str, length: int) -> str:
+    """The text, or its beginning and end around " ... " where it is longer."""
+    if len(text) <= length:
+        return text
+    end = (length - 5) // 3
+    return f"{text[: length - 5 - end]} ... {text[len(text) - end :]}"
+
+
 class InputError(DieselTwinError):
     """Something the user gave cannot be used: a file, a column, a key, a folder.
 
@@ -30,6 +47,16 @@ class InputError(DieselTwinError):
         self.what, self.got, self.allowed, self.do = str(what), str(got), str(allowed), str(do)
         text = f"{self.what}: got {self.got}; allowed: {self.allowed}; {self.do}"
         super().__init__(" ".join(text.split()))
+
+    def line(self, length: int = LONGEST_LINE) -> str:
+        """The message of at most `length` characters: what was got and allowed is cut first, the place last."""
+        parts = [one_line(part) for part in (self.what, self.got, self.allowed, self.do)]
+        fixed = len("{}: got {}; allowed: {}; {}".format("", "", "", ""))
+        for place, least in ((2, 60), (1, 60), (3, 60), (2, 20), (1, 20), (0, 60)):
+            excess = fixed + sum(map(len, parts)) - length
+            if excess > 0:
+                parts[place] = shortened(parts[place], max(len(parts[place]) - excess, least))
+        return shortened("{}: got {}; allowed: {}; {}".format(*parts), length)
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
         # Exceptions cross process boundaries (workers, Prefect); the default would call __init__ with one argument.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from dieseltwin.api.engines import NAMED, PUBLISHED, Engine
@@ -63,7 +64,7 @@ def base_engine(base: Engine | str | Path) -> Engine:
         return base
     if str(base) in NAMED:
         return NAMED[str(base)]
-    if Path(base).is_file() and is_petrol(base):
+    if os.path.isfile(base) and is_petrol(base):
         return validate(PetrolParameters, read_mapping(base), str(base))
     if Path(base).suffix in (".yaml", ".yml"):
         return load_engine(base)

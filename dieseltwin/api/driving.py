@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,13 +21,14 @@ from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE
 from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
 from dieseltwin.discovery.verdict.explain import DETAILS, Known, details_of, load_details, plain
 from dieseltwin.discovery.verdict.implied import implied_frame
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, overlap
+from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
@@ -60,7 +61,7 @@ class DrivingDiscovered(Discovered):
 
     @property
     def document(self) -> Discrepancy:
-        return self.found.document
+        return with_warnings(self.found.document, self.question.notes)
 
     @property
     def engine(self) -> EngineParameters:
@@ -91,7 +92,8 @@ class DrivingDiscovered(Discovered):
             implied = implied_frame(self.question.recording, self.engine, stds, sensors=sensors,
                                     starts=self.found.starts, local=self.found.local)  # fmt: skip
             implied.to_parquet(folder / "implied.parquet", index=False)
-            discovery_page.build_discovery_report(self.found, folder / "report.html", figures_dir=folder / "figures")
+            told = replace(self.found, document=self.document)
+            discovery_page.build_discovery_report(told, folder / "report.html", figures_dir=folder / "figures")
             seconds = self.seconds + time.perf_counter() - began
             write_json(folder / "runtime.json", plain({**self.found.runtime, "seconds": seconds, **machine()}))
         return Path(out)
@@ -171,7 +173,7 @@ def ask_driving(
     withhold: Sequence[str],
     map_tolerance: float | None,
     seed: int,
-    known: tuple[LearnedEngine | None, Sequence[str]] = (None, ()),
+    known: tuple[LearnedEngine | None, Sequence[Note]] = (None, ()),
 ) -> DrivingQuestion:
     """Read and check a recording and what is asked of it; see `discovery.discover`.
 
@@ -190,7 +192,7 @@ def ask_driving(
     parameters = diesel_engine(engine) if learned is None else learned.engine
     source = _read(recording, channels, parameters)
     used, notes = check_recording(source, parameters, asked["sensors"])
-    notes = [*doubts, *(f"note: {note}" for note in source.notes), *notes]
+    notes = [*doubts, *(Note(note, "reading") for note in source.notes), *notes]
     if learned is not None:
         _check_apart(learned, source)
     options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=map_tolerance, seed=seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -48,7 +49,7 @@ def engine(source: Engine | str | Path = PUBLISHED, /, **changes: Any) -> Engine
 
 
 def _read(path: str | Path) -> Engine:
-    if isinstance(path, str) and not Path(path).suffix and not Path(path).exists():
+    if isinstance(path, str) and not Path(path).suffix and not os.path.exists(path):
         raise unknown_name("engine", path, list(NAMED))
     return load_petrol(path) if is_petrol(path) else load_engine(path)
 

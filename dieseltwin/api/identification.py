@@ -21,6 +21,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification
+from dieseltwin.notes import Note, warnings_of
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 # Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
 SEGMENT_RANGE_S = (10.0, 3600.0)
+MOST_RUNS = 10_000
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 OPTIONAL_RESULTS = ("curves.parquet", "figures")  # another method in the same folder must not leave its own behind
 
@@ -112,7 +114,7 @@ class Identified(Result):
     def save(self, out: str | Path) -> Path:
         """identification.json, runtime.json, states.parquet, figures/ and, with learning curves, curves.parquet."""
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
-            write_json(folder / "identification.json", self.found.to_json())
+            write_json(folder / "identification.json", {**self.found.to_json(), "warnings": self.warnings})
             write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
             self.found.states.to_parquet(folder / "states.parquet", index=False)
             curves = report.curves_table(self.found)
@@ -120,6 +122,11 @@ class Identified(Result):
                 curves.to_parquet(folder / "curves.parquet", index=False)
             report.identification_figures(self.found, self.problems, folder / "figures")
         return Path(out)
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """All that is doubtful, as in identification.json: code, text, affects."""
+        return warnings_of([*self.notes, *misfits(self.found.to_json())])
 
     def lines(self) -> list[str]:
         """The table as text, and the notes."""
@@ -204,8 +211,8 @@ def ask(
     chosen.check_installed()
     settings = setup.settings()
     runs = settings.identify.runs_of(method) if runs is None else runs
-    if runs < 1:
-        raise InputError("--runs", runs, "1 or more", "ask for at least one run")
+    if not 1 <= runs <= MOST_RUNS:
+        raise InputError("--runs", runs, f"1 or more, up to {MOST_RUNS}", "choose another number")
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
         raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
     parameters = diesel_engine(engine)
@@ -214,7 +221,8 @@ def ask(
     masked = None if setup.sensors is None else used
     problems, left_out = _usable(problems_of(source, parameters, settings, segment_s, masked), source)
     networks = setup.networks(chosen)
-    without = [f"note: without {name}: {COSTS[name]}" for name in SENSORS if name not in used]
+    without = [Note(f"without {name}: {COSTS[name]}", "missing_sensor", (name,))
+               for name in SENSORS if name not in used]
     notes = (*_notes(source, parameters), *without, *left_out)
     seed = settings.seed if seed is None else seed
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source.sha256)
@@ -250,7 +258,7 @@ def _checked(sensors: Sequence[str], method: Method) -> tuple[str, ...]:
     return tuple(sensors)
 
 
-def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[SegmentProblem], list[str]]:
+def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[SegmentProblem], list[Note]]:
     """Segments whose states can be started, and a note for each one left out.
 
     Raises:
@@ -260,7 +268,7 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
     for problem in problems:
         dead = [name for i, name in enumerate(MEASURED[:3]) if not problem.observed[:, i].any()]
         if dead:
-            notes.append(f"note: {problem.name} left out: no reading of {', '.join(dead)}")
+            notes.append(Note(f"{problem.name} left out: no reading of {', '.join(dead)}", "left_out", dead))
         else:
             usable.append(problem)
     if not usable:
@@ -270,7 +278,7 @@ def _usable(problems: list[SegmentProblem], source: Recording) -> tuple[list[Seg
     return usable, notes
 
 
-def _notes(source: Recording, parameters: EngineParameters) -> list[str]:
+def _notes(source: Recording, parameters: EngineParameters) -> list[Note]:
     ranges = {
         "n_e_rpm": parameters.n_e_range,
         "u_delta_mg": parameters.u_delta_range,
@@ -278,26 +286,27 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[str]:
         "u_vgt_pct": parameters.u_vgt_range,
     }
     counts = rows_out_of_range(source.columns, ranges)
-    read = [f"note: {note}" for note in source.notes]
-    return read + [f"note: {count} of {len(source.time_s)} rows of {name} are outside the engine's range "
-                   f"{ranges[name][0]:g} to {ranges[name][1]:g}" for name, count in counts.items()]
+    read = [Note(note, "reading") for note in source.notes]
+    return read + [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
+                        f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
+                   for name, count in counts.items()]
 
 
-def misfits(document: Mapping[str, Any]) -> list[str]:
+def misfits(document: Mapping[str, Any]) -> list[Note]:
     """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
     everything = [s for run in document["runs"] for s in run["segments"]]
     stuck = sum(not s["converged"] for s in everything)
-    notes = []
+    notes: list[Note] = []
     if stuck:
-        notes = [f"note: {stuck} of {len(everything)} fits did not converge (`converged` in identification.json); a "
-                 "segment without a converged fit is left out of the pooled values"]
+        notes = [Note(f"{stuck} of {len(everything)} fits did not converge (`converged` in identification.json); a "
+                      "segment without a converged fit is left out of the pooled values", "not_converged")]
     values = [s["chi2_per_sample"] for s in everything]
     known = [value for value in values if value is not None]
     if not known or float(np.median(known)) <= MISFIT:
         return notes
     size = float(np.sqrt(np.median(known)))
-    return [*notes, f"note: the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine "
-            "file or the model is off, or the method has not converged; the intervals are too narrow"]
+    return [*notes, Note(f"the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine "
+            "file or the model is off, or the method has not converged; the intervals are too narrow", "misfit")]
 
 
 def text_table(document: Mapping[str, Any]) -> list[str]:

@@ -22,6 +22,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import HEALTH_AT, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
+from dieseltwin.notes import Note
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
@@ -127,7 +128,7 @@ def learn(
 
 def known_engine(
     engine: Engine | str | Path | None, reference: Sequence[Source | Recording], channels: Channels | None
-) -> tuple[LearnedEngine | None, Sequence[str]]:
+) -> tuple[LearnedEngine | None, Sequence[Note]]:
     """What is known of an engine, from its file or from a reference, and notes; None where nothing is.
 
     Raises:
@@ -135,7 +136,7 @@ def known_engine(
     """
     if reference:
         result = learn(reference, engine, channels=channels)
-        return result.known, result.notes
+        return result.known, [Note(note.removeprefix("note: "), "reference") for note in result.notes]
     return _known(engine), ()
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from dieseltwin.atomic import atomic_path, check_writable, write_json
+from dieseltwin.atomic import atomic_path, check_folder, check_writable, write_json
 from dieseltwin.challenge.cases import DURATION_S, MAP_RMS, Plan, Tier, build_case, make_plans
 from dieseltwin.challenge.own_engine import REFERENCE_MIN
 from dieseltwin.challenge.processes import in_processes
@@ -21,6 +21,8 @@ from dieseltwin.version import __version__
 
 MANIFEST = "manifest.json"
 SCHEMA = 1
+MOST_CASES = 10_000
+SHORTEST_S, LONGEST_S = 60.0, 36_000.0
 _DIGITS = "%.10g"
 
 
@@ -39,6 +41,12 @@ def make_challenge(
     """
     if tier not in MAP_RMS:
         raise unknown_name("challenge: --tier", tier, list(MAP_RMS))
+    if not 1 <= n <= MOST_CASES:
+        raise InputError("challenge: --n", n, f"1 to {MOST_CASES}", "choose another number")
+    if not SHORTEST_S <= duration_s <= LONGEST_S:
+        raise InputError("challenge: --duration", f"{duration_s:g} s", f"{SHORTEST_S:g} to {LONGEST_S:g} s",
+                         "choose another")  # fmt: skip
+    check_folder(out)
     if (out / MANIFEST).exists() or (out / SEALED).exists():
         raise InputError(str(out), "a benchmark already", "a new folder", "choose another --out; nothing was written")
     plans = make_plans(n, seed, sensors=sensors, healthy_only=healthy_only)

@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
+from pydantic import BaseModel, Field
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
-from dieseltwin.challenge.cases import MAP_RMS
+from dieseltwin.challenge.cases import MAP_RMS, Tier
 from dieseltwin.challenge.make import MANIFEST
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import check_file
@@ -23,13 +24,34 @@ from dieseltwin.discovery.verdict.document import FILE_NAME
 from dieseltwin.engine import EngineParameters, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording, read_recording
-from dieseltwin.settings.strict import unknown_name
+from dieseltwin.settings.strict import unknown_name, validate
 
 RESULTS = "results"
 FAILED = "failed.json"
 
 Discover = Callable[..., Any]
 """(recording, engine, withhold=, map_tolerance=, seed=) -> `curves.Discovery`."""
+
+
+class ManifestCase(BaseModel):
+    """What a manifest says of one case: names and hashes; the recording lies in the benchmark's folder."""
+
+    case: str = Field(pattern=r"^[A-Za-z0-9_-]{1,100}$")
+    recording: str = Field(pattern=r"^[A-Za-z0-9_-]{1,100}(/[A-Za-z0-9_.-]{1,100})?$")
+    recording_sha256: str
+    answers_salted_sha256: str
+    held_out_salted_sha256: str
+    withhold: list[str]
+
+
+class Manifest(BaseModel):
+    """What running and scoring read of a manifest."""
+
+    n: int = Field(ge=1)
+    tier: Tier
+    sensors: Literal[5, 6]
+    duration_s: float = Field(gt=0, allow_inf_nan=False)
+    cases: list[ManifestCase]
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -40,9 +62,16 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     path = folder / MANIFEST
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(str(path), error, "the manifest of `challenge make`", "give its folder") from None
+    except RecursionError:
+        raise InputError(str(path), "lists in lists thousands deep", "the manifest of `challenge make`",
+                         "restore it") from None
+    if not isinstance(content, dict):
+        raise InputError(str(path), f"a {type(content).__name__}", "the manifest of `challenge make`", "restore it")
+    validate(Manifest, content, str(path))
+    return content
 
 
 def the_tool(

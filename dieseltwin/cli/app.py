@@ -6,6 +6,7 @@ keeps its traceback: it is a defect, and the report of it needs the place.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import warnings
@@ -24,12 +25,16 @@ from dieseltwin.cli.options import help_without_command
 from dieseltwin.cli.points import calibrate_command, imply_command
 from dieseltwin.cli.show import engine_app, params_app
 from dieseltwin.cli.simulate import simulate_command
-from dieseltwin.errors import DieselTwinError, InputError
+from dieseltwin.errors import LONGEST_LINE, DieselTwinError, InputError, one_line, shortened
 from dieseltwin.version import __version__
 
 # typer carries its own copy of click and exports few of its exceptions; these are the bases of one it does export
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 _ClickError: type[Exception] = _UsageError.__bases__[0]
+
+_OF_A_PATH = {
+    errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM,
+}  # fmt: skip
 
 app = typer.Typer(
     name="dieseltwin",
@@ -69,8 +74,13 @@ def _options(
     help_without_command(context)
 
 
-def _fail(message: str, code: int) -> int:
-    print("dieseltwin: " + " ".join(message.split()), file=sys.stderr)
+_NAME = "dieseltwin: "
+
+
+def _fail(error: Exception | str, code: int) -> int:
+    room = LONGEST_LINE - len(_NAME)
+    line = error.line(room) if isinstance(error, InputError) else shortened(one_line(str(error)), room)
+    print(_NAME + line, file=sys.stderr)
     return code
 
 
@@ -84,18 +94,21 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         result = app(args=arguments, prog_name="dieseltwin", standalone_mode=False)
     except DieselTwinError as error:
-        return _fail(str(error), error.exit_code)
+        return _fail(error, error.exit_code)
     except _ClickError as error:  # a wrong option or argument
-        message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
+        message = shortened(one_line(error.format_message()).rstrip("."), 200)  # type: ignore[attr-defined]
         return _fail(f"{message}; see `dieseltwin --help`", InputError.exit_code)
-    except PermissionError as error:  # an input; outputs are checked where they are written
-        closed = InputError(str(error.filename), "permission denied", "a file you may read", "change its permissions")
-        return _fail(str(closed), closed.exit_code)
-    except (typer.Abort, KeyboardInterrupt):
-        return _fail("interrupted; no file is half-written, and what was finished before is kept", 130)
     except BrokenPipeError:  # `dieseltwin engine show | head`: the flush at the end must not complain either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:  # of an input; outputs are checked where they are written
+        if error.errno not in _OF_A_PATH or error.filename is None:
+            raise
+        got = (error.strerror or str(error)).lower()
+        unread = InputError(str(error.filename), got, "a file you may read", "check the path")
+        return _fail(unread, unread.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        return _fail("interrupted; no file is half-written, and what was finished before is kept", 130)
     return result if isinstance(result, int) else 0
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from dieseltwin.cli.early import check_apart
 from dieseltwin.errors import InputError
 
 MAP_SUFFIXES = (".yaml", ".yml")
@@ -44,7 +45,7 @@ def run_channels(
     Raises:
         InputError: a file that cannot be read, or a map that cannot be written.
     """
-    from dieseltwin.atomic import atomic_path
+    from dieseltwin.atomic import atomic_path, check_writable
     from dieseltwin.recordings.guess.propose import propose
     from dieseltwin.recordings.guess.words import channel_lines, guess_lines, map_text
     from dieseltwin.recordings.importers.read import read_raw
@@ -52,6 +53,8 @@ def run_channels(
     if out is not None and out.suffix.lower() not in MAP_SUFFIXES:
         raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(MAP_SUFFIXES),
                          "choose one of them")  # fmt: skip
+        check_apart(out, file, dbc)
+        check_writable(out)
     proposal = propose(read_raw(file, dbc), cylinders, dbc)
     yield from channel_lines(proposal)
     yield ""

@@ -9,8 +9,9 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, progress, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, Strict, progress, say
 from dieseltwin.errors import InputError
+from dieseltwin.notes import STRICT_CODE
 from dieseltwin.settings.names import refuse_options
 
 
@@ -43,6 +44,7 @@ def discover_command(
         list[Path] | None,
         typer.Option("--reference", metavar="HEALTHY", help="Recording of the engine when it was well; repeatable."),
     ] = None,
+    strict: Strict = False,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
     for path in (recording, *(reference or ())):
@@ -73,6 +75,8 @@ def discover_command(
     say([*found.lines(), f"results: {out}"])
     if name is not None:
         say(["", *explain(name, out, question.catalogue)])
+    if strict and found.document.warnings:
+        raise typer.Exit(STRICT_CODE)
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

@@ -5,18 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 
 from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable, same_file
 
 
 def check_there(path: Path | None, allowed: str = "a recording") -> None:
-    """Refuse an input file that isn't there; None (an option that wasn't given) passes.
+    """Refuse an input file that isn't there or is none; None (an option that wasn't given) passes.
 
     Raises:
-        InputError: no such file. What is there but may not be read is for the reader to say.
+        InputError: no such file, a folder, a pipe.
     """
-    try:
-        if path is not None:
-            path.stat()
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", allowed, "check the path") from None
-    except OSError:
-        return
+    if path is not None:
+        refuse_unreadable(path, allowed)
+
+
+def check_apart(out: Path, *inputs: Path | str | None) -> None:
+    """Refuse to write over what is read.
+
+    Raises:
+        InputError: `out` is one of the inputs, by whatever name.
+    """
+    for path in inputs:
+        if path is not None and same_file(out, path):
+            raise InputError(f"--out {out}", f"the file that is read ({path})", "another file", "choose another name")

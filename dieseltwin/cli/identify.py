@@ -9,7 +9,8 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Profile, progress, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Profile, Strict, progress, say
+from dieseltwin.notes import STRICT_CODE
 from dieseltwin.settings import methods
 from dieseltwin.settings.names import unknown_name
 
@@ -49,6 +50,7 @@ def identify_command(
     seed: Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Seed of everything random.")] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
+    strict: Strict = False,
 ) -> None:
     """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty."""
     if method not in methods.names():
@@ -65,3 +67,5 @@ def identify_command(
     found = question.answer()
     found.save(out)
     say([*found.lines(), f"results: {out}"])
+    if strict and found.warnings:
+        raise typer.Exit(STRICT_CODE)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.early import check_there
+from dieseltwin.cli.early import check_apart, check_there
 from dieseltwin.cli.options import ChannelsFile, EngineFile, progress, say
 from dieseltwin.errors import InputError
 
@@ -32,6 +32,7 @@ def learn_command(
         raise InputError("--out", str(out), "a name that ends in .yaml", "choose another")
     for path in recordings:
         check_there(path)
+    check_apart(out, *recordings, channels)
     check_writable(out)
     progress("learning ...")
     from dieseltwin.api.learning import learn

@@ -18,6 +18,8 @@ ChannelsFile = Annotated[
 ParamsFile = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Settings instead of params.yaml.")]
 Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile of the settings: quick or paper.")]
 
+Strict = Annotated[bool, typer.Option("--strict", help="Exit code 3 when the answer carries a warning.")]
+
 
 def progress(text: str) -> None:
     """For a person who waits; a log file needs no promise."""

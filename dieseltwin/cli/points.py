@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.early import check_there
+from dieseltwin.cli.early import check_apart, check_there
 from dieseltwin.cli.options import say
 from dieseltwin.errors import InputError
 
@@ -40,6 +40,7 @@ def calibrate_command(
     began = time.perf_counter()
     if out.suffix not in ENGINE_SUFFIXES:
         raise InputError("--out", str(out), "a file ending in .yaml", "name an engine file")
+    check_apart(out, points, base, geometry, channels)
     check_writable(out)  # better known before the work
     found = calibrate(points, base, geometry=geometry, channels=channels, noise_pct=noise, seed=seed)
     found.save(out)
@@ -57,6 +58,8 @@ def imply_command(
     check_there(points)
     from dieseltwin.api.points import imply
 
+    check_apart(out, points, engine, channels)
+    check_writable(out)
     found = imply(points, engine, channels=channels)
     found.save(out)
     first, *notes = found.lines()

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from dieseltwin.cli.early import check_there
+from dieseltwin.atomic import check_writable
+from dieseltwin.cli.early import check_apart, check_there
 from dieseltwin.cli.effects import EffectOption, named_values
 from dieseltwin.cli.options import ChannelsFile, EngineFile
 from dieseltwin.errors import InputError
@@ -37,6 +38,8 @@ def simulate_command(
 
     if out.suffix.lower() not in SUFFIXES:
         raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(SUFFIXES), "choose one of them")
+    check_apart(out, inputs, engine, channels)
+    check_writable(out)  # a place that cannot be written to is better known before the work
     found = simulate(inputs, engine, channels=channels, effects=named_values(effect or ()))
     found.save(out)
     typer.echo(f"{out}: {len(found.frame)} rows")

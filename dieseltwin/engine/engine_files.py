@@ -6,7 +6,9 @@ from pathlib import Path
 
 from dieseltwin.engine.learned_file import LEARNED, SHA256, mean_coefficients
 from dieseltwin.engine.parameters import EngineParameters, validated
+from dieseltwin.engine.terms import effect_terms
 from dieseltwin.engine.we2011 import PARAMETERS
+from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import read_mapping
 
 
@@ -20,6 +22,23 @@ def load_engine(path: str | Path, base: EngineParameters = PARAMETERS) -> Engine
     document = dict(read_mapping(path))
     if LEARNED in document:
         corrections = {"coefficients": mean_coefficients(Path(path), document)}
-        document["terms"] = (*(document.get("terms") or ()), corrections)
-        del document[LEARNED], document[SHA256]
-    return validated({**base.model_dump(), **document}, source=f"engine file {path}")
+        terms = document.get("terms") or ()
+        if not isinstance(terms, list | tuple):
+            raise InputError(f"{path}: terms", repr(terms), "a list of terms", "mend this line")
+        document["terms"] = (*terms, corrections)
+        del document[LEARNED]
+        document.pop(SHA256, None)
+    found = validated({**base.model_dump(), **document}, source=f"engine file {path}")
+    _refuse_repeated(found, path)
+    return found
+
+
+def _refuse_repeated(engine: EngineParameters, path: str | Path) -> None:
+    """One effect with two sizes for the same driving is a slip: which one was meant can't be told."""
+    seen = set()
+    for term in effect_terms(engine.terms):
+        place = (term.slot, term.onset_s, None if term.region is None else tuple(sorted(term.region.items())))
+        if place in seen:
+            raise InputError(f"engine file {path}: terms", f"{term.slot} twice for the same driving", "each once",
+                             "drop one of the two, or add them up")
+        seen.add(place)

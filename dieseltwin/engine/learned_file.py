@@ -31,10 +31,13 @@ def learned_bytes(path: Path, document: Mapping[str, Any]) -> bytes:
     Raises:
         InputError: no such file beside it, or not the one that was written with it.
     """
-    target = path.with_name(str(document[LEARNED]))
+    name = document[LEARNED]
+    if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name:
+        raise InputError(f"{path}: learned", repr(name), "the name of a file beside it", LEARN_AGAIN)
+    target = path.with_name(name)
     try:
         content = target.read_bytes()
-    except OSError:
+    except (OSError, ValueError):
         raise InputError(f"{path}: learned", f"no {target.name} beside it", "both files", LEARN_AGAIN) from None
     got, wanted = hashlib.sha256(content).hexdigest(), str(document.get(SHA256))
     if got != wanted:
@@ -54,9 +57,9 @@ def mean_coefficients(path: Path, document: Mapping[str, Any]) -> tuple[float, .
     content = learned_bytes(path, document)
     try:
         table = pq.read_table(io.BytesIO(content), columns=["name", "mean"])
-    except (pa.ArrowException, OSError, KeyError):
+        found = dict(zip(table["name"].to_pylist(), np.array(table["mean"], dtype=np.float64), strict=True))
+    except (pa.ArrowException, OSError, KeyError, ValueError, TypeError):
         raise InputError(str(document[LEARNED]), "not readable", "what `dieseltwin learn` wrote", LEARN_AGAIN) from None
-    found = dict(zip(table["name"].to_pylist(), np.array(table["mean"]), strict=True))
     if any(name not in found for name in basis().names):
         raise InputError(str(document[LEARNED]), "other corrections", "this version's corrections", LEARN_AGAIN)
     return tuple(float(found[name]) for name in basis().names)

@@ -8,16 +8,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, PUBLISHED, Constants, derived
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
+from dieseltwin.settings.strict import holds_boolean
 
 HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 """The four health parameters, in the order of every array that holds them."""
 
 HEALTH_UNITS = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
+
+
+HIGHEST_INPUT = 1e5  # of any input's range [rpm, mg/cycle, %]: beyond it the unit is another one
 
 
 class EngineParameters(BaseModel):
@@ -27,68 +31,68 @@ class EngineParameters(BaseModel):
     equation that the description names.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    c_pa: float = Field(gt=0, description="specific heat of air at constant pressure [J/(kg K)]")
-    c_va: float = Field(gt=0, description="specific heat of air at constant volume [J/(kg K)]")
-    c_pe: float = Field(gt=0, description="specific heat of exhaust gas at constant pressure [J/(kg K)]")
-    R_a: float = Field(gt=0, description="gas constant of air [J/(kg K)]")
-    R_e: float = Field(gt=0, description="gas constant of exhaust gas [J/(kg K)]")
-    gamma_a: float = Field(gt=1, description="heat capacity ratio of air [-]")
-    gamma_e: float = Field(gt=1, description="heat capacity ratio of exhaust gas [-]")
+    c_pa: float = Field(gt=1, lt=1e5, description="specific heat of air at constant pressure [J/(kg K)]")
+    c_va: float = Field(gt=1, lt=1e5, description="specific heat of air at constant volume [J/(kg K)]")
+    c_pe: float = Field(gt=1, lt=1e5, description="specific heat of exhaust gas at constant pressure [J/(kg K)]")
+    R_a: float = Field(gt=1, lt=1e4, description="gas constant of air [J/(kg K)]")
+    R_e: float = Field(gt=1, lt=1e4, description="gas constant of exhaust gas [J/(kg K)]")
+    gamma_a: float = Field(gt=1, lt=3, description="heat capacity ratio of air [-]")
+    gamma_e: float = Field(gt=1, lt=3, description="heat capacity ratio of exhaust gas [-]")
     T_amb: float = Field(gt=150, lt=400, description="ambient temperature [K]")
     p_amb: float = Field(gt=3e4, lt=2e5, description="ambient pressure [Pa]")
     T_im: float = Field(gt=200, lt=500, description="intake manifold temperature [K]")
-    V_im: float = Field(gt=0, description="intake manifold volume [m3]")
-    V_em: float = Field(gt=0, description="exhaust manifold volume [m3]")
-    V_d: float = Field(gt=0, description="displacement [m3]")
-    r_c: float = Field(gt=1, description="compression ratio [-]")
-    n_cyl: int = Field(gt=0, description="number of cylinders [-]")
-    q_HV: float = Field(gt=0, description="heating value of the fuel [J/kg]")
-    eta_sc: float = Field(gt=0, description="compensation factor for non-ideal cycles [-] (health parameter)")
+    V_im: float = Field(gt=1e-5, lt=10, description="intake manifold volume [m3]")
+    V_em: float = Field(gt=1e-5, lt=10, description="exhaust manifold volume [m3]")
+    V_d: float = Field(gt=1e-5, lt=10, description="displacement [m3]")
+    r_c: float = Field(gt=1, lt=100, description="compression ratio [-]")
+    n_cyl: int = Field(gt=0, le=32, description="number of cylinders [-]")
+    q_HV: float = Field(gt=1e4, lt=1e9, description="heating value of the fuel [J/kg]")
+    eta_sc: float = Field(gt=0, lt=10, description="compensation factor for non-ideal cycles [-] (health parameter)")
     x_cv: float = Field(ge=0, le=1, description="share of fuel burnt at constant volume [-]")
     h_tot: float = Field(
-        ge=0, description="heat transfer coefficient of the exhaust pipes [W/(m2 K)] (health parameter)"
+        ge=0, lt=1e5, description="heat transfer coefficient of the exhaust pipes [W/(m2 K)] (health parameter)"
     )
-    d_pipe: float = Field(gt=0, description="pipe diameter [m]")
-    l_pipe: float = Field(gt=0, description="pipe length [m]")
-    n_pipe: int = Field(gt=0, description="number of pipes [-]")
+    d_pipe: float = Field(gt=1e-4, lt=10, description="pipe diameter [m]")
+    l_pipe: float = Field(gt=1e-4, lt=100, description="pipe length [m]")
+    n_pipe: int = Field(gt=0, le=100, description="number of pipes [-]")
     c_vol: tuple[float, float, float] = Field(description="volumetric efficiency (A.6)")
-    A_egrmax: float = Field(gt=0, description="maximum effective EGR area [m2] (health parameter)")
+    A_egrmax: float = Field(gt=1e-9, lt=1, description="maximum effective EGR area [m2] (health parameter)")
     Pi_egropt: float = Field(gt=0, lt=1, description="choking pressure quotient of the EGR valve [-]")
     c_egr: tuple[float, float, float] = Field(description="EGR area ratio over u~_egr in % (A.23)")
-    tau_egr1: float = Field(gt=0, description="EGR actuator lag 1 [s]")
-    tau_egr2: float = Field(gt=0, description="EGR actuator lag 2 [s]")
+    tau_egr1: float = Field(gt=1e-5, lt=100, description="EGR actuator lag 1 [s]")
+    tau_egr2: float = Field(gt=1e-5, lt=100, description="EGR actuator lag 2 [s]")
     K_egr: float = Field(description="EGR actuator overshoot gain [-]")
-    tau_degr: float = Field(ge=0, description="EGR actuator dead time [s]")
-    A_vgtmax: float = Field(gt=0, description="maximum effective turbine area [m2] (health parameter)")
-    K_t: float = Field(gt=0, description="choking exponent of the turbine (A.27) [-]")
+    tau_degr: float = Field(ge=0, lt=10, description="EGR actuator dead time [s]")
+    A_vgtmax: float = Field(gt=1e-9, lt=1, description="maximum effective turbine area [m2] (health parameter)")
+    K_t: float = Field(gt=0, lt=100, description="choking exponent of the turbine (A.27) [-]")
     c_f1: float = Field(description="VGT area ratio (A.30) [-]")
     c_f2: float = Field(description="VGT area ratio (A.30) [-]")
-    c_vgt1: float = Field(gt=0, description="VGT area ratio (A.30) [%]")
+    c_vgt1: float = Field(gt=0, lt=1e5, description="VGT area ratio (A.30) [%]")
     c_vgt2: float = Field(description="VGT area ratio (A.30) [%]")
-    tau_vgt: float = Field(gt=0, description="VGT actuator lag [s]")
-    tau_dvgt: float = Field(ge=0, description="VGT actuator dead time [s]")
-    J_t: float = Field(gt=0, description="turbocharger inertia [kg m2]")
-    R_t: float = Field(gt=0, description="turbine blade radius [m]")
-    R_c: float = Field(gt=0, description="compressor blade radius [m]")
+    tau_vgt: float = Field(gt=1e-5, lt=100, description="VGT actuator lag [s]")
+    tau_dvgt: float = Field(ge=0, lt=10, description="VGT actuator dead time [s]")
+    J_t: float = Field(gt=1e-8, lt=1, description="turbocharger inertia [kg m2]")
+    R_t: float = Field(gt=1e-4, lt=1, description="turbine blade radius [m]")
+    R_c: float = Field(gt=1e-4, lt=1, description="compressor blade radius [m]")
     eta_tmmax: float = Field(gt=0, le=1, description="maximum turbine efficiency [-]")
-    BSR_opt: float = Field(gt=0, description="blade speed ratio of best turbine efficiency [-]")
+    BSR_opt: float = Field(gt=0, lt=10, description="blade speed ratio of best turbine efficiency [-]")
     c_m: tuple[float, float, float] = Field(description="turbine efficiency curvature (A.35)")
     omega_tlin: float = Field(description="speed below which c_m is linear [rad/s] (published simulation)")
     c_mlin: float = Field(description="slope of the linear part of c_m (published simulation)")
     eta_cmax: float = Field(gt=0, le=1, description="maximum compressor efficiency [-]")
     Q_c: tuple[float, float, float] = Field(description="a_1, a_2, a_3 of the compressor efficiency (A.43)")
-    W_copt: float = Field(gt=0, description="compressor flow of best efficiency [kg/s]")
+    W_copt: float = Field(gt=1e-5, lt=100, description="compressor flow of best efficiency [kg/s]")
     pi_copt: float = Field(description="transformed pressure quotient of best efficiency [-]")
-    c_pi: float = Field(gt=0, description="exponent of pi_c (A.42) [-]")
+    c_pi: float = Field(gt=0, lt=100, description="exponent of pi_c (A.42) [-]")
     c_omega_psi: tuple[float, float, float] = Field(description="ellipse coefficient c_Psi1 (A.47)")
     c_omega_phi: tuple[float, float, float] = Field(description="ellipse coefficient c_Phi1 (A.48)")
     c_psi2: float = Field(description="ellipse centre (A.46) [-]")
     c_phi2: float = Field(description="ellipse centre (A.46) [-]")
-    AF_s: float = Field(gt=0, description="stoichiometric air/fuel ratio [-]")
-    gamma_cyl: float = Field(gt=1, description="heat capacity ratio in the cylinder, for torque [-]")
-    eta_igch: float = Field(gt=0, description="combustion chamber efficiency, for torque [-]")
+    AF_s: float = Field(gt=0, lt=1000, description="stoichiometric air/fuel ratio [-]")
+    gamma_cyl: float = Field(gt=1, lt=3, description="heat capacity ratio in the cylinder, for torque [-]")
+    eta_igch: float = Field(gt=0, lt=10, description="combustion chamber efficiency, for torque [-]")
     c_fric: tuple[float, float, float] = Field(description="friction over (n_e/1000)^2, n_e/1000, 1 [bar]")
     n_e_range: tuple[float, float] = Field((500.0, 2000.0), description="valid engine speed [rpm]")
     u_delta_range: tuple[float, float] = Field((1.0, 250.0), description="valid injected mass [mg/cycle]")
@@ -96,6 +100,22 @@ class EngineParameters(BaseModel):
     u_vgt_range: tuple[float, float] = Field((20.0, 100.0), description="valid VGT position [%]")
 
     terms: tuple[AnyTerm, ...] = Field((), description="what the published model leaves out (`dieseltwin effects`)")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_yes_for_a_number(cls, value: Any) -> Any:
+        entries = value if isinstance(value, list | tuple) else (value,)
+        if any(holds_boolean(entry) for entry in entries):
+            raise ValueError("no number but yes or no; YAML reads true, yes and on so")
+        return value
+
+    @field_validator("n_e_range", "u_delta_range", "u_egr_range", "u_vgt_range")
+    @classmethod
+    def _lower_end_first(cls, ends: tuple[float, float]) -> tuple[float, float]:
+        low, high = ends
+        if not 0.0 <= low < high <= HIGHEST_INPUT:
+            raise ValueError(f"two numbers from 0 to {HIGHEST_INPUT:g}, the lower one first")
+        return ends
 
     def replace(self, **changes: Any) -> EngineParameters:
         """A copy with the named parameters changed; raises InputError for an unknown name or a value out of range."""

@@ -38,7 +38,7 @@ def _close(name: str, known: Any) -> str:
 
 
 class _Limited(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     std: float | None = Field(None, ge=0, description="standard deviation of the magnitude [its unit]")
     onset_s: float | None = Field(None, description="acts from this time of the recording on [s]; None: always")
@@ -134,6 +134,7 @@ SENSOR_UNITS = {
 }  # fmt: skip
 """Columns that a fault of a sensor can change, with their units."""
 
+LARGEST_GAIN = 10.0  # of a sensor's reading [-]; beyond it the column is in another unit
 LAGGING_SENSOR = "t_em_k"
 """The one whose reading may lag (a sheathed thermocouple)."""
 
@@ -171,10 +172,8 @@ class SensorTerm(_Limited):
     def _possible(self) -> SensorTerm:
         if self.sensor not in SENSOR_UNITS:
             raise ValueError(f"unknown sensor {self.sensor!r}; {_close(self.sensor, SENSOR_UNITS)}")
-        if not math.isfinite(self.magnitude):
-            raise ValueError("magnitude is not finite")
-        if self.fault == "gain" and self.magnitude <= -1.0:
-            raise ValueError(f"gain {self.magnitude:g} leaves no reading; allowed: above -1")
+        if self.fault == "gain" and not -1.0 < self.magnitude <= LARGEST_GAIN:
+            raise ValueError(f"gain {self.magnitude:g}; allowed: above -1 (no reading is left) to {LARGEST_GAIN:g}")
         if self.fault == "lag" and (self.sensor != LAGGING_SENSOR or self.magnitude < 0.0):
             raise ValueError(f"a lag of {self.sensor} of {self.magnitude:g} s; allowed: of {LAGGING_SENSOR}, 0 or more")
         return self
@@ -200,7 +199,14 @@ class ActuatorTerm(_Limited):
 
     actuator: Literal["egr", "vgt"] = Field(description="which")
     fault: Literal["dead_time", "backlash"] = Field(description="further dead time, or play")
-    magnitude: float = Field(ge=0, allow_inf_nan=False, description="dead time [s], full width of the play [%]")
+    magnitude: float = Field(ge=0, description="dead time [s], full width of the play [%]")
+
+    @model_validator(mode="after")
+    def _possible(self) -> ActuatorTerm:
+        _, high = EFFECTS[self.slot].limits
+        if self.magnitude > high:
+            raise ValueError(f"{self.fault}: magnitude {self.magnitude:g} outside 0 to {high:g} {self.unit}")
+        return self
 
     @property
     def slot(self) -> str:
@@ -226,7 +232,7 @@ class LawGroup(BaseModel):
     at the same upstream state, negative the other way, "bump" exp(-((x - centre)/reference)^2/2).
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["difference", "head", "above_one", "share", "orifice", "bump"]
     variables: tuple[str, ...] = Field(description="x, or x and y")
@@ -296,8 +302,6 @@ class LawTerm(_Limited):
         expected = ADDED_AT.get(self.point, "-")
         if self.unit != expected:
             raise ValueError(f"unit {self.unit!r} at point {self.point}; allowed {expected!r}")
-        if not math.isfinite(self.coefficient):
-            raise ValueError("coefficient is not finite")
         for variable, reference, exponent in self.factors:
             if variable not in LAW_VARIABLES:
                 raise ValueError(f"unknown variable {variable!r}; {_close(variable, LAW_VARIABLES)}")
@@ -318,7 +322,7 @@ class LawTerm(_Limited):
 class CorrectionTerm(BaseModel):
     """Learned corrections of all empirical maps: smooth relative functions of each map's own arguments."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     coefficients: tuple[float, ...] = Field(description="of the functions of `map_corrections.basis` [-]")
 

@@ -56,6 +56,22 @@ MEDIUM_ROWS = 20
 LITRE = 1e-3  # m3
 
 
+WILD = 1e3  # times the highest median of any engine: a counter's overflow or a broken cell, no reading
+FEW_WILD = 0.01  # of the rows; more of them are another unit, which `check_plausible` tells
+
+
+def mask_wild(columns: dict[str, np.ndarray]) -> list[str]:
+    """Make single values missing that no engine has in any unit (1e300, an overflow); a sentence for each column."""
+    notes = []
+    for name in (name for name in CHECKED if name in columns):
+        wild = np.abs(columns[name]) > WILD * symbol(name).high  # not so for NaN
+        count = int(np.count_nonzero(wild))
+        if 0 < count <= max(1.0, FEW_WILD * wild.size):
+            columns[name] = np.where(wild, np.nan, columns[name])
+            notes.append(f"{count} values of {name} are impossible and count as missing")
+    return notes
+
+
 def check_plausible(
     columns: Mapping[str, np.ndarray], where: str, t_amb_k: float, cylinder_m3: float
 ) -> None:

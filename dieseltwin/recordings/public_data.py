@@ -167,7 +167,7 @@ def find(file: DataFile) -> tuple[str, Path] | None:
         InputError: that copy is not what it should be.
     """
     for word, path in places(file):
-        if path.is_file():
+        if os.path.isfile(path):  # a name that is too long is no file
             return word, checked(path, file)
     return None
 
@@ -212,7 +212,7 @@ def _address(file: DataFile) -> str:
     origin = SETS[file.set_name].address if file.set_name in SETS else "unknown"
     mirror = os.environ.get(MIRROR)
     if mirror:
-        address = mirror.rstrip("/") + "/" + urllib.parse.quote(file.name)
+        address = _mirrored(mirror, file)
     elif file.url is not None:
         address = file.url
     else:
@@ -222,6 +222,23 @@ def _address(file: DataFile) -> str:
     if urllib.parse.urlsplit(address).scheme not in SCHEMES:
         raise InputError(f"{MIRROR}", address, "an http or https address", f"for a folder set {LOCAL}")
     return address
+
+
+def _mirrored(mirror: str, file: DataFile) -> str:
+    """Address of a file on a mirror.
+
+    Raises:
+        InputError: the mirror's address is none.
+    """
+    try:
+        parts = urllib.parse.urlsplit(mirror)
+        host = (parts.hostname or "").encode("idna")
+        possible = bool(host or parts.scheme not in SCHEMES) and (parts.port is None or parts.port > 0)
+    except ValueError:  # brackets, a port that is no number, a part of the name over 63 characters
+        possible = False
+    if not possible or not mirror.isascii() or not mirror.isprintable() or " " in mirror:
+        raise InputError(MIRROR, repr(mirror), "an http or https address", "correct the variable")
+    return mirror.rstrip("/") + "/" + urllib.parse.quote(file.name)
 
 
 def _download(address: str, target: Path, file: DataFile) -> None:

@@ -32,7 +32,7 @@ from dieseltwin.recordings.channels import (
 )
 from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.named_columns import import_columns, numbers
-from dieseltwin.recordings.plausibility import check_plausible
+from dieseltwin.recordings.plausibility import check_plausible, mask_wild
 from dieseltwin.settings.strict import listed
 
 SLOWEST_HZ, FASTEST_HZ = 1.0, 100.0
@@ -44,6 +44,7 @@ SLOW_ROWS = (
     "count as noise, and intervals widen with the root of the rate"
 )
 LONGEST_GAP_S = 1.0
+LONGEST_S = 1e6  # eleven days; longer ones are in milliseconds
 JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
 HISTORY_S = 2.0  # of inputs kept before a segment: dead time and ten time constants of the slowest actuator are 1.4 s
 MINIMUM_ROWS = 10  # of a segment; fewer hold no information on four parameters and three states
@@ -241,9 +242,12 @@ def recording(
         raise InputError(where, f"{time.size} rows", "at least 2 rows", "record longer")
     _check_time(time, where, any_rate)
     _check_running(columns["n_e_rpm"], where)
+    infinite = [f"{count} infinite values of {name} count as missing" for name in needed if name in frame
+                and (count := _infinite(frame[name]))]  # fmt: skip
+    wild = mask_wild(columns)
     t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
     check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
-    notes = _held_unread(columns)
+    notes = [*infinite, *wild, *_held_unread(columns)]
     if not any_rate and 1.0 / float(np.median(np.diff(time))) < FULL_HZ / RATE_TOLERANCE:
         notes.append(f"{1.0 / float(np.median(np.diff(time))):.3g} rows per second: {SLOW_ROWS}")
     for values in columns.values():
@@ -257,6 +261,11 @@ def recording(
         sha256=_digest(columns) if sha256 is None else sha256,
         notes=tuple(notes),
     )
+
+
+def _infinite(values: pd.Series | np.ndarray) -> int:
+    """How many values are infinite."""
+    return int(np.count_nonzero(np.isinf(np.asarray(values, dtype=np.float64))))
 
 
 def _held_unread(columns: dict[str, np.ndarray]) -> list[str]:
@@ -285,6 +294,9 @@ def _check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
             "strictly increasing times in s",
             "sort the rows, drop repeated ones, or read runs one by one",
         )
+    if time[-1] - time[0] > LONGEST_S:
+        raise InputError(f"{where}: column {TIME}", f"{time[-1] - time[0]:.4g} s from first to last row",
+                         f"at most {LONGEST_S:g} s", "give the unit of time in a channel map (--channels), or cut it")
     rate = 1.0 / float(np.median(steps))
     if not any_rate and not SLOWEST_HZ / RATE_TOLERANCE <= rate <= FASTEST_HZ * RATE_TOLERANCE:
         raise InputError(

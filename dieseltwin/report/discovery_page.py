@@ -38,7 +38,11 @@ def _kept(*figures: ReportFigure | None) -> tuple[ReportFigure, ...]:
 
 def discovery_sections(found: Discovery) -> list[Section]:
     """The page's sections with all figures that `found` has data for."""
+    doubts: list[tuple[str, ...]] = [
+        (doubt.code, doubt.text, ", ".join(doubt.affects) or _EMPTY) for doubt in found.document.warnings
+    ]
     sections = [
+        Section("doubts", "What is doubtful", (), heads=("kind", "what", "about"), rows=doubts),
         Section("health-parameters", "Health parameters", _kept(discovery_figures.health(found))),
         Section("law-of-it", "Law", _kept(discovery_figures.law_curves(found))),
         Section(

@@ -8,15 +8,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable
 from dieseltwin.settings.names import LISTED_NAMES, did_you_mean, listed, refuse_options, unknown_name
+from dieseltwin.settings.plain_yaml import plain_yaml
 
 __all__ = [
-    "LISTED_NAMES", "StrictModel", "did_you_mean", "listed", "overridden", "read_mapping", "read_profile",
-    "refuse_options", "unknown_name", "validate",
+    "LISTED_NAMES", "StrictModel", "did_you_mean", "holds_boolean", "listed", "overridden", "read_mapping",
+    "read_profile", "refuse_options", "unknown_name", "validate",
 ]  # fmt: skip
 
 
@@ -26,46 +27,31 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, protected_namespaces=())
 
 
+def holds_boolean(value: Any) -> bool:
+    """Whether a value is a boolean, or a list or mapping that directly holds one."""
+    if isinstance(value, Mapping):
+        value = tuple(value.values())
+    return isinstance(value, bool) or (isinstance(value, list | tuple) and any(isinstance(v, bool) for v in value))
+
+
 Model = TypeVar("Model", bound=BaseModel)
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """SafeLoader that refuses a key given twice (YAML would silently keep the last one)."""
-
-
-def _construct_unique_mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode, deep: bool = False) -> dict:
-    seen: set[str] = set()
-    for key_node, _ in node.value:
-        key = str(key_node.value)
-        if key in seen:
-            raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is given twice", key_node.start_mark)
-        seen.add(key)
-    return yaml.SafeLoader.construct_mapping(loader, node, deep=deep)
-
-
-_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_unique_mapping)
 
 
 def read_mapping(path: str | Path) -> dict[str, Any]:
     """Read a YAML file whose top level is a mapping; an empty file is an empty mapping.
 
+    Keys are text as they stand in the file ("on" and "1" too), and a date is text.
+
     Raises:
-        InputError: no such file, not readable, not YAML, a key twice, or not a mapping.
+        InputError: no such file, not readable, not plain YAML, a key twice, or not a mapping.
     """
     path = Path(path)
+    refuse_unreadable(path, "a YAML file")
     try:
         text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "a YAML file", "check the path") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(str(path), error, "a readable YAML file in UTF-8", "check the file") from None
-    try:
-        loaded = yaml.load(text, Loader=_UniqueKeyLoader)  # a SafeLoader
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" in line {mark.line + 1}" if mark is not None else ""
-        problem = getattr(error, "problem", None) or error
-        raise InputError(f"{path}{line}", problem, "YAML, every key once", "mend that line") from None
+    loaded = plain_yaml(text, str(path))
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
@@ -131,7 +117,7 @@ def validate(model: type[Model], values: Mapping[str, Any], where: str) -> Model
         raise unknown_name(f"{where}: {above}" if above else where, location[-1], known)
     if problem["type"] == "missing":
         raise InputError(place, "nothing", "a value is needed", "add this key")
-    allowed = problem["msg"].replace("Input should be ", "")
+    allowed = problem["msg"].removeprefix("Value error, ").replace("Input should be ", "")
     raise InputError(place, repr(problem["input"]), allowed, "change this value")
 
 

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -449,14 +450,14 @@ def test_unreadable_recording(tmp_path: Path, monkeypatch, capsys, name: str) ->
     """Folders above a file can be closed: even asking whether it exists is refused then."""
     source = tmp_path / "drive.parquet"
 
-    there = Path.is_file
+    there = os.stat
 
-    def refused(self: Path) -> bool:
-        if self.name != source.name:
-            return there(self)
-        raise PermissionError(errno.EACCES, "Permission denied", str(self))
+    def refused(path: Any, *arguments: Any, **options: Any) -> os.stat_result:
+        if Path(str(path)).name != source.name:
+            return there(path, *arguments, **options)
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, "is_file", refused)
+    monkeypatch.setattr(os, "stat", refused)
     arguments = ["simulate", str(source), "--out", str(tmp_path / "o.csv")]
     assert main(arguments if name == "simulate" else ["identify", str(source), "--out", str(tmp_path / "o")]) == 2
     said = capsys.readouterr().err.splitlines()

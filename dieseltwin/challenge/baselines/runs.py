@@ -36,8 +36,9 @@ def run_baselines(
     progress: Callable[[int, int, str], None] | None = None,
 ) -> int:  # fmt: skip
     """Run every baseline on the first `limit` cases (or `only`); cases with a result are kept. Returns their number."""
+    manifest = read_manifest(folder)
     write_bands(folder, jobs=jobs, progress=progress)
-    entries = [e for e in read_manifest(folder)["cases"] if not only or e["case"] in only][: None if only else limit]
+    entries = [e for e in manifest["cases"] if not only or e["case"] in only][: None if only else limit]
     pending = [e for e in entries if not (folder / FOLDER / f"{e['case']}.json").is_file()]
     for done, (k, _) in enumerate(in_processes(partial(_of_case, folder), pending, jobs), start=1):
         if progress is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -34,7 +34,7 @@ from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.since_reference import since_reference
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.terms import Term
+from dieseltwin.engine.terms import OneTerm, Term
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.version import __version__
 
@@ -223,7 +223,28 @@ def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
 
 def _engine(twin: EngineTwin, parameters: Array, terms: tuple[Any, ...]) -> EngineParameters:
     values = {p.name: float(parameters[j]) for j, p in enumerate(twin.parameters)}
-    return twin.engine.replace(**values, terms=(*twin.engine.terms, *terms))
+    return twin.engine.replace(**values, terms=with_found(twin.engine.terms, terms))
+
+
+def with_found(known: Sequence[OneTerm], found: Sequence[OneTerm]) -> tuple[OneTerm, ...]:
+    """An engine's terms with those found beside them; the same effect for the same driving is one term, added up."""
+    terms = list(known)
+    for term in found:
+        twins = [k for k, other in enumerate(terms) if _same_but_size(other, term)]
+        if not twins or not isinstance(term, Term):
+            terms.append(term)
+            continue
+        other = terms[twins[0]]
+        total = float(np.clip(other.magnitude + term.magnitude, *EFFECTS[term.effect].limits))  # type: ignore[union-attr]
+        terms[twins[0]] = term.model_copy(update={"magnitude": total})
+    return tuple(terms)
+
+
+def _same_but_size(one: OneTerm, other: OneTerm) -> bool:
+    if not (isinstance(one, Term) and isinstance(other, Term)):
+        return False
+    size = {"magnitude", "std", "valid_for"}
+    return one.model_dump(exclude=size) == other.model_dump(exclude=size)
 
 
 def _law_curves(found: Search, twin: EngineTwin) -> list[LawCurve]:

@@ -15,6 +15,7 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, constants
 from dieseltwin.engine.simulate import numpy_model
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import INPUTS, foreign_hint
 from dieseltwin.recordings.held import rows_between_readings
 from dieseltwin.recordings.reader import Recording
@@ -273,7 +274,7 @@ def check_engine(recording: Recording, engine: EngineParameters) -> float | None
 
 def check_recording(
     recording: Recording, engine: EngineParameters, sensors: Sequence[str] | None = None
-) -> tuple[tuple[str, ...], list[str]]:
+) -> tuple[tuple[str, ...], list[Note]]:
     """All checks that need no fit.
 
     Returns:
@@ -289,16 +290,16 @@ def check_recording(
     notes = []
     seconds = running_seconds(recording)
     if seconds < COMFORTABLE_S:
-        notes.append(f"note: {seconds:.0f} s of driving; with 600 s every limit would be "
-                     f"{math.sqrt(600.0 / seconds):.1f} times lower")  # fmt: skip
+        notes.append(Note(f"{seconds:.0f} s of driving; with 600 s every limit would be "
+                          f"{math.sqrt(600.0 / seconds):.1f} times lower", "short"))  # fmt: skip
     if factor is not None and "w_c_kg_s" in used and not 1.0 / NOTED_BREATHING <= factor <= NOTED_BREATHING:
-        notes.append(f"note: the engine breathes {100 * factor:.0f} % of what the engine file says; check V_d and the "
-                     "flow sensors before you trust a name")  # fmt: skip
+        notes.append(Note(f"the engine breathes {100 * factor:.0f} % of what the engine file says; check V_d and "
+                          "the flow sensors before you trust a name", "wrong_engine"))  # fmt: skip
     for name in used:
         since, length = _longest_standstill(recording, name)
         if length >= STUCK_S:
-            notes.append(f"note: {name} stands still for {length:.0f} s from {since:.0f} s on; a stuck sensor looks "
-                         "like missing physics")  # fmt: skip
+            notes.append(Note(f"{name} stands still for {length:.0f} s from {since:.0f} s on; a stuck sensor looks "
+                              "like missing physics", "frozen_channel", (name,)))  # fmt: skip
     return used, notes
 
 

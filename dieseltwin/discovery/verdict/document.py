@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,6 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from dieseltwin.atomic import write_json
 from dieseltwin.errors import InputError
+from dieseltwin.notes import warnings_of
 from dieseltwin.settings.strict import StrictModel
 
 SCHEMA = 1
@@ -175,6 +177,14 @@ class Provenance(_Part):
     params_sha256: str
 
 
+class Doubt(_Part):
+    """Something doubtful about the recording or the answer: a stable word, a sentence, and the columns it is about."""
+
+    code: Name
+    text: Name
+    affects: tuple[Name, ...] = ()
+
+
 class Discrepancy(_Part):
     """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first.
 
@@ -193,6 +203,7 @@ class Discrepancy(_Part):
     minimum_detectable: dict[Name, NotNegative]
     provenance: Provenance
     reference: Reference | None = None
+    warnings: tuple[Doubt, ...] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Discrepancy:
@@ -218,6 +229,11 @@ class Discrepancy(_Part):
     def write(self, path: str | Path) -> Path:
         """Write `discrepancy.json` atomically; strict JSON."""
         return write_json(path, self.to_json())
+
+
+def with_warnings(document: Discrepancy, notes: Iterable[str]) -> Discrepancy:
+    """The document with notes as its warnings."""
+    return document.model_copy(update={"warnings": tuple(Doubt(**warning) for warning in warnings_of(notes))})
 
 
 def _no_repeats(names: list[str], what: str) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable
 
 HEAD_BYTES = 16384
 LARGEST_UNPACKED = 4_000_000_000  # bytes of text inside a gzip file: a bigger one would not fit into memory as a table
@@ -83,10 +84,7 @@ def recognise(path: Path) -> Content:
     Raises:
         InputError: no such file, an empty one, or one that holds no recording.
     """
-    if not path.is_file():
-        raise InputError(
-            str(path), "a folder" if path.is_dir() else "no such file", "a recording: " + READABLE, "check the path"
-        )
+    refuse_unreadable(path, "a recording: " + READABLE)
     try:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)

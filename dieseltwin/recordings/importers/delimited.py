@@ -186,7 +186,10 @@ def _dialect(path: Path, lines: Sequence[str]) -> Dialect:
 
 def _no_table(path: Path, lines: Sequence[str]) -> InputError:
     for separator in SEPARATORS:
-        rows = _cells(lines, separator)
+        try:
+            rows = _cells(lines, separator)
+        except csv.Error as error:  # one cell of more than 128 KiB
+            raise unreadable(path, "CSV", error, "is this a table?") from None
         if len(rows[0]) >= 2 and is_data_row(rows[0]):
             return InputError(
                 str(path), "numbers in the first row", "names in the first row", "put the column names in the first row"

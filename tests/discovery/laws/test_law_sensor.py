@@ -20,6 +20,7 @@ from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search.stepwise import metric_of
 from dieseltwin.discovery.twins.interface import Twin, single
+from dieseltwin.engine.binding import bind
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
 from tests.discovery.toy import Toy
@@ -111,10 +112,11 @@ def test_written_laws_have_the_value_of_the_form() -> None:
 
 def test_nozzles_of_tensors() -> None:
     torch = pytest.importorskip("torch")
+    nozzle = bind("torch").nozzle_flow_factor
     term = LawTerm(point="W_t", coefficient=1.0, unit="-", groups=[  # type: ignore[arg-type]
         {"kind": "orifice", "variables": ("p_em", "p_im")}])  # fmt: skip
     p_em = torch.tensor([1e5, 1.2e5, 1.5e5, 4e5], dtype=torch.float64, requires_grad=True)
-    value = term.signal({"p_em": p_em, "p_im": torch.full((4,), 1.2e5, dtype=torch.float64)}, torch.pow)
+    value = term.signal({"p_em": p_em, "p_im": torch.full((4,), 1.2e5, dtype=torch.float64)}, torch.pow, nozzle)
     value.sum().backward()
     exact = orifice(p_em.detach().numpy(), 1.2e5)
     np.testing.assert_allclose(value.detach().numpy(), exact, atol=1e-6)

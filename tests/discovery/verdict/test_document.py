@@ -18,7 +18,7 @@ import synthetic_discovery as synthetic
 
 # docs/discovery.md: every key in its order
 KEYS = ["schema", "recording", "mismatch", "p_value", "location", "effects", "more_is_missing", "health", "fit",
-        "minimum_detectable", "provenance"]  # fmt: skip
+        "minimum_detectable", "provenance", "warnings"]  # fmt: skip
 PARTS = {
     "recording": ["path", "sha256", "duration_s", "channels"],
     "location": ["site", "probability", "alternatives", "regions", "onset_s"],

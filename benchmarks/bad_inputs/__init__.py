@@ -1,0 +1,1 @@
+"""Bad inputs through the command line: `python -m benchmarks.bad_inputs`."""

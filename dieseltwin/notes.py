@@ -1,0 +1,38 @@
+"""Notes about an answer: text for people, a short stable word for programs, and what it touches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+STRICT_CODE = 3
+"""Exit code of a command with --strict whose answer carries a note."""
+
+
+class Note(str):
+    """A sentence that also says what kind of doubt it is.
+
+    Attributes:
+        code: misfit, not_converged, out_of_range, left_out, missing_sensor, frozen_channel, short, wrong_engine,
+            reading (what was done to the file), reference (about what was learned).
+        affects: columns, or segments, that it is about; none: the whole answer.
+    """
+
+    code: str
+    affects: tuple[str, ...]
+
+    def __new__(cls, text: str, code: str, affects: Sequence[str] = ()) -> Note:
+        """A note "note: text"."""
+        made = super().__new__(cls, f"note: {text}")
+        made.code, made.affects = code, tuple(affects)
+        return made
+
+    def __getnewargs__(self) -> tuple[str, str, tuple[str, ...]]:  # type: ignore[override]
+        """For copies in other processes."""
+        return self.removeprefix("note: "), self.code, self.affects
+
+
+def warnings_of(notes: Iterable[str]) -> list[dict[str, Any]]:
+    """Notes as they stand in a document: code, text, affects."""
+    return [{"code": note.code if isinstance(note, Note) else "reference", "text": note.removeprefix("note: "),
+             "affects": list(note.affects) if isinstance(note, Note) else []} for note in notes]  # fmt: skip

@@ -1,0 +1,54 @@
+"""Files that the user names: found, readable, and no folder, before anything is made of them."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+from dieseltwin.errors import InputError
+
+_NOT_THERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
+
+
+def refuse_unreadable(path: str | Path, allowed: str) -> None:
+    """Refuse a path that no content can be read from.
+
+    Args:
+        allowed: what was expected there, for the message ("a recording").
+
+    Raises:
+        InputError: nothing there (or a link to nowhere), a folder, a pipe or device, no permission, an impossible name.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except ValueError:  # a zero byte
+        raise InputError(repr(str(path)), "an impossible name", allowed, "check the path") from None
+    except OSError as error:
+        missing = error.errno in (errno.ENOENT, errno.ENOTDIR)
+        got = "no such file" if missing else (error.strerror or str(error)).lower()
+        do = "check the path" if error.errno in _NOT_THERE else "change its permissions"
+        raise InputError(str(path), _link(path) or got, allowed, do) from None
+    if stat.S_ISDIR(mode):
+        raise InputError(str(path), "a folder", allowed, "name a file")
+    if not stat.S_ISREG(mode):
+        raise InputError(str(path), "a pipe or a device", f"{allowed} in a regular file", "write it to a file first")
+    if not os.access(path, os.R_OK):
+        raise InputError(str(path), "permission denied", "a file you may read", "change its permissions")
+
+
+def _link(path: str | Path) -> str:
+    """A link to nowhere in words, "" for anything else."""
+    try:
+        return f"a link to {os.readlink(path)}, which isn't there"
+    except OSError:
+        return ""
+
+
+def same_file(a: str | Path, b: str | Path) -> bool:
+    """Whether two paths are one file, by whatever links."""
+    try:
+        return os.path.samefile(a, b)
+    except (OSError, ValueError):
+        return Path(a) == Path(b)
