@@ -8,8 +8,6 @@ from typing import Any
 
 from prefect import flow
 
-from dieseltwin.settings.methods import find
-from dieseltwin.surrogates.files import files_of
 from tasks import ensembles as steps
 from tasks import evaluate as after
 from tasks import evaluation_records as records
@@ -18,7 +16,7 @@ from tasks.evaluation_plan import Plan, ensembles_of
 from tasks.launch import run_alone
 from tasks.publish import publish, published
 from tasks.run_context import Pending, current, seed_for
-from tasks.settings import about, load_settings, own_settings
+from tasks.settings import about, load_settings, network_files, own_settings, source_of
 from tasks.store import RUNTIME, Artifact, content_hash
 
 LABELS = {"clean": 0.0, "noisy": 1.0}
@@ -112,16 +110,16 @@ def _submit_ensembles(
             "settings": own_settings(settings, plan.method),
             "what": {**plan.what, "first": first, "runs": runs},
             "kind": f"{plan.slug}-m{first:03d}",
-            **{kind: models / name for kind, name in files_of(find(plan.method).needs).items()},
+            **network_files(plan.method, models),
         }
 
     for plan in plans:
-        if find(plan.method).sources is None:
+        if source_of(plan.method) is None:
             for first, runs in plan.batches:
                 pending[plan.slug][first] = steps.STEPS[plan.method].submit(**batch(plan, first, runs))
     trained = {(plan.method, plan.case): pending[plan.slug] for plan in plans if not plan.variant}
     for plan in plans:
-        source = find(plan.method).sources
+        source = source_of(plan.method)
         if source is not None:
             for first, runs in plan.batches:
                 pending[plan.slug][first] = steps.STEPS[plan.method].submit(

@@ -7,15 +7,13 @@ import sys
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
-from dieseltwin.settings.methods import find
-from dieseltwin.surrogates.files import files_of
 from tasks import identify as methods
 from tasks import records
 from tasks import report as steps
 from tasks.launch import run_alone
 from tasks.publish import publish, published
 from tasks.run_context import WORKERS, current, seed_for
-from tasks.settings import about, load_settings, own_settings, runs_of
+from tasks.settings import about, load_settings, network_files, own_settings, runs_of
 
 COMPARED = ("classical", "few-shot-newton", "few-shot-adam")
 """The methods of the report; the evaluation has all."""
@@ -38,17 +36,17 @@ def identify(profile: str) -> str:
 
     # One after the other: seconds per run are those of an idle machine.
     found = {
-        method.name: methods.STEPS[method.name]
+        name: methods.STEPS[name]
         .submit(
-            method=method.name,
+            method=name,
             field=field,
-            settings=own_settings(settings, method.name),
-            runs=runs_of(settings, method.name),
-            seed=seed_for(settings["seed"], short(method.name)),
-            **{kind: models / name for kind, name in files_of(method.needs).items()},
+            settings=own_settings(settings, name),
+            runs=runs_of(settings, name),
+            seed=seed_for(settings["seed"], short(name)),
+            **network_files(name, models),
         )
         .result()
-        for method in map(find, COMPARED)
+        for name in COMPARED
     }
     pending = steps.driving_pictures.submit(sets=sets, driving=settings["driving"], dpi=settings["report"]["dpi"])
     by_name = {short(name): artifact for name, artifact in found.items()}

@@ -48,6 +48,21 @@ def runs_of(settings: Mapping[str, Any], method: str) -> int:
     return int(section_of(settings, method).get("members") or settings["identify"]["runs"])
 
 
+def network_files(method: str, models: Artifact) -> dict[str, Artifact]:
+    """Kind of networks -> what a method takes of the trained ones; empty for the exact formulae alone."""
+    from dieseltwin.settings.methods import find
+    from dieseltwin.surrogates.files import files_of
+
+    return {kind: models / name for kind, name in files_of(find(method).needs).items()}
+
+
+def source_of(method: str) -> str | None:
+    """The method whose trained networks another one begins with; None for one that begins by itself."""
+    from dieseltwin.settings.methods import find
+
+    return find(method).sources
+
+
 def about(settings: Mapping[str, Any], recording: Artifact, sections: Iterable[str]) -> dict[str, Any]:
     """What the report says about where its numbers come from; nothing that differs between two equal runs.
 

@@ -227,7 +227,7 @@ def test_simulate_takes_terms_and_files_keep_them(drive, tmp_path) -> None:  # t
     ("term", "words"),
     [({"effect": "boost_leek", "magnitude": 1e-5}, "boost_leak"),
      ({"effect": "boost_leak", "magnitude": 1.0}, "0.0002 m2"),
-     ({"effect": "boost_leak", "magnitude": float("nan")}, "outside"),
+     ({"effect": "boost_leak", "magnitude": float("nan")}, "nan"),
      ({"effect": "boost_leak", "magnitude": 1e-5, "region": {"rpm": (0, 1)}}, "n_e_rpm"),
      ({"point": "W_z", "coefficient": 1.0, "unit": "-"}, "W_"), ({"effect": "boost_leak"}, "required"),
      ({"point": "W_t", "coefficient": 1.0, "unit": "W"}, "allowed '-'")],

@@ -63,7 +63,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, prefect: None) -> Iterato
 @pytest.mark.flow
 def test_the_chain_ends_with_results_report_and_records(finished: tuple[Path, set[str]]) -> None:
     root, ran = finished
-    assert {"driving-sets", "recordings", "maps-improved", "operators", "bodies-paper", "identify-adam"} <= ran
+    assert {"driving-sets", "recordings", "maps-improved", "operators", "bodies-paper", "identify-few-shot-adam"} <= ran
     metrics = json.loads((root / "results" / "metrics.json").read_text())
     assert set(metrics) == {"classical", "few-shot-newton", "few-shot-adam"}
     # The classical estimator is the same in every profile: a minute of driving gives the areas to a few per cent.
