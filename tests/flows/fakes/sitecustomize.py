@@ -10,7 +10,7 @@ from typing import Any
 CALLS = "FAKE_DISCOVERY_CALLS"
 
 
-def _discover(recording: Any, engine: Any, options: Any) -> Any:
+def _discover(recording: Any, engine: Any, options: Any = None, known: Any = None) -> Any:
     """Says "boost leak" of every recording whose mean intake pressure is odd."""
     import hashlib
     import os
@@ -86,7 +86,7 @@ def _module(name: str, **content: Any) -> None:
     sys.modules[name] = module
 
 
-def _prepare(recording: Any, engine: Any, options: Any) -> Any:
+def _prepare(recording: Any, engine: Any, options: Any = None, known: Any = None) -> Any:
     from dieseltwin.engine.effects import EFFECTS
 
     return types.SimpleNamespace(minimum_detectable={name: 0.5 * effect.tolerance for name, effect in EFFECTS.items()})
