@@ -25,7 +25,7 @@ def test_names_and_columns_are_unique() -> None:
 def test_entry_is_sound(entry) -> None:
     assert entry.low < entry.high
     assert entry.meaning and entry.latex
-    assert entry.equation in {"input", "parameter", "NOTES"} or re.fullmatch(r"A\.\d{1,2}", entry.equation)
+    assert entry.equation in {"input", "parameter", "published"} or re.fullmatch(r"A\.\d{1,2}", entry.equation)
 
 
 @pytest.mark.parametrize("entry", [s for s in SYMBOLS.values() if s.name not in HEALTH_NAMES], ids=lambda s: s.column)
