@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dieseltwin.discovery.laws.grammar import Factor, Form, Kind, bumps, operators, unit_of
+from dieseltwin.discovery.laws.grammar import Factor, Form, Kind, bumps, map_arguments, operators, unit_of
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
@@ -104,8 +104,7 @@ def local_features(twin: Twin, fit: Fit) -> list[Feature]:
     admitted = getattr(twin, "law_variables", None)
     found = []
     for index, point in enumerate(twin.points):
-        names = dict.fromkeys((*point.tolerance_over, *point.tolerance_also))
-        along = {n: np.asarray(variables[n]) for n in names if admitted is None or n in admitted}
+        along = {n: np.asarray(variables[n]) for n in map_arguments(point) if admitted is None or n in admitted}
         for factor in bumps(along, {}, _LOCAL_WIDTHS):
             form = Form(point.name, (factor,))
             found += _of_form(index, factor.text(), form, point.site, variables)

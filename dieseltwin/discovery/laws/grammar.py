@@ -374,3 +374,8 @@ def admissible(form: Form, point: Point) -> bool:
 def arguments(point: Point) -> tuple[str, ...]:
     """Variables that a law at a point may depend on: its ports, and ambient, to which everything can leak or lose."""
     return (*point.ports, *(name for name in AMBIENT if name not in point.ports))
+
+
+def map_arguments(point: Point) -> tuple[str, ...]:
+    """The arguments of the map at a point, in all the ways in which it may be thought of."""
+    return tuple(dict.fromkeys((*point.tolerance_over, *point.tolerance_also)))

@@ -17,6 +17,7 @@ from dieseltwin.discovery.laws.grammar import (
     bumps,
     describe,
     factors,
+    map_arguments,
     operators,
     unit_of,
 )
@@ -191,11 +192,6 @@ def _of_point(
     firsts = [*free[:_FIRST_TERMS], *(s for s in singles if not s.form.factors and s not in free[:_FIRST_TERMS])]
     ranked += _pairs(index, point, response, firsts, [*singles, *free], worth)
     return ranked, count
-
-
-def map_arguments(point: Point) -> tuple[str, ...]:
-    """The arguments of the map at a point, in all the ways in which it may be thought of."""
-    return tuple(dict.fromkeys((*point.tolerance_over, *point.tolerance_also)))
 
 
 def _trimmed(items: list[_Scored]) -> list[_Scored]:

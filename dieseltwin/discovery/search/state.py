@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -128,10 +129,8 @@ class Search:
 
     def local_ahead(self, gain: float) -> Structure | None:
         """The strongest bump over an argument of a map that doesn't hang on one window, where it gains more."""
-        for item in self.local:
-            if item.held >= self.settings.least_spread * item.gain:
-                return item if item.gain > max(gain, self.settings.local_gain) else None
-        return None
+        first = next(iter(self._lasting(self.local)), None)
+        return first if first is not None and first.gain > max(gain, self.settings.local_gain) else None
 
     def everything_unnamed(self) -> list[Structure]:
         """Terms without a name and bumps over arguments of maps, strongest first."""
@@ -170,7 +169,10 @@ class Search:
 
     def lasting(self) -> list[Structure]:
         """Terms without a name that don't hang on one window, strongest first."""
-        return [item for item in self.structure if item.held >= self.settings.least_spread * item.gain]
+        return self._lasting(self.structure)
+
+    def _lasting(self, items: Sequence[Structure]) -> list[Structure]:
+        return [item for item in items if item.held >= self.settings.least_spread * item.gain]
 
     def known_by_name(self, item: Structure) -> bool:
         """Whether a hypothesis says the same as a term: then the name stands for it, whatever a refit reaches."""
