@@ -44,8 +44,7 @@ def discover(
             recording=recording,
             kind=name,
             sensors=sensors,
-            map_tolerance=config["map_tolerance"],
-            seed=config["seed"],
+            settings=config,
             **steps.engine_file(engine),
         )
         for name, recording in inputs.items()

@@ -25,19 +25,21 @@ def discover(
     recording: Path,
     kind: str,
     sensors: list[str] | None,
-    map_tolerance: float,
-    seed: int,
+    settings: dict[str, Any],
     engine: Path | None = None,
 ) -> None:
     """discrepancy.json, report.html, figures/, engine.yaml (repaired), implied.parquet; ``kind`` names the recording.
 
     ``engine``: an engine file; None is the published engine. ``sensors``: columns to use; None is all there are.
+    ``settings``: the section ``discover`` of params.yaml.
     """
     import shutil
     import tempfile
     from contextlib import chdir
 
     from dieseltwin.api.discovery import ask
+    from dieseltwin.api.findings import Asked
+    from dieseltwin.settings.discovery import DiscoverConfig
 
     source, engine = recording.resolve(), engine.resolve() if engine is not None else None
     with tempfile.TemporaryDirectory() as folder:
@@ -45,7 +47,8 @@ def discover(
         shutil.copyfile(source, Path(folder) / name)
         # The document names the recording's path: a relative one, the same wherever the cache lies.
         with chdir(folder):
-            question = ask(Path(name), engine, sensors=sensors, map_tolerance=map_tolerance, seed=seed)
+            config = DiscoverConfig.model_validate(settings)
+            question = ask(Path(name), engine, asked=Asked(sensors, seed=config.seed, settings=config))
             lines = list(question.preview())
             found = question.answer()
             found.save("found")

@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 from dieseltwin.api.driving import ask_driving
 from dieseltwin.api.engines import Engine
-from dieseltwin.api.findings import Discovered, Question
+from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.learning import known_engine
-from dieseltwin.api.petrol import ask_petrol, petrol_options
+from dieseltwin.api.petrol import ask_petrol
 from dieseltwin.api.points import ask_points
 from dieseltwin.api.reading import Channels, Source, as_engine, timed
 from dieseltwin.errors import InputError
@@ -44,43 +44,39 @@ def discover(
         channels: channel map for foreign names and units.
         sensors: columns to use; None is all that there are.
         withhold: effects to keep out of the catalogue.
-        map_tolerance: standard deviation of the maps' smooth relative error that is believed [-]; None is 0.003.
+        map_tolerance: standard deviation of the maps' smooth relative error that is believed [-]; None is that of
+            params.yaml, where all else that is decided by stands too.
         seed: of everything random.
         reference: recordings of the engine when it was known to be well; it is learned from them first.
 
     Raises:
         InputError: anything that can't be used, or that can't carry a verdict.
     """
-    return ask(recording, engine, channels=channels, sensors=sensors, withhold=withhold, map_tolerance=map_tolerance,
-               seed=seed, reference=reference).answer()  # fmt: skip
+    asked = Asked(sensors, withhold, map_tolerance, seed, reference)
+    return ask(recording, engine, channels, asked).answer()
 
 
 def ask(
     recording: AnyRecording,
     engine: Engine | str | Path | None = None,
-    *,
     channels: Channels | None = None,
-    sensors: Sequence[str] | None = None,
-    withhold: Sequence[str] | None = None,
-    map_tolerance: float | None = None,
-    seed: int = 0,
-    reference: Sequence[Source | Recording] = (),
+    asked: Asked | None = None,
 ) -> Question:
-    """Read and check all that `discover` needs, and search for nothing yet; arguments and errors are those of it."""
+    """Read and check all that `discover` needs, and search for nothing yet; the errors are those of it."""
+    asked = asked or Asked()
+    no_reference = {"--reference": tuple(asked.reference) or None}
     machine = as_engine(engine)
     if isinstance(machine, PetrolParameters):
-        refuse_options({"--reference": tuple(reference) or None}, "for a petrol engine")
+        refuse_options(no_reference, "for a petrol engine")
         if isinstance(recording, Recording | SteadyPoints):
             raise InputError("recording", "one of a diesel engine", "one of a petrol engine, as the engine is",
                              "name the engine that it belongs to")
         engine_file = Path(engine) if isinstance(engine, str | Path) else None
-        options = petrol_options(sensors, withhold, map_tolerance, seed)
-        return ask_petrol(recording, machine, engine_file, channels, options)
+        return ask_petrol(recording, machine, engine_file, channels, asked)
     if isinstance(recording, PetrolRecording):
         raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
                          "name the engine that it belongs to")
     if timed(recording, channels):
-        known = known_engine(engine, reference, channels)
-        return ask_driving(recording, engine, channels, sensors, withhold or (), map_tolerance, seed, known)
-    refuse_options({"--map-tolerance": map_tolerance, "--reference": tuple(reference) or None}, "for settled points")
-    return ask_points(recording, engine, channels, seed, sensors, withhold or ())
+        return ask_driving(recording, engine, channels, asked, known_engine(engine, asked.reference, channels))
+    refuse_options({"--map-tolerance": asked.map_tolerance, **no_reference}, "for settled points")
+    return ask_points(recording, engine, channels, asked)

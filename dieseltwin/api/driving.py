@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
 from dieseltwin.api.figures import drawn
-from dieseltwin.api.findings import Discovered, Question, machine
+from dieseltwin.api.findings import Asked, Discovered, Question, machine
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
 from dieseltwin.discovery.options import Options
-from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE
 from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
@@ -35,6 +34,7 @@ from dieseltwin.report import discovery_figures, discovery_page
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.settings.names import unknown_name
+from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
 if TYPE_CHECKING:
@@ -169,10 +169,7 @@ def ask_driving(
     recording: Source | Recording,
     engine: Engine | str | Path | None,
     channels: Channels | None,
-    sensors: Sequence[str] | None,
-    withhold: Sequence[str],
-    map_tolerance: float | None,
-    seed: int,
+    question: Asked,
     known: tuple[LearnedEngine | None, Sequence[Note]] = (None, ()),
 ) -> DrivingQuestion:
     """Read and check a recording and what is asked of it; see `discovery.discover`.
@@ -182,11 +179,10 @@ def ask_driving(
     """
     began = time.perf_counter()
     learned, doubts = known
-    if learned is not None and map_tolerance is not None:
-        raise InputError("--map-tolerance", f"{map_tolerance:g}", "none with a learned engine, whose file says how well"
-                         " each map is known", "leave it out")  # fmt: skip
-    map_tolerance = MAP_TOLERANCE if map_tolerance is None else map_tolerance
-    asked = _asked(engine, channels, sensors, withhold, map_tolerance, seed)
+    if learned is not None and question.map_tolerance is not None:
+        raise InputError("--map-tolerance", f"{question.map_tolerance:g}", "none with a learned engine, whose"
+                         " file says how well each map is known", "leave it out")  # fmt: skip
+    asked = _asked(engine, channels, question)
     if learned is not None:
         asked["reference_sha256"] = [item.sha256 for item in learned.recordings]
     parameters = diesel_engine(engine) if learned is None else learned.engine
@@ -195,7 +191,8 @@ def ask_driving(
     notes = [*doubts, *(Note(note, "reading") for note in source.notes), *notes]
     if learned is not None:
         _check_apart(learned, source)
-    options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=map_tolerance, seed=seed)
+    options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
+                      seed=question.seed, search=question.settings.search.driving)
     return DrivingQuestion(source, parameters, options, asked, tuple(notes), began, learned)
 
 
@@ -208,13 +205,12 @@ def _check_apart(learned: LearnedEngine, source: Recording) -> None:
         )  # fmt: skip
 
 
-def _asked(
-    engine: Engine | str | Path | None, channels: Channels | None, sensors: Sequence[str] | None,
-    withhold: Sequence[str], map_tolerance: float, seed: int,
-) -> dict[str, Any]:  # fmt: skip
-    for effect in withhold:
+def _asked(engine: Engine | str | Path | None, channels: Channels | None, question: Asked) -> dict[str, Any]:
+    withhold, sensors, seed, settings = question.withhold or (), question.sensors, question.seed, question.settings
+    for effect in (*withhold, *settings.search.driving.withhold):
         if effect not in EFFECTS:
             raise unknown_name("--withhold", effect, list(EFFECTS))
+    map_tolerance = settings.map_tolerance if question.map_tolerance is None else question.map_tolerance
     low, high = TOLERANCE_RANGE
     if not low <= map_tolerance <= high:  # not so for NaN either
         raise InputError("--map-tolerance", f"{map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
@@ -226,7 +222,7 @@ def _asked(
         "sensors": None if sensors is None else sorted(set(sensors)), "withhold": sorted(set(withhold)),
         "map_tolerance": map_tolerance, "seed": seed, "engine_sha256": _engine_sha256(engine),
         "channels_sha256": _sha256(channels) if isinstance(channels, str | Path) else None,
-        "code_version": __version__,
+        "search_sha256": params_sha256(settings.search.driving.model_dump(mode="json")), "code_version": __version__,
     }  # fmt: skip
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,36 @@ from typing import Any
 import pandas as pd
 
 from dieseltwin.api.engines import Engine
+from dieseltwin.api.reading import Source
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explain import Known
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.discovery import DiscoverConfig
+from dieseltwin.settings.params import load_params
 
 COLUMNS = ("effect", "magnitude", "std", "unit", "probability", "equivalent", "law")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What may be asked of a discovery beside the recording and the engine.
+
+    Attributes:
+        sensors: columns to use; None is all that there are.
+        withhold: effects to keep out of the catalogue.
+        map_tolerance: standard deviation of the maps' smooth relative error that is believed [-]; None: the settings'.
+        seed: of everything random.
+        reference: recordings of the engine when it was known to be well; it is learned from them first.
+        settings: what is decided by; `discover` of params.yaml.
+    """
+
+    sensors: Sequence[str] | None = None
+    withhold: Sequence[str] | None = None
+    map_tolerance: float | None = None
+    seed: int = 0
+    reference: Sequence[Source | Recording] = ()
+    settings: DiscoverConfig = field(default_factory=lambda: load_params().discover)
 
 
 class Discovered(Result):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from dieseltwin.api.figures import drawn
-from dieseltwin.api.findings import Discovered, Question, machine
+from dieseltwin.api.findings import Asked, Discovered, Question, machine
 from dieseltwin.api.reading import Channels, Source, petrol_recording
 from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_json
@@ -27,6 +27,7 @@ from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording
 from dieseltwin.report import petrol as pages
 from dieseltwin.settings.names import listed, unknown_name
+from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
 if TYPE_CHECKING:
@@ -116,18 +117,19 @@ def ask_petrol(
     recording: Source | PetrolRecording,
     parameters: PetrolParameters,
     engine_file: Path | None,
-    channels: Channels | None,
-    options: PetrolOptions,
+    channels: Channels | None = None,
+    question: Asked | None = None,
 ) -> PetrolQuestion:
     """Read a recording of a petrol engine; see `discovery.discover`.
 
     Args:
         engine_file: that the parameters were read from, if any.
-        options: checked here.
+        question: checked here.
 
     Raises:
         InputError: a file or an option that can't be used, an engine without maps.
     """
+    options = _options(question or Asked())
     _check(options)
     if not parameters.calibrated:
         raise InputError("engine: cylinder, throttle", "no maps", "a calibrated engine",
@@ -136,15 +138,16 @@ def ask_petrol(
     asked = {
         "sensors": options.sensors, "withhold": list(options.withhold), "map_tolerance": options.map_tolerance,
         "seed": options.seed, "engine_sha256": sha256(content).hexdigest(), "code_version": __version__,
+        "search_sha256": params_sha256(options.search.model_dump(mode="json")),
     }  # fmt: skip
     return PetrolQuestion(petrol_recording(recording, channels), parameters, options, asked)
 
 
-def petrol_options(
-    sensors: Sequence[str] | None, withhold: Sequence[str] | None, map_tolerance: float | None, seed: int
-) -> PetrolOptions:
+def _options(asked: Asked) -> PetrolOptions:
     """What was asked for as the search takes it."""
-    return PetrolOptions(None if sensors is None else tuple(sensors), tuple(withhold or ()), map_tolerance, seed)
+    sensors = None if asked.sensors is None else tuple(asked.sensors)
+    search = asked.settings.search.petrol
+    return PetrolOptions(sensors, tuple(asked.withhold or ()), asked.map_tolerance, asked.seed, search)
 
 
 def _check(options: PetrolOptions) -> None:
@@ -157,7 +160,7 @@ def _check(options: PetrolOptions) -> None:
     if needed:
         raise InputError("--sensors", f"no {listed(list(dict.fromkeys(needed)))}", listed(list(COLUMNS)),
                          "only p_amb_pa and t_amb_k can be left out: the air's balances need all others")
-    for effect in options.withhold:
+    for effect in (*options.withhold, *options.search.withhold):
         if effect not in HYPOTHESES:
             raise unknown_name("--withhold", effect, list(HYPOTHESES))
     low, high = TOLERANCE_RANGE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine
 from dieseltwin.api.figures import drawn
-from dieseltwin.api.findings import Discovered, Question
+from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.reading import Channels, Source, settled_points
 from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_json
@@ -41,6 +41,7 @@ from dieseltwin.recordings.reader import Recording, write_recording
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report import calibration as pages
 from dieseltwin.settings.names import unknown_name
+from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
 if TYPE_CHECKING:
@@ -224,7 +225,8 @@ class PointsQuestion(Question):
         """The question as JSON types."""
         options = self.options
         return {"sensors": list(options.sensors) if options.sensors else None, "withhold": list(options.withhold),
-                "seed": self.seed, "code_version": __version__}  # fmt: skip
+                "seed": self.seed, "search_sha256": params_sha256(options.search.model_dump(mode="json")),
+                "code_version": __version__}  # fmt: skip
 
     @property
     def kind(self) -> str:
@@ -243,20 +245,25 @@ class PointsQuestion(Question):
 
 
 def ask_points(
-    points: Source | Recording | SteadyPoints, engine: Engine | str | Path | None, channels: Channels | None, seed: int,
-    sensors: Sequence[str] | None = None, withhold: Sequence[str] = (),
-) -> PointsQuestion:  # fmt: skip
+    points: Source | Recording | SteadyPoints,
+    engine: Engine | str | Path | None,
+    channels: Channels | None = None,
+    asked: Asked | None = None,
+) -> PointsQuestion:
     """Read settled points, and the engine file's sidecar where there is one; see `discovery.discover`."""
+    asked = asked or Asked()
+    sensors, search = tuple(asked.sensors or ()), asked.settings.search.points
     if isinstance(engine, str | Path) and Path(engine).is_file():
         base, geometry = base_and_geometry(Path(engine))
     else:
         base = geometry = diesel_engine(engine)
-    for given, known, flag in ((sensors or (), STATES, "--sensors"), (withhold, tuple(EFFECTS), "--withhold")):
+    withhold = (*(asked.withhold or ()), *search.withhold)
+    for given, known, flag in ((sensors, STATES, "--sensors"), (withhold, tuple(EFFECTS), "--withhold")):
         for name in given:
             if name not in known:
                 raise unknown_name(flag, name, list(known))
-    options = Options(sensors=tuple(sensors) if sensors else None, withhold=tuple(withhold), seed=seed)
-    return PointsQuestion(settled_points(points, channels, geometry, NEEDED), base, geometry, seed, options)
+    options = Options(sensors or None, tuple(asked.withhold or ()), asked.seed, search=search)
+    return PointsQuestion(settled_points(points, channels, geometry, NEEDED), base, geometry, asked.seed, options)
 
 
 def _implied(found: PointsDiscovery) -> pd.DataFrame:

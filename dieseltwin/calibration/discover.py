@@ -35,7 +35,8 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import OneTerm, SensorTerm, Term
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
-from dieseltwin.settings.points import PointSettings
+from dieseltwin.settings.params import default_search
+from dieseltwin.settings.search import PointSettings, SearchSettings, SubmodelErrors
 
 Array = NDArray[np.float64]
 
@@ -53,22 +54,18 @@ class Options:
         withhold: effects to keep out of the catalogue.
         seed: of everything random.
         law_search: look for a law where no name fits.
-        beliefs: of sensors and submodels.
+        search: what is decided by, and believed of the submodels.
     """
 
     sensors: tuple[str, ...] | None = None
     withhold: tuple[str, ...] = ()
     seed: int = 0
     law_search: bool = True
-    beliefs: PointSettings = field(default_factory=PointSettings)
+    search: PointSettings = field(default_factory=lambda: default_search().points)
 
-    def settings(self) -> search.Settings:
-        """For the search: a point is no moment, so nothing has an onset; what is left is the next round's."""
-        beliefs = self.beliefs
-        return search.Settings(
-            withhold=self.withhold, seed=self.seed, least_share=0.5, sensor_gain=beliefs.sensor_gain,
-            sensor_offset=beliefs.sensor_offset, left_share=(beliefs.left_share,) * 3,
-        )  # fmt: skip
+    def settings(self) -> SearchSettings:
+        """For the search of a round."""
+        return self.search.asked(self.withhold, self.seed)
 
 
 @dataclass(frozen=True)
@@ -172,14 +169,14 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     names: list[str] = []
     faded: set[str] = set()
     while True:
-        twin = SteadyTwin(here, options.beliefs, options.sensors, options.seed)
+        twin = SteadyTwin(here, options.search, options.sensors, options.seed)
         settings = options.settings()
-        found = search.run(twin, replace(settings, withhold=(*settings.withhold, *faded)), laws=False)
-        added = _named(found, options.beliefs)
-        if not added or len(names) + len(added) > options.beliefs.most_effects:
+        found = search.run(twin, settings.asked(tuple(faded), options.seed), laws=False)
+        added = _named(found, options.search.least_explained)
+        if not added or len(names) + len(added) > options.search.most_effects:
             rounds.append(Round(found, (), nll, False))
             break
-        more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.beliefs.flap_spread)]
+        more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.search.flap_spread)]
         candidate = _refitted(here, [*free, *more], _start_of(found, added, more))
         vanished = _vanished(candidate, added, found)
         if vanished:  # the maps bend so that nothing is left of it: the search looks again without that name
@@ -202,11 +199,11 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
         _all_fits(calibration.model, points, mask, trained_before), _all_fits(here.model, points, mask, trained),
         _chi2(calibration.model, points, calibration.start, scale), _chi2(here.model, points, here.start, scale),
-        law, options, _formulations(here, free), time.perf_counter() - clock,
+        law, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
     )  # fmt: skip
 
 
-def _named(found: search.Search, beliefs: PointSettings) -> tuple[str, ...]:
+def _named(found: search.Search, least_explained: float) -> tuple[str, ...]:
     """What a round takes: the search's choice, or the strongest name where what it leaves is the next round's."""
     if found.kind == "healthy":
         return ()
@@ -216,7 +213,7 @@ def _named(found: search.Search, beliefs: PointSettings) -> tuple[str, ...]:
         return ()
     lead = found.singles[0]
     misfit = max(found.null.fit.objective - found.twin.measured.size, 1.0)
-    strong = found.gain(lead) > found.settings.left_gain[0] and found.gain(lead) > beliefs.least_explained * misfit
+    strong = found.gain(lead) > found.settings.left_gain[0] and found.gain(lead) > least_explained * misfit
     return lead.candidate.names if strong and found.of_interest(lead) else ()
 
 
@@ -279,7 +276,9 @@ FORMULATIONS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
 """Ways to think of what settled points don't see: what is switched on, and which beliefs are left out."""
 
 
-def _formulations(here: Calibration, free: list[Coefficient]) -> dict[str, tuple[SteadyModel, Estimate]]:
+def _formulations(
+    here: Calibration, free: list[Coefficient], errors: SubmodelErrors
+) -> dict[str, tuple[SteadyModel, Estimate]]:
     """Every formulation of the unmeasured places, fitted to all points; what was found keeps no belief."""
     known = {c.name for c in free}
     out = {}
@@ -287,7 +286,7 @@ def _formulations(here: Calibration, free: list[Coefficient]) -> dict[str, tuple
         beliefs = [c for c in BELIEFS if c.name not in known | without]
         model = replace(here.model, active=active)
         every = [*free, *beliefs]
-        floors = {row: PointSettings().error(row) for row in model.rows}
+        floors = {row: errors.error(row) for row in model.rows}
         start = {**{c.name: c.mean for c in beliefs}, **here.start}
         out[name] = (model, estimate(model, here.points, every, start, iterations=FULL_ITERATIONS, inflate=True,
                                      floors=floors, rows=_rows(model, every)))

@@ -31,7 +31,7 @@ from dieseltwin.engine.terms import LAW_VARIABLES, SENSOR_SLOTS, SENSOR_UNITS
 from dieseltwin.recordings.channels import OPTIONAL_INPUTS
 from dieseltwin.recordings.noise import Noise
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
-from dieseltwin.settings.points import PointSettings
+from dieseltwin.settings.search import PointSettings
 
 MOVING_ONLY = (
     *ACTUATION_EFFECTS, GAS_LAG, *(n for n, e in EFFECTS.items() if e.drifts or e.enters.operator == "lag"),
@@ -84,6 +84,7 @@ class SteadyTwin:
         self.hypotheses: Mapping[str, Hypothesis] = {
             name: h for name, h in hypotheses_of(self.data, self.used).items() if name not in self._fixed
         }  # fmt: skip
+        errors = settings.submodels
         self.parameters: tuple[Parameter, ...] = tuple(
             Parameter(c.name, float(v), c.std, c.unit, 0.3 * c.std)
             for c, v in zip(self._coefficients, calibration.estimate.theta, strict=True) if c.name in HEALTH
@@ -99,7 +100,7 @@ class SteadyTwin:
             Point(
                 name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"),
                 (*facts.ports, *(flap if name == "p_es" else ())), facts.scale,
-                settings.smooth_error(SUBMODEL_OF[name]) if name in SUBMODEL_OF else 0.0, facts.over, facts.also,
+                errors.smooth_error(SUBMODEL_OF[name]) if name in SUBMODEL_OF else 0.0, facts.over, facts.also,
             )
             for name, facts in POINT_FACTS.items() if name not in _WITHOUT_SIGNAL
         )  # fmt: skip
@@ -114,7 +115,7 @@ class SteadyTwin:
         self._x = np.where(known, readings, calibration.estimate.x[order])
         self._whiten = np.zeros((self.data.size, len(self.channels), len(self.channels)))
         start = self.values(np.array([p.value for p in self.parameters]))
-        scatter = np.array([settings.scatter(row) for row in self.channels])
+        scatter = np.array([errors.scatter(row) for row in self.channels])
         sigma = np.array([NOISE[name] for name in STATES])
         covariance = reading_covariance(self.model, self.data, self._x, start, np.where(known, sigma, 1.0))
         covariance = covariance + np.diag(scatter**2)

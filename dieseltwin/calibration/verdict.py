@@ -156,7 +156,8 @@ def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]
         "minimum_detectable": minimum_detectable(first.scored, first.settings.alarm_gain),
         "tolerance": {name: h.tolerance for name, h in first.twin.hypotheses.items()},
         "units": {name: h.unit for name, h in first.twin.hypotheses.items()},
-        "beliefs": result.options.beliefs.model_dump(),
+        "equivalent_gain": first.settings.equivalent_gain,
+        "settings": result.options.search.model_dump(),
     })  # type: ignore[no-any-return]  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.noise import Noise, estimate_noise
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.params import default_search
 
 
 def _settled(twin: EngineTwin, noise: Noise, fit: Fit) -> Linearisation:
@@ -68,7 +69,7 @@ def fit_oracle(
     rough = _settled(twin, noise, first_fit(twin, candidate, [t.magnitude for t in terms]))
     noise = estimate_noise(twin.measured, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
-    nuisance = search.tolerance_responses(twin, rough, search.Settings())
+    nuisance = search.tolerance_responses(twin, rough, default_search().driving)
     at = fit_fully(twin, whitening, rough.fit, nuisance, rounds=6)
     values = {name: float(value) for name, value in zip(HEALTH, at.fit.parameters, strict=True)}
     refitted = tuple(
@@ -91,7 +92,8 @@ def separability(
     noise = estimate_noise(twin.measured, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
     bare = Linearisation(twin, whitening, first_fit(twin))
-    at = Linearisation(twin, whitening, bare.fit, None, search.tolerance_responses(twin, bare, search.Settings()))
+    tolerances = search.tolerance_responses(twin, bare, default_search().driving)
+    at = Linearisation(twin, whitening, bare.fit, None, tolerances)
     wanted = secant_sizes(twin, [name for name in twin.hypotheses if name != term.effect])
     own = [(term.effect, term.magnitude)]
     items = score(at, [*own, *wanted], effect_responses(twin, at, [*own, *wanted]))

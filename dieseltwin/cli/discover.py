@@ -9,7 +9,7 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, Strict, progress, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Profile, Strict, progress, say
 from dieseltwin.errors import InputError
 from dieseltwin.notes import STRICT_CODE
 from dieseltwin.settings.names import refuse_options
@@ -31,7 +31,7 @@ def discover_command(
     ] = None,
     map_tolerance: Annotated[
         float | None,
-        typer.Option("--map-tolerance", metavar="X", help="Smooth relative error believed of the maps; 0.003."),
+        typer.Option("--map-tolerance", metavar="X", help="Smooth error believed of the maps; else the settings'."),
     ] = None,
     name: Annotated[
         str | None,
@@ -44,21 +44,26 @@ def discover_command(
         list[Path] | None,
         typer.Option("--reference", metavar="HEALTHY", help="Recording of the engine when it was well; repeatable."),
     ] = None,
+    params: ParamsFile = None,
+    profile: Profile = "quick",
     strict: Strict = False,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
     for path in (recording, *(reference or ())):
         check_there(path)
     from dieseltwin.api.discovery import ask
+    from dieseltwin.api.findings import Asked
     from dieseltwin.discovery.verdict.explain import check_name, explain
+    from dieseltwin.settings.params import load_params
 
     if recording is None:
         if name is None:
             raise InputError("RECORDING", "nothing", "a recording", "name the recording")
         say(explain(name, out))
         return
-    question = ask(recording, engine, channels=channels, sensors=_names(sensors), withhold=_names(withhold),
-                   map_tolerance=map_tolerance, seed=seed, reference=tuple(reference or ()))  # fmt: skip
+    settings = load_params(params, profile).discover
+    asked = Asked(_names(sensors), _names(withhold), map_tolerance, seed, tuple(reference or ()), settings)
+    question = ask(recording, engine, channels, asked)
     if name is not None:
         if not question.catalogue:
             refuse_options({"--explain": name}, question.kind)

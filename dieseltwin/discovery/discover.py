@@ -20,6 +20,7 @@ from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.search import SearchSettings
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ def prepare(
     return Prepared(visible_sizes(twin, options.settings()))
 
 
-def visible_sizes(twin: EngineTwin, settings: search.Settings) -> dict[str, float]:
+def visible_sizes(twin: EngineTwin, settings: SearchSettings) -> dict[str, float]:
     """`Prepared.minimum_detectable` of a twin."""
     start = first_fit(twin)
     whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)

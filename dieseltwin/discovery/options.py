@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from dieseltwin.discovery.search.state import Settings
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE
+from dieseltwin.settings.params import default_search
+from dieseltwin.settings.search import SearchSettings
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,7 @@ class Options:
         map_tolerance: standard deviation of the maps' smooth relative errors [-].
         seed: of everything random.
         law_search: look for a law where no name fits.
+        search: what is decided by.
     """
 
     sensors: tuple[str, ...] | None = None
@@ -25,7 +27,8 @@ class Options:
     map_tolerance: float = MAP_TOLERANCE
     seed: int = 0
     law_search: bool = True
+    search: SearchSettings = field(default_factory=lambda: default_search().driving)
 
-    def settings(self) -> Settings:
+    def settings(self) -> SearchSettings:
         """For the search."""
-        return Settings(withhold=self.withhold, seed=self.seed)
+        return self.search.asked(self.withhold, self.seed)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.search import run as shared
 from dieseltwin.discovery.search.preparation import recentred
-from dieseltwin.discovery.search.state import Search, Settings, set_probabilities
+from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.assemble import after_of, details_of_search, finite_only, fit_figures, p_value
@@ -38,12 +38,10 @@ from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, Signals
 from dieseltwin.petrol.terms import without_terms
 from dieseltwin.petrol.twin import PetrolTwin
+from dieseltwin.settings.params import default_search
+from dieseltwin.settings.search import SearchSettings
 from dieseltwin.version import __version__
 
-SETTINGS = Settings(
-    least_share=0.05,  # an onset after 90 s of half an hour: there is no region that needs more
-    own_metric_gain=100.0,  # a sensor off by 10 % moves the maps' arguments by a knot
-)
 TOLD_LEVEL = 0.01  # shift of a level that the sentence tells [-]
 ONSET_SHARE = 0.1  # of the recording, before an effect that `minimum_detectable` speaks of
 LEAST_SITE = 1e-3  # probability of a place that is still worth a line
@@ -65,12 +63,14 @@ class PetrolOptions:
         withhold: effects to keep out of the catalogue.
         map_tolerance: standard deviation of the maps' smooth relative errors, None for the engine's own [-].
         seed: of everything random.
+        search: what is decided by.
     """
 
     sensors: tuple[str, ...] | None = None
     withhold: tuple[str, ...] = ()
     map_tolerance: float | None = None
     seed: int = 0
+    search: SearchSettings = field(default_factory=lambda: default_search().petrol)
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def judge(
         )
         engine = engine.model_copy(update={"tolerances": t})
     twin = PetrolTwin(engine, signals, options.sensors)
-    found = shared.run(twin, replace(SETTINGS, withhold=options.withhold, seed=options.seed), laws=False)
+    found = shared.run(twin, options.search.asked(options.withhold, options.seed), laws=False)
     if found.best is not None and not found.of_interest(found.best.fit):
         found.kind, found.best, found.variant = "healthy", None, None
     _one_fault_a_sensor(found)

@@ -15,7 +15,6 @@ from matplotlib.patches import Patch, Rectangle
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Candidate, Curves, Discovery
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE
-from dieseltwin.discovery.verdict.explain import EQUIVALENT
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import clock, display_unit, magnitude_words, unit_of
@@ -330,5 +329,5 @@ def candidates(found: Discovery) -> style.ReportFigure | None:
     handles = [Patch(color=AFTER, label="reported"), Patch(color=LIGHT, label="cannot be told apart"),
                Patch(color=DROPPED, label="dropped")]
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
-    words = captions.CANDIDATES.format(apart=f"{EQUIVALENT:g}")
+    words = captions.CANDIDATES.format(apart=f"{0.5 * found.details['equivalent_gain']:g}")
     return style.ReportFigure("candidates", "What was weighed", words, figure)

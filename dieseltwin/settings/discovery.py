@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
+from dieseltwin.settings.search import SearchConfig
 from dieseltwin.settings.strict import StrictModel
 
 
@@ -19,11 +20,12 @@ class PromotionConfig(StrictModel):
 
 
 class DiscoverConfig(StrictModel):
-    """Discovery: what it believes of the twin, and the concealed recording of the chain."""
+    """Discovery: what it believes of the twin and decides by, and the concealed recording of the chain."""
 
     map_tolerance: NonNegativeFloat = Field(description="rms of the smooth error that is believed of the maps [-]")
     seed: NonNegativeInt
     concealed_seed: NonNegativeInt = Field(description="of the concealed recording that the flow makes for itself")
+    search: SearchConfig
 
 
 class ProofConfig(StrictModel):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -28,6 +29,7 @@ from dieseltwin.settings.evaluation import EvaluationConfig
 from dieseltwin.settings.maps import MapsConfig, Widths
 from dieseltwin.settings.method_settings import MethodSettings
 from dieseltwin.settings.methods import find
+from dieseltwin.settings.search import SearchConfig
 from dieseltwin.settings.strict import StrictModel, overridden, read_profile, validate
 
 PARAMS_FILE = "params.yaml"
@@ -280,9 +282,10 @@ class Params(StrictModel):
 
 
 def default_params_path() -> Path:
-    """`params.yaml` of the working folder, else the one beside the library (a checkout)."""
-    here = Path(PARAMS_FILE)
-    return here if here.is_file() else Path(__file__).resolve().parents[2] / PARAMS_FILE
+    """`params.yaml` of the working folder, else the one beside the library (a checkout), else the one installed."""
+    here, checkout = Path(PARAMS_FILE), Path(__file__).resolve().parents[2] / PARAMS_FILE
+    installed = Path(sysconfig.get_path("data")) / "share" / "dieseltwin" / PARAMS_FILE
+    return next((path for path in (here, checkout) if path.is_file()), installed)
 
 
 def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) -> Params:
@@ -300,6 +303,11 @@ def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) 
     validate(Params, {**common, "profile": profile}, str(path))
     settings = overridden(common, overrides, f"{path}: profiles.{profile}")
     return validate(Params, {**settings, "profile": profile}, f"{path}: profile {profile}")
+
+
+def default_search() -> SearchConfig:
+    """What a search decides by where no settings are given: those of `default_params_path()`."""
+    return load_params().discover.search
 
 
 def params_sha256(params: Params | Mapping[str, object]) -> str:

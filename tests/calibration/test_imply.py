@@ -20,7 +20,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report.calibration import calibration_report, discovery_report, sentence
-from dieseltwin.settings.points import PointSettings
+from dieseltwin.settings.params import default_search
 from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
 
 
@@ -35,7 +35,8 @@ def mended(data: SteadyPoints) -> PointsDiscovery:
     """What its points call for, at most one effect."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "STARTS", 0)
-        options = Options(law_search=False, beliefs=PointSettings(most_effects=1))
+        one = default_search().points.model_copy(update={"most_effects": 1})
+        options = Options(law_search=False, search=one)
         return discover_points(calibrate(data, we2011.PARAMETERS, GEOMETRY), options)
 
 

@@ -20,7 +20,7 @@ from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.engine import we2011
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.recordings.steady_points import read_points
-from dieseltwin.settings.points import PointSettings
+from dieseltwin.settings.params import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,7 +62,7 @@ def test_saved_engine_is_read_back(found: Calibration, tmp_path: Path) -> None:
 
 
 def test_balances_of_the_twin_answer_effects(found: Calibration) -> None:
-    twin = SteadyTwin(found, PointSettings())
+    twin = SteadyTwin(found, default_search().points)
     assert isinstance(twin, Twin) and isinstance(twin, KnownErrors)
     plain = twin.plain_lane()
     off = twin.simulate(plain)[0]

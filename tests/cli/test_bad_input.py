@@ -277,6 +277,9 @@ def test_unknown_key_in_params(tmp_path: Path, project_root: Path, drive: Path, 
     for command in (("identify", drive, "--out", tmp_path / "out"), ("params", "show")):
         said = refuse(*command, "--params", path)
         assert has_four_parts(said.line) and "segmnet_s" in said.line and "did you mean segment_s?" in said.line
+    path.write_text(text.replace("alarm_gain: 18.0", "alarm_gian: 18.0", 1), encoding="utf-8")
+    said = refuse("discover", drive, "--out", tmp_path / "out", "--params", path)
+    assert has_four_parts(said.line) and "discover.search.driving" in said.line and "mean alarm_gain" in said.line
 
 
 def test_unknown_profile(tmp_path: Path, drive: Path, refuse: Callable[..., Refusal]) -> None:

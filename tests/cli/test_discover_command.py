@@ -168,6 +168,24 @@ def test_explain_from_the_run_and_from_the_folder(run: Run, fake: FakeCore, csv:
 
 
 @pytest.mark.usefixtures("no_page")
+def test_what_decides_comes_from_the_settings(
+    run: Run, fake: FakeCore, csv: Path, tmp_path: Path, project_root: Path
+) -> None:
+    """Another threshold is another question: what was answered with the old one is no answer to it."""
+    text = (project_root / "params.yaml").read_text(encoding="utf-8")
+    for old, new in (("alarm_gain: 18.0", "alarm_gain: 40.0"), ("map_tolerance: 0.003", "map_tolerance: 0.01")):
+        text = text.replace(old, new, 1)
+    params = tmp_path / "other.yaml"
+    params.write_text(text, encoding="utf-8")
+    asked = (csv, "--out", tmp_path / "found", "--explain", "boost_leak")
+    assert run(*asked)[0] == 0 and fake.asked == 1
+    assert fake.options.settings().alarm_gain == 18.0
+    assert run(*asked, "--params", params)[0] == 0 and fake.asked == 2
+    assert fake.options.settings().alarm_gain == 40.0 and fake.options.map_tolerance == 0.01
+    assert run(*asked, "--params", params)[0] == 0 and fake.asked == 2
+
+
+@pytest.mark.usefixtures("no_page")
 def test_healthy_and_five_sensors(run: Run, fake: FakeCore, csv: Path, tmp_path: Path) -> None:
     fake.document = synthetic.healthy_content()
     code, lines, _ = run(csv, "--out", tmp_path / "o", "--sensors", ",".join(SENSORS[:5]))

@@ -154,5 +154,5 @@ def discovery(given: Discrepancy | None = None, n: int = 3000, seed: int = 3) ->
         sensitivity=MINIMUM, tolerance=TOLERANCE, units=UNITS, held_out=time_s > 0.8 * time_s[-1], oracle_nll=2.5,
     )  # fmt: skip
     runtime = {"detect_s": 1.2, "name_s": 7.5, "total_s": 9.1}
-    details = {"seed": 0, "noise_rho": dict.fromkeys(CHANNELS, 0.2)}
+    details = {"seed": 0, "equivalent_gain": 12.0, "noise_rho": dict.fromkeys(CHANNELS, 0.2)}
     return Discovery(found, after_engine, before_engine, curves, runtime, details)

@@ -17,7 +17,7 @@ from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, f
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
 from dieseltwin.discovery.search.preparation import in_own_metrics, recentred, tolerance_responses
-from dieseltwin.discovery.search.state import CHANCE_LEAVES, Search, set_probabilities
+from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, rescan, same_region
 from dieseltwin.discovery.twins.interface import Twin, WithSignals
 
@@ -54,7 +54,7 @@ def try_variants(found: Search) -> None:
         others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
         _refit_variants(found, [_since(found, variant, float(best.onset_s or 0.0)) for variant in others.values()])
         _polish_variants(found)
-        if found.gain(found.variants[0][1]) > found.settings.own_metric_gain:
+        if found.settings.in_own_metrics(found.gain(found.variants[0][1])):
             _compare_leaders(found)
         return
     known = {v.name for v, _ in found.variants}
@@ -273,11 +273,11 @@ def choose(found: Search, first: Linearisation) -> None:
         if (
             (held > limit and ahead > settings.left_ahead)
             or bumps > max(settings.local_gain, settings.left_share[place] * gained)
-            or (left > CHANCE_LEAVES and _one_term_explains_more(found, best))
+            or (left > settings.chance_leaves and _one_term_explains_more(found, best))
         ):
             found.refused, found.kind = kind, "law"
             return
-        _widen(found.best, left)
+        _widen(found.best, left / settings.chance_leaves)
     set_probabilities(found, kind)
 
 
@@ -309,9 +309,9 @@ def _one_term_explains_more(found: Search, value: float) -> bool:
     return best_term(found.twin, found.whitening, found.null, found.nameless(), needed) > needed
 
 
-def _widen(at: Linearisation, left: float) -> None:
+def _widen(at: Linearisation, over_chance: float) -> None:
     """Intervals for an explanation that isn't quite right: wider by what it leaves over what chance leaves (Birge)."""
-    factor = max(1.0, left / CHANCE_LEAVES)
+    factor = max(1.0, over_chance)
     at.covariance = factor * at.covariance
     at.fit = replace(at.fit, covariance=at.covariance)
 
@@ -328,6 +328,6 @@ def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[F
         else:
             out.append(fit)
     out.sort(key=lambda fit: fit.objective)
-    if len(out[0].candidate.names) == 1 and found.gain(out[0]) > found.settings.own_metric_gain:
+    if len(out[0].candidate.names) == 1 and found.settings.in_own_metrics(found.gain(out[0])):
         out[:count] = in_own_metrics(found, out[:count])
     return out

@@ -28,10 +28,11 @@ from dieseltwin.discovery.likelihood.nuisance import (
     sensor_nuisances,
 )
 from dieseltwin.discovery.likelihood.score import chance, effect_responses, score, secant_sizes
-from dieseltwin.discovery.search.state import Search, Settings
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
 from dieseltwin.learning.belief import MAPS_AT
 from dieseltwin.recordings.noise import Noise, estimate_noise
+from dieseltwin.settings.search import SearchSettings
 
 _VERIFIED = 3  # of the leading fits
 _VERIFIED_FROM = 0.7  # of the gain of an alarm
@@ -41,7 +42,7 @@ _GROWTH = 1.0  # of the weight of initial states over a window, above which it i
 _PARTS = 4
 
 
-def prepare(twin: Twin, settings: Settings) -> Search:
+def prepare(twin: Twin, settings: SearchSettings) -> Search:
     """Noise, health-only fit, tolerances, scores of all hypotheses: everything before a name is thought of."""
     clock = time.perf_counter()
     noise = twin.noise() if isinstance(twin, KnownErrors) else estimate_noise(twin.measured)
@@ -73,7 +74,7 @@ def _whitening(twin: Twin, noise: Noise) -> Whitening:
     return twin.whitening() if isinstance(twin, KnownErrors) else Whitening.of(twin.measured, noise, twin.starts)
 
 
-def _scored(null: Linearisation, noise: Noise, settings: Settings) -> Search:
+def _scored(null: Linearisation, noise: Noise, settings: SearchSettings) -> Search:
     twin = null.twin
     wanted = secant_sizes(twin, [name for name in twin.hypotheses if name not in settings.withhold])
     scored = score(null, wanted, effect_responses(twin, null, wanted))
@@ -109,7 +110,7 @@ def split_growing(at: Linearisation) -> Fit | None:
     return replace(at.fit, local=split(growing, _PARTS, at.fit.local))
 
 
-def tolerances(twin: Twin, at: Linearisation, settings: Settings) -> list[Nuisance]:
+def tolerances(twin: Twin, at: Linearisation, settings: SearchSettings) -> list[Nuisance]:
     """Directions in which maps and sensors may be off, one standard deviation each."""
     if isinstance(twin, KnownErrors):
         return twin.nuisances(at.fit.lanes())
@@ -125,7 +126,7 @@ def tolerances(twin: Twin, at: Linearisation, settings: Settings) -> list[Nuisan
     ]
 
 
-def tolerance_responses(twin: Twin, at: Linearisation, settings: Settings) -> Array:
+def tolerance_responses(twin: Twin, at: Linearisation, settings: SearchSettings) -> Array:
     """Responses (K, n, C) to the tolerances of maps and sensors, per standard deviation."""
     return nuisance_responses(twin, at.fit.lanes(), at.simulated, tolerances(twin, at, settings))
 

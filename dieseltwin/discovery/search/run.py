@@ -32,9 +32,10 @@ from dieseltwin.discovery.search.preparation import (
     tolerance_responses,
     verify,
 )
-from dieseltwin.discovery.search.state import Search, Settings, occam
+from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.search.variants import edge_cost, scan
 from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.settings.search import SearchSettings
 
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _REFIT_AT_LEAST = 6
@@ -43,7 +44,7 @@ _BENDS = 60.0  # gain from which what was learned of the maps is linearised abou
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
 
-def run(twin: Twin, settings: Settings, *, laws: bool = True) -> Search:
+def run(twin: Twin, settings: SearchSettings, *, laws: bool = True) -> Search:
     """The whole search.
 
     Args:
@@ -161,5 +162,5 @@ def _alarm(found: Search, fit: Fit) -> bool:
 
 
 __all__ = [
-    "Search", "Settings", "occam", "prepare", "rebased", "run", "split_growing", "tolerance_responses",
+    "Search", "occam", "prepare", "rebased", "run", "split_growing", "tolerance_responses",
 ]  # fmt: skip

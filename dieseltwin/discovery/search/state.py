@@ -1,4 +1,4 @@
-"""Settings of the search for left-out physics, and all that it finds out."""
+"""All that the search for left-out physics finds out."""
 
 from __future__ import annotations
 
@@ -17,74 +17,7 @@ from dieseltwin.discovery.likelihood.score import Chance, Scored
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.recordings.noise import Noise
-
-CHANCE_LEAVES = 9.0  # gain of the best term without a name, of some seventy, beyond a right explanation
-_RANGE = 30.0  # of magnitudes over their tolerance that are believed, log-uniform
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Thresholds of the search; gains are in units of -2 log likelihood.
-
-    Attributes:
-        sensor_gain, sensor_offset: tolerance of every sensor, one standard deviation [-].
-        tolerance_factor: on the map tolerances of the twin's points.
-        alarm_level: probability of a false alarm by chance alone.
-        alarm_gain: a mismatch needs this gain at least, whatever chance says: tolerances are never quite Gaussian.
-        alarm_size: and this share of the effect's tolerance of interest.
-        beside_size: the same of a lesser effect beside one of that size.
-        least_share: of the samples that an onset or a region must act on, and leave out.
-        least_spread: share of its gain (`score.spread`) that a finding near its bar must keep without its best window.
-        second_gain: what a second effect, beyond one, must add, and keep that share of.
-        other_pair_gain: what two effects must be ahead of the best single one that isn't among them.
-        hanging_second_gain: what a second effect must add that hangs on one window.
-        variant_gain: what an onset or a region must add.
-        hidden_gain: gain of an onset or a region that raises an alarm by itself.
-        unnamed_gain: gain of a term without a name that raises an alarm by itself, where it keeps that share of it.
-        unnamed_sensor_gain: the same of a sensor's fault: these are few.
-        law_gain: what a law outside the catalogue must be ahead of the best of the catalogue.
-        left_gain: gain of a term without a name beyond the chosen explanation, above which that explanation is refused:
-            of one effect; of two; of an onset or region, which are never met exactly.
-        left_share: the same as a share of the explanation's own gain: edges of regions are never met exactly.
-        left_ahead: what it must be ahead of the best second effect.
-        missing_share: of the gain of an explanation: what it may leave before more is said to be missing.
-        local_gain: gain of a bump over an argument of a map that raises an alarm, or beyond an explanation refuses it.
-        equivalent_gain: names within this gain of the best can't be told apart: 9 by chance, and what maps that
-            are off by their tolerance add to it.
-        edges_share: of the gain of an effect in a region: closer names can't be told apart.
-        own_metric_gain: from this gain on the leading explanations are compared with the nuisances of each about
-            itself: a large fault of a sensor moves the arguments of the maps, and so the directions they may be off in.
-        withhold: effects that the search must do without.
-        seed: of the bootstrap.
-    """
-
-    sensor_gain: float = 0.005
-    sensor_offset: float = 0.003
-    tolerance_factor: float = 1.0
-    alarm_level: float = 1e-3
-    alarm_gain: float = 18.0
-    alarm_size: float = 0.8
-    beside_size: float = 0.4
-    least_share: float = 0.08
-    least_spread: float = 0.5
-    second_gain: float = 16.0
-    other_pair_gain: float = 32.0
-    hanging_second_gain: float = 60.0
-    variant_gain: float = 30.0
-    hidden_gain: float = 45.0
-    unnamed_gain: float = 32.0
-    unnamed_sensor_gain: float = 18.0
-    law_gain: float = 15.0
-    left_gain: tuple[float, float, float] = (20.0, 24.0, 40.0)
-    left_share: tuple[float, float, float] = (0.0, 0.0, 0.05)
-    left_ahead: float = 8.0
-    local_gain: float = 32.0
-    missing_share: float = 0.02
-    equivalent_gain: float = 12.0
-    edges_share: float = 0.02
-    own_metric_gain: float = np.inf
-    withhold: tuple[str, ...] = ()
-    seed: int = 0
+from dieseltwin.settings.search import SearchSettings
 
 
 @dataclass
@@ -96,7 +29,7 @@ class Search:
     """
 
     twin: Twin
-    settings: Settings
+    settings: SearchSettings
     noise: Noise
     whitening: Whitening
     null: Linearisation
@@ -158,7 +91,7 @@ class Search:
         explained = self.explained()
         if explained <= 0.0:
             return 0.0
-        return explained / (explained + max(self.remaining() - CHANCE_LEAVES, 0.0))
+        return explained / (explained + max(self.remaining() - self.settings.chance_leaves, 0.0))
 
     def more_is_missing(self) -> bool:
         """Whether what the explanation leaves is beyond chance and beyond a small share of what it explains."""
@@ -195,13 +128,13 @@ class Search:
 def occam(found: Search, fit: Fit) -> float:
     """Log evidence of a fit up to a constant: half its gain less what the precision of its magnitudes costs.
 
-    Magnitudes are believed log-uniform between their tolerance and 30 times it.
+    Magnitudes are believed log-uniform between their tolerance and `believed_range` times it.
     """
     value = 0.5 * found.gain(fit)
-    stds = fit.std[len(found.twin.parameters) :]
+    stds, spread = fit.std[len(found.twin.parameters) :], np.log(found.settings.believed_range)
     for magnitude, std in zip(np.abs(fit.magnitudes), stds, strict=True):
         if np.isfinite(std) and std > 0 and magnitude > 0:
-            value += float(np.log(np.sqrt(2 * np.pi) * min(std, magnitude) / (magnitude * np.log(_RANGE))))
+            value += float(np.log(np.sqrt(2 * np.pi) * min(std, magnitude) / (magnitude * spread)))
     return value
 
 

@@ -116,7 +116,8 @@ def _options_hash(options: Options) -> str:
     import json
     from dataclasses import asdict
 
-    return hashlib.sha256(json.dumps(asdict(options), sort_keys=True).encode()).hexdigest()
+    plain = {**asdict(options), "search": options.search.model_dump()}
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
 def finite_only(values: Mapping[str, float]) -> dict[str, float]:
@@ -267,6 +268,7 @@ def details_of_search(found: Search, rows: list[CandidateRow], best: Linearisati
     return {
         "kind": found.kind,
         "threshold": found.chance.threshold(found.settings.alarm_level),
+        "equivalent_gain": found.settings.equivalent_gain,
         "noise": {
             name: {"sigma": float(s), "rho": float(r)}
             for name, s, r in zip(found.twin.channels, found.noise.sigma, found.noise.rho, strict=True)

@@ -10,7 +10,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dieseltwin.discovery.search.run import Settings
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, load_discrepancy
 from dieseltwin.engine.effects import EFFECTS
@@ -18,8 +17,6 @@ from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import unknown_name
 
 DETAILS = "details.json"
-EQUIVALENT = 0.5 * Settings().equivalent_gain
-"""Log-likelihood within which names can't be told apart [-]."""
 
 
 def plain(value: Any) -> Any:
@@ -70,8 +67,8 @@ def load_details(folder: str | Path) -> dict[str, Any]:
         raise InputError(str(path), "no such file", "a folder that `dieseltwin discover` wrote", do) from None
     except (OSError, ValueError) as error:
         raise InputError(str(path), error, "JSON that `dieseltwin discover` wrote", do) from None
-    if not isinstance(content, dict) or "candidates" not in content or "options" not in content:
-        raise InputError(str(path), "other content", "JSON that `dieseltwin discover` wrote", do)
+    if not isinstance(content, dict) or not {"candidates", "options", "equivalent_gain"} <= set(content):
+        raise InputError(str(path), "other content", "JSON that `dieseltwin discover` of this version wrote", do)
     return content
 
 
@@ -157,11 +154,11 @@ def explain(name: str, folder: str | Path, catalogue: Mapping[str, Known] = EFFE
     gains = [e["log_likelihood_gain"] for e in details["candidates"] if e["log_likelihood_gain"] is not None]
     gain = entry["log_likelihood_gain"]
     if gain is not None:
-        behind = max(gains) - gain
+        behind, apart = max(gains) - gain, 0.5 * details["equivalent_gain"]
         best = _best(details["candidates"])
         lines.append(
             f"log-likelihood gained over the health parameters alone: {gain:.1f}"
-            + (f", {behind:.1f} behind the best ({best}); below {EQUIVALENT:g} can't be told apart"
+            + (f", {behind:.1f} behind the best ({best}); below {apart:g} can't be told apart"
                if behind > 0 else ", the best of all")
         )  # fmt: skip
     if entry["magnitude"] is not None:

@@ -12,9 +12,7 @@ from dieseltwin.discovery.laws.unnamed import best_term, leading, refit_terms
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, fit_fully
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.interface import Point
-from tests.discovery.toy import Toy
-
-SETTINGS = search.Settings(sensor_gain=0.0, sensor_offset=0.0)
+from tests.discovery.toy import SETTINGS, Toy
 
 
 class _Withheld:

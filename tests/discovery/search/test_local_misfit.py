@@ -8,11 +8,12 @@ import pytest
 
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.discovery.laws.features import Structure
-from dieseltwin.discovery.search.run import Search, Settings, run
+from dieseltwin.discovery.search.run import Search, run
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.terms import LawGroup, LawTerm
 from dieseltwin.recordings.reader import recording
+from dieseltwin.settings.params import default_search
 
 SENSORS = {
     "p_im_pa": 0.03, "p_em_pa": 0.03, "omega_t_rad_s": 0.01, "w_egr_kg_s": 0.05, "t_em_k": 0.03, "w_c_kg_s": 0.03,
@@ -35,7 +36,7 @@ def _searched(bump: bool) -> Search:
     }
     columns = {name: table[name].to_numpy() for name in ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")}
     twin = EngineTwin(recording(pd.DataFrame({**columns, **noisy})), laboratory)
-    return run(twin, Settings(), laws=False)
+    return run(twin, default_search().driving, laws=False)
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,7 @@ from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.variants import Variant, scan
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.recordings.noise import Noise, estimate_noise
-from tests.discovery.toy import Toy
-
-SETTINGS = search.Settings(sensor_gain=0.0, sensor_offset=0.0)
+from tests.discovery.toy import SETTINGS, Toy
 
 
 def _at(toy: Toy, **effects: float) -> Linearisation:
@@ -161,7 +159,7 @@ def test_search_says_when_no_name_fits() -> None:
     """A constant drain, and the catalogue knows a sensor's offset alone."""
     toy = Toy().record(gain=1.0, drag=0.15)
     found = search.run(
-        toy, search.Settings(sensor_gain=0.0, sensor_offset=0.0, withhold=("leak", "drag")), laws=False
+        toy, SETTINGS.asked(("leak", "drag"), 0), laws=False
     )
     assert found.kind == "law"
     assert found.structure[0].feature.site == "vessel"
@@ -238,7 +236,7 @@ def test_a_term_that_a_name_says_does_not_outdo_it() -> None:
     """The sensor's fault as a term is the same as its name, unless that name is withheld."""
     toy = Toy().record(x_offset=0.2)
     for withhold, known in (((), True), (("x_offset",), False)):
-        found = search.run(toy, replace(SETTINGS, withhold=withhold), laws=False)
+        found = search.run(toy, SETTINGS.asked(tuple(withhold), 0), laws=False)
         at = [item for item in found.structure if item.feature.channel == 0 and item.feature.text == "offset"]
         assert len(at) == 1 and at[0] in found.lasting()
         assert found.known_by_name(at[0]) is known
@@ -268,7 +266,7 @@ def test_one_window_that_leads_uphill_does_not_stop_a_fit() -> None:
 
 def test_a_sensor_accused_by_name_and_by_term_is_named() -> None:
     """The term raises the alarm, the name alone would not: still the name is said."""
-    settings = replace(SETTINGS, alarm_gain=1e6, unnamed_gain=1e6, unnamed_sensor_gain=18.0)
+    settings = SETTINGS.model_copy(update={"alarm_gain": 1e6, "unnamed_gain": 1e6, "unnamed_sensor_gain": 18.0})
     found = search.run(Toy().record(gain=0.9, x_offset=0.08), settings, laws=False)
     assert found.kind == "single" and found.best is not None
     assert found.best.fit.candidate.names == ("x_offset",)

@@ -1,0 +1,108 @@
+"""Section `discover.search` of `params.yaml`: what the search decides by, for each kind of machine.
+
+The numbers stand in the file with their reasons. Gains are decreases of -2 log marginal likelihood.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+
+from dieseltwin.settings.strict import StrictModel
+
+
+class SearchSettings(StrictModel):
+    """Thresholds of the search on one kind of machine; `withhold` and `seed` are of the question that is asked."""
+
+    sensor_gain: NonNegativeFloat = Field(description="tolerance of every sensor's gain, one standard deviation [-]")
+    sensor_offset: NonNegativeFloat = Field(description="the same of its offset, share of its middle reading [-]")
+    tolerance_factor: NonNegativeFloat = Field(description="on the map tolerances of the twin's points [-]")
+    alarm_level: PositiveFloat = Field(description="probability of a false alarm by chance alone [-]")
+    alarm_gain: PositiveFloat = Field(description="that a mismatch needs at least, whatever chance says")
+    alarm_size: NonNegativeFloat = Field(description="and this share of the effect's tolerance of interest [-]")
+    beside_size: NonNegativeFloat = Field(description="the same of a lesser effect beside one of that size [-]")
+    least_share: float = Field(gt=0, le=0.5, description="of the samples that an onset or a region must act on, and "
+                               "leave out [-]")
+    least_spread: float = Field(ge=0, le=1, description="share of its gain (`score.spread`) that a finding near its "
+                                "bar must keep without its best window [-]")
+    second_gain: NonNegativeFloat = Field(description="that a second effect must add; it must keep that share of it")
+    other_pair_gain: NonNegativeFloat = Field(description="that two effects must be ahead of the best single one "
+                                              "where that isn't among them")
+    hanging_second_gain: NonNegativeFloat = Field(description="that a second effect must add that hangs on one window")
+    variant_gain: NonNegativeFloat = Field(description="that an onset or a region must add")
+    hidden_gain: NonNegativeFloat = Field(description="of an onset or a region that raises an alarm by itself")
+    unnamed_gain: NonNegativeFloat = Field(description="of a term without a name that raises an alarm by itself, where "
+                                           "it keeps that share of it")
+    unnamed_sensor_gain: NonNegativeFloat = Field(description="the same of a sensor's fault")
+    law_gain: NonNegativeFloat = Field(description="that a law outside the catalogue must be ahead of the best name")
+    left_gain: tuple[float, float, float] = Field(description="of a term without a name beyond the chosen explanation, "
+                                                  "above which that is refused: one effect; two; an onset or a region")
+    left_share: tuple[float, float, float] = Field(description="the same as shares of the explanation's own gain [-]")
+    left_ahead: NonNegativeFloat = Field(description="that such a term must be ahead of the best second effect")
+    local_gain: NonNegativeFloat = Field(description="of a bump over an argument of a map that raises an alarm, or "
+                                         "beyond an explanation refuses it")
+    missing_share: NonNegativeFloat = Field(description="of an explanation's gain that it may leave before more is "
+                                            "said to be missing [-]")
+    equivalent_gain: NonNegativeFloat = Field(description="within which names can't be told apart")
+    edges_share: NonNegativeFloat = Field(description="of the gain of an effect in a region: closer names can't be "
+                                          "told apart [-]")
+    chance_leaves: PositiveFloat = Field(description="gain of the best term without a name beyond a right explanation")
+    believed_range: float = Field(gt=1, description="of magnitudes over their tolerance, log-uniform [-]")
+    own_metric_gain: PositiveFloat | None = Field(description="from which leading explanations are compared with the "
+                                                  "nuisances of each about itself; null: never")
+    withhold: tuple[str, ...] = Field((), description="effects to do without, besides those that a command names")
+    seed: NonNegativeInt = Field(0, description="of the bootstrap; a command's --seed takes its place")
+
+    def asked(self, withhold: tuple[str, ...], seed: int) -> SearchSettings:
+        """The same with what a question adds."""
+        return self.model_copy(update={"withhold": (*self.withhold, *withhold), "seed": seed})
+
+    def in_own_metrics(self, gain: float) -> bool:
+        """Whether leading explanations of that gain are compared with the nuisances of each about itself."""
+        return self.own_metric_gain is not None and gain > self.own_metric_gain
+
+
+class SubmodelErrors(StrictModel):
+    """Errors that are believed of mean-value submodels on settled points, one standard deviation [-].
+
+    They have two halves: one is smooth over the map's arguments, the other differs from point to point.
+    """
+
+    cylinder_flow: PositiveFloat
+    turbine_flow: PositiveFloat
+    turbo_power: PositiveFloat = Field(description="of turbine over compressor power")
+    compressor_flow: PositiveFloat = Field(description="of the compressor's ellipse")
+    egr_flow: PositiveFloat
+    exhaust_temperature: PositiveFloat
+    measured_place: PositiveFloat = Field(description="of any further measured temperature or pressure")
+    smooth_share: float = Field(ge=0, le=1, description="of the variance that is smooth")
+
+    def error(self, submodel: str) -> float:
+        """Whole error of a submodel [-]."""
+        values: dict[str, float] = self.model_dump()
+        return values.get(submodel, self.measured_place)
+
+    def scatter(self, submodel: str) -> float:
+        """Standard deviation of the half that differs from point to point [-]."""
+        return float(self.error(submodel) * (1.0 - self.smooth_share) ** 0.5)
+
+    def smooth_error(self, submodel: str) -> float:
+        """Standard deviation of the smooth half [-]."""
+        return float(self.error(submodel) * self.smooth_share**0.5)
+
+
+class PointSettings(SearchSettings):
+    """Settled points: the search of each round, when the rounds end, and what is believed of the submodels."""
+
+    submodels: SubmodelErrors
+    least_explained: float = Field(ge=0, le=1, description="of the misfit that a name must explain where more is left")
+    most_effects: PositiveInt = Field(description="that are named")
+    flap_spread: PositiveFloat = Field(description="prior standard deviation of the exponents of the exhaust flap's "
+                                       "law [-]")
+
+
+class SearchConfig(StrictModel):
+    """One set of thresholds; a kind of machine changes what differs for it, with its reason."""
+
+    driving: SearchSettings = Field(description="recordings of the diesel engine")
+    points: PointSettings = Field(description="its settled points")
+    petrol: SearchSettings = Field(description="recordings of a petrol engine")
