@@ -26,10 +26,12 @@ from dieseltwin.calibration.coefficients import (
     with_scalars,
 )
 from dieseltwin.calibration.likelihood import Estimate, estimate
-from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel
+from dieseltwin.calibration.scatter import Scatter, scatter_of
+from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel, term_values
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
+from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.search import run as search
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
@@ -97,7 +99,9 @@ class PointsDiscovery:
         nll_before, nll_after: negative log-likelihood per held-out point.
         fits_before, fits_after: per submodel, of coefficients that never saw the held-out third.
         chi2_before, chi2_after: mean squared residual over the scale of the repaired model.
-        law: of the last round, where no name explains what it sees and a law is resolved.
+        law: of the last round, where no name explains what it sees and a law foretells held-out points better.
+        law_terms: the same as terms, with which all coefficients of `repaired` were fitted.
+        scatter: where the points differ by what nobody recorded, if more is missing.
         options: as asked.
         formulations: competing models of the unmeasured places, with their estimates, for `imply`.
         seconds: wall time.
@@ -114,6 +118,8 @@ class PointsDiscovery:
     chi2_before: float
     chi2_after: float
     law: Law | None
+    law_terms: tuple[OneTerm, ...]
+    scatter: Scatter | None
     options: Options
     formulations: Mapping[str, tuple[SteadyModel, Estimate]]
     seconds: float
@@ -129,13 +135,10 @@ class PointsDiscovery:
         return bool(self.rounds) and self.rounds[-1].found.kind != "healthy" and not self.rounds[-1].taken
 
     def terms(self) -> tuple[OneTerm, ...]:
-        """What was found by name, as terms of an engine file.
-
-        A law without a name stays out: it was fitted with the maps' coefficients taken out linearly, and an engine that
-        holds the law without them foretells worse.
-        """
+        """What was found, by name or as a law, as terms of an engine file."""
         values = self.repaired.start
-        return tuple(_term(name, magnitude, std, values) for name, (magnitude, std) in self.effects.items())
+        named = (_term(name, magnitude, std, values) for name, (magnitude, std) in self.effects.items())
+        return (*named, *self.law_terms)
 
     def engine(self) -> EngineParameters:
         """The repaired machine: fitted coefficients and the found terms, beside those that the engine had."""
@@ -190,16 +193,23 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         here, nll, trained = candidate, foretold, coefficients
         free += more
         names += added
+    last = rounds[-1]
+    more_is_missing = last.found.kind != "healthy" and not last.taken
+    law, terms, scatter = None, (), None
+    if more_is_missing and options.law_search:
+        proved = _proved_law(last.found, here, free, nll)
+        if proved is not None:
+            law, terms, here, nll, trained = proved
+    if more_is_missing:
+        scatter = scatter_of(here.model, points, here.start, options.search.submodels)
     std = here.estimate.std()
     values = here.estimate.values()
     scale = _scales(here.model, points, here.start)
-    law = _law(rounds[-1].found) if options.law_search and rounds[-1].found.kind != "healthy" and not rounds[-1].taken \
-        else None
     return PointsDiscovery(
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
         _all_fits(calibration.model, points, mask, trained_before), _all_fits(here.model, points, mask, trained),
         _chi2(calibration.model, points, calibration.start, scale), _chi2(here.model, points, here.start, scale),
-        law, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
+        law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
     )  # fmt: skip
 
 
@@ -258,10 +268,28 @@ def _held_out(here: Calibration, free: list[Coefficient]) -> tuple[float, dict[s
     return float(-_log_density(here.model, points.take(mask), trained, scale).mean()), trained
 
 
-def _law(found: search.Search) -> Law | None:
-    """A law for what no name explains."""
-    return best_law(found.twin, found.null, found.everything_unnamed(),
-                    lambda here: search.tolerance_responses(here.twin, here, found.settings))
+_Proved = tuple[Law, tuple[OneTerm, ...], Calibration, float, dict[str, float]]
+
+
+def _proved_law(found: search.Search, here: Calibration, free: list[Coefficient], nll: float) -> _Proved | None:
+    """A law for what no name explains, if the held-out third is foretold better with it and all coefficients fitted.
+
+    Among some thousand forms the best one always fits better; a law that doesn't foretell is none.
+
+    Returns:
+        The law, its terms, the calibration with it, negative log-likelihood and coefficients as `_held_out`.
+    """
+    law = best_law(found.twin, found.null, found.everything_unnamed(),
+                   lambda there: search.tolerance_responses(there.twin, there, found.settings))
+    terms = law_terms_of(law, found.twin.points) if law is not None else ()
+    if law is None or not terms:
+        return None
+    model = replace(here.model, engine=here.model.engine.replace(terms=(*here.model.engine.terms, *terms)))
+    own = term_values(here.engine.replace(terms=terms))
+    start = {name: here.start.get(name, 0.0) + value for name, value in own.items()}
+    candidate = _refitted(replace(here, model=model), free, start)
+    foretold, trained = _held_out(candidate, free)
+    return (law, terms, candidate, foretold, trained) if foretold < nll else None
 
 
 FORMULATIONS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {

@@ -111,9 +111,9 @@ class Answerer:
     bounds: Mapping[str, tuple[float, float]]
 
     def __call__(self, points: SteadyPoints) -> pd.DataFrame:
-        """Implied quantities of n points: every column of `COLUMNS` with `<column>_std`, and the reconciled states.
+        """Implied quantities of n points: every column of `COLUMNS`, and the states that the points lack somewhere.
 
-        States that the points do not carry (or are NaN) are solved for.
+        Each has its standard deviation beside it, `<column>_std`, in its own unit.
         """
         model = replace(self.model, extra=())
         measured = points.states()
@@ -132,7 +132,11 @@ class Answerer:
         d_r = (r[1:] - r[:1]) / unit[..., None]  # (P, n, R) per standard deviation
         q = _quantities(model, points, y, lanes)
         d_y = -np.einsum("nij,pnj->pni", gain, d_r)
-        out: dict[str, Array] = {name: np.exp(y[:, i]) for i, name in enumerate(STATES) if not known[:, i].all()}
+        out: dict[str, Array] = {}
+        for i in np.flatnonzero(~known.all(axis=0)):
+            between = np.einsum("pn,pq,qn->n", d_y[..., i], self._correlation(), d_y[..., i])
+            out[STATES[i]] = np.exp(y[:, i])
+            out[f"{STATES[i]}_std"] = out[STATES[i]] * np.sqrt(between + np.maximum(posterior[:, i, i], 0.0))
         slopes = _slopes(model, points, y, self.values)
         for column, name in COLUMNS.items():
             out[column] = q[name][0]

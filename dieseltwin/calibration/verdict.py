@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.calibration.discover import PointsDiscovery, Round
+from dieseltwin.calibration.scatter import Scatter
 from dieseltwin.calibration.steady_model import ROWS
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.search.run import Search
@@ -33,6 +34,10 @@ from dieseltwin.recordings.steady_points import STATES
 from dieseltwin.version import __version__
 
 _LEAST_PROBABILITY = 1e-3  # of a site that is still worth a line
+PLACES = {
+    "p_es": "the pressure behind the turbine (a valve, brake or filter in the exhaust)",
+    "p_bc": "the pressure before the compressor", "T_im": "the temperature of the charge",
+}  # fmt: skip
 _COLUMN = {"compressor_flow": "w_c_kg_s", "egr_flow": "w_egr_kg_s", "exhaust_temperature": "t_em_k"}
 
 
@@ -78,10 +83,20 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
             ))  # fmt: skip
     if result.more_is_missing:
         laws.append(result.law.text if result.law is not None else "more is missing; no law is resolved")
+        if result.scatter is not None:
+            laws.append(scatter_words(result.scatter))
     if laws:
         entries.append(FoundEffect(name=NONE_OF_THESE, probability=1.0, law="; ".join(laws), magnitude=None, std=None,
                                    unit=None))
     return tuple(entries)
+
+
+def scatter_words(scatter: Scatter) -> str:
+    """What differs from point to point, for people."""
+    text = f"{scatter.site} differs from point to point by {scatter.std:.1%} beyond what was recorded"
+    if scatter.beside is None or scatter.beside_std is None:
+        return text
+    return f"{text}, or {PLACES[scatter.beside]} does by {scatter.beside_std:.1%}"
 
 
 def _location(result: PointsDiscovery) -> Location:
@@ -93,8 +108,10 @@ def _location(result: PointsDiscovery) -> Location:
         weights[site] = weights.get(site, 0.0) + probability
     if first.taken:
         site = found.twin.hypotheses[first.names[0]].site
-    elif result.law is not None:
+    elif result.law is not None and (result.scatter is None or result.law.gain > result.scatter.gain):
         site = result.law.site
+    elif result.scatter is not None:
+        site = result.scatter.site
     else:
         site = found.structure[0].feature.site
     weights.setdefault(site, 0.0)
