@@ -26,7 +26,7 @@ from dieseltwin.calibration.coefficients import (
     with_scalars,
 )
 from dieseltwin.calibration.likelihood import Estimate, estimate
-from dieseltwin.calibration.scatter import Scatter, scatter_of
+from dieseltwin.calibration.scatter import DEGREES, Scatter, scatter_of
 from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel, term_values
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
@@ -42,7 +42,6 @@ from dieseltwin.settings.search import PointSettings, SearchSettings, SubmodelEr
 
 Array = NDArray[np.float64]
 
-DEGREES = 4.0  # of Student's t
 FULL_ITERATIONS, TRAIN_ITERATIONS = 20, 4
 _SIGNIFICANT = 2.0  # standard deviations
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
+from scipy.stats import t as student
 
 from dieseltwin.calibration.likelihood import NOISE, reading_covariance
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 NEIGHBOURS: Mapping[str, str] = {"p_es": "turbine_flow", "p_bc": "compressor_flow", "T_im": "cylinder_flow"}
 """Quantity of a place that nobody measured -> the balance that it moves most."""
 
+DEGREES = 4.0  # of Student's t
 _STEP = 1e-3  # relative change of a quantity, for its slopes
 _LOG_TAU = (-9.0, 0.0)  # sought range of ln tau
 _CLOSE = 0.7  # of the best place's gain: the points hardly tell two such places apart
@@ -64,10 +66,10 @@ def scatter_of(
     """
     x = points.states()
     sigma = np.array(list(NOISE.values()))
-    size = len(ROWS)
-    C = reading_covariance(model, points, x, values, sigma)[:, :size, :size]
+    rows = len(ROWS)
+    C = reading_covariance(model, points, x, values, sigma)[:, :rows, :rows]
     C = C + np.diag([beliefs.error(row) ** 2 for row in ROWS])
-    r = model.relations(points, x, values).residual[0][:, :size]
+    r = model.relations(points, x, values).residual[0][:, :rows]
     seen = np.isfinite(r).all(axis=1)
     if not seen.any():
         return None
@@ -79,21 +81,25 @@ def scatter_of(
         own = np.einsum("ni,nij,nj->n", a, inverse, a)
         with_r = np.einsum("ni,nij,nj->n", a, inverse, r[seen])
 
-        def cost(log_tau: float) -> float:
-            tau2 = np.exp(2.0 * log_tau)
-            return float(np.sum(np.log1p(tau2 * own) - tau2 * with_r**2 / (1.0 + tau2 * own)))
+        told = own > 0.0
+        size = np.abs(with_r[told]) / np.sqrt(own[told])  # in standard deviations of what the readings allow
 
-        best = minimize_scalar(cost, bounds=_LOG_TAU, method="bounded")
-        return -float(best.fun), float(np.exp(best.x))
+        def likelihood(tau: float) -> float:
+            """Of Student's t: a valve that is nearly shut must not outvote all other points."""
+            wide = np.sqrt(1.0 + tau**2 * own[told])
+            return float(np.sum(student.logpdf(size / wide, DEGREES) - np.log(wide)))
 
-    balances = {row: explained(np.eye(size)[k]) for k, row in enumerate(ROWS)}
+        best = minimize_scalar(lambda log_tau: -likelihood(np.exp(log_tau)), bounds=_LOG_TAU, method="bounded")
+        return 2.0 * (-float(best.fun) - likelihood(0.0)), float(np.exp(best.x))
+
+    balances = {row: explained(np.eye(rows)[k]) for k, row in enumerate(ROWS)}
     site = max(balances, key=lambda row: balances[row][0])
     gain, std = balances[site]
     if gain <= 0.0:
         return None
     for place in (p for p, row in NEIGHBOURS.items() if row == site):
         moved = replace(model, signals={**model.signals, place: np.full(points.size, _STEP)})
-        slopes = (moved.relations(points, x, values).residual[0][:, :size] - r) / _STEP
+        slopes = (moved.relations(points, x, values).residual[0][:, :rows] - r) / _STEP
         beside, spread = explained(np.nan_to_num(slopes))
         if beside >= _CLOSE * gain:
             return Scatter(site, std, gain, place, spread)

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import dieseltwin as dt
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import discover_points
 from dieseltwin.calibration.verdict import document
@@ -20,6 +21,7 @@ from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
 from dieseltwin.engine import load_engine, we2011
 from dieseltwin.engine.terms import Term
+from dieseltwin.recordings.steady_points import STATES
 from dieseltwin.report.calibration import sentence
 from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
 
@@ -128,3 +130,25 @@ def test_points_of_the_model_itself_call_for_nothing() -> None:
     assert not verdict.mismatch and verdict.effects == () and verdict.location is None
     assert verdict.fit.held_out_nll_after == verdict.fit.held_out_nll_before
     assert sentence(found).startswith("The 150 points call for nothing")
+
+
+def test_withheld_channels_fall_into_their_intervals(flap: Calibrated, tmp_path: Path) -> None:
+    """Other points of the same engine, one state left out at a time."""
+    fresh = pd.DataFrame(dict(made_points(count=60, noise=0.005, seed=11, effects=FLAP).columns))
+    inside = []
+    for column in STATES:
+        file = tmp_path / f"without_{column}.csv"
+        fresh.drop(columns=column).to_csv(file, index=False)
+        implied = dt.imply(file, flap.found / "repaired.yaml").table()
+        inside.append(np.abs(implied[column] - fresh[column]) < 1.645 * implied[f"{column}_std"])
+    assert 0.85 <= np.mean(inside) <= 0.99
+
+
+def test_a_flap_that_nobody_recorded_is_something_behind_the_turbine(flap: Calibrated, tmp_path: Path) -> None:
+    points = pd.read_csv(flap.points).drop(columns="u_flap_pct")
+    points.to_csv(tmp_path / "points.csv", index=False)
+    dt.calibrate(tmp_path / "points.csv", geometry=flap.points.parent / "geometry.yaml").save(tmp_path / "engine.yaml")
+    found = dt.discover(tmp_path / "points.csv", engine=tmp_path / "engine.yaml")
+    assert found.document.more_is_missing
+    assert found.document.location is not None and found.document.location.site == "turbine_flow"
+    assert "the pressure behind the turbine" in found.sentence
