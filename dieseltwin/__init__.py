@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.calibration import calibrate as calibrate
     from dieseltwin.api.discovery import discover as discover
     from dieseltwin.api.engines import engine as engine
+    from dieseltwin.api.export import export as export
     from dieseltwin.api.identification import Setup as Setup
     from dieseltwin.api.identification import identify as identify
     from dieseltwin.api.learning import learn as learn
@@ -35,6 +36,7 @@ _ROOMS = {
     "Setup": "identification",
     "calibrate": "calibration",
     "discover": "discovery",
+    "export": "export",
     "identify": "identification",
     "imply": "points",
     "learn": "learning",
@@ -44,8 +46,8 @@ _ROOMS = {
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "discover", "engine", "identify", "imply", "learn", "read", "show_versions",
-    "simulate",
+    "Setup", "__version__", "calibrate", "discover", "engine", "export", "identify", "imply", "learn", "read",
+    "show_versions", "simulate",
 ]  # fmt: skip
 
 

@@ -76,6 +76,7 @@ def test_everything_asked_for_is_locked(project_root: Path, project: dict) -> No
     locked = {plain(line.split("==")[0]) for line in lines if "==" in line}
     optional = project["project"]["optional-dependencies"]
     wanted = [*project["project"]["dependencies"], *optional["networks"], *optional["pipeline"], *optional["dev"]]
+    wanted += [*optional["export"], *optional["docs"], *optional["tables"]]
     wanted += project["build-system"]["requires"]
     assert {plain(name) for name in wanted} - {"dieseltwin"} <= locked  # an extra may ask for another one
 

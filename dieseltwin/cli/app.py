@@ -19,6 +19,7 @@ from dieseltwin.cli.channels import channels_command
 from dieseltwin.cli.data import data_app
 from dieseltwin.cli.discover import discover_command
 from dieseltwin.cli.effects import show_effects
+from dieseltwin.cli.export import export_command
 from dieseltwin.cli.identify import identify_command
 from dieseltwin.cli.learn import learn_command
 from dieseltwin.cli.options import help_without_command
@@ -55,6 +56,7 @@ app.command("channels")(channels_command)
 app.command("effects")(show_effects)
 app.command("calibrate")(calibrate_command)
 app.command("imply")(imply_command)
+app.command("export")(export_command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -76,6 +76,8 @@ fuel_flow = _model.fuel_flow
 eta_vol = _model.eta_vol
 exhaust_to_intake_ratio = _model.exhaust_to_intake_ratio
 actuator_update = _model.actuator_update
+play_output = _model.play_output
+play_edge = _model.play_edge
 
 
 def _make_load_constants() -> Any:
@@ -257,11 +259,10 @@ def follow_play(time, u, width):  # type: ignore[no-untyped-def]
     y = u[0]
     for i in range(n - 1):
         half = 0.5 * width[i]
-        y = min(max(y, u[i] - half), u[i] + half)  # the width may have changed
-        following = min(max(y, u[i + 1] - half), u[i + 1] + half)
+        y = play_output(y, u[i], half)  # the width may have changed
+        following = play_output(y, u[i + 1], half)
         if following != y:
-            edge = y + half if following > y else y - half  # of the command where the output starts to move
-            share = (edge - u[i]) / (u[i + 1] - u[i])
+            share = (play_edge(y, following, half) - u[i]) / (u[i + 1] - u[i])
             if 0.0 < share < 1.0:
                 times[count], values[count] = time[i] + share * (time[i + 1] - time[i]), y
                 count += 1

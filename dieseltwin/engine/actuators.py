@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dieseltwin.engine.array_namespace import Array, exp
+from dieseltwin.engine.array_namespace import Array, exp, maximum, minimum, where
 
 
 def actuator_rate(u_delayed: Array, u_state: Array, tau: Array) -> Array:
@@ -14,3 +14,13 @@ def actuator_update(u_state: Array, u_start: Array, u_end: Array, step: Array, t
     """Exact solution of `actuator_rate` after `step` [s] for an input that runs linearly from u_start to u_end [%]."""
     slope_lag = (u_end - u_start) / step * tau
     return u_end - slope_lag + (u_state - u_start + slope_lag) * exp(-step / tau)
+
+
+def play_output(y: Array, u: Array, half: Array) -> Array:
+    """Output of a play operator of half width `half` behind the command u, before it y (Visintin, 1994) [%]."""
+    return minimum(maximum(y, u - half), u + half)
+
+
+def play_edge(y: Array, following: Array, half: Array) -> Array:
+    """Command [%] at which the output of a play starts to move from y to `following`."""
+    return where(following > y, y + half, y - half)

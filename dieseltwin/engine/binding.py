@@ -38,7 +38,7 @@ from dieseltwin.engine import (
 from dieseltwin.engine.effect import Effect
 from dieseltwin.errors import DieselTwinError
 
-_LEAVES = (manifolds, cylinder, egr, turbocharger, actuators, nozzle)
+LEAVES = (manifolds, cylinder, egr, turbocharger, actuators, nozzle)
 MAPS = ("eta_vol", "f_egr", "F_vgt_Pi_t", "eta_tm", "eta_c", "Phi_c")
 """The six empirical maps that a learned surrogate may replace (paper, table of surrogates)."""
 
@@ -76,7 +76,7 @@ def effect_modules() -> tuple[types.ModuleType, ...]:
 def equations() -> dict[str, Function]:
     """Every equation of the engine by name (the numpy functions as written)."""
     found: dict[str, Function] = {}
-    for module in (*_LEAVES, model, *effect_modules()):
+    for module in (*LEAVES, model, *effect_modules()):
         for name, value in functions_of(module).items():
             if name in found:
                 raise DieselTwinError(f"equation {name} is defined twice")
@@ -220,7 +220,7 @@ def bind(backend: Backend, replace: Mapping[str, Function] | None = None) -> Mod
     if unknown:
         raise DieselTwinError(f"can't replace unknown equations {unknown}; the empirical maps are {MAPS}")
     shared: Scope = {"__builtins__": __builtins__, "__name__": __name__}  # numba's cache imports it
-    for module in (*_LEAVES, quantities, model_constants, model):
+    for module in (*LEAVES, quantities, model_constants, model):
         shared |= _named_values(module)
     shared |= primitives_of(backend)
 
@@ -231,7 +231,7 @@ def bind(backend: Backend, replace: Mapping[str, Function] | None = None) -> Mod
         return own
 
     leaves: Scope = {}
-    for module in _LEAVES:
+    for module in LEAVES:
         leaves |= bound(module, shared)
     for module in effect_modules():  # constants of an effect are its own
         laws = bound(module, {**shared, **_named_values(module)})

@@ -22,7 +22,7 @@ def published_frame(states: np.ndarray, actuation: Actuation, q: Any, parameters
     p_im, p_em, omega_t, x_r, T_1 = states[:, :5].T
     rows = slice(actuation.inputs.n_history, None)
     n_e, u_delta = actuation.inputs.n_e_rpm[rows], actuation.inputs.u_delta_mg[rows]
-    u_injected = q.W_f / model.fuel_flow(1.0, n_e, c)
+    driver = model.driver_quantities(q, n_e, p_im, p_em, c)
     columns = {
         "time_s": actuation.time_s, "n_e_rpm": n_e, "u_delta_mg": u_delta,
         "u_egr_pct": actuation.inputs.u_egr_pct[rows], "u_vgt_pct": actuation.inputs.u_vgt_pct[rows],
@@ -32,8 +32,7 @@ def published_frame(states: np.ndarray, actuation: Actuation, q: Any, parameters
         "w_eo_kg_s": q.W_eo, "w_f_kg_s": q.W_f, "t_e_k": q.T_e, "t_1_k": T_1, "x_r": x_r, "eta_c": q.eta_c,
         "eta_tm": q.eta_tm, "eta_vol": q.eta_vol, "phi_c": q.Phi_c, "f_vgt_pi_t": q.F_vgt_Pi_t, "f_egr": q.f_egr,
         "p_t_eta_m_w": q.P_t_eta_m, "p_c_w": q.P_c, "t_c_k": model.compressor_out_temperature(q.eta_c, q.Pi_c, c),
-        "lambda": model.air_fuel_ratio(q.W_c, q.W_f, c), "egr_fraction": model.egr_fraction(q.W_c, q.W_egr),
-        "torque_nm": model.torque(u_injected, n_e, p_im, p_em, c),
+        "lambda": driver.air_fuel_ratio, "egr_fraction": driver.egr_fraction, "torque_nm": driver.torque,
     }  # fmt: skip
     return pd.DataFrame({name: np.broadcast_to(value, n_e.shape) for name, value in columns.items()})
 

@@ -24,6 +24,7 @@ from dieseltwin.engine.cylinder import (
     isochoric_pressure_ratio,
     residual_gas_fraction,
     specific_heat_of_combustion,
+    torque,
 )
 from dieseltwin.engine.egr import egr_area, egr_flow, egr_flow_factor, egr_pressure_ratio, f_egr
 from dieseltwin.engine.hooks import (
@@ -47,10 +48,11 @@ from dieseltwin.engine.hooks import (
     at_W_eo,
     at_W_t,
 )
-from dieseltwin.engine.manifolds import exhaust_pressure_rate, intake_pressure_rate
+from dieseltwin.engine.manifolds import air_fuel_ratio, egr_fraction, exhaust_pressure_rate, intake_pressure_rate
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.quantities import (
     Charge,
+    DriverQuantities,
     ExtendedQuantities,
     Gas,
     IntakeSide,
@@ -260,6 +262,14 @@ def exhaust_side(
         turbo_speed_rate(added(P_t_eta_m - P_f, s.shaft_power), i.P_c, x.omega_t, c),
         static, p_es, i.p_bc, i.T_im, i.T_c, W_leak_im, W_leak_em, P_f,
     )  # fmt: skip
+
+
+def driver_quantities(q: ExtendedQuantities, n_e: Array, p_im: Array, p_em: Array, c: Constants) -> DriverQuantities:
+    """What a driver or a calibrator reads off; the torque is that of the mass that is really injected."""
+    u_injected = q.W_f / fuel_flow(1.0, n_e, c)
+    return DriverQuantities(
+        air_fuel_ratio(q.W_c, q.W_f, c), egr_fraction(q.W_c, q.W_egr), torque(u_injected, n_e, p_im, p_em, c)
+    )
 
 
 def quantities_extended(x: OperatingPoint, gas: Gas, m: Magnitudes, s: Signals, c: Constants) -> ExtendedQuantities:

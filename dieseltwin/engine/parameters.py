@@ -170,6 +170,13 @@ def _scalars(parameters: EngineParameters) -> dict[str, float]:
     return values
 
 
+def described() -> dict[str, str]:
+    """Scalar parameter (vectors by element: ``c_vol1``) -> what it is, with its unit."""
+    words = {name: field.description or "" for name, field in EngineParameters.model_fields.items()}
+    elements = {element: words[name] for name, vector in _VECTORS.items() for element in vector}
+    return {name: {**words, **elements}[name] for name in PUBLISHED}
+
+
 def constants(parameters: EngineParameters) -> Constants:
     """The constants of one parameter set, all floats. Use ``._replace(A_egrmax=tensor)`` for unknowns."""
     values = _scalars(parameters)

@@ -176,3 +176,11 @@ class ExtendedQuantities(NamedTuple):
     W_leak_im: Any
     W_leak_em: Any
     P_f: Any
+
+
+class DriverQuantities(NamedTuple):
+    """What a driver or a calibrator reads off: air/fuel ratio lambda [-], EGR fraction [-], torque [N m]."""
+
+    air_fuel_ratio: Any
+    egr_fraction: Any
+    torque: Any

@@ -25,8 +25,8 @@ __all__ = [
 ]  # fmt: skip
 
 _MEASURED_AT = (0, 1, 2, 5, 6, 7)
-_SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
-_SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
+SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
+SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
 _DRIVER_COLUMNS = ("x_oim", "x_oem", "lambda", "egr_fraction", "torque_nm")
 
 
@@ -124,10 +124,10 @@ def settle(
 
     The engine is not stable everywhere (light load, high speed); there it returns a state on the limit cycle.
     """
-    time = np.array([0.0, _SETTLE_S])
+    time = np.array([0.0, SETTLE_S])
     n_e, u_delta, u_egr, u_vgt = (np.full(2, float(value)) for value in (n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct))
     inputs = Inputs(time, n_e, u_delta, u_egr, u_vgt, u_flap_pct=None if u_flap_pct is None else np.full(2, u_flap_pct))
-    result = simulate_states(actuate(inputs, parameters), parameter_batch(parameters), np.array(_SETTLE_START))
+    result = simulate_states(actuate(inputs, parameters), parameter_batch(parameters), np.array(SETTLE_START))
     return result.states[0, -1, :3].copy()
 
 

@@ -1,0 +1,80 @@
+"""Taking an engine away: as C, as a functional mock-up unit."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from dieseltwin.api.engines import NAMED, PUBLISHED, Engine
+from dieseltwin.api.engines import engine as engine_of
+from dieseltwin.atomic import atomic_path, check_writable, write_text
+from dieseltwin.codegen.c_engine import c_source
+from dieseltwin.codegen.fmu import VERSIONS, check_platform, write_fmu
+from dieseltwin.engine import EngineParameters
+from dieseltwin.errors import InputError
+
+
+def export(
+    engine: Engine | str | Path = PUBLISHED, *, c: str | Path | None = None, fmu: str | Path | None = None,
+    fmi: int = 2, sources_only: bool = False, overwrite: bool = False,
+) -> list[Path]:  # fmt: skip
+    """Write an engine with its terms and learned maps for programs that know nothing of this package.
+
+    Args:
+        engine: name, file or parameters of a diesel engine.
+        c: file of C to write: a simulator without dependencies.
+        fmu: functional mock-up unit to write, for co-simulation.
+        fmi: version of FMI, 2 or 3.
+        sources_only: leave the FMU's binary for this platform out; no compiler is needed then.
+        overwrite: replace files that are there.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        InputError: nothing asked for, a petrol engine, a file that is there, no compiler.
+    """
+    targets = [Path(path) for path in (c, fmu) if path is not None]
+    if not targets:
+        raise InputError("export", "no file to write", "--c, --fmu", "name one of them")
+    found, name = exportable(engine)
+    for path, option, ending in ((c, "--c", ".c"), (fmu, "--fmu", ".fmu")):
+        if path is not None:
+            _check_target(Path(path), option, ending, overwrite)
+    if len({path.resolve() for path in targets}) < len(targets):
+        raise InputError("export", f"{targets[0]} twice", "a file each", "choose another name")
+    version = next((known for known in VERSIONS if known == fmi), None)
+    if version is None:
+        raise InputError("--fmi", fmi, "2 or 3", "choose one of them")
+    if fmu is not None and not sources_only:
+        check_platform(version)
+    if c is not None:
+        write_text(c, c_source(found, name))
+    if fmu is not None:
+        with atomic_path(fmu) as temporary:
+            write_fmu(found, name, temporary, version, binary=not sources_only)
+    return targets
+
+
+def exportable(source: Engine | str | Path) -> tuple[EngineParameters, str]:
+    """A diesel engine and its name.
+
+    Raises:
+        InputError: as `engines.engine`, or a petrol engine.
+    """
+    found = engine_of(source)
+    if not isinstance(found, EngineParameters):
+        raise InputError("export", "a petrol engine", "a diesel engine",
+                         "a petrol engine runs along a recording: use `dieseltwin simulate`")
+    if isinstance(source, str) and source in NAMED:
+        return found, source
+    return found, re.sub(r"\s+", "_", Path(source).stem) if isinstance(source, str | Path) else "engine"
+
+
+def _check_target(path: Path, option: str, ending: str, overwrite: bool) -> None:
+    if path.suffix.lower() != ending:
+        raise InputError(f"{option} {path}", f"ending {path.suffix or 'nothing'}", ending, "choose another name")
+    if path.exists() and not overwrite:
+        raise InputError(f"{option} {path}", "a file that is there", "a new one", "choose another, or add --overwrite")
+    check_writable(path)
+
