@@ -41,7 +41,6 @@ app = typer.Typer(
     name="dieseltwin",
     help="Digital twin of a diesel engine's gas path: simulate it, identify its health parameters from a recording.",
     pretty_exceptions_enable=False,
-    add_completion=False,
     rich_markup_mode=None,
 )
 app.command("simulate")(simulate_command)

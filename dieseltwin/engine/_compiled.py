@@ -6,9 +6,6 @@ and the equations are branch-free, so that the compiler runs eight lanes in one 
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
 import types
 from pathlib import Path
 from typing import Any
@@ -16,38 +13,12 @@ from typing import Any
 import numba
 import numpy as np
 
+from dieseltwin.engine.kernel_cache import kernel_folder
 from dieseltwin.engine.manifolds import X_OC as _OXYGEN_OF_AIR
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, Constants
 
-
-def _cache_folder() -> str:
-    """A folder for compiled kernels named by the sources they come from.
-
-    numba's own check sees the kernel's file only, and would reuse a kernel whose equations have changed in another
-    module.
-    """
-    here = Path(__file__).parent
-    digest = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
-    for source in sorted(here.rglob("*.py")):
-        digest.update(source.name.encode() + source.read_bytes())
-    name = digest.hexdigest()[:16]
-    places = [
-        os.environ.get("NUMBA_CACHE_DIR") or here.parent.parent / ".numba_cache",
-        Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dieseltwin",
-        Path(tempfile.gettempdir()) / f"dieseltwin-{os.getuid()}",  # read-only installation, no home
-    ]
-    for place in places:
-        folder = Path(place) / name
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return str(folder)
-    return str(folder)
-
-
-numba.config.CACHE_DIR = _cache_folder()  # type: ignore[attr-defined]
+_FOLDER = kernel_folder(Path(__file__).parent, (numba.__version__, np.__version__))
+numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
 
 from dieseltwin.engine._fastmath import select  # noqa: E402
 from dieseltwin.engine.binding import bind  # noqa: E402  the folder must be set before anything is compiled

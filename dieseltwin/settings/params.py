@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -282,10 +281,9 @@ class Params(StrictModel):
 
 
 def default_params_path() -> Path:
-    """`params.yaml` of the working folder, else the one beside the library (a checkout), else the one installed."""
-    here, checkout = Path(PARAMS_FILE), Path(__file__).resolve().parents[2] / PARAMS_FILE
-    installed = Path(sysconfig.get_path("data")) / "share" / "dieseltwin" / PARAMS_FILE
-    return next((path for path in (here, checkout) if path.is_file()), installed)
+    """`params.yaml` of the working folder, else the package's own (in a checkout a link to the one at the top)."""
+    here = Path(PARAMS_FILE)
+    return here if here.is_file() else Path(__file__).resolve().parents[1] / "data" / PARAMS_FILE
 
 
 def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) -> Params:

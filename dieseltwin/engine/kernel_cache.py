@@ -1,0 +1,84 @@
+"""Where compiled kernels are kept: a folder of this user's own, named by the sources that the kernels come from."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[1]
+_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+
+
+def kernel_folder(sources: Path, versions: Iterable[str]) -> Path:
+    """A folder for the kernels compiled from the Python files below `sources`; it belongs to this user alone.
+
+    Kernels are pickles, which run what they hold when they are loaded: a folder that another user owns or may write to
+    is never used. Where no place can be written to, a temporary folder serves this process and is removed with it.
+
+    Args:
+        sources: numba's own check sees a kernel's file only, and would reuse one whose equations changed elsewhere.
+        versions: of what compiles.
+    """
+    digest = hashlib.sha256(" ".join(versions).encode())
+    for source in sorted(sources.rglob("*.py")):
+        digest.update(source.name.encode() + source.read_bytes())
+    name = digest.hexdigest()[:16]
+    named = os.environ.get("NUMBA_CACHE_DIR")  # who names a folder answers for it
+    places = [(Path(named), True)] if named else []
+    for place, trusted in [*places, *((place, False) for place in _places())]:
+        folder = place / name
+        if (trusted or _own(place)) and _own(folder):
+            drop_broken(folder)
+            return folder
+    scratch = tempfile.mkdtemp(prefix="dieseltwin-")
+    atexit.register(shutil.rmtree, scratch, ignore_errors=True)
+    return Path(scratch)
+
+
+def _places() -> Iterator[Path]:
+    """In a checkout, in the user's cache, among temporary files."""
+    cache = os.environ.get("XDG_CACHE_HOME")
+    if (PACKAGE.parent / "pyproject.toml").is_file():
+        yield PACKAGE.parent / ".numba_cache"
+    if cache:
+        yield Path(cache) / "dieseltwin"
+    else:
+        with suppress(RuntimeError):  # this user has no home
+            yield Path.home() / ".cache" / "dieseltwin"
+    yield Path(tempfile.gettempdir()) / f"dieseltwin-{os.getuid()}"
+
+
+def _own(folder: Path) -> bool:
+    """Make a folder, or see whether it is this user's own and nobody else's to write to; a link isn't followed."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.lstat()
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+            return False
+        if found.st_mode & _WRITABLE_BY_OTHERS:
+            folder.chmod(found.st_mode & ~_WRITABLE_BY_OTHERS)
+    except OSError:
+        return False
+    return os.access(folder, os.R_OK | os.W_OK | os.X_OK)
+
+
+def drop_broken(folder: Path) -> None:
+    """Remove kernels that a power cut left half-written: they are compiled again (numba writes them and renames)."""
+    for path in (*folder.rglob("*.nbi"), *folder.rglob("*.nbc")):
+        try:
+            with path.open("rb") as file:
+                size = file.seek(0, os.SEEK_END)
+                if size:
+                    file.seek(size - 1)
+                whole = size > 0 and file.read(1) == b"."  # what ends a pickle
+            if not whole:
+                path.unlink()
+        except OSError:
+            continue  # another process removed it
