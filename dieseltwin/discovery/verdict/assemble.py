@@ -32,6 +32,7 @@ from dieseltwin.discovery.verdict.document import Fit as FitFigures
 from dieseltwin.discovery.verdict.effect_curve import effect_curves
 from dieseltwin.discovery.verdict.findings import finite
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
+from dieseltwin.discovery.verdict.observed import observed
 from dieseltwin.discovery.verdict.over_recordings import (
     health_places,
     health_values,
@@ -100,7 +101,8 @@ def assemble(
     if isinstance(twin, SeveralTwin):
         starts, local = twin.parts[-1].starts, local[-twin.parts[-1].starts.size :]
     return Discovery(
-        document, _engine(twin, parameters, terms), before_engine, curves, {}, details, starts, local
+        document, _engine(twin, parameters, terms), before_engine, curves, {}, details, starts, local,
+        None if len(days) > 1 else observed(found, (parameters, covariance), since),
     )
 
 

@@ -91,11 +91,11 @@ def profile_words(profile: str | None, days: Sequence[Dated]) -> str:
         return "is of one size in all recordings"
     kind, _, number = profile.partition(":")
     if kind == "cold":
-        return "comes with cold weather"
+        return "comes with cold weather (this size at the coldest)"
     k = int(number)
     if kind == "begins":
         return f"began between {days[k - 1].day} and {days[k].day}"
-    return f"has grown since {days[k].day}"
+    return f"has grown to this size since {days[k].day}"
 
 
 def told_apart(found: Search, days: Sequence[Dated]) -> tuple[list[Sizes], str]:

@@ -1,0 +1,132 @@
+"""Six recordings of an engine over a year while a leak grows: when is it found, one by one, by the history, together?
+
+    python benchmarks/history.py --engines 4 --out DIR [--seed 61] [--minutes 5] [--together]
+
+Every engine is the plant of the own-engine tier of the concealed benchmark: maps off by 2 %, wear over the year, sensors
+of its own, other weather and other driving in every recording. It is learned from twenty minutes, then recorded on six
+days, once well and once with a leak that grows from nothing to 30 mm2 on the last day. Printed for each: what each
+recording by itself, the history (`dieseltwin watch`), and with `--together` all recordings so far judged together say.
+Stopped in the middle it goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import dieseltwin as dt
+from dieseltwin.atomic import write_json
+from dieseltwin.challenge.map_errors import MapErrors
+from dieseltwin.challenge.own_engine import (
+    TIERS,
+    draw_health,
+    record_reference,
+    same_sensors,
+    weather,
+    with_ambient,
+    worn,
+)
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.plant_effects import Fault
+from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.engine import we2011
+
+RECORDINGS = 6
+LEAKS = ("boost_leak", "exhaust_leak")  # in turns
+LARGEST_M2 = 30e-6
+FIRST = datetime(2026, 1, 15, tzinfo=UTC)
+APART = timedelta(days=73)
+LABORATORY = we2011.PARAMETERS.model_dump()
+
+
+def leak_of(number: int) -> str:
+    """Which leak an engine has."""
+    return LEAKS[number % len(LEAKS)]
+
+
+def record(number: int, seed: int, minutes: float, folder: Path) -> None:
+    """Write the recordings of one engine: reference_*.csv, healthy/DATE.csv, leaking/DATE.csv."""
+    rng = np.random.default_rng([seed, number])
+    then, wear = draw_health(LABORATORY, rng)
+    maps, sensors = MapErrors.draw(TIERS["own-engine"], rng), SensorSet.draw(rng)
+    first = run_plant(draw_driving("random", 60.0 * minutes, LABORATORY, rng), then, (), maps)
+    for name in ("healthy", "leaking"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for k, frame in enumerate(record_reference(then, LABORATORY, maps, (sensors, first, 6), 20.0, rng)):
+        frame.to_csv(folder / f"reference_{k + 1}.csv", index=False)
+    for k in range(RECORDINGS):
+        passed = k / (RECORDINGS - 1)
+        now = worn(then, {name: 1.0 + passed * (share - 1.0) for name, share in wear.items()})
+        today = weather(now, LABORATORY, rng)
+        driving = draw_driving("random" if k % 2 == 0 else "whtc", 60.0 * minutes, LABORATORY, rng)
+        faults = (Fault(leak_of(number), passed * LARGEST_M2),) if k else ()
+        for name, present in (("healthy", ()), ("leaking", faults)):
+            run = run_plant(driving, today, present, maps)
+            frame = read(run, driving, present, same_sensors(sensors, first, run), 6, rng)
+            with_ambient(frame, today).to_csv(folder / name / f"{FIRST + k * APART:%Y-%m-%d}.csv", index=False)
+
+
+def engine_of(folder: Path) -> Path:
+    """The learned engine of a folder, learned where it isn't yet."""
+    mine = folder / "mine.yaml"
+    if not mine.is_file():
+        dt.learn(sorted(folder.glob("reference_*.csv"))).save(mine)
+    return mine
+
+
+def by_history(folder: Path, kind: str) -> pd.DataFrame:
+    """Table of the history of one kind of recordings."""
+    found = dt.watch(sorted((folder / kind).glob("*.csv")), engine_of(folder), folder / f"history_{kind}")
+    print(f"{folder.name} {kind}: {found.sentence}", flush=True)
+    return found.table()
+
+
+def together(folder: Path, kind: str) -> dict[str, Any]:
+    """What all recordings up to each day say together: day -> verdict, size on that day [m2], how it differs."""
+    known = folder / f"together_{kind}.json"
+    out: dict[str, Any] = json.loads(known.read_text()) if known.is_file() else {}
+    files = sorted((folder / kind).glob("*.csv"))
+    for count in range(len(files), 1, -1):
+        if files[count - 1].stem in out:
+            continue
+        document = dt.discover(files[:count], engine_of(folder)).document
+        last = document.recordings[-1].magnitudes
+        out[files[count - 1].stem] = {
+            "names": [list(effect.names) for effect in document.effects],
+            "sizes": {name: [size.value, size.std] for name, size in last.items()},
+            "over": [effect.over_recordings for effect in document.effects],
+        }
+        write_json(known, out)
+    return out
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--engines", type=int, default=4)
+    parser.add_argument("--only", type=int, help="number of the one engine to do")
+    parser.add_argument("--seed", type=int, default=61)
+    parser.add_argument("--minutes", type=float, default=5.0, help="length of every recording")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--together", action="store_true", help="also judge all recordings so far together")
+    chosen = parser.parse_args(arguments)
+    for number in range(chosen.engines) if chosen.only is None else [chosen.only]:
+        folder = chosen.out / f"engine_{number}"
+        if not (folder / "leaking").is_dir():
+            record(number, chosen.seed, chosen.minutes, folder)
+        for kind in ("healthy", "leaking"):
+            shown = by_history(folder, kind)[["date", "evidence", "verdict"]]
+            print(f"{leak_of(number)}, {kind}\n{shown.to_string(index=False)}", flush=True)
+            if chosen.together:
+                print(json.dumps(together(folder, kind), indent=1), flush=True)
+
+
+if __name__ == "__main__":
+    main()
