@@ -2,10 +2,10 @@
 
     python benchmarks/history.py --engines 4 --out DIR [--seed 61] [--minutes 5] [--together]
 
-Every engine is the plant of the own-engine tier of the concealed benchmark: maps off by 2 %, wear over the year, sensors
-of its own, other weather and other driving in every recording. It is learned from twenty minutes, then recorded on six
+Every engine is the plant of the concealed benchmark's own-engine tier: maps off by 2 %, wear over the year, sensors of
+its own, other weather and other driving in every recording. It is learned from twenty minutes, then recorded on six
 days, once well and once with a leak that grows from nothing to 30 mm2 on the last day. Printed for each: what each
-recording by itself, the history (`dieseltwin watch`), and with `--together` all recordings so far judged together say.
+recording by itself, the history (`dieseltwin watch`), and with `--together` all recordings up to each day together say.
 Stopped in the middle it goes on where it was.
 """
 

@@ -137,7 +137,8 @@ class DrivingQuestion(Question):
         sensors = ", ".join(self.options.sensors or ())
         if self.days:
             hours = sum(day.recording.duration_s for day in self.days) / 3600.0
-            return f"{len(self.days)} recordings, {self.days[0].day} to {self.days[-1].day}: {hours:.2g} h, {sensors} ..."
+            span = f"{self.days[0].day} to {self.days[-1].day}"
+            return f"{len(self.days)} recordings, {span}: {hours:.2g} h, {sensors} ..."
         return f"{self.recording.path or 'recording'}: {self.recording.duration_s:.0f} s, {sensors} ..."
 
     @cached_property

@@ -17,17 +17,18 @@ from dieseltwin.api.reading import Channels
 from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_text
 from dieseltwin.errors import InputError
-from dieseltwin.learning.alarm import ALARMS_PER_YEAR, Course, course
+from dieseltwin.learning.alarm import Course, course
 from dieseltwin.learning.files import LearnedEngine, load_learned
 from dieseltwin.learning.history import Entry, History
 from dieseltwin.recordings.dates import Dated, dated
 from dieseltwin.report import history as pages
+from dieseltwin.settings.params import load_params
+from dieseltwin.settings.watch import WatchConfig
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE, TABLE = "history.html", "history.csv"
-LARGEST_RATE = 1.0  # false alarms per engine and year; with more it is no alarm
 
 
 @dataclass(frozen=True, repr=False)
@@ -37,6 +38,7 @@ class Watched(Result):
     Attributes:
         entries: recordings by date.
         course: evidence after each, and the alarm.
+        alarms_per_year: false alarms per engine and year, at most.
         added: names of the recordings that were added now.
         known: names of those that were there before.
         refused: name -> why it can't be used.
@@ -81,7 +83,7 @@ def watch(
     *,
     channels: Channels | None = None,
     sensors: Sequence[str] | None = None,
-    alarms_per_year: float = ALARMS_PER_YEAR,
+    settings: WatchConfig | None = None,
 ) -> Watched:
     """Judge recordings one by one, add them to the history of their engine, and say whether it has changed.
 
@@ -93,56 +95,78 @@ def watch(
         history: folder of the history, made where there is none.
         channels: channel map of the recordings.
         sensors: columns to use; None is all that there are.
-        alarms_per_year: false alarms per engine and year that are accepted.
+        settings: when to raise an alarm; `watch` of params.yaml.
 
     Raises:
         InputError: an engine of which nothing was learned, a history of another engine, a damaged one.
     """
-    _check_rate(alarms_per_year)
-    learned = load_learned(Path(engine)) if Path(engine).is_file() else None
-    if learned is None:
-        raise InputError(str(engine), "no learned engine", "a file that `dieseltwin learn` wrote",
-                         "learn the engine from recordings of when it was well")  # fmt: skip
+    learned = _learned(engine)
     store = History(history, _known_sha256(learned))
-    added, known, refused = [], [], []
+    added: list[str] = []
+    known: list[str] = []
+    refused: list[tuple[str, str]] = []
     for path in map(Path, recordings):
         try:
             if path.is_file() and store.holds(hashlib.sha256(path.read_bytes()).hexdigest()):
                 known.append(str(path))
                 continue
-            question = ask_driving([path], engine, channels, Asked(sensors), (learned, ()))
-            day = dated(question.recording)
-            if day is None:
-                raise InputError(str(path), "no date", "a date in the file or in its name", "name it 2026-03-14.csv")
-            (added if store.add(_entry(question.answer(), day)) else known).append(str(path))
+            (added if store.add(_judged(path, engine, learned, channels, sensors)) else known).append(str(path))
         except InputError as error:
             refused.append((str(path), str(error)))
-    return _watched(store, alarms_per_year, tuple(added), tuple(known), tuple(refused))
+    return _watched(store, settings, tuple(added), tuple(known), tuple(refused))
 
 
-def history(folder: str | Path, *, alarms_per_year: float = ALARMS_PER_YEAR) -> Watched:
+def judge(
+    recording: str | Path, engine: str | Path, *, channels: Channels | None = None, sensors: Sequence[str] | None = None
+) -> Entry:
+    """What `watch` would add for one recording, without a history to add it to; arguments and errors as there."""
+    return _judged(Path(recording), engine, _learned(engine), channels, sensors)
+
+
+def begun(folder: str | Path, engine: str | Path) -> History:
+    """The history in a folder to add entries to, made where there is none.
+
+    Raises:
+        InputError: an engine of which nothing was learned, a history of another engine, a damaged one.
+    """
+    return History(folder, _known_sha256(_learned(engine)))
+
+
+def history(folder: str | Path, *, settings: WatchConfig | None = None) -> Watched:
     """The history of an engine as it stands.
 
     Raises:
         InputError: no history there, or a damaged one.
     """
-    _check_rate(alarms_per_year)
-    return _watched(History(folder), alarms_per_year)
+    return _watched(History(folder), settings)
 
 
 def _watched(
-    store: History, alarms_per_year: float, added: tuple[str, ...] = (), known: tuple[str, ...] = (),
+    store: History, settings: WatchConfig | None, added: tuple[str, ...] = (), known: tuple[str, ...] = (),
     refused: tuple[tuple[str, str], ...] = (),
 ) -> Watched:  # fmt: skip
+    settings = load_params().watch if settings is None else settings
     entries = store.entries()
-    found = course([entry.scores for entry in entries], [entry.moment for entry in entries], alarms_per_year)
-    return Watched(entries, found, alarms_per_year, added, known, refused)
+    found = course([entry.scores for entry in entries], [entry.moment for entry in entries], settings)
+    return Watched(entries, found, settings.alarms_per_year, added, known, refused)
 
 
-def _check_rate(alarms_per_year: float) -> None:
-    if not 0.0 < alarms_per_year <= LARGEST_RATE:
-        raise InputError("--alarms-per-year", f"{alarms_per_year:g}", f"above 0, up to {LARGEST_RATE:g}",
-                         "choose another")  # fmt: skip
+def _learned(engine: str | Path) -> LearnedEngine:
+    learned = load_learned(Path(engine)) if Path(engine).is_file() else None
+    if learned is None:
+        raise InputError(str(engine), "no learned engine", "a file that `dieseltwin learn` wrote",
+                         "learn the engine from recordings of when it was well")  # fmt: skip
+    return learned
+
+
+def _judged(
+    path: Path, engine: str | Path, learned: LearnedEngine, channels: Channels | None, sensors: Sequence[str] | None
+) -> Entry:
+    question = ask_driving([path], engine, channels, Asked(sensors), (learned, ()))
+    day = dated(question.recording)
+    if day is None:
+        raise InputError(str(path), "no date", "a date in the file or in its name", "name it 2026-03-14.csv")
+    return _entry(question.answer(), day)
 
 
 def _known_sha256(learned: LearnedEngine) -> str:

@@ -8,7 +8,7 @@ likelihood ratio, averaged over effects, sizes and days:
     M(t) = sum over days d up to t of w(d) mean over effects of p(estimates up to t | begins at d) / p(.. | healthy)
 
 With w in years it is an e-detector (Shin, Ramdas and Rinaldo, "E-detectors: a nonparametric framework for sequential
-change detection", 2023, definition 2.2): the mean of M(t) of a healthy engine is at most the years that have passed,
+change detection", 2023): the mean of M(t) of a healthy engine is at most the years that have passed,
 and so an alarm at M >= 1/rate is false within T years with probability rate max(T, 1) at most, however often one looks
 (Doob's inequality for submartingales). M is a function of the set of recordings: the order in which they are added
 doesn't matter.
@@ -24,22 +24,11 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import log_ndtr, logsumexp
 
+from dieseltwin.settings.watch import WatchConfig
+
 Array = np.ndarray
 
-ALARMS_PER_YEAR = 0.02
-"""False alarms per engine and year that are accepted [1/year]: of fifty healthy engines one a year."""
-
-INFLATION = 1.5
-"""Scatter of estimates from recording to recording over what the likelihood states [-] (docs/fleet.md)."""
-
-CLIP = 3.5
-"""Standard deviations that one recording counts for at most: a single odd recording is its own verdict's business."""
-
-_STEP_SIZE = 5.0  # of the effect's tolerance: typical size of a fault that is there at once
-_GROWTH_SIZE = 10.0  # of the effect's tolerance in a year: typical growth
-_AT_START = 0.5  # years' worth of weight for what began between the reference and the first recording
 _YEAR_D = 365.25
-_LEAST_SIZE = 0.8  # of the tolerance of interest, as for one recording
 _SURE = 0.9
 
 
@@ -127,59 +116,58 @@ class _OfEffect:
 
 
 def course(
-    scores: Sequence[Sequence[Score]], dates: Sequence[datetime], alarms_per_year: float = ALARMS_PER_YEAR,
-    inflation: float = INFLATION,
-) -> Course:  # fmt: skip
+    scores: Sequence[Sequence[Score]], dates: Sequence[datetime], settings: WatchConfig
+) -> Course:
     """Evidence after each of n recordings, and the first alarm.
 
     Args:
         scores: of each recording; dates: of each, ascending.
-        alarms_per_year: false alarms per engine and year that are accepted.
-        inflation: of the scatter from recording to recording.
+        settings: rate of false alarms, what faults are like, and how much recordings scatter.
     """
-    threshold = 1.0 / alarms_per_year
+    threshold = 1.0 / settings.alarms_per_year
     count = len(scores)
     days = np.array([(date - dates[0]).total_seconds() / 86400.0 for date in dates]) if count else np.zeros(0)
     names = list(dict.fromkeys(score.name for some in scores for score in some))
     if not names:
         return Course(np.zeros(count), threshold, None)
-    effects = [_of_effect(name, scores, days, inflation) for name in names]
+    effects = [_of_effect(name, scores, days, settings) for name in names]
     begun = np.arange(count)[:, None] >= np.arange(count)[None, :]  # (recording, day of beginning)
     with np.errstate(divide="ignore"):
-        weights = np.log(_weights(days)) - np.log(2.0 * len(names))
+        weights = np.log(_weights(days, settings.at_start_years)) - np.log(2.0 * len(names))
         weighted = np.stack([item.log_ratio + np.where(begun, weights, -np.inf)[:, None, :] for item in effects])
     evidence = np.exp(np.minimum(logsumexp(weighted, axis=(0, 2, 3)), 700.0))
     for at in np.flatnonzero(evidence >= threshold):
-        alarm = _alarm(int(at), effects, weighted[:, at], dates, float(evidence[at]))
+        alarm = _alarm(int(at), effects, weighted[:, at], dates, float(evidence[at]), settings)
         if alarm is not None:
             return Course(evidence, threshold, alarm)
     return Course(evidence, threshold, None)
 
 
-def _weights(days: Array) -> Array:
-    """Years' worth of each day of beginning: the time since the recording before; half of it in the first year."""
+def _weights(days: Array, at_start: float) -> Array:
+    """Years' worth of each day of beginning: the time since the recording before; `at_start` of the first year goes to
+    the first recording."""
     passed = days / _YEAR_D
-    spent = np.where(passed < 1.0, _AT_START + (1.0 - _AT_START) * passed, passed)
+    spent = np.where(passed < 1.0, at_start + (1.0 - at_start) * passed, passed)
     return np.diff(spent, prepend=0.0)
 
 
-def _of_effect(name: str, scores: Sequence[Sequence[Score]], days: Array, inflation: float) -> _OfEffect:
+def _of_effect(name: str, scores: Sequence[Sequence[Score]], days: Array, settings: WatchConfig) -> _OfEffect:
     own = [next((score for score in some if score.name == name), None) for some in scores]
     at = np.array([k for k, score in enumerate(own) if score is not None])
     known = [score for score in own if score is not None]
     first = known[0]
     shared = np.stack([score.shared for score in known])
-    covariance = shared @ shared.T + np.diag([(inflation * score.noise_std) ** 2 for score in known])
+    covariance = shared @ shared.T + np.diag([(settings.inflation * score.noise_std) ** 2 for score in known])
     lower = cholesky(covariance, lower=True)
     surprise = solve_triangular(lower, np.array([score.estimate for score in known]), lower=True)
-    surprise = np.clip(surprise, -CLIP, CLIP)
+    counted = np.clip(surprise, -settings.clip, settings.clip)
     before = np.concatenate([days[:1], days[:-1]])
     profiles = np.concatenate([
         days[at][:, None] >= days[None, :], np.maximum(days[at][:, None] - before[None, :], 0.0) / _YEAR_D
     ], axis=1)  # fmt: skip
     columns = solve_triangular(lower, profiles, lower=True)
-    push, information = np.cumsum(columns * surprise[:, None], axis=0), np.cumsum(columns**2, axis=0)
-    spread = np.repeat([_STEP_SIZE, _GROWTH_SIZE], len(days)) * first.tolerance
+    push, information = np.cumsum(columns * counted[:, None], axis=0), np.cumsum(columns**2, axis=0)
+    spread = np.repeat([settings.step_size, settings.growth_size], len(days)) * first.tolerance
     variance = 1.0 / (information + spread**-2.0)
     mean, std = variance * push, np.sqrt(variance)
     log_ratio = np.log(std / spread) + 0.5 * (mean / std) ** 2
@@ -189,20 +177,23 @@ def _of_effect(name: str, scores: Sequence[Sequence[Score]], days: Array, inflat
     shape = (len(days), 2, len(days))
     kept = np.where((latest >= 0)[:, None], log_ratio[latest], 0.0)
     now = profiles[latest]
-    return _OfEffect(first, kept.reshape(shape), (mean[latest] * now).reshape(shape), (std[latest] * now).reshape(shape))
+    whole = variance * np.cumsum(columns * surprise[:, None], axis=0)  # a size isn't smaller for being odd
+    sizes, stds = whole[latest] * now, std[latest] * now
+    return _OfEffect(first, kept.reshape(shape), sizes.reshape(shape), stds.reshape(shape))
 
 
 def _alarm(
-    at: int, effects: Sequence[_OfEffect], weighted: Array, dates: Sequence[datetime], evidence: float
-) -> Alarm | None:
+    at: int, effects: Sequence[_OfEffect], weighted: Array, dates: Sequence[datetime], evidence: float,
+    settings: WatchConfig,
+) -> Alarm | None:  # fmt: skip
     """What the evidence (H, 2, K) after a recording says; None where its size is below what is of interest."""
     shares = np.exp(weighted - logsumexp(weighted))
     of_effects = shares.sum(axis=(1, 2))
     best = int(np.argmax(of_effects))
     lead = effects[best]
-    kind, day = np.unravel_index(int(np.argmax(shares[best])), shares[best].shape)
+    kind, day = divmod(int(np.argmax(shares[best])), shares[best].shape[1])
     size, std = float(lead.size[at, kind, day]), float(lead.std[at, kind, day])
-    if abs(size) < _LEAST_SIZE * lead.score.tolerance:
+    if abs(size) < settings.least_size * lead.score.tolerance:
         return None
     cumulated = np.cumsum(shares[best].sum(axis=0)) / of_effects[best]
     edge = 0.5 * (1.0 - _SURE)
@@ -210,6 +201,6 @@ def _alarm(
     others = [effects[k].score.name for k in np.argsort(-of_effects) if k != best and of_effects[k] >= 0.1]
     return Alarm(
         at, lead.score.name, lead.score.site, lead.score.unit, float(of_effects[best]), tuple(others), size, std,
-        bool(kind == 1), dates[day], dates[max(early - 1, 0)], dates[min(late, at)], evidence,
+        kind == 1, dates[day], dates[max(early - 1, 0)], dates[min(late, at)], evidence,
     )  # fmt: skip
 

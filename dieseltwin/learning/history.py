@@ -150,7 +150,7 @@ class History:
 
     def add(self, entry: Entry) -> bool:
         """Add a recording; False where it is there already, which stays as it is."""
-        row = _as_text(entry)
+        row = to_json(entry)
         columns = (entry.sha256, entry.date, entry.hours, entry.p_amb_pa, entry.t_amb_k, entry.verdict)
         with self._opened() as connection:
             before = connection.total_changes
@@ -168,7 +168,7 @@ class History:
             rows = connection.execute("SELECT sha256, row, checksum FROM recordings ORDER BY date, sha256").fetchall()
         out = []
         for sha256, row, checksum in rows:
-            entry = _parsed(row) if _checksum(row) == checksum else None
+            entry = from_json(row) if _checksum(row) == checksum else None
             if entry is None or entry.sha256 != sha256:
                 raise self._damaged(f"the row of {sha256[:12]} is not as it was written")
             out.append(entry)
@@ -179,7 +179,8 @@ def _checksum(row: str) -> str:
     return hashlib.sha256(row.encode()).hexdigest()
 
 
-def _as_text(entry: Entry) -> str:
+def to_json(entry: Entry) -> str:
+    """An entry as one line of JSON."""
     content = asdict(entry)
     content["scores"] = [{**asdict(score), "shared": _packed(score.shared)} for score in entry.scores]
     for name in _ARRAYS:
@@ -198,8 +199,8 @@ def _unpacked(text: str) -> Array:
     return np.frombuffer(base64.b64decode(text), dtype="<f8").copy()
 
 
-def _parsed(row: str) -> Entry | None:
-    """The entry; None for what isn't one."""
+def from_json(row: str) -> Entry | None:
+    """An entry as `to_json` wrote it; None for what isn't one."""
     try:
         content: dict[str, Any] = json.loads(row)
         scores = tuple(Score(**{**score, "shared": _unpacked(score["shared"])}) for score in content["scores"])

@@ -12,7 +12,10 @@ from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording
 
 STAMP, NAME, MODIFIED, ORDER = "time stamp", "file name", "file's modification time", "order given"
-_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])(?:[-_T ]?(\d\d)[-_:.]?(\d\d))?(?!\d)")
+_IN_NAME = re.compile(
+    r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])"
+    r"(?:[-_T ]?([01]\d|2[0-3])[-_:.]?([0-5]\d)(?:[-_:.]?[0-5]\d)?)?(?!\d)"
+)
 _FIRST_EPOCH_S = 946684800.0  # 2000-01-01 in seconds since 1970: no time since a logger's start is that large
 _START = datetime(1970, 1, 1, tzinfo=UTC)  # of recordings without a date, a day apart
 
@@ -56,7 +59,7 @@ def dated(recording: Recording) -> Dated | None:
     if named is not None:
         year, month, day, hour, minute = (int(part or 0) for part in named.groups())
         try:
-            return Dated(recording, datetime(year, month, day, hour % 24, minute % 60, tzinfo=UTC), NAME)
+            return Dated(recording, datetime(year, month, day, hour, minute, tzinfo=UTC), NAME)
         except ValueError:  # 30 February
             pass
     if not recording.path.is_file():

@@ -35,8 +35,8 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     way = "growing since" if alarm.grows else "there since"
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
-        f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size}, {way} "
-        f"{alarm.since:{_DAY}} ({alarm.earliest:{_DAY}} to {alarm.latest:{_DAY}}); {span}; {rate}. "
+        f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size}, "
+        f"{way} {alarm.since:{_DAY}} ({alarm.earliest:{_DAY}} to {alarm.latest:{_DAY}}); {span}; {rate}. "
         "`dieseltwin discover` on these recordings together says what it is."
     )
 

@@ -113,12 +113,13 @@ def _start(twin: OverRecordings, name: str, fits: Sequence[dict[str, tuple[float
     """The profile that the sizes found in each recording fit best, least squares by their own precision."""
     sizes, weights = np.zeros(len(fits)), np.zeros(len(fits))
     for r, own in enumerate(fits):
-        gain, fit = own.get(name, (0.0, None))
-        if fit is None:  # too weak there to be looked at: nothing, as precisely as where it is seen best
+        if name not in own:  # too weak there to be looked at: nothing, as precisely as where it is seen best
             continue
+        fit = own[name][1]
         sizes[r], weights[r] = float(fit.magnitudes[0]), 1.0 / float(fit.std[-1]) ** 2
     weights[weights == 0.0] = weights.max()
-    profiles = {None: np.ones(len(fits)), **twin.factors}
+    profiles: dict[str | None, Array] = {None: np.ones(len(fits))}
+    profiles.update(twin.factors)
     costs = {}
     for key, factors in profiles.items():
         size = float((weights * factors * sizes).sum() / (weights * factors**2).sum())

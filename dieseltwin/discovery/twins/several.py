@@ -115,7 +115,8 @@ class SeveralTwin:
         self._begin()
 
     def _begin(self) -> None:
-        self.starts = np.concatenate([part.starts + rows.start for part, rows in zip(self.parts, self.rows, strict=True)])
+        begins = zip(self.parts, self.rows, strict=True)
+        self.starts = np.concatenate([part.starts + rows.start for part, rows in begins])
         self._windows = np.cumsum([0, *(part.starts.size for part in self.parts)])
         self.measured: Array = np.concatenate([part.measured for part in self.parts])
         self.moved = np.zeros_like(self.measured)

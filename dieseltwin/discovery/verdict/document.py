@@ -181,7 +181,7 @@ class JudgedRecording(_Part):
     p_amb_pa: float
     t_amb_k: float
     health: dict[Name, HealthValue]
-    magnitudes: dict[Name, SizeValue] = {}
+    magnitudes: dict[Name, SizeValue] = Field(default_factory=dict)
 
 
 class Fit(_Part):

@@ -61,7 +61,7 @@ def scores_of(found: Search, belief: Belief) -> tuple[Score, ...]:
     scale = np.sqrt(np.diag(belief.covariance))
     values, vectors = np.linalg.eigh(belief.covariance / np.outer(scale, scale))
     kept = values > 1e-12 * values[-1]
-    turned = (vectors[:, kept] / np.sqrt(values[kept])).T @ (at.loadings / scale).T  # open directions in the belief's own
+    turned = (vectors[:, kept] / np.sqrt(values[kept])).T @ (at.loadings / scale).T  # in the belief's own directions
     out: dict[str, Score] = {}
     for item in found.scored:
         if item.name not in out and (score := _score(found, at, item, turned)) is not None:

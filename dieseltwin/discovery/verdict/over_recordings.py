@@ -28,7 +28,7 @@ _TRACE = 1e-6  # of a magnitude's variance: sizes that no recording tells apart
 
 
 def health_places(twin: Twin, r: int = -1) -> list[int]:
-    """Where the health parameters stand among a twin's free parameters; of several recordings those of recording `r`."""
+    """Places of the health parameters among a twin's free parameters; of several recordings those of recording `r`."""
     names = [parameter.name for parameter in twin.parameters]
     if isinstance(twin, SeveralTwin):
         return [names.index(f"{name}:{r % len(twin.parts)}") for name in HEALTH]
@@ -75,8 +75,8 @@ def sizes_by_recording(at: Linearisation, index: int) -> Sizes:
     design = np.vstack([np.delete(at.projected, len(twin.parameters) + index, axis=0), at.metric.project(freed)])
     precision = np.concatenate([np.delete(at.precision, len(twin.parameters) + index), np.full(len(freed), 1e-30)])
     scale = np.sqrt((design**2).sum(axis=1) + precision)
-    covariance = np.linalg.inv(design @ design.T / np.outer(scale, scale) + np.diag(precision / scale**2))
-    covariance /= np.outer(scale, scale)
+    whole = design @ design.T + np.diag(precision)
+    covariance: Array = np.asarray(np.linalg.inv(whole / np.outer(scale, scale)) / np.outer(scale, scale), np.float64)
     offset = np.zeros(precision.size)
     offset[: len(twin.parameters)] = [p.value for p in twin.parameters] - at.fit.parameters
     change = covariance @ (design @ at.projected_residual + precision * offset)
@@ -108,7 +108,8 @@ def told_apart(found: Search, days: Sequence[Dated]) -> tuple[list[Sizes], str]:
     chosen = found.variant.profile if found.kind == "variant" and found.variant is not None else None
     if found.kind == "variant" and chosen is None:
         return sizes, ""
-    profiles = {None: np.ones(len(twin.parts)), **profiles_of(twin.occasions)}
+    profiles: dict[str | None, Array] = {None: np.ones(len(twin.parts))}
+    profiles.update(profiles_of(twin.occasions))
     costs = {name: sizes[0].cost(factors) for name, factors in profiles.items()}
     others = [name for name, cost in costs.items() if name != chosen and cost < costs[chosen] + _ALIKE]
     others.sort(key=lambda name: costs[name])

@@ -33,7 +33,7 @@ def read_mdf(
         wanted: names to read; None reads all. An hour of 500 channels takes long, five of them don't.
 
     Returns:
-        The format's name, signals, the frames of a bus log (None without), notes, and the date at which it begins [UTC].
+        The format's name, signals, the frames of a bus log (None without), notes, and when it begins [UTC].
 
     Raises:
         InputError: asammdf is missing, not readable, or without any channel of numbers.
