@@ -107,10 +107,18 @@ class Course:
 
 @dataclass(frozen=True)
 class _OfEffect:
-    """Log likelihood ratios (n, 2, K) of one effect after each recording, kind by day of beginning; sizes and stds."""
+    """One effect after each recording, kind by day of beginning: all (n, 2, K).
+
+    Attributes:
+        score: its first.
+        counted: log likelihood ratio in which no recording counts for more than it may: raises alarms.
+        whole: the same of the estimates as they are: says what an alarm is about.
+        size, std: of the effect at that recording [unit].
+    """
 
     score: Score
-    log_ratio: Array
+    counted: Array
+    whole: Array
     size: Array
     std: Array
 
@@ -134,10 +142,11 @@ def course(
     begun = np.arange(count)[:, None] >= np.arange(count)[None, :]  # (recording, day of beginning)
     with np.errstate(divide="ignore"):
         weights = np.log(_weights(days, settings.at_start_years)) - np.log(2.0 * len(names))
-        weighted = np.stack([item.log_ratio + np.where(begun, weights, -np.inf)[:, None, :] for item in effects])
-    evidence = np.exp(np.minimum(logsumexp(weighted, axis=(0, 2, 3)), 700.0))
+        weights = np.where(begun, weights, -np.inf)[:, None, :]
+    evidence = np.exp(np.minimum(logsumexp(np.stack([e.counted + weights for e in effects]), axis=(0, 2, 3)), 700.0))
     for at in np.flatnonzero(evidence >= threshold):
-        alarm = _alarm(int(at), effects, weighted[:, at], dates, float(evidence[at]), settings)
+        weighted = np.stack([item.whole[at] + weights[at] for item in effects])
+        alarm = _alarm(int(at), effects, weighted, dates, float(evidence[at]), settings)
         if alarm is not None:
             return Course(evidence, threshold, alarm)
     return Course(evidence, threshold, None)
@@ -160,26 +169,30 @@ def _of_effect(name: str, scores: Sequence[Sequence[Score]], days: Array, settin
     covariance = shared @ shared.T + np.diag([(settings.inflation * score.noise_std) ** 2 for score in known])
     lower = cholesky(covariance, lower=True)
     surprise = solve_triangular(lower, np.array([score.estimate for score in known]), lower=True)
-    counted = np.clip(surprise, -settings.clip, settings.clip)
     before = np.concatenate([days[:1], days[:-1]])
     profiles = np.concatenate([
         days[at][:, None] >= days[None, :], np.maximum(days[at][:, None] - before[None, :], 0.0) / _YEAR_D
     ], axis=1)  # fmt: skip
     columns = solve_triangular(lower, profiles, lower=True)
-    push, information = np.cumsum(columns * counted[:, None], axis=0), np.cumsum(columns**2, axis=0)
     spread = np.repeat([settings.step_size, settings.growth_size], len(days)) * first.tolerance
-    variance = 1.0 / (information + spread**-2.0)
-    mean, std = variance * push, np.sqrt(variance)
-    log_ratio = np.log(std / spread) + 0.5 * (mean / std) ** 2
-    if first.one_sided:
-        log_ratio += np.log(2.0) + log_ndtr(mean / std)
+    std = (np.cumsum(columns**2, axis=0) + spread**-2.0) ** -0.5
     latest = np.searchsorted(at, np.arange(len(days)), side="right") - 1  # recordings without this effect add nothing
-    shape = (len(days), 2, len(days))
-    kept = np.where((latest >= 0)[:, None], log_ratio[latest], 0.0)
+    means = []
+    for estimates in (np.clip(surprise, -settings.clip, settings.clip), surprise):
+        means.append(std**2 * np.cumsum(columns * estimates[:, None], axis=0))
+    ratios = [np.where((latest >= 0)[:, None], _log_ratio(mean, std, spread, first)[latest], 0.0) for mean in means]
     now = profiles[latest]
-    whole = variance * np.cumsum(columns * surprise[:, None], axis=0)  # a size isn't smaller for being odd
-    sizes, stds = whole[latest] * now, std[latest] * now
-    return _OfEffect(first, kept.reshape(shape), sizes.reshape(shape), stds.reshape(shape))
+    shape = (len(days), 2, len(days))
+    return _OfEffect(
+        first, ratios[0].reshape(shape), ratios[1].reshape(shape), (means[1][latest] * now).reshape(shape),
+        (std[latest] * now).reshape(shape),
+    )  # fmt: skip
+
+
+def _log_ratio(mean: Array, std: Array, spread: Array, effect: Score) -> Array:
+    """Log likelihood ratio of a size believed normal about 0 with standard deviation `spread`, by its posterior."""
+    ratio = np.log(std / spread) + 0.5 * (mean / std) ** 2
+    return ratio + np.log(2.0) + log_ndtr(mean / std) if effect.one_sided else ratio
 
 
 def _alarm(
