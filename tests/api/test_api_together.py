@@ -10,6 +10,7 @@ import dieseltwin as dt
 from dieseltwin.engine import we2011
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
+from tests.api.learned import learned_file
 from tests.api.simulated import drive
 
 LEAK = Term(effect="boost_leak", magnitude=25e-6)
@@ -29,7 +30,7 @@ def year(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return dt.learn([drive(150.0, seed=29)], map_error=0.02).save(tmp_path_factory.mktemp("mine") / "mine.yaml")
+    return learned_file(tmp_path_factory.mktemp("mine"))
 
 
 def test_a_leak_that_began_is_named_with_its_date(year: list[Path], tmp_path: Path):
