@@ -7,6 +7,12 @@ its own, other weather and other driving in every recording. It is learned from 
 days, once well and once with a leak that grows from nothing to 30 mm2 on the last day. Printed for each: what each
 recording by itself, the history (`dieseltwin watch`), and with `--together` all recordings up to each day together say.
 Stopped in the middle it goes on where it was.
+
+    python benchmarks/history.py --out DIR --false-alarms 1000
+
+draws histories of fifty recordings a year from the healthy recordings of these engines: errors of maps and sensors
+from what is open of each engine, alike in a whole history, and noise from what the recordings showed beyond that, all
+effects of a recording together and with a sign by chance. Printed: how many of the histories have an alarm.
 """
 
 from __future__ import annotations
@@ -14,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -38,6 +45,9 @@ from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.engine import we2011
+from dieseltwin.learning.alarm import course
+from dieseltwin.learning.history import Entry
+from dieseltwin.settings.params import load_params
 
 RECORDINGS = 6
 LEAKS = ("boost_leak", "exhaust_leak")  # in turns
@@ -108,6 +118,49 @@ def together(folder: Path, kind: str) -> dict[str, Any]:
     return out
 
 
+def surprises(entries: Sequence[Entry]) -> tuple[list[str], np.ndarray]:
+    """Effects, and how far each recording after the first was off those before, (R - 1, H) standard deviations."""
+    names = sorted({score.name for entry in entries for score in entry.scores})
+    columns = []
+    for name in names:
+        scores = [next(score for score in entry.scores if score.name == name) for entry in entries]
+        shared = np.stack([score.shared for score in scores])
+        covariance = shared @ shared.T + np.diag([score.noise_std**2 for score in scores])
+        whitened = np.linalg.solve(np.linalg.cholesky(covariance), [score.estimate for score in scores])
+        columns.append(whitened[1:])
+    return names, np.stack(columns, axis=1)
+
+
+def false_alarms(folders: Sequence[Path], count: int, seed: int, a_year: int = 50, years: float = 1.0) -> None:
+    """Print the share of healthy histories with an alarm, at the rate of the settings and at others."""
+    rng = np.random.default_rng(seed)
+    engines = [dt.history(folder / "history_healthy").entries for folder in folders]
+    seen = [surprises(entries)[1] for entries in engines]
+    names = surprises(engines[0])[0]
+    noise = np.concatenate(seen)
+    scatter, beyond = float(np.sqrt((noise**2).mean())), float(np.mean(np.abs(noise) > 2.58))
+    print(f"{len(noise)} recordings, {len(names)} effects: scatter over what is stated {scatter:.3f}, "
+          f"beyond 2.58 of it {beyond:.3f}")  # fmt: skip
+    recordings = round(a_year * years)
+    dates = [FIRST + timedelta(days=365.25 * years * k / recordings) for k in range(recordings)]
+    settings = load_params().watch
+    rates = (settings.alarms_per_year, 0.1, 0.5)
+    alarms = np.zeros(len(rates))
+    for _ in range(count):
+        entries = engines[rng.integers(len(engines))]
+        open_of_maps = rng.standard_normal(entries[0].scores[0].shared.size)
+        history = []
+        for _ in range(recordings):
+            like = entries[rng.integers(len(entries))].scores
+            odd = dict(zip(names, rng.choice((-1.0, 1.0)) * noise[rng.integers(len(noise))], strict=True))
+            estimates = [score.shared @ open_of_maps + score.noise_std * odd[score.name] for score in like]
+            history.append([replace(s, estimate=float(value)) for s, value in zip(like, estimates, strict=True)])
+        largest = course(history, dates, settings).evidence.max()
+        alarms += [largest >= 1.0 / rate for rate in rates]
+    for rate, found in zip(rates, alarms, strict=True):
+        print(f"stated {rate:g} a year: {found:.0f} alarms in {count} histories of {recordings} recordings")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--engines", type=int, default=4)
@@ -116,7 +169,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, default=5.0, help="length of every recording")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--together", action="store_true", help="also judge all recordings so far together")
+    parser.add_argument("--false-alarms", type=int, help="number of healthy histories to draw")
     chosen = parser.parse_args(arguments)
+    if chosen.false_alarms:
+        false_alarms(sorted(chosen.out.glob("engine_*")), chosen.false_alarms, chosen.seed)
+        return
     for number in range(chosen.engines) if chosen.only is None else [chosen.only]:
         folder = chosen.out / f"engine_{number}"
         if not (folder / "leaking").is_dir():
