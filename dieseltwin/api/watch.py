@@ -72,7 +72,9 @@ class Watched(Result):
         return Path(out)
 
     def lines(self) -> list[str]:
-        told = [f"{name}: added" for name in self.added] + [f"{name}: was there already" for name in self.known]
+        verdicts = {entry.path: entry.verdict for entry in self.entries}
+        told = [f"{name}: added, {verdicts[Path(name).name]} by itself" for name in self.added]
+        told += [f"{name}: was there already" for name in self.known]
         return [*told, *(f"{name}: not added: {why}" for name, why in self.refused), self.sentence]
 
 
