@@ -30,7 +30,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     if alarm is None:
         alone = "" if last == "healthy" else f"; but the last recording by itself shows {last}"
         return (f"No alarm over {span}: the evidence for a change is {course.evidence[-1]:.2g} where "
-                f"{course.threshold:g} is an alarm ({rate}); wear of the health parameters is no alarm{alone}.")  # fmt: skip
+                f"{course.threshold:g} is an alarm ({rate}); wear of the health parameters is no alarm{alone}.")
     size = magnitude_words(alarm.name, alarm.size, alarm.std, alarm.unit, extra=False)
     or_others = f" or {', '.join(alarm.others)}" if alarm.others else ""
     way = "growing since" if alarm.grows else "there since"
