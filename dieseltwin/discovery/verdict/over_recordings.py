@@ -66,8 +66,8 @@ def sizes_by_recording(at: Linearisation, index: int) -> Sizes:
     if not isinstance(twin, SeveralTwin):
         raise TypeError("sizes by recording of one recording")
     name, magnitude = at.fit.candidate.names[index], float(at.fit.magnitudes[index])
-    lane, whole = at.fit.lanes(), at.fit.candidate.schedules.get(name, np.ones(twin.time_s.size))
-    more = {**at.fit.candidate.schedules, name: whole + _DIFFERENCE}
+    lane, schedule = at.fit.lanes(), at.fit.candidate.schedules.get(name, np.ones(twin.time_s.size))
+    more = {**at.fit.candidate.schedules, name: schedule + _DIFFERENCE}
     response = (twin.simulate(replace(lane, schedules=more))[0] - at.simulated) / (_DIFFERENCE * magnitude)
     freed = np.zeros((len(twin.parts), *response.shape))
     for r, rows in enumerate(twin.rows):
@@ -75,12 +75,12 @@ def sizes_by_recording(at: Linearisation, index: int) -> Sizes:
     design = np.vstack([np.delete(at.projected, len(twin.parameters) + index, axis=0), at.metric.project(freed)])
     precision = np.concatenate([np.delete(at.precision, len(twin.parameters) + index), np.full(len(freed), 1e-30)])
     scale = np.sqrt((design**2).sum(axis=1) + precision)
-    whole = design @ design.T + np.diag(precision)
-    covariance: Array = np.asarray(np.linalg.inv(whole / np.outer(scale, scale)) / np.outer(scale, scale), np.float64)
+    scaled = (design @ design.T + np.diag(precision)) / np.outer(scale, scale)
+    covariance: Array = np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale), dtype=np.float64)
     offset = np.zeros(precision.size)
     offset[: len(twin.parameters)] = [p.value for p in twin.parameters] - at.fit.parameters
     change = covariance @ (design @ at.projected_residual + precision * offset)
-    fitted = magnitude * np.array([whole[rows].mean() for rows in twin.rows])
+    fitted = magnitude * np.array([schedule[rows].mean() for rows in twin.rows])
     kept = slice(-len(freed), None)
     return Sizes(fitted + change[kept], covariance[kept, kept])
 
