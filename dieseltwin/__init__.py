@@ -50,8 +50,8 @@ _ROOMS = {
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "discover", "engine", "export", "history", "identify", "imply", "learn", "read",
-    "show_versions", "simulate", "watch",
+    "Setup", "__version__", "calibrate", "discover", "engine", "export", "history", "identify", "imply", "learn",
+    "read", "show_versions", "simulate", "watch",
 ]  # fmt: skip
 
 
