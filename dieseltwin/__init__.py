@@ -30,6 +30,8 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.reading import read as read
     from dieseltwin.api.simulation import simulate as simulate
     from dieseltwin.api.versions import show_versions as show_versions
+    from dieseltwin.api.watch import history as history
+    from dieseltwin.api.watch import watch as watch
 
 # Name -> module of `dieseltwin.api` that holds it. Loaded when first used: `import dieseltwin` loads no numpy.
 _ROOMS = {
@@ -37,17 +39,19 @@ _ROOMS = {
     "calibrate": "calibration",
     "discover": "discovery",
     "export": "export",
+    "history": "watch",
     "identify": "identification",
     "imply": "points",
     "learn": "learning",
     "read": "reading",
     "show_versions": "versions",
     "simulate": "simulation",
+    "watch": "watch",
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "discover", "engine", "export", "identify", "imply", "learn", "read",
-    "show_versions", "simulate",
+    "Setup", "__version__", "calibrate", "discover", "engine", "export", "history", "identify", "imply", "learn",
+    "read", "show_versions", "simulate", "watch",
 ]  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
 from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.verdict.assemble import together_sha256
 from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
@@ -29,11 +30,12 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, overlap
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
-from dieseltwin.settings.names import unknown_name
+from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -114,6 +116,7 @@ class DrivingQuestion(Question):
         notes: what is doubtful about the recording, one sentence each.
         began: clock when it was asked [s].
         known: what was learned of the engine from recordings of when it was well.
+        days: all recordings in time order, where several are judged together; `recording` is then the last.
     """
 
     recording: Recording
@@ -123,6 +126,7 @@ class DrivingQuestion(Question):
     notes: tuple[str, ...]
     began: float
     known: LearnedEngine | None = None
+    days: tuple[Dated, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -131,11 +135,18 @@ class DrivingQuestion(Question):
     @property
     def about(self) -> str:
         sensors = ", ".join(self.options.sensors or ())
+        if self.days:
+            hours = sum(day.recording.duration_s for day in self.days) / 3600.0
+            span = f"{self.days[0].day} to {self.days[-1].day}"
+            return f"{len(self.days)} recordings, {span}: {hours:.2g} h, {sensors} ..."
         return f"{self.recording.path or 'recording'}: {self.recording.duration_s:.0f} s, {sensors} ..."
 
     @cached_property
     def smallest(self) -> Mapping[str, float]:
         """Effect -> smallest magnitude that this recording could show [unit of the effect]."""
+        if self.days:
+            twin = core.several_twin(self.days, self.parameters, self.options, self.known)
+            return core.visible_sizes(twin, self.options.settings())
         return core.prepare(self.recording, self.parameters, self.options, self.known).minimum_detectable
 
     def _check_sensitivity(self) -> None:
@@ -156,23 +167,27 @@ class DrivingQuestion(Question):
             return False
         details = load_details(folder)
         same = details["options"] == json.loads(json.dumps(self.asked))
-        return same and details["recording_sha256"] == self.recording.sha256
+        judged = [day.recording for day in self.days] or [self.recording]
+        return same and details["recording_sha256"] == together_sha256(judged)
 
     def answer(self) -> DrivingDiscovered:
         self._check_sensitivity()
-        found = core.discover(self.recording, self.parameters, self.options, self.known)
+        if self.days:
+            found = core.discover_together(self.days, self.parameters, self.options, self.known)
+        else:
+            found = core.discover(self.recording, self.parameters, self.options, self.known)
         check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
 
 
 def ask_driving(
-    recording: Source | Recording,
+    recordings: Sequence[Source | Recording],
     engine: Engine | str | Path | None,
     channels: Channels | None,
     question: Asked,
     known: tuple[LearnedEngine | None, Sequence[Note]] = (None, ()),
 ) -> DrivingQuestion:
-    """Read and check a recording and what is asked of it; see `discovery.discover`.
+    """Read and check recordings, one or several, and what is asked of them; see `discovery.discover`.
 
     Raises:
         InputError: any file or option that can't be used, a recording or an engine that can't carry a verdict.
@@ -186,14 +201,37 @@ def ask_driving(
     if learned is not None:
         asked["reference_sha256"] = [item.sha256 for item in learned.recordings]
     parameters = diesel_engine(engine) if learned is None else learned.engine
-    source = _read(recording, channels, parameters)
-    used, notes = check_recording(source, parameters, asked["sensors"])
-    notes = [*doubts, *(Note(note, "reading") for note in source.notes), *notes]
-    if learned is not None:
-        _check_apart(learned, source)
-    options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
+    sources = [_read(recording, channels, parameters) for recording in recordings]
+    days = in_time_order(sources) if len(sources) > 1 else ()
+    notes: list[Note] = [*doubts, *_date_notes(days)]
+    sensors = []
+    for source in sources:
+        used, own = check_recording(source, parameters, asked["sensors"])
+        where = f"{source.path or 'recording'}: " if days else ""
+        notes += [Note(f"{where}{note}", "reading") for note in source.notes]
+        notes += [Note(f"{where}{note.removeprefix('note: ')}", note.code, note.affects) for note in own]
+        sensors.append(used)
+        if learned is not None:
+            _check_apart(learned, source)
+    common = tuple(name for name in sensors[0] if all(name in used for used in sensors))
+    if left := sorted({name for used in sensors for name in used} - set(common)):
+        notes.append(Note(f"{listed(left)} is not in all recordings and isn't used", "reading", tuple(left)))
+    options = Options(sensors=common, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
                       seed=question.seed, search=question.settings.search.driving)
-    return DrivingQuestion(source, parameters, options, asked, tuple(notes), began, learned)
+    last = days[-1].recording if days else sources[0]
+    return DrivingQuestion(last, parameters, options, asked, tuple(notes), began, learned, days)
+
+
+def _date_notes(days: Sequence[Dated]) -> list[Note]:
+    """How the dates of several recordings are known, where nothing in the recordings or their names says it."""
+    kinds = {day.date_from for day in days}
+    if MODIFIED in kinds:
+        count = sum(day.date_from == MODIFIED for day in days)
+        return [Note(f"the dates of {count} of {len(days)} recordings are those of their files, which copying may have "
+                     "changed; a date in the name (2026-03-14) counts for more", "dates")]  # fmt: skip
+    if ORDER in kinds:
+        return [Note("the recordings have no dates; they are taken to be a day apart in the order given", "dates")]
+    return []
 
 
 def _check_apart(learned: LearnedEngine, source: Recording) -> None:

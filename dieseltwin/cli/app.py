@@ -26,6 +26,7 @@ from dieseltwin.cli.options import help_without_command
 from dieseltwin.cli.points import calibrate_command, imply_command
 from dieseltwin.cli.show import engine_app, params_app
 from dieseltwin.cli.simulate import simulate_command
+from dieseltwin.cli.watch import watch_app
 from dieseltwin.errors import LONGEST_LINE, DieselTwinError, InputError, one_line, shortened
 from dieseltwin.version import __version__
 
@@ -47,6 +48,7 @@ app.command("simulate")(simulate_command)
 app.command("identify")(identify_command)
 app.command("learn")(learn_command)
 app.command("discover")(discover_command)
+app.add_typer(watch_app, name="watch")
 app.add_typer(engine_app, name="engine")
 app.add_typer(params_app, name="params")
 app.add_typer(challenge_app, name="challenge")

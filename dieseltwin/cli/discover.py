@@ -1,4 +1,4 @@
-"""`dieseltwin discover`: a recording in, what the twin leaves out, as a document, a report and a repaired engine."""
+"""`dieseltwin discover`: recordings in, what the twin leaves out, as a document, a report and a repaired engine."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ from dieseltwin.settings.names import refuse_options
 
 def discover_command(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
-    recording: Annotated[
-        Path | None,
-        typer.Argument(metavar="RECORDING", help="Recording of a running engine (CSV, MDF, ...), 10 min or more."),
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="RECORDING...",
+            help="Recording of a running engine (CSV, MDF, ...), 10 min or more; several are judged together.",
+        ),
     ] = None,
     engine: EngineFile = None,
     sensors: Annotated[
@@ -49,21 +52,21 @@ def discover_command(
     strict: Strict = False,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
-    for path in (recording, *(reference or ())):
+    for path in (*(recordings or ()), *(reference or ())):
         check_there(path)
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
     from dieseltwin.discovery.verdict.explain import check_name, explain
     from dieseltwin.settings.params import load_params
 
-    if recording is None:
+    if not recordings:
         if name is None:
             raise InputError("RECORDING", "nothing", "a recording", "name the recording")
         say(explain(name, out))
         return
     settings = load_params(params, profile).discover
     asked = Asked(_names(sensors), _names(withhold), map_tolerance, seed, tuple(reference or ()), settings)
-    question = ask(recording, engine, channels, asked)
+    question = ask(tuple(recordings), engine, channels, asked)
     if name is not None:
         if not question.catalogue:
             refuse_options({"--explain": name}, question.kind)

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.report import discovery_figures, discovery_residuals, quantities, style
+from dieseltwin.report import discovery_figures, discovery_residuals, over_recordings, quantities, style
 from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words, unit_of
 from dieseltwin.report.style import ReportFigure
 
@@ -43,6 +43,7 @@ def discovery_sections(found: Discovery) -> list[Section]:
     ]
     sections = [
         Section("doubts", "What is doubtful", (), heads=("kind", "what", "about"), rows=doubts),
+        Section("over-recordings", "The recordings", _kept(over_recordings.trends(found))),
         Section("health-parameters", "Health parameters", _kept(discovery_figures.health(found))),
         Section("law-of-it", "Law", _kept(discovery_figures.law_curves(found))),
         Section(
