@@ -20,6 +20,7 @@ from dieseltwin.version import __version__
 
 if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fetches a name when it is asked for
     from dieseltwin.api.calibration import calibrate as calibrate
+    from dieseltwin.api.channels import channels as channels
     from dieseltwin.api.discovery import discover as discover
     from dieseltwin.api.engines import engine as engine
     from dieseltwin.api.export import export as export
@@ -35,6 +36,7 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
 _ROOMS = {
     "Setup": "identification",
     "calibrate": "calibration",
+    "channels": "channels",
     "discover": "discovery",
     "export": "export",
     "identify": "identification",
@@ -46,7 +48,8 @@ _ROOMS = {
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "discover", "engine", "export", "identify", "imply", "learn", "read",
+    "Setup", "__version__", "calibrate", "channels", "discover", "engine", "export", "identify", "imply", "learn",
+    "read",
     "show_versions", "simulate",
 ]  # fmt: skip
 
