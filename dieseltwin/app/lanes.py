@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import queue
 import signal
@@ -12,7 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dieseltwin.app.kept import ACTIVE, OUTCOME, PROGRESS, Job, JobState, Outcome, Store, now, save
+from dieseltwin.errors import InputError
 
+logger = logging.getLogger(__name__)
 LOOKS = 2  # quick looks at a time
 POLITE_S = 3.0  # between asking a process to end and ending it
 LOG = "log.txt"
@@ -107,8 +110,12 @@ class Lanes:
         while not self._closing.is_set():
             key = line.get()
             job = None if key is None else self.store.job(key)
-            if job is not None:
+            if job is None:
+                continue
+            try:
                 self._run(job)
+            except (InputError, OSError) as error:  # taken away meanwhile, or a full disk: the next job may go
+                logger.warning("job %s: %s", job.id, error)
 
     def _run(self, job: Job) -> None:
         folder = self.store.job_folder(job.id)

@@ -12,7 +12,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dieseltwin.atomic import write_text
 from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
-from dieseltwin.report.driving import SET_TITLES
 from dieseltwin.report.results import PARAMETERS, Results, load_results
 from dieseltwin.report.style import ReportFigure
 from dieseltwin.report.tables import headline, paper_table, segment_table, summary_table
@@ -266,7 +265,7 @@ def _picture(path: Path) -> dict[str, str]:
     kind = path.suffix.removeprefix(".")
     plain = path.stem.replace("_", " ").replace("-", " ")
     # the picture carries its whole title itself
-    title = SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:]).partition(":")[0]
+    title = captions.SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:]).partition(":")[0]
     return {"name": path.stem, "title": title, "caption": "", "uri": style.data_uri(path.read_bytes(), kind)}
 
 

@@ -45,7 +45,8 @@ def ended(store: Store, job: Job) -> bool:
 
 
 def test_what_a_killed_server_left_is_listed_and_starts_again(store: Store) -> None:
-    recording, document = kept(store, "drive.csv", b"a;b\n1;2\n"), kept(store, "document.csv", b"%PDF-1.7 " + bytes(99))
+    recording = kept(store, "drive.csv", b"a;b\n1;2\n")
+    document = kept(store, "document.csv", b"%PDF-1.7 " + bytes(99))
     cut_off = store.new_job("channels", "was running", (document.id,))
     store.keep_state(cut_off.id, JobState(status="running", started="2026-01-01T00:00:00+00:00"))
     finished = store.new_job("discover", "ended while nobody looked", (recording.id,))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import re
-import zipfile
 
 import yaml
 from fastapi.testclient import TestClient
 
+from dieseltwin.app.kept import JobState, Outcome, now, save
 from dieseltwin.app.workplace import Workplace
 from tests.app.conftest import Waiting
+from tests.report import synthetic_discovery
 
 
 def chosen(page: str, column: str) -> str:
@@ -56,20 +56,37 @@ def test_a_map_is_mended_and_tried(client: TestClient, recording: str, wait_for:
     assert kept["Ladedruck abs [kPa]"] == {"column": "p_im_pa", "unit": "kPa"}
 
 
-def test_health_is_identified_and_taken_away(client: TestClient, recording: str, wait_for: Waiting) -> None:
-    answer = client.post(f"{recording}/ask", data={"kind": "identify", "engine": "we2011"}, follow_redirects=False)
-    job = answer.headers["location"]
-    page = wait_for(job, 'class="verdict')
-    assert "largest effective EGR area" in page and "Fitting 1 segments" in page
-    with zipfile.ZipFile(io.BytesIO(client.get(f"{job}/result.zip").content)) as archive:
-        assert {"identification.json", "states.parquet", "map.yaml"} <= set(archive.namelist())
-    report = client.get(f"{job}/report")
-    assert report.status_code == 404 or "sandbox" in report.headers["content-security-policy"]
-    key = job.rsplit("/", 1)[-1]
-    beside = client.get("/compare", params={"one": key, "other": key}).text
-    assert beside.count("0.00 %") == 4 and "differ</span>" not in beside
-    assert "&gt;7&lt;" not in client.get("/engines/we2011").text and f'href="{job}"' in client.get("/engines/we2011").text
-    assert client.get(f"{job}/state").headers["hx-refresh"] == "true"
+def finished(client: TestClient, key: str, **changes: float) -> str:
+    """A discovery that ended: a job of the server's store with a real document in it; returns its id."""
+    desk = client.app.state.desk
+    store = desk.store
+    job = store.new_job("discover", "What is left out of Fahrt 7", (key,))
+    document = synthetic_discovery.document()
+    health = {name: value.model_copy(update={"value": value.value * changes.get(name, 1.0)})
+              for name, value in document.health.items()}  # fmt: skip
+    (store.job_folder(job.id) / "result").mkdir()
+    document.model_copy(update={"health": health}).write(store.job_folder(job.id) / "result" / "discrepancy.json")
+    (store.job_folder(job.id) / "result" / "report.html").write_text("<p>report</p>")
+    save(Outcome(sentence="The twin leaves out <b>something</b>."), store.job_folder(job.id) / "outcome.json")
+    store.keep_state(job.id, JobState(status="done", started=now(), ended=now()))
+    return job.id
+
+
+def test_verdicts_have_a_history_and_are_compared(client: TestClient, recording: str) -> None:
+    key = recording.rsplit("/", 1)[-1]
+    first, second = finished(client, key), finished(client, key, A_egrmax=0.9)
+    page = client.get(f"/jobs/{second}").text
+    assert "largest effective EGR area" in page and "The twin leaves out &lt;b&gt;" in page
+    report = client.get(f"/jobs/{second}/report")
+    assert report.headers["content-security-policy"].startswith("sandbox") and "attachment" not in str(report.headers)
+    assert "attachment" in client.get(f"/jobs/{second}/report.html").headers["content-disposition"]
+    beside = client.get("/compare", params={"one": first, "other": second}).text
+    assert beside.count("0.00 %") == 4 and "−10.0 %" in beside and beside.count("differ</span>") == 1
+    engine = client.get("/engines/we2011").text
+    assert f'href="/jobs/{first}"' in engine and "<svg" in engine and "moved by −10.0 %" in engine
+    assert client.post(f"/jobs/{second}/keep-engine").status_code == 404  # it repaired none
+    assert client.get(f"/jobs/{second}/state").headers["hx-refresh"] == "true"
+    assert "0123456789abcdef" not in client.post(f"/jobs/{first}/remove").text and first not in client.get("/").text
 
 
 def test_an_uploaded_engine_is_read_and_can_be_chosen(
@@ -80,7 +97,7 @@ def test_an_uploaded_engine_is_read_and_can_be_chosen(
     engine = answer.headers["location"]
     page = wait_for(engine, "Other than the published engine")
     assert "truck.yaml" in page and "0.0128" in page
-    assert "truck.yaml (uploaded)" in client.get(recording).text
+    wait_for(recording, r"truck\.yaml \(uploaded\)")
     bad = client.post("/engines", files=[("yaml", ("bad.yaml", b"V_dd: 0.0128\n"))], follow_redirects=False)
     assert "did you mean V_d" in wait_for(bad.headers["location"], 'role="alert"')
     assert "bad.yaml (" not in client.get(recording).text
