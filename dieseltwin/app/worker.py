@@ -150,7 +150,7 @@ def _identify(worker: Worker) -> str:
     question = ask(worker.file_of(kept), worker.engine(), channels=worker.map_of(kept),
                    runs=int(worker.job.options.get("runs", 1)), setup=setup)  # fmt: skip
     worker.stage(f"Fitting {len(question.problems)} segments")
-    found = question.answer()
+    found = replace(question, recording_name=kept.name).answer()
     worker.stage("Writing the report")
     found.save(worker.result())
     return found.sentence

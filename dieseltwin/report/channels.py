@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dieseltwin.report import quantities, style
+from dieseltwin.report.extremes import extremes
 
 MOST_POINTS = 4000  # of a channel: more than a panel has pixels
 LINE = "#0072B2"
@@ -27,21 +28,11 @@ def overview(rows: Sequence[tuple[str, str, np.ndarray | None, np.ndarray]]) -> 
     for axes, (column, name, time_s, values) in zip(panels, rows, strict=True):
         x = np.arange(values.size, dtype=np.float64) if time_s is None else time_s - time_s[0]
         there = np.isfinite(values)
-        axes.plot(*_thinned(x[there], values[there]), color=LINE, linewidth=0.9)
+        rows = extremes(values[there], MOST_POINTS)
+        axes.plot(x[there][rows], values[there][rows], color=LINE, linewidth=0.9)
         axes.set_ylabel(quantities.symbol(column), rotation=0, ha="right", va="center")
         axes.annotate(style.plain_text(name), (0.0, 1.0), xycoords="axes fraction", xytext=(3, -2),
                       textcoords="offset points", va="top", fontsize=8, color="#555555")  # fmt: skip
     panels[-1].set_xlabel("row [–]" if rows[-1][2] is None else "time since the first reading [s]")
     caption = "The channels that were taken for one of the model's quantities, each in the file's own unit."
     return style.ReportFigure("overview", "The channels over time", caption, figure, kind="png")
-
-
-def _thinned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest reading of each stretch, (m,) each: every spike stays."""
-    if x.size <= MOST_POINTS:
-        return x, y
-    edges = np.linspace(0, x.size, MOST_POINTS // 2 + 1).astype(int)
-    rows = [edges[i] + np.sort([part.argmin(), part.argmax()]) for i in range(edges.size - 1)
-            if (part := y[edges[i] : edges[i + 1]]).size]
-    at = np.concatenate(rows)
-    return x[at], y[at]

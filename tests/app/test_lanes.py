@@ -63,7 +63,7 @@ def test_what_a_killed_server_left_is_listed_and_starts_again(store: Store) -> N
         until(lambda: ended(store, cut_off))
         outcome = store.outcome(cut_off.id)
         assert store.state(cut_off.id).status == "failed" and outcome is not None
-        assert outcome.error.startswith("document.csv: got a PDF") and not outcome.defect  # people's name, and no path of ours
+        assert outcome.error.startswith("document.csv: got a PDF") and not outcome.defect  # people's name
         assert str(store.workplace.folder) not in outcome.error
     finally:
         lanes.close()
