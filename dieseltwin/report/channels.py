@@ -28,8 +28,8 @@ def overview(rows: Sequence[tuple[str, str, np.ndarray | None, np.ndarray]]) -> 
     for axes, (column, name, time_s, values) in zip(panels, rows, strict=True):
         x = np.arange(values.size, dtype=np.float64) if time_s is None else time_s - time_s[0]
         there = np.isfinite(values)
-        rows = extremes(values[there], MOST_POINTS)
-        axes.plot(x[there][rows], values[there][rows], color=LINE, linewidth=0.9)
+        kept = extremes(values[there], MOST_POINTS)
+        axes.plot(x[there][kept], values[there][kept], color=LINE, linewidth=0.9)
         axes.set_ylabel(quantities.symbol(column), rotation=0, ha="right", va="center")
         axes.annotate(style.plain_text(name), (0.0, 1.0), xycoords="axes fraction", xytext=(3, -2),
                       textcoords="offset points", va="top", fontsize=8, color="#555555")  # fmt: skip

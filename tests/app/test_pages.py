@@ -81,9 +81,9 @@ def test_verdicts_have_a_history_and_are_compared(client: TestClient, recording:
     assert report.headers["content-security-policy"].startswith("sandbox") and "attachment" not in str(report.headers)
     assert "attachment" in client.get(f"/jobs/{second}/report.html").headers["content-disposition"]
     beside = client.get("/compare", params={"one": first, "other": second}).text
-    assert beside.count("0.00 %") == 4 and "−10.0 %" in beside and beside.count("differ</span>") == 1
+    assert beside.count(">0.00 %") == 3 and "−10.00 %" in beside and beside.count("differ</span>") == 1
     engine = client.get("/engines/we2011").text
-    assert f'href="/jobs/{first}"' in engine and "<svg" in engine and "moved by −10.0 %" in engine
+    assert f'href="/jobs/{first}"' in engine and "<svg" in engine and "moved by −10.00 %" in engine
     assert client.post(f"/jobs/{second}/keep-engine").status_code == 404  # it repaired none
     assert client.get(f"/jobs/{second}/state").headers["hx-refresh"] == "true"
     assert "0123456789abcdef" not in client.post(f"/jobs/{first}/remove").text and first not in client.get("/").text
@@ -99,7 +99,7 @@ def test_an_uploaded_engine_is_read_and_can_be_chosen(
     assert "truck.yaml" in page and "0.0128" in page
     wait_for(recording, r"truck\.yaml \(uploaded\)")
     bad = client.post("/engines", files=[("yaml", ("bad.yaml", b"V_dd: 0.0128\n"))], follow_redirects=False)
-    assert "did you mean V_d" in wait_for(bad.headers["location"], 'role="alert"')
+    assert "V_dd" in wait_for(bad.headers["location"], 'role="alert"')
     assert "bad.yaml (" not in client.get(recording).text
     other = client.post("/engines", files=[("yaml", ("engine.exe", b"MZ"))])
     assert other.status_code == 422 and "engine.exe" in other.text
