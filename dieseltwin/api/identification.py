@@ -233,6 +233,12 @@ def ask(
                                   source.path.name if source.path else "")  # fmt: skip
 
 
+def sensors_of(source: Recording) -> tuple[str, ...] | None:
+    """Sensors that `Setup` has to name for this recording: None where it has the paper's five, else those it has."""
+    there = tuple(name for name in SENSORS if name in source.columns)
+    return None if there == SENSORS else there
+
+
 def problems_of(
     source: Recording, parameters: EngineParameters, settings: Params, segment_s: float | None = None,
     sensors: Sequence[str] | None = None,

@@ -141,14 +141,18 @@ def _discover(worker: Worker) -> str:
 
 
 def _identify(worker: Worker) -> str:
-    from dieseltwin.api.identification import Setup, ask
+    from dieseltwin.api.engines import diesel_engine
+    from dieseltwin.api.identification import Setup, ask, sensors_of
+    from dieseltwin.api.reading import diesel_recording
 
     kept = worker.recording()
     worker.stage("Reading the recording")
-    sensors = worker.job.options.get("sensors")
-    setup = Setup(params=worker.job.options.get("params"), sensors=tuple(sensors) if sensors else None)
-    question = ask(worker.file_of(kept), worker.engine(), channels=worker.map_of(kept),
-                   runs=int(worker.job.options.get("runs", 1)), setup=setup)  # fmt: skip
+    engine = diesel_engine(worker.engine())
+    source = diesel_recording(worker.file_of(kept), worker.map_of(kept), engine, sensors=())
+    setup = Setup(params=worker.job.options.get("params"), sensors=sensors_of(source))
+    question = ask(source, engine, runs=int(worker.job.options.get("runs", 1)), setup=setup)
+    for note in question.notes:
+        worker.say(note)
     worker.stage(f"Fitting {len(question.problems)} segments")
     found = replace(question, recording_name=kept.name).answer()
     worker.stage("Writing the report")

@@ -51,7 +51,7 @@ def test_a_name_of_a_channel_can_not_end_the_script() -> None:
     found = synthetic_discovery.discovery()
     curves = replace(found.curves, channels=("</script><b>", *found.curves.channels[1:]))
     series = discovery_series(replace(found, curves=curves))
-    assert "</script" not in series.data and "<b>" not in "".join(series.titles)
+    assert "</script" not in series.data and "<b>" not in "".join(series.titles)  # nor a heading
     assert json.loads(series.data)[0]["name"] == "</script><b>"
 
 
