@@ -20,6 +20,7 @@ from dieseltwin.version import __version__
 
 if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fetches a name when it is asked for
     from dieseltwin.api.calibration import calibrate as calibrate
+    from dieseltwin.api.channels import channels as channels
     from dieseltwin.api.discovery import discover as discover
     from dieseltwin.api.engines import engine as engine
     from dieseltwin.api.export import export as export
@@ -37,6 +38,7 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
 _ROOMS = {
     "Setup": "identification",
     "calibrate": "calibration",
+    "channels": "channels",
     "discover": "discovery",
     "export": "export",
     "history": "watch",
@@ -50,8 +52,8 @@ _ROOMS = {
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "discover", "engine", "export", "history", "identify", "imply", "learn",
-    "read", "show_versions", "simulate", "watch",
+    "Setup", "__version__", "calibrate", "channels", "discover", "engine", "export", "history", "identify", "imply",
+    "learn", "read", "show_versions", "simulate", "watch",
 ]  # fmt: skip
 
 

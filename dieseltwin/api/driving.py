@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
 _MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
-OWNED = ("figures", "report.html", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
+OWNED = ("figures", "report.html", "report.pdf", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
 
 
 @dataclass(frozen=True, repr=False)

@@ -23,6 +23,7 @@ from dieseltwin.cli.export import export_command
 from dieseltwin.cli.identify import identify_command
 from dieseltwin.cli.learn import learn_command
 from dieseltwin.cli.options import help_without_command
+from dieseltwin.cli.page import app_command
 from dieseltwin.cli.points import calibrate_command, imply_command
 from dieseltwin.cli.show import engine_app, params_app
 from dieseltwin.cli.simulate import simulate_command
@@ -54,6 +55,7 @@ app.add_typer(params_app, name="params")
 app.add_typer(challenge_app, name="challenge")
 app.add_typer(data_app, name="data")
 app.command("channels")(channels_command)
+app.command("app")(app_command)
 app.command("effects")(show_effects)
 app.command("calibrate")(calibrate_command)
 app.command("imply")(imply_command)

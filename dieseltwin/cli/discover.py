@@ -9,7 +9,7 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Profile, Strict, progress, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Pdf, Profile, Strict, progress, say
 from dieseltwin.errors import InputError
 from dieseltwin.notes import STRICT_CODE
 from dieseltwin.settings.names import refuse_options
@@ -49,6 +49,7 @@ def discover_command(
     ] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
+    pdf: Pdf = False,
     strict: Strict = False,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
@@ -56,6 +57,7 @@ def discover_command(
         check_there(path)
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
+    from dieseltwin.api.printing import check_printable, print_report
     from dieseltwin.discovery.verdict.explain import check_name, explain
     from dieseltwin.settings.params import load_params
 
@@ -74,12 +76,16 @@ def discover_command(
         if question.answered_in(out):
             say(explain(name, out, question.catalogue))
             return
+    if pdf:
+        check_printable()
     check_folder(out)  # a place that cannot be written to is better known before the work
     progress(question.about)
     say(question.preview())
     progress("fitting ...")
     found = question.answer()
     found.save(out)
+    if pdf:
+        print_report(out)
     say([*found.lines(), f"results: {out}"])
     if name is not None:
         say(["", *explain(name, out, question.catalogue)])

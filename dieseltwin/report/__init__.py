@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dieseltwin.identification.curves import curves_table
-from dieseltwin.report.html import build_report, render, result_figures
+from dieseltwin.report.html import build_report, identification_page, render, result_figures
 from dieseltwin.report.inputs import results_of, write_report_inputs
 from dieseltwin.report.results import MethodResult, Results, load_method, load_results
 from dieseltwin.report.tables import headline, segment_table, summary_table, summary_text
@@ -41,9 +41,10 @@ __all__ = [
 
 
 def identification_figures(
-    identification: Identification, problems: Sequence[SegmentProblem], out_dir: str | Path
-) -> list[Path]:
-    """Draw every figure that one identification has data for and write them as SVG (charts) and PNG (time series).
+    identification: Identification, problems: Sequence[SegmentProblem], out_dir: str | Path, page: str | Path,
+    recording: str = "",
+) -> list[Path]:  # fmt: skip
+    """Draw every figure that one identification has data for, as SVG (charts) and PNG (time series), and its page.
 
     Works without truth. The paper's printed run times stay out: they belong to the comparison of methods.
 
@@ -51,9 +52,11 @@ def identification_figures(
         identification: result of any method.
         problems: the segments that it solved.
         out_dir: folder for the figures, made where missing.
+        page: HTML that holds them all.
+        recording: its name, for the page.
 
     Returns:
-        The paths written.
+        The figures' paths.
     """
-    figures = result_figures(results_of(identification, problems))
-    return [figure.save(Path(out_dir)) for figure in figures if figure.name != "run_times"]
+    about = {"recording": recording} if recording else None
+    return identification_page(results_of(identification, problems, about=about), page, out_dir)
