@@ -16,12 +16,14 @@ from dieseltwin.api.figures import drawn
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.discovery.fit_test import fit_notes
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification
 from dieseltwin.notes import Note, warnings_of
+from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
@@ -53,6 +55,7 @@ class Setup:
         params: file of settings; None is params.yaml.
         profile: of the settings.
         sensors: columns to use; None takes the paper's five, which must be there then.
+        fit_test: test whether the twin fits the recording (methods with exact maps; see `discovery.fit_test`).
     """
 
     models: str | Path | None = None
@@ -60,6 +63,7 @@ class Setup:
     params: str | Path | None = None
     profile: str = DEFAULT_PROFILE
     sensors: Sequence[str] | None = None
+    fit_test: bool = True
 
     def settings(self) -> Params:
         """The settings; raises `InputError` for a file that can't be used."""
@@ -146,7 +150,8 @@ class IdentificationQuestion:
         settings: of the run.
         networks: that the method needs.
         notes: what is doubtful or left out, one sentence each.
-        recording_sha256: of the file; recording_name: for people, "" for one made in memory.
+        recording: what was read.
+        tested: engine and sensors that the fit is tested with; None without a test.
     """
 
     problems: tuple[SegmentProblem, ...]
@@ -156,16 +161,18 @@ class IdentificationQuestion:
     settings: Params
     networks: Mapping[str, Any]
     notes: tuple[str, ...]
-    recording_sha256: str
-    recording_name: str = ""
+    recording: Recording
+    tested: tuple[EngineParameters, tuple[str, ...]] | None
 
     def answer(self) -> Identified:
-        """Identify every segment."""
+        """Identify every segment, and test whether the twin fits the recording."""
         config = self.settings.identify
         found = identify_segments(self.problems, self.method, self.runs, self.seed, config=config, **self.networks)
-        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording_sha256,
-                      **({"recording": self.recording_name} if self.recording_name else {})}  # fmt: skip
-        return Identified(found, self.problems, self.notes, provenance)
+        doubts = [] if self.tested is None else fit_notes(self.recording, *self.tested)
+        path = self.recording.path
+        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256,
+                      **({"recording": path.name} if path else {})}  # fmt: skip
+        return Identified(found, self.problems, (*doubts, *self.notes), provenance)
 
 
 def identify(
@@ -227,10 +234,10 @@ def ask(
     networks = setup.networks(chosen)
     without = [Note(f"without {name}: {COSTS[name]}", "missing_sensor", (name,))
                for name in SENSORS if name not in used]
-    notes = (*_notes(source, parameters), *without, *left_out)
+    notes = (*_notes(source, parameters), *channel_notes(source, used), *without, *left_out)
     seed = settings.seed if seed is None else seed
-    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source.sha256,
-                                  source.path.name if source.path else "")  # fmt: skip
+    tested = (_intake(source, parameters), tuple(used)) if setup.fit_test and chosen.needs.maps == EXACT else None
+    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source, tested)
 
 
 def sensors_of(source: Recording) -> tuple[str, ...] | None:
@@ -250,6 +257,13 @@ def problems_of(
     noise = NoiseLevels.from_signals(signals, relative=settings.noise.channels)
     duration_s = settings.identify.segment_s if segment_s is None else segment_s
     return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s, channels=sensors)
+
+
+def _intake(source: Recording, parameters: EngineParameters) -> EngineParameters:
+    """The engine with the intake temperature that `problems_from_recording` takes."""
+    values = source.columns.get("t_im_k")
+    known = values is not None and bool(np.isfinite(values).any())
+    return parameters.replace(T_im=float(np.nanmedian(values))) if known else parameters  # type: ignore[arg-type]
 
 
 def _checked(sensors: Sequence[str], method: Method) -> tuple[str, ...]:
