@@ -273,8 +273,9 @@ def main() -> None:
                 file.write(json.dumps({**asdict(item), "wrong": item.wrong, "silent": item.silent}) + "\n")
         if item.silent or item.end == "crash" or (item.kind == "clean" and item.codes):
             worst = max(range(len(HEALTH)), key=lambda i: abs(item.errors[i]))
-            print(f"{item.seed} {item.kind} {item.channel} {item.severity}: {item.end} {item.codes} {HEALTH[worst]} "
-                  f"{item.errors[worst]:+.1%} ({item.sigmas[worst]:.1f} sd) {item.text[-600:]}", flush=True)  # fmt: skip
+            about = f"{item.seed} {item.kind} {item.channel} {item.severity}: {item.end} {item.codes}"
+            told = f"{HEALTH[worst]} {item.errors[worst]:+.1%} ({item.sigmas[worst]:.1f} sd) {item.text[-600:]}"
+            print(about, told, flush=True)
         if time.perf_counter() - began > arguments.seconds:
             break
     print("\n".join(summary(found)))

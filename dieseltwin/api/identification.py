@@ -29,6 +29,7 @@ from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report import timeseries, violins
 from dieseltwin.report.inputs import results_of
+from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.methods import EXACT, Method, find
 from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.params import DEFAULT_PROFILE, Params, load_params
@@ -119,12 +120,13 @@ class Identified(Result):
     def save(self, out: str | Path) -> Path:
         """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
-            write_json(folder / "identification.json", {**self.found.to_json(), "warnings": self.warnings})
+            write_json(folder / "identification.json",
+                       sealed_json({**self.found.to_json(), "warnings": self.warnings}))
             write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
-            self.found.states.to_parquet(folder / "states.parquet", index=False)
+            self.found.states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)
             curves = report.curves_table(self.found)
             if curves is not None:
-                curves.to_parquet(folder / "curves.parquet", index=False)
+                curves.to_parquet(folder / "curves.parquet", index=False, write_page_checksum=True)
             name = self.provenance.get("recording", "")
             report.identification_figures(self.found, self.problems, folder / "figures", folder / "report.html", name)
         return Path(out)

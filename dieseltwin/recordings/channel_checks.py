@@ -1,8 +1,8 @@
-"""Faults of a sensor's channel that its own readings show, without any model: frozen, replayed, clipped, with spikes."""
+"""Faults of a sensor's channel that its own readings show, without any model: frozen, replayed, clipped, spiked."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ _SPIKE_NEIGHBOURS = 10  # rows on either side
 
 
 def channel_notes(recording: Recording, names: Sequence[str]) -> list[Note]:
-    """A note for each fault that a channel shows by itself.
+    """A note for each fault that a channel shows by itself while the engine runs.
 
     Args:
         recording: any recording.
@@ -39,22 +39,34 @@ def channel_notes(recording: Recording, names: Sequence[str]) -> list[Note]:
     running = np.zeros(recording.time_s.size, dtype=bool)
     for piece in recording.pieces():
         running[piece] = True
+    found = {name: np.where(running, recording.columns[name], np.nan) for name in names if name in recording.columns}
+    return series_notes(recording.time_s, found, recording.columns["n_e_rpm"])
+
+
+def series_notes(time_s: Array, columns: Mapping[str, Array], speed: Array) -> list[Note]:
+    """`channel_notes` of any columns.
+
+    Args:
+        time_s: (n,) [s].
+        columns: of sensors, (n,) each, NaN where missing.
+        speed: (n,) of the engine: a channel may stand still while it does.
+    """
     notes = []
-    for name in (name for name in names if name in recording.columns):
-        values = recording.columns[name]
-        rows = np.flatnonzero(np.isfinite(values) & running)
+    for name, values in columns.items():
+        rows = np.flatnonzero(np.isfinite(values))
         if rows.size < 4 * _BLOCK:
             continue
-        since, length = longest_standstill(recording, name)
+        still = (0.0, 0.0) if name == "w_egr_kg_s" else longest_standstill(time_s, values, speed)
+        since, length = still  # no flow through a shut valve stands still rightly
         if length >= STUCK_S:
             notes.append(Note(f"{name} stands still for {length:.0f} s from {since:.0f} s on; a stuck sensor looks "
                               "like missing physics", "frozen_channel", (name,)))  # fmt: skip
         found = replayed(values[rows])
         if found is not None:
             first, again, count = found
-            time = recording.time_s[rows]
-            notes.append(Note(f"{name} repeats its readings of {time[first]:.5g} to {time[first + count - 1]:.5g} s from"
-                              f" {time[again]:.5g} s on, digit by digit: a replayed block is no measurement",
+            time = time_s[rows]
+            notes.append(Note(f"{name} repeats its readings of {time[first]:.5g} to {time[first + count - 1]:.5g} s "
+                              f"from {time[again]:.5g} s on, digit by digit: a replayed block is no measurement",
                               "replayed_channel", (name,)))  # fmt: skip
         for side, count in (("highest", clipped(values[rows])), ("lowest", clipped(-values[rows]))):
             if count:
@@ -67,18 +79,19 @@ def channel_notes(recording: Recording, names: Sequence[str]) -> list[Note]:
     return notes
 
 
-def longest_standstill(recording: Recording, name: str) -> tuple[float, float]:
-    """Start and length [s] of the longest stretch of one and the same reading while the engine's speed moves."""
-    values, time = recording.columns[name], recording.time_s
+def longest_standstill(time: Array, values: Array, speed: Array) -> tuple[float, float]:
+    """Start and length [s] of the longest stretch of one and the same reading while the engine's speed moves.
+
+    Args:
+        time: (n,) [s]; values: (n,) with two readings or more; speed: (n,) of the engine.
+    """
     rows = np.flatnonzero(np.isfinite(values))
-    if rows.size < 2 or name == "w_egr_kg_s":  # no flow through a shut valve stands still rightly
-        return 0.0, 0.0
     changes = np.flatnonzero(np.diff(values[rows]) != 0.0)
     starts, ends = np.r_[0, changes + 1], np.r_[changes, rows.size - 1]
     lengths = time[rows[ends]] - time[rows[starts]]
     longest = int(np.argmax(lengths))
     first, last = rows[starts[longest]], rows[ends[longest]]
-    if np.nanstd(recording.columns["n_e_rpm"][first : last + 1]) == 0.0:
+    if np.nanstd(speed[first : last + 1]) == 0.0:
         return 0.0, 0.0
     return float(time[first]), float(lengths[longest])
 

@@ -373,7 +373,7 @@ def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:
             with temporary.open("w", encoding="utf-8", newline="") as file:  # pandas would hide the kind of failure
                 frame.to_csv(file, index=False, lineterminator="\n")
         else:
-            frame.to_parquet(temporary, index=False)
+            frame.to_parquet(temporary, index=False, write_page_checksum=True)
     return path
 
 
