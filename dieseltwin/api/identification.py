@@ -22,7 +22,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification
-from dieseltwin.notes import Note, warnings_of
+from dieseltwin.notes import Note, doubts_among, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 # Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MOST_RUNS = 10_000
+MOST_ROWS = 1_500_000  # 42 hours at 10 Hz; the bands of the states take a kilobyte a row
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
+MISFIT_CODES = ("misfit", "residuals")  # of `fit_notes`: they stand before the numbers
+MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
 # another method in the same folder must not leave its own behind
 OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")
 
@@ -98,7 +101,8 @@ class Identified(Result):
         unknown = [name for name, p in pooled.items() if p.mean is None]
         words = [", ".join(known) or "no parameter can be told"]
         words += [f"not identifiable here: {', '.join(unknown)}"] if unknown and known else []
-        return f"{self.found.method}, {len(self.problems)} segments: {'; '.join(words)}."
+        doubt = "The twin doesn't fit this recording (see `dieseltwin discover`). " if self._misfits else ""
+        return f"{doubt}{self.found.method}, {len(self.problems)} segments: {'; '.join(words)}."
 
     def table(self) -> pd.DataFrame:
         """One row a parameter: mean, std, low and high (90 % interval), bound, unit, segments behind it."""
@@ -136,10 +140,15 @@ class Identified(Result):
         """All that is doubtful, as in identification.json: code, text, affects."""
         return warnings_of([*self.notes, *misfits(self.found.to_json())])
 
+    @property
+    def _misfits(self) -> list[Note]:
+        return [note for note in doubts_among(self.notes) if note.code in MISFIT_CODES]
+
     def lines(self) -> list[str]:
-        """The table as text, and the notes."""
+        """That the twin doesn't fit, where it doesn't; the table as text, and the other notes."""
         document = self.found.to_json()
-        return [*text_table(document), *self.notes, *misfits(document)]
+        first = self._misfits
+        return [*first, *text_table(document), *(n for n in self.notes if n not in first), *misfits(document)]
 
 
 @dataclass(frozen=True)
@@ -231,6 +240,9 @@ def ask(
     parameters = diesel_engine(engine)
     used = SENSORS if setup.sensors is None else _checked(setup.sensors, chosen)
     source = diesel_recording(recording, channels, parameters, sensors=used)
+    if source.time_s.size > MOST_ROWS:
+        raise InputError(str(source.path or "recording"), f"{source.time_s.size} rows", f"at most {MOST_ROWS}",
+                         "cut it, or average it down to 10 Hz")
     masked = None if setup.sensors is None else used
     problems, left_out = _usable(problems_of(source, parameters, settings, segment_s, masked), source)
     networks = setup.networks(chosen)
@@ -322,11 +334,13 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[Note]:
 def misfits(document: Mapping[str, Any]) -> list[Note]:
     """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
     everything = [s for run in document["runs"] for s in run["segments"]]
-    stuck = sum(not s["converged"] for s in everything)
+    by_segment = list(zip(*([s["converged"] for s in run["segments"]] for run in document["runs"]), strict=True))
+    stuck, lost = sum(not any(ends) for ends in by_segment), sum(not s["converged"] for s in everything)
     notes: list[Note] = []
-    if stuck:
-        notes = [Note(f"{stuck} of {len(everything)} fits did not converge (`converged` in identification.json); a "
-                      "segment without a converged fit is left out of the pooled values", "not_converged")]
+    if stuck or lost > MOSTLY_STUCK * len(everything):
+        notes = [Note(f"{lost} of {len(everything)} fits did not converge (`converged` in identification.json), in "
+                      f"{stuck} of {len(by_segment)} segments none; such a segment is left out of the pooled values",
+                      "not_converged")]  # fmt: skip
     values = [s["chi2_per_sample"] for s in everything]
     known = [value for value in values if value is not None]
     if not known or float(np.median(known)) <= MISFIT:

@@ -17,9 +17,11 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
-from dieseltwin.engine import EngineParameters
+from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.identification.problem import NOISE_FLOOR
 from dieseltwin.notes import Note
+from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
 
 LONGEST_PART_S = 600.0
@@ -29,6 +31,10 @@ SHORTEST_S = 60.0
 """Less running time can't be tested: six windows, each of which spends an unknown state [s]."""
 
 FEWEST_SENSORS = 3
+BEST_SENSOR = 0.002
+"""Noise that every sensor has at least, as a share of its channel's level [-], and never below `NOISE_FLOOR`. What has
+less, as a simulation, is given it: nothing else would hide the errors of integration steps and of windows' starts."""
+
 ALARM_GAIN = 16.0
 """Gain of a fault or an effect from which the twin doesn't fit. The largest of 24 clean recordings was 6.6."""
 
@@ -113,9 +119,20 @@ def _parts(recording: Recording) -> Iterator[Recording]:
 
 
 def _examined(part: Recording, engine: EngineParameters, sensors: Sequence[str]) -> tuple[Search, list[Suspicion]]:
-    twin = EngineTwin(part, engine, sensors)
+    columns = {**part.columns, **{name: _with_noise(part.columns[name], MEASURED.index(name)) for name in sensors}}
+    twin = EngineTwin(replace(part, columns=MappingProxyType(columns)), engine, sensors)
     found = prepare(twin, Options().settings())
     return found, suspicions(found.null, recording_faults(twin, found.null))
+
+
+def _with_noise(values: Array, channel: int) -> Array:
+    """Readings (n,) of a channel of `MEASURED` with as much noise as the best sensor has."""
+    least = max(BEST_SENSOR * float(np.nanmean(np.abs(values))), NOISE_FLOOR[channel])
+    own = float(estimate_noise(values[:, None]).sigma[0])
+    missing = least**2 - (own**2 if np.isfinite(own) else 0.0)
+    if missing <= 0.0:
+        return values
+    return values + np.sqrt(missing) * np.random.default_rng(channel).standard_normal(values.size)
 
 
 def _beyond(found: Search, faults: Sequence[Suspicion], bar: float) -> Iterator[Scored | Suspicion]:

@@ -44,7 +44,7 @@ class RecordingFault:
     def words(self, size: float) -> str:
         """It with its size."""
         if self.kind == "clock":
-            return f"time stamps that run {abs(size):.2g} times too {'fast' if size < 0.0 else 'slow'}"
+            return f"time stamps that run about {100.0 * abs(size):.2g} % too {'fast' if size < 0.0 else 'slow'}"
         if self.kind == "gain":
             return f"{self.column} about {100.0 * size:+.2g} % off"
         if self.kind == "shift":

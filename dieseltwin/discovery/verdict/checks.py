@@ -29,6 +29,9 @@ agree; noise and its correlation need some 200 rows."""
 COMFORTABLE_S = 300.0
 """Below, a note: limits grow with one over the square root of the time, and all error rates were measured at 600 s."""
 
+MOST_ROWS = 150_000
+"""Rows with the engine running: responses to all tolerances and effects take 50 kB a row while they are compared."""
+
 LEAST_SENSORS = 3
 """As many readings as states; with fewer a state can't be told from a parameter."""
 
@@ -142,6 +145,18 @@ def check_length(recording: Recording) -> None:
             str(recording.path or "recording"), f"{seconds:.3g} s of running engine",
             f"{MINIMUM_S:g} s or more for a verdict, 600 s for the stated error rates", "record longer",
         )  # fmt: skip
+
+
+def check_rows(recording: Recording) -> None:
+    """Refuse a recording that is too large for the memory that a verdict takes.
+
+    Raises:
+        InputError: more than `MOST_ROWS` with the engine running.
+    """
+    rows = sum(piece.stop - piece.start for piece in recording.pieces())
+    if rows > MOST_ROWS:
+        raise InputError(str(recording.path or "recording"), f"{rows} rows of running engine", f"at most {MOST_ROWS}",
+                         "judge it in parts, or average it down to 5 Hz")
 
 
 def excitation(recording: Recording, engine: EngineParameters) -> tuple[dict[str, float], int]:
@@ -284,6 +299,7 @@ def check_recording(
         InputError: the recording can't carry a verdict, or the engine file is another engine's.
     """
     check_length(recording)
+    check_rows(recording)
     used = check_sensors(recording, sensors)
     check_excitation(recording, engine)
     factor = check_engine(recording, engine)
