@@ -37,7 +37,10 @@ INPUTS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 CHANNELS = (*SENSORS, *INPUTS)
 WRONG, SIGMAS = 0.05, 4.0
 
-Mutilation = Callable[[pd.DataFrame, str, np.random.Generator], str]
+Mutilated = tuple[pd.DataFrame, str]
+"""A damaged recording, and how badly."""
+
+Mutilation = Callable[[pd.DataFrame, str, np.random.Generator], Mutilated]
 
 
 @dataclass(frozen=True)
@@ -95,86 +98,86 @@ def clean_recordings(seed: int) -> Iterator[tuple[int, pd.DataFrame, np.ndarray]
             number += 1
 
 
-def drop(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def drop(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """Rows are lost and the time stamps made anew, as by a logger that counts rows."""
     share = rng.uniform(0.02, 0.2)
     lost = frame.index[rng.random(len(frame)) < share]
-    frame.drop(index=lost, inplace=True)
+    frame = frame.drop(index=lost)
     frame["time_s"] = STEP_S * np.arange(len(frame))
-    return f"{share:.0%} of the rows"
+    return frame, f"{share:.0%} of the rows"
 
 
-def swap(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def swap(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """Two channels stand under each other's name; the paper's likeliest mix-ups are pressures and positions."""
     pairs = (("p_im_pa", "p_em_pa"), ("u_egr_pct", "u_vgt_pct"))
     others = [name for name in CHANNELS if name != channel]
     pair = pairs[rng.integers(2)] if rng.random() < 0.7 else (channel, others[rng.integers(len(others))])
     frame[list(pair)] = frame[list(pair)[::-1]].to_numpy()
-    return f"{pair[0]} with {pair[1]}"
+    return frame, f"{pair[0]} with {pair[1]}"
 
 
-def scale(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def scale(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """A factor between 0.7 and 1.4."""
     factor = float(np.exp(rng.choice([-1, 1]) * rng.uniform(0.02, 0.35)))
     frame[channel] *= factor
-    return f"x {factor:.3f}"
+    return frame, f"x {factor:.3f}"
 
 
-def offset(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def offset(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """A shift by 2 to 20 % of the channel's mean."""
     share = rng.choice([-1, 1]) * rng.uniform(0.02, 0.2)
     frame[channel] += share * frame[channel].mean()
-    return f"{share:+.1%} of the mean"
+    return frame, f"{share:+.1%} of the mean"
 
 
-def freeze(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def freeze(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """The last reading stays, for a tenth of the recording or up to the end."""
     since = int(rng.uniform(0.0, 0.8) * len(frame))
     count = int(rng.uniform(0.1, 1.0) * (len(frame) - since))
-    frame.loc[since : since + count, channel] = frame.loc[since, channel]
-    return f"{count * STEP_S:.0f} s from {since * STEP_S:.0f} s"
+    frame.loc[since : since + count, channel] = float(frame.loc[since, channel])
+    return frame, f"{count * STEP_S:.0f} s from {since * STEP_S:.0f} s"
 
 
-def lag(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def lag(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """A first-order lag of 0.5 to 5 s."""
     constant = float(np.exp(rng.uniform(np.log(0.5), np.log(5.0))))
     frame[channel] = frame[channel].ewm(alpha=1.0 - np.exp(-STEP_S / constant), adjust=False).mean()
-    return f"{constant:.2g} s"
+    return frame, f"{constant:.2g} s"
 
 
-def replay(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def replay(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """A stretch is an earlier one once more."""
     count = int(rng.uniform(20.0, 120.0) / STEP_S)
     first = int(rng.integers(0, len(frame) - 2 * count))
     second = int(rng.integers(first + count, len(frame) - count))
     frame.loc[second : second + count - 1, channel] = frame.loc[first : first + count - 1, channel].to_numpy()
-    return f"{count * STEP_S:.0f} s"
+    return frame, f"{count * STEP_S:.0f} s"
 
 
-def clip(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def clip(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """Readings end at a quantile of theirs."""
     level = rng.uniform(0.5, 0.95)
     limit = float(frame[channel].quantile(level))
     frame[channel] = frame[channel].clip(upper=limit)
-    return f"above the {level:.0%} quantile"
+    return frame, f"above the {level:.0%} quantile"
 
 
-def shift(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def shift(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """A channel is early or late by 0.4 to 4 s."""
     delay = float(rng.choice([-1, 1]) * np.exp(rng.uniform(np.log(0.4), np.log(4.0))))
     time = frame["time_s"]
     frame[channel] = np.interp(time - delay, time, frame[channel])
-    return f"{delay:+.2g} s"
+    return frame, f"{delay:+.2g} s"
 
 
-def time_base(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def time_base(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """A clock that is too fast or too slow by 3 to 30 %."""
     factor = float(np.exp(rng.choice([-1, 1]) * rng.uniform(0.03, 0.3)))
     frame["time_s"] *= factor
-    return f"x {factor:.3f}"
+    return frame, f"x {factor:.3f}"
 
 
-def gaps(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def gaps(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """Holes of 3 to 30 s; half of the cases close them up."""
     closed = rng.random() < 0.5
     count = int(rng.integers(1, 6))
@@ -182,19 +185,19 @@ def gaps(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
     for _ in range(count):
         first = int(rng.integers(0, len(frame) - 160))
         kept[first : first + int(rng.uniform(3.0, 30.0) / STEP_S)] = False
-    frame.drop(index=frame.index[~kept], inplace=True)
+    frame = frame.loc[kept].copy()
     if closed:
         frame["time_s"] = STEP_S * np.arange(len(frame))
-    return f"{count} holes{', closed up' if closed else ''}"
+    return frame, f"{count} holes{', closed up' if closed else ''}"
 
 
-def spikes(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> str:
+def spikes(frame: pd.DataFrame, channel: str, rng: np.random.Generator) -> Mutilated:
     """Single readings far off."""
     count = int(np.exp(rng.uniform(0.0, np.log(60.0))))
     rows = rng.choice(len(frame), count, replace=False)
     size = float(rng.uniform(0.5, 5.0))
     frame.loc[rows, channel] *= 1.0 + rng.choice([-0.2, 1.0], count) * size
-    return f"{count} readings by up to {size:.2g}"
+    return frame, f"{count} readings by up to {size:.2g}"
 
 
 MUTILATIONS: dict[str, Mutilation] = {
@@ -237,7 +240,7 @@ def verdicts(seed: int, cases: int, first: int = 0, only: str | None = None) -> 
         kind = kinds[number % len(kinds)]
         rng = np.random.default_rng([seed, number, 1])
         channel = CHANNELS[int(rng.integers(len(CHANNELS)))]
-        severity = MUTILATIONS[kind](frame, channel, rng)
+        frame, severity = MUTILATIONS[kind](frame, channel, rng)
         yield judged(number, frame.reset_index(drop=True), truth, kind, channel, severity)
 
 
