@@ -206,13 +206,15 @@ MUTILATIONS: dict[str, Mutilation] = {
 }  # fmt: skip
 
 
-def judged(number: int, frame: pd.DataFrame, truth: np.ndarray, kind: str, channel: str, severity: str) -> Verdict:
-    """Identify and compare."""
+def judged(
+    number: int, frame: pd.DataFrame, truth: np.ndarray, case: tuple[str, str, str], runs: int | None = 1
+) -> Verdict:
+    """Identify with so many starts (None: the settings') and compare; `case` is kind, channel and severity."""
     began = time.perf_counter()
     end, text, codes = "answer", "", ()
     errors = sigmas = tuple(0.0 for _ in HEALTH)
     try:
-        found = dt.identify(frame, "we2011", runs=1)
+        found = dt.identify(frame, "we2011", runs=runs)
         pooled = found.found.pooled()
         both = [(p.mean / true - 1.0, (p.mean - true) / p.std) if p.mean is not None and p.std else (0.0, 0.0)
                 for p, true in ((pooled[name], true) for name, true in zip(HEALTH, truth, strict=True))]
@@ -223,10 +225,12 @@ def judged(number: int, frame: pd.DataFrame, truth: np.ndarray, kind: str, chann
         end, text = "refused", str(error)
     except Exception:  # what is looked for
         end, text = "crash", traceback.format_exc()
-    return Verdict(number, kind, channel, severity, end, codes, errors, sigmas, time.perf_counter() - began, text)
+    return Verdict(number, *case, end, codes, errors, sigmas, time.perf_counter() - began, text)
 
 
-def verdicts(seed: int, cases: int, first: int = 0, only: str | None = None) -> Iterator[Verdict]:
+def verdicts(
+    seed: int, cases: int, first: int = 0, only: str | None = None, runs: int | None = 1
+) -> Iterator[Verdict]:
     """Mutilated recordings, each kind in turn, or clean ones where `only` is "clean"."""
     kinds = list(MUTILATIONS) if only in (None, "clean") else [only]
     for number, frame, truth in clean_recordings(seed):
@@ -235,13 +239,13 @@ def verdicts(seed: int, cases: int, first: int = 0, only: str | None = None) -> 
         if number < first:
             continue
         if only == "clean":
-            yield judged(number, frame, truth, "clean", "", "")
+            yield judged(number, frame, truth, ("clean", "", ""), runs)
             continue
         kind = kinds[number % len(kinds)]
         rng = np.random.default_rng([seed, number, 1])
         channel = CHANNELS[int(rng.integers(len(CHANNELS)))]
         frame, severity = MUTILATIONS[kind](frame, channel, rng)
-        yield judged(number, frame.reset_index(drop=True), truth, kind, channel, severity)
+        yield judged(number, frame.reset_index(drop=True), truth, (kind, channel, severity), runs)
 
 
 def summary(found: list[Verdict]) -> list[str]:
@@ -267,9 +271,10 @@ def main() -> None:
     parser.add_argument("--only", choices=[*MUTILATIONS, "clean"], help="one kind, or clean recordings")
     parser.add_argument("--seconds", type=float, default=1e9, help="stop after so much time")
     parser.add_argument("--out", type=Path, help="file of JSON lines to append to")
+    parser.add_argument("--runs", type=int, default=1, help="starts a segment; 0: the settings'")
     arguments = parser.parse_args()
     began, found = time.perf_counter(), []
-    for item in verdicts(arguments.seed, arguments.cases, arguments.first, arguments.only):
+    for item in verdicts(arguments.seed, arguments.cases, arguments.first, arguments.only, arguments.runs or None):
         found.append(item)
         if arguments.out is not None:
             with arguments.out.open("a") as file:
