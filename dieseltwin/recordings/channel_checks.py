@@ -19,6 +19,7 @@ STUCK_S = 30.0
 """The same reading for so long, while the engine's speed moves, is a stuck sensor."""
 
 _BLOCK = 8  # readings that are compared at once; shorter repetitions aren't looked for
+_SHORTEST_REPLAY_S = 10.0  # coarse channels repeat a second of coasting or idle now and then; and it does no harm
 _SURE_BITS = 20.0  # odds of 1 in a million that chance repeats a block anywhere in the recording
 _FEWEST_CLIPPED = 10  # readings at the very end of a range
 _CLIPPED_SHARE = 0.005  # of all readings
@@ -27,6 +28,7 @@ _NEXT_NUMBERS = 3
 _SPIKE_SIGMA = 10.0  # noise of the channel; a Gaussian's largest of a million is 4.9
 _SPIKE_OVER_MOVES = 6.0  # times the median move from row to row in the seconds about it
 _SPIKE_NEIGHBOURS = 10  # rows on either side
+_SPIKE_OVER_RANGE = 1.0  # of the range in which 98 % of the readings are: a throttle that is thrown open makes half of it
 
 
 def channel_notes(recording: Recording, names: Sequence[str]) -> list[Note]:
@@ -62,9 +64,9 @@ def series_notes(time_s: Array, columns: Mapping[str, Array], speed: Array) -> l
             notes.append(Note(f"{name} stands still for {length:.0f} s from {since:.0f} s on; a stuck sensor looks "
                               "like missing physics", "frozen_channel", (name,)))  # fmt: skip
         found = replayed(values[rows])
-        if found is not None:
+        time = time_s[rows]
+        if found is not None and time[found[0] + found[2] - 1] - time[found[0]] >= _SHORTEST_REPLAY_S:
             first, again, count = found
-            time = time_s[rows]
             notes.append(Note(f"{name} repeats its readings of {time[first]:.5g} to {time[first + count - 1]:.5g} s "
                               f"from {time[again]:.5g} s on, digit by digit: a replayed block is no measurement",
                               "replayed_channel", (name,)))  # fmt: skip
@@ -74,8 +76,8 @@ def series_notes(time_s: Array, columns: Mapping[str, Array], speed: Array) -> l
                                   "message, the truth lies beyond", "clipped_channel", (name,)))  # fmt: skip
         count = spikes(values[rows]).size
         if count:
-            notes.append(Note(f"{count} readings of {name} stick out for one row by {_SPIKE_SIGMA:g} times its noise or"
-                              " more; spikes pull a fit", "spikes", (name,)))  # fmt: skip
+            notes.append(Note(f"{count} readings of {name} stick out for one row by more than its whole range; spikes "
+                              "pull a fit", "spikes", (name,)))  # fmt: skip
     return notes
 
 
@@ -159,7 +161,7 @@ def clipped(values: Array) -> int:
 
 
 def spikes(values: Array) -> Rows:
-    """Rows whose reading stands out from both of its neighbours the same way, far beyond noise and beyond every move.
+    """Rows whose reading stands out from both of its neighbours the same way, far beyond noise, moves and range.
 
     Args:
         values: (n,) readings, none missing.
@@ -172,5 +174,7 @@ def spikes(values: Array) -> Rows:
     about = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _SPIKE_NEIGHBOURS), axis=1)[: values.size]
     up, down = values[1:-1] - values[:-2], values[1:-1] - values[2:]
     out = np.where(up * down > 0.0, np.minimum(np.abs(up), np.abs(down)), 0.0)
-    enough = np.maximum(_SPIKE_SIGMA * (sigma if np.isfinite(sigma) else 0.0), _SPIKE_OVER_MOVES * about[1:-1])
+    low, high = np.quantile(values, [0.01, 0.99])
+    least = max(_SPIKE_SIGMA * (sigma if np.isfinite(sigma) else 0.0), _SPIKE_OVER_RANGE * float(high - low))
+    enough = np.maximum(least, _SPIKE_OVER_MOVES * about[1:-1])
     return np.flatnonzero((out > enough) & (out > 0.0)) + 1

@@ -59,6 +59,6 @@ def test_a_clipped_channel_is_told_on_either_side(pressure: np.ndarray) -> None:
 def test_spikes_are_told_by_row_and_steps_are_none(pressure: np.ndarray) -> None:
     pressure[700:] += 5e4
     assert spikes(pressure).size == 0
-    pressure[[100, 800]] += [6e4, -8e4]
+    pressure[[100, 800]] += [3e5, -4e5]
     assert spikes(pressure).tolist() == [100, 800]
     assert codes(pressure) == ["spikes"]
