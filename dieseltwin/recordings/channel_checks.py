@@ -28,7 +28,7 @@ _NEXT_NUMBERS = 3
 _SPIKE_SIGMA = 10.0  # noise of the channel; a Gaussian's largest of a million is 4.9
 _SPIKE_OVER_MOVES = 6.0  # times the median move from row to row in the seconds about it
 _SPIKE_NEIGHBOURS = 10  # rows on either side
-_SPIKE_OVER_RANGE = 1.0  # of the range in which 98 % of the readings are: a throttle that is thrown open makes half of it
+_SPIKE_OVER_RANGE = 1.0  # of the range of 98 % of the readings: a throttle that is thrown open makes half of it
 
 
 def channel_notes(recording: Recording, names: Sequence[str]) -> list[Note]:
