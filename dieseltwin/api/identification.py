@@ -163,6 +163,7 @@ class IdentificationQuestion:
         notes: what is doubtful or left out, one sentence each.
         recording: what was read.
         tested: engine and sensors that the fit is tested with; None without a test.
+        recording_name: for people, "" for one made in memory.
     """
 
     problems: tuple[SegmentProblem, ...]
@@ -174,15 +175,15 @@ class IdentificationQuestion:
     notes: tuple[str, ...]
     recording: Recording
     tested: tuple[EngineParameters, tuple[str, ...]] | None
+    recording_name: str = ""
 
     def answer(self) -> Identified:
         """Identify every segment, and test whether the twin fits the recording."""
         config = self.settings.identify
         found = identify_segments(self.problems, self.method, self.runs, self.seed, config=config, **self.networks)
         doubts = [] if self.tested is None else fit_notes(self.recording, *self.tested)
-        path = self.recording.path
         provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256,
-                      **({"recording": path.name} if path else {})}  # fmt: skip
+                      **({"recording": self.recording_name} if self.recording_name else {})}  # fmt: skip
         return Identified(found, self.problems, (*doubts, *self.notes), provenance)
 
 
@@ -251,7 +252,8 @@ def ask(
     notes = (*_notes(source, parameters), *channel_notes(source, used), *without, *left_out)
     seed = settings.seed if seed is None else seed
     tested = (_intake(source, parameters), tuple(used)) if setup.fit_test and chosen.needs.maps == EXACT else None
-    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source, tested)
+    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source, tested,
+                                  source.path.name if source.path else "")  # fmt: skip
 
 
 def sensors_of(source: Recording) -> tuple[str, ...] | None:
