@@ -134,9 +134,14 @@ class DrivingQuestion(Question):
         return f"{self.recording.path or 'recording'}: {self.recording.duration_s:.0f} s, {sensors} ..."
 
     @cached_property
+    def prepared(self) -> core.Prepared:
+        """What this recording could show."""
+        return core.prepare(self.recording, self.parameters, self.options, self.known)
+
+    @property
     def smallest(self) -> Mapping[str, float]:
         """Effect -> smallest magnitude that this recording could show [unit of the effect]."""
-        return core.prepare(self.recording, self.parameters, self.options, self.known).minimum_detectable
+        return self.prepared.minimum_detectable
 
     def _check_sensitivity(self) -> None:
         limits = {name: max(map(abs, effect.limits)) for name, effect in EFFECTS.items()}
@@ -160,7 +165,7 @@ class DrivingQuestion(Question):
 
     def answer(self) -> DrivingDiscovered:
         self._check_sensitivity()
-        found = core.discover(self.recording, self.parameters, self.options, self.known)
+        found = core.discover(self.recording, self.parameters, self.options, self.known, self.prepared)
         check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin import report
 from dieseltwin.api.engines import Engine, diesel_engine
 from dieseltwin.api.figures import drawn
 from dieseltwin.api.reading import Channels, Source, diesel_recording
@@ -18,6 +17,7 @@ from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.identification.curves import curves_table
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification
@@ -26,6 +26,7 @@ from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report import timeseries, violins
+from dieseltwin.report.identification import identification_figures
 from dieseltwin.report.inputs import results_of
 from dieseltwin.settings.methods import EXACT, Method, find
 from dieseltwin.settings.names import listed, unknown_name
@@ -117,10 +118,10 @@ class Identified(Result):
             write_json(folder / "identification.json", {**self.found.to_json(), "warnings": self.warnings})
             write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
             self.found.states.to_parquet(folder / "states.parquet", index=False)
-            curves = report.curves_table(self.found)
+            curves = curves_table(self.found)
             if curves is not None:
                 curves.to_parquet(folder / "curves.parquet", index=False)
-            report.identification_figures(self.found, self.problems, folder / "figures")
+            identification_figures(self.found, self.problems, folder / "figures")
         return Path(out)
 
     @property

@@ -29,9 +29,11 @@ class Prepared:
 
     Attributes:
         minimum_detectable: effect -> smallest magnitude that would raise an alarm [unit of the effect].
+        twin: bound to the recording, for `discover`.
     """
 
     minimum_detectable: Mapping[str, float]
+    twin: EngineTwin
 
 
 def prepare(
@@ -44,7 +46,7 @@ def prepare(
     """
     options = options or Options()
     twin = _twin(recording, engine, options, learned)
-    return Prepared(visible_sizes(twin, options.settings()))
+    return Prepared(visible_sizes(twin, options.settings()), twin)
 
 
 def visible_sizes(twin: EngineTwin, settings: SearchSettings) -> dict[str, float]:
@@ -58,8 +60,9 @@ def visible_sizes(twin: EngineTwin, settings: SearchSettings) -> dict[str, float
 
 
 def discover(
-    recording: Recording, engine: EngineParameters, options: Options | None = None, learned: LearnedEngine | None = None
-) -> Discovery:
+    recording: Recording, engine: EngineParameters, options: Options | None = None,
+    learned: LearnedEngine | None = None, prepared: Prepared | None = None,
+) -> Discovery:  # fmt: skip
     """Detect, locate, name, model, prove.
 
     Args:
@@ -67,13 +70,14 @@ def discover(
         engine: what the twin believes; its terms are part of it.
         options: None for the defaults.
         learned: what is known of the engine from recordings of when it was well; `engine` is then its own.
+        prepared: of the same recording and engine, where that was asked before: its twin is used again.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     options = options or Options()
     clock = time.perf_counter()
-    twin = _twin(recording, engine, options, learned)
+    twin = _twin(recording, engine, options, learned) if prepared is None else prepared.twin.fresh()
     found = search.run(twin, options.settings(), laws=options.law_search)
     result = assemble(recording, found, options, _reference(found, learned))
     runtime = {**found.seconds, "total": time.perf_counter() - clock}

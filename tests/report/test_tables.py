@@ -10,15 +10,9 @@ import numpy as np
 import pytest
 import synthetic_results as synthetic
 
-from dieseltwin.report import (
-    Results,
-    headline,
-    load_results,
-    quantities,
-    segment_table,
-    summary_table,
-    summary_text,
-)
+from dieseltwin.report import quantities
+from dieseltwin.report.results import Results, load_results
+from dieseltwin.report.tables import headline, segment_table, summary_table, summary_text
 from dieseltwin.report.results import PARAMETERS, method_from_document
 from dieseltwin.report.statistics import autocorrelation
 from dieseltwin.report.tables import paper_table

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -16,6 +16,8 @@ _TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what mat
 _LOCAL_SETTLED = 1e-3  # of a state's scale
 _STEP_LIMIT = 2.0  # parameter scales in one step
 _SHORTER_STEPS = 5
+_SHORTENED = 0.35  # a step after one that led uphill
+_SINGLY = 2  # steps that are tried one by one, with their sensitivities: most lead downhill
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
 
@@ -274,9 +276,9 @@ def fit_fully(
         step, predicted = here.step()
         if predicted < _CONVERGED:
             return _marked(here, True)
-        there = _downhill(make, here, step, local=True)
+        there = _downhill(make, here, step, predicted, local=True)
         if there is None and predicted > 20 * _CONVERGED:
-            there = _downhill(make, here, step, local=False)
+            there = _downhill(make, here, step, predicted, local=False)
         if there is None:
             return _marked(here, predicted < 20 * _CONVERGED)
         gained = here.fit.objective - there.fit.objective
@@ -287,35 +289,49 @@ def fit_fully(
 
 
 def _downhill(
-    make: Callable[[Fit], Linearisation], here: Linearisation, step: Array, *, local: bool
+    make: partial[Linearisation], here: Linearisation, step: Array, predicted: float, *, local: bool
 ) -> Linearisation | None:
     """The first of ever shorter steps that lowers the objective, None if none does.
 
-    `local`: whether initial states move along. They do in general; but one window in which a valve or a stop turns its
-    slope round, so that its own step leads uphill, would stop all the others.
+    A step that promises less than counts as converged isn't tried. `local`: whether initial states move along. They do
+    in general; but one window in which a valve or a stop turns its slope round, so that its own step leads uphill,
+    would stop all the others.
     """
-    twin, names = here.twin, here.fit.candidate.names
-    scales = np.array([p.scale if p.bounded else np.inf for p in twin.parameters])
+    scales = np.array([p.scale if p.bounded else np.inf for p in here.twin.parameters])
     P = len(scales)
-    shrink = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
-    for _ in range(_SHORTER_STEPS):
-        change = shrink * step
-        parameters, magnitudes = within_limits(
-            twin, here.fit.parameters + change[:P], names, here.fit.magnitudes + change[P:]
-        )
-        begun = here.fit.local
-        if local:
-            moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
-            begun = bounded(twin, begun + shrink * here.local_step(moved / shrink))
-        trial = replace(here.fit, parameters=parameters, magnitudes=magnitudes, local=begun)
-        shrink *= 0.35
+    longest = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
+    shares = [longest * _SHORTENED**k for k in range(_SHORTER_STEPS)]
+    shares = [s for k, s in enumerate(shares) if k == 0 or s * (2.0 - s) * predicted >= _CONVERGED]
+    many = make.keywords["frozen"] is not None and len(shares) > _SINGLY + 1
+    for share in shares[:_SINGLY] if many else shares:
         try:
-            there = make(trial)
+            there = make(_trial(here, step, share, local=local))
         except np.linalg.LinAlgError:  # the machine runs away there
             continue
         if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
             return there
+    if many:  # one metric judges all of them, so that one simulation of the rest tells which it is
+        rest = [_trial(here, step, share, local=local) for share in shares[_SINGLY:]]
+        projected = here.metric.project(np.nan_to_num(here.twin.measured - simulate_fits(here.twin, rest)))
+        for trial, vector in zip(rest, projected, strict=True):
+            if here.objective(vector, trial.parameters) < here.fit.objective:
+                there = make(trial)
+                if there.fit.objective < here.fit.objective:
+                    return there
     return None
+
+
+def _trial(here: Linearisation, step: Array, share: float, *, local: bool) -> Fit:
+    """The fit after a share of a step, kept within its limits."""
+    P, fit = len(here.twin.parameters), here.fit
+    parameters, magnitudes = within_limits(
+        here.twin, fit.parameters + share * step[:P], fit.candidate.names, fit.magnitudes + share * step[P:]
+    )
+    begun = fit.local
+    if local:
+        moved = np.concatenate([parameters - fit.parameters, magnitudes - fit.magnitudes])
+        begun = bounded(here.twin, begun + share * here.local_step(moved / share))
+    return replace(fit, parameters=parameters, magnitudes=magnitudes, local=begun)
 
 
 def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:
