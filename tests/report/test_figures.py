@@ -14,10 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from dieseltwin.report import quantities
-from dieseltwin.report.results import Results
 from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map, run_times
 from dieseltwin.report.printed import BODY_ERRORS
-from dieseltwin.report.results import PARAMETERS, method_from_document
+from dieseltwin.report.results import PARAMETERS, Results, method_from_document
 from dieseltwin.report.style import TRUTH, ReportFigure, method_style
 from dieseltwin.report.timeseries import RESIDUAL_LIMIT, states, trajectories
 from dieseltwin.report.training import pretraining

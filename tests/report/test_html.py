@@ -12,9 +12,8 @@ import synthetic_results as synthetic
 
 from dieseltwin.errors import InputError
 from dieseltwin.report import quantities
-from dieseltwin.report.html import build_report
+from dieseltwin.report.html import SIZE_LIMIT_BYTES, build_report
 from dieseltwin.report.results import load_results
-from dieseltwin.report.html import SIZE_LIMIT_BYTES
 
 
 class Loads(HTMLParser):

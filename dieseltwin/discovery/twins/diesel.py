@@ -372,9 +372,9 @@ class EngineTwin:
         moved = self._actuations(*self._combined(one))
         actuation = moved[0] if moved else self._plain[0]
         engine = self.engine_of(one)
-        coefficients = corrections_in(engine.terms)
-        terms = effect_terms(engine.terms)  # laws are among the signals
-        engine = engine.replace(terms=terms if coefficients is None else with_corrections(terms, coefficients))
+        if self._laws:  # they are among the signals
+            coefficients, terms = corrections_in(engine.terms), effect_terms(engine.terms)
+            engine = engine.replace(terms=terms if coefficients is None else with_corrections(terms, coefficients))
         states, readings = result.states[b], result.measured[b]  # type: ignore[attr-defined]
         signals = signals_of_lane(one, self.points)
         return variables_along(states, readings, actuation, engine, (signals, self.points))
