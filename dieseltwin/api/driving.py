@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +41,7 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_REPORT_S = 5.0  # of a time limit that document, figures and page need
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
 _MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
 OWNED = ("figures", "report.html", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
@@ -61,7 +63,7 @@ class DrivingDiscovered(Discovered):
 
     @property
     def document(self) -> Discrepancy:
-        return with_warnings(self.found.document, self.question.notes)
+        return with_warnings(self.found.document, [*self.question.notes, *_time_notes(self.found.document)])
 
     @property
     def engine(self) -> EngineParameters:
@@ -114,6 +116,7 @@ class DrivingQuestion(Question):
         notes: what is doubtful about the recording, one sentence each.
         began: clock when it was asked [s].
         known: what was learned of the engine from recordings of when it was well.
+        time_s: of the whole discovery [s]; None: as long as it takes.
     """
 
     recording: Recording
@@ -123,6 +126,7 @@ class DrivingQuestion(Question):
     notes: tuple[str, ...]
     began: float
     known: LearnedEngine | None = None
+    time_s: float | None = None
 
     @property
     def kind(self) -> str:
@@ -165,9 +169,20 @@ class DrivingQuestion(Question):
 
     def answer(self) -> DrivingDiscovered:
         self._check_sensitivity()
-        found = core.discover(self.recording, self.parameters, self.options, self.known, self.prepared)
+        prepared = self.prepared
+        left = None
+        if self.time_s is not None:
+            left = max(0.0, self.time_s - _REPORT_S - (time.perf_counter() - self.began))
+        found = core.discover(self.recording, self.parameters, self.options, self.known, prepared, left)
         check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
+
+
+def _time_notes(document: Discrepancy) -> list[Note]:
+    if document.out_of_time is None:
+        return []
+    unfinished = ", ".join(document.out_of_time.unfinished)
+    return [Note(f"the time was over before the search was through: not finished are {unfinished}", "out_of_time")]
 
 
 def ask_driving(
@@ -198,7 +213,7 @@ def ask_driving(
         _check_apart(learned, source)
     options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
                       seed=question.seed, search=question.settings.search.driving)
-    return DrivingQuestion(source, parameters, options, asked, tuple(notes), began, learned)
+    return DrivingQuestion(source, parameters, options, asked, tuple(notes), began, learned, asked["time_s"])
 
 
 def _check_apart(learned: LearnedEngine, source: Recording) -> None:
@@ -221,11 +236,14 @@ def _asked(engine: Engine | str | Path | None, channels: Channels | None, questi
         raise InputError("--map-tolerance", f"{map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
     if seed < 0:
         raise InputError("--seed", seed, "0 or more", "choose another")
+    time_s = settings.time_s if question.time_s is None else question.time_s
+    if time_s is not None and not 0.0 < time_s < math.inf:
+        raise InputError("--time", f"{time_s:g}", "a positive number of seconds", "choose another or leave it out")
     if sensors is not None and not sensors:
         raise InputError("--sensors", "no name", f"columns such as {','.join(SENSORS)}", "name some or leave it out")
     return {
         "sensors": None if sensors is None else sorted(set(sensors)), "withhold": sorted(set(withhold)),
-        "map_tolerance": map_tolerance, "seed": seed, "engine_sha256": _engine_sha256(engine),
+        "map_tolerance": map_tolerance, "seed": seed, "time_s": time_s, "engine_sha256": _engine_sha256(engine),
         "channels_sha256": _sha256(channels) if isinstance(channels, str | Path) else None,
         "search_sha256": params_sha256(settings.search.driving.model_dump(mode="json")), "code_version": __version__,
     }  # fmt: skip

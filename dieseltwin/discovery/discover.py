@@ -61,7 +61,7 @@ def visible_sizes(twin: EngineTwin, settings: SearchSettings) -> dict[str, float
 
 def discover(
     recording: Recording, engine: EngineParameters, options: Options | None = None,
-    learned: LearnedEngine | None = None, prepared: Prepared | None = None,
+    learned: LearnedEngine | None = None, prepared: Prepared | None = None, time_s: float | None = None,
 ) -> Discovery:  # fmt: skip
     """Detect, locate, name, model, prove.
 
@@ -71,6 +71,7 @@ def discover(
         options: None for the defaults.
         learned: what is known of the engine from recordings of when it was well; `engine` is then its own.
         prepared: of the same recording and engine, where that was asked before: its twin is used again.
+        time_s: of the search, after which the best answer so far is given; None: no limit.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
@@ -78,8 +79,8 @@ def discover(
     options = options or Options()
     clock = time.perf_counter()
     twin = _twin(recording, engine, options, learned) if prepared is None else prepared.twin.fresh()
-    found = search.run(twin, options.settings(), laws=options.law_search)
-    result = assemble(recording, found, options, _reference(found, learned))
+    found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
+    result = assemble(recording, found, options, _reference(found, learned), time_s)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
     return replace(result, runtime=runtime)
 

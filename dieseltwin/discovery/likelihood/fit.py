@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -17,7 +17,6 @@ _LOCAL_SETTLED = 1e-3  # of a state's scale
 _STEP_LIMIT = 2.0  # parameter scales in one step
 _SHORTER_STEPS = 5
 _SHORTENED = 0.35  # a step after one that led uphill
-_SINGLY = 2  # steps that are tried one by one, with their sensitivities: most lead downhill
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
 
@@ -289,36 +288,40 @@ def fit_fully(
 
 
 def _downhill(
-    make: partial[Linearisation], here: Linearisation, step: Array, predicted: float, *, local: bool
+    make: Callable[[Fit], Linearisation], here: Linearisation, step: Array, predicted: float, *, local: bool
 ) -> Linearisation | None:
     """The first of ever shorter steps that lowers the objective, None if none does.
 
-    A step that promises less than counts as converged isn't tried. `local`: whether initial states move along. They do
-    in general; but one window in which a valve or a stop turns its slope round, so that its own step leads uphill,
-    would stop all the others.
+    A step that promises less than counts as converged isn't tried. Where the full step fails, one simulation of all
+    shorter ones, judged by the metric from which they start, tells which is worth sensitivities of its own.
+    `local`: whether initial states move along. They do in general; but one window in which a valve or a stop turns its
+    slope round, so that its own step leads uphill, would stop all the others.
     """
     scales = np.array([p.scale if p.bounded else np.inf for p in here.twin.parameters])
     P = len(scales)
     longest = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
     shares = [longest * _SHORTENED**k for k in range(_SHORTER_STEPS)]
     shares = [s for k, s in enumerate(shares) if k == 0 or s * (2.0 - s) * predicted >= _CONVERGED]
-    many = make.keywords["frozen"] is not None and len(shares) > _SINGLY + 1
-    for share in shares[:_SINGLY] if many else shares:
-        try:
-            there = make(_trial(here, step, share, local=local))
-        except np.linalg.LinAlgError:  # the machine runs away there
-            continue
-        if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
-            return there
-    if many:  # one metric judges all of them, so that one simulation of the rest tells which it is
-        rest = [_trial(here, step, share, local=local) for share in shares[_SINGLY:]]
-        projected = here.metric.project(np.nan_to_num(here.twin.measured - simulate_fits(here.twin, rest)))
-        for trial, vector in zip(rest, projected, strict=True):
-            if here.objective(vector, trial.parameters) < here.fit.objective:
-                there = make(trial)
-                if there.fit.objective < here.fit.objective:
-                    return there
+    there = _lower(make, here, _trial(here, step, shares[0], local=local))
+    if there is not None or len(shares) == 1:
+        return there
+    shorter = [_trial(here, step, share, local=local) for share in shares[1:]]
+    projected = here.metric.project(np.nan_to_num(here.twin.measured - simulate_fits(here.twin, shorter)))
+    for trial, vector in zip(shorter, projected, strict=True):
+        if here.objective(vector, trial.parameters) < here.fit.objective:
+            there = _lower(make, here, trial)
+            if there is not None:
+                return there
     return None
+
+
+def _lower(make: Callable[[Fit], Linearisation], here: Linearisation, trial: Fit) -> Linearisation | None:
+    """The linearisation at a trial, where its objective is lower."""
+    try:
+        there = make(trial)
+    except np.linalg.LinAlgError:  # the machine runs away there
+        return None
+    return there if there.fit.objective < here.fit.objective else None
 
 
 def _trial(here: Linearisation, step: Array, share: float, *, local: bool) -> Fit:

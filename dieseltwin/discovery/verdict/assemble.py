@@ -21,6 +21,7 @@ from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Discrepancy,
     HealthValue,
+    OutOfTime,
     Provenance,
     RecordingInfo,
     Reference,
@@ -40,9 +41,18 @@ from dieseltwin.version import __version__
 
 
 def assemble(
-    recording: Recording, found: Search, options: Options, reference: Reference | None = None
-) -> Discovery:
-    """The result of a search on a recording of the engine; `reference`: what the engine was learned from."""
+    recording: Recording, found: Search, options: Options, reference: Reference | None = None,
+    time_s: float | None = None,
+) -> Discovery:  # fmt: skip
+    """The result of a search on a recording of the engine.
+
+    Args:
+        recording: that was judged.
+        found: what the search found.
+        options: of the search.
+        reference: what the engine was learned from, if anything.
+        time_s: limit of the search [s], None where there was none.
+    """
     null = found.null
     best = found.best
     twin = cast(EngineTwin, found.twin)
@@ -71,6 +81,7 @@ def assemble(
         fit=fit_figures(found, after),
         minimum_detectable=finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
+        out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
     )  # fmt: skip
     before_engine = _engine(twin, null.fit.parameters, ())
     terms = _terms(found, twin) if mismatch else ()
