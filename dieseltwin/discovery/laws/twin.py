@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.laws.grammar import Form
+from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin, lane_of
 from dieseltwin.engine.fixed_point import settled
 
@@ -149,6 +150,7 @@ class LawTwin:
 
         def answer(now: Mapping[str, Array]) -> dict[str, Array]:
             nonlocal readings, variables
+            check_time()
             readings, variables = trajectories(self.base, base_lanes, self._entered(now["laws"]))
             new = np.empty(shape)
             for k, (law, (c, s)) in enumerate(zip(self.laws, values, strict=True)):

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, rows_of, single
 
 _DIFFERENCE = 1e-4  # of a scale, for sensitivities
@@ -113,6 +114,7 @@ def lanes_of(fits: Sequence[Fit], own_schedules: bool = False) -> Lanes:
 
 def simulate_fits(twin: Twin, fits: Sequence[Fit]) -> Array:
     """Readings of every fit, (len(fits), n, C); as few calls as schedules allow."""
+    check_time()
     if getattr(twin, "own_schedules", False):
         return twin.simulate(lanes_of(fits, own_schedules=True))
     out = np.empty((len(fits), *twin.measured.shape))
@@ -181,6 +183,7 @@ class Linearisation:
         self, twin: Twin, whitening: Whitening, fit: Fit, frozen: Linearisation | None = None,
         nuisance_response: Array | None = None, loadings: Array | None = None,
     ) -> None:
+        check_time()
         self.loadings: Array | None = loadings if frozen is None else frozen.loadings
         lanes, steps = parameter_lanes(twin, fit, local=frozen is None)
         simulated = twin.simulate(lanes)

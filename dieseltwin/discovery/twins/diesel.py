@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, signals_of_lane
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS, hypotheses_of
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
@@ -307,7 +306,6 @@ class EngineTwin:
         return other
 
     def _integrate(self, lanes: Lanes) -> Observations:
-        check_time()
         size = lanes.size
         n = self.time_s.size
         columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
