@@ -30,6 +30,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, overlap
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
 from dieseltwin.report.discovery_words import magnitude_words
@@ -91,8 +92,9 @@ class DrivingDiscovered(Discovered):
             write_text(folder / "engine.yaml", engine_yaml(self.engine))
             stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
             sensors = self.question.options.sensors
-            implied = implied_frame(self.question.recording, self.engine, stds, sensors=sensors,
-                                    starts=self.found.starts, local=self.found.local)  # fmt: skip
+            judged, whole = self.question.recording, self.question.whole
+            known = {"starts": self.found.starts, "local": self.found.local} if whole is judged else {}
+            implied = implied_frame(whole, self.engine, stds, sensors=sensors, **known)
             implied.to_parquet(folder / "implied.parquet", index=False)
             told = replace(self.found, document=self.document)
             discovery_page.build_discovery_report(told, folder / "report.html", figures_dir=folder / "figures")
@@ -109,7 +111,8 @@ class DrivingQuestion(Question):
     """A recording of the diesel engine, checked.
 
     Attributes:
-        recording: what was recorded.
+        recording: what is judged.
+        whole: what was recorded: the same, or longer (`liveliest`).
         parameters: what the twin believes.
         options: of the search; its sensors are those that are there.
         asked: the question as JSON types: what has to agree for old results to be an answer to it.
@@ -125,6 +128,7 @@ class DrivingQuestion(Question):
     asked: Mapping[str, Any]
     notes: tuple[str, ...]
     began: float
+    whole: Recording
     known: LearnedEngine | None = None
     time_s: float | None = None
 
@@ -211,9 +215,17 @@ def ask_driving(
     notes = [*doubts, *(Note(note, "reading") for note in source.notes), *notes]
     if learned is not None:
         _check_apart(learned, source)
+    judged = source if question.settings.minutes_max is None else liveliest(source, question.settings.minutes_max)
+    if judged is not source:
+        used, _ = check_recording(judged, parameters, asked["sensors"])
+        of_all = f"{minutes_of(judged):.0f} of {minutes_of(source):.0f} minutes with the engine running"
+        notes.append(Note(f"judged by {of_all}, the liveliest stretches, spread over the recording;"
+                          " `discover.minutes_max` of params.yaml says how many", "long"))  # fmt: skip
     options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
                       seed=question.seed, search=question.settings.search.driving)
-    return DrivingQuestion(source, parameters, options, asked, tuple(notes), began, learned, asked["time_s"])
+    return DrivingQuestion(
+        judged, parameters, options, asked, tuple(notes), began, source, learned, asked["time_s"]
+    )
 
 
 def _check_apart(learned: LearnedEngine, source: Recording) -> None:
@@ -243,7 +255,8 @@ def _asked(engine: Engine | str | Path | None, channels: Channels | None, questi
         raise InputError("--sensors", "no name", f"columns such as {','.join(SENSORS)}", "name some or leave it out")
     return {
         "sensors": None if sensors is None else sorted(set(sensors)), "withhold": sorted(set(withhold)),
-        "map_tolerance": map_tolerance, "seed": seed, "time_s": time_s, "engine_sha256": _engine_sha256(engine),
+        "map_tolerance": map_tolerance, "seed": seed, "time_s": time_s,
+        "minutes_max": settings.minutes_max, "engine_sha256": _engine_sha256(engine),
         "channels_sha256": _sha256(channels) if isinstance(channels, str | Path) else None,
         "search_sha256": params_sha256(settings.search.driving.model_dump(mode="json")), "code_version": __version__,
     }  # fmt: skip
