@@ -188,7 +188,7 @@ PARTS = {
 
 def page(known: Mapping[str, Any]) -> str:
     """The document."""
-    lines = ["# Speed", "", "Written by `make bench` (`python benchmarks/bench.py`, with `--full` an hour). Wall seconds"
+    lines = ["# Speed", "", "Written by `make bench` (`python benchmarks/bench.py`; `--full`: an hour). Wall seconds"
              " on the machine named; a busy one takes longer.", ""]  # fmt: skip
     for name, part in PARTS.items():
         entry = known.get(name)

@@ -93,8 +93,8 @@ class DrivingDiscovered(Discovered):
             stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
             sensors = self.question.options.sensors
             judged, whole = self.question.recording, self.question.whole
-            known = {"starts": self.found.starts, "local": self.found.local} if whole is judged else {}
-            implied = implied_frame(whole, self.engine, stds, sensors=sensors, **known)
+            starts, local = (self.found.starts, self.found.local) if whole is judged else (None, None)
+            implied = implied_frame(whole, self.engine, stds, sensors=sensors, starts=starts, local=local)
             implied.to_parquet(folder / "implied.parquet", index=False)
             told = replace(self.found, document=self.document)
             discovery_page.build_discovery_report(told, folder / "report.html", figures_dir=folder / "figures")

@@ -8,6 +8,7 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -257,7 +258,7 @@ class Identification:
             "versions": versions,
         }
 
-    @property
+    @cached_property
     def states(self) -> pd.DataFrame:
         """States and derived quantities of every segment (column `segment`: 0, 1, ..); see `states.segment_states`."""
         parts = []
