@@ -2,11 +2,11 @@
 
     python benchmarks/bench.py             # quick: some minutes
     python benchmarks/bench.py --full      # an hour: ten hours of driving, all loops, 300 members
-    python benchmarks/bench.py --again discover simulator
+    python benchmarks/bench.py discover --again      # one part, anew
 
 Each part is a process of its own, so that its memory is its own. What is measured is kept in `.cache/bench.json` and
-isn't measured again, so that a run that was interrupted goes on; `--again` forgets the parts named, or all. Seconds are
-wall seconds of the whole command unless it says otherwise: read them on an idle machine.
+isn't measured again, so that a run that was interrupted goes on; `--again` measures anew. Seconds are wall seconds of
+the whole command unless it says otherwise: read them on an idle machine.
 """
 
 from __future__ import annotations
@@ -216,20 +216,21 @@ def measured(name: str, full: bool) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what isn't known, write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all without it")
     parser.add_argument("--full", action="store_true", help="all sizes; about an hour")
-    parser.add_argument("--again", nargs="*", choices=list(PARTS), help="measure these parts anew, or all")
+    parser.add_argument("--again", action="store_true", help="measure anew what is known")
     parser.add_argument("--part", choices=list(PARTS), help=argparse.SUPPRESS)  # in a process of its own
     given = parser.parse_args(arguments)
     if given.part is not None:
         print("PART" + json.dumps(measured(given.part, given.full)))
         return 0
     known: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.is_file() else {}
-    if given.again is not None:
-        for name in given.again or list(PARTS):
-            known.pop(name, None)
+    unknown = sorted(set(given.parts) - set(PARTS))
+    if unknown:
+        parser.error(f"got {', '.join(unknown)}; allowed: {', '.join(PARTS)}")
     failed = []
-    for name in PARTS:
-        if name in known and (known[name]["full"] or not given.full):
+    for name in given.parts or PARTS:
+        if not given.again and name in known and (known[name]["full"] or not given.full):
             print(f"{name}: known", flush=True)
             continue
         begin = time.perf_counter()
