@@ -300,8 +300,8 @@ def _report(
     std = float(np.sqrt(scale) * lin.fit.std[at_coefficient])
     lanes = lin.fit.lanes()
     variables = {**law.variables(lanes), "time_s": twin.time_s}
-    alike = [r for r in refits[1:] if abs(best.score - r.score) < max(_RIVALS, _ALIKE_SHARE * best.gain)]
-    std = float(np.hypot(std, coefficient * spread_over_forms(law, lin.fit, alike, variables)))
+    forms = _probable(best, refits[1:])
+    std = float(np.hypot(std, coefficient * spread_over_forms(law, lin.fit, forms, variables)))
     point = next(p for p in twin.points if p.name == form.point)
     rivals = tuple(
         Rival(_text(twin, r), r.ranked.site, abs(best.score - r.score))
@@ -328,6 +328,12 @@ def _report(
         reached.fit.objective / readings,
         rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last,
     )  # fmt: skip
+
+
+def _probable(best: Refit, others: Sequence[Refit]) -> list[tuple[float, Refit]]:
+    """Refits with their probabilities over the best one's; those that maps off a little can put behind count in full."""
+    behind = [max(0.0, best.score - r.score - _ALIKE_SHARE * best.gain) for r in others]
+    return [(float(np.exp(-0.5 * b)), r) for b, r in zip(behind, others, strict=True) if b < _RIVALS]
 
 
 def _as_found(placed: Placed, coefficient: float, shape: float | None) -> Placed:

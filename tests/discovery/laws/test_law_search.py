@@ -202,9 +202,11 @@ def test_the_deviation_of_a_law_holds_what_other_forms_say_of_its_size():
         return Refit(ranked, law, start_of(at, law), 50.0, 50.0)
 
     best, alone = refit(square, -0.002), refit(Form("upper_balance"), -0.5)
-    assert spread_over_forms(best.twin, best.fit, [alone], variables) == 0.0
+    assert spread_over_forms(best.twin, best.fit, [(1.0, alone)], variables) == 0.0
     other = refit(square, -0.0022)
-    assert spread_over_forms(best.twin, best.fit, [alone, other], variables) == pytest.approx(0.1 / np.sqrt(2.0))
+    both = [(1.0, alone), (1.0, other)]
+    assert spread_over_forms(best.twin, best.fit, both, variables) == pytest.approx(0.1 / np.sqrt(2.0))
+    assert spread_over_forms(best.twin, best.fit, [(0.01, other)], variables) == pytest.approx(0.01, rel=0.01)
 
 
 def test_orifice():
