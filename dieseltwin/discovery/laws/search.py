@@ -331,7 +331,7 @@ def _report(
 
 
 def _probable(best: Refit, others: Sequence[Refit]) -> list[tuple[float, Refit]]:
-    """Refits with their probabilities over the best one's; those that maps off a little can put behind count in full."""
+    """Refits with their probabilities over the best one's; what maps off a little can put behind counts in full."""
     behind = [max(0.0, best.score - r.score - _ALIKE_SHARE * best.gain) for r in others]
     return [(float(np.exp(-0.5 * b)), r) for b, r in zip(behind, others, strict=True) if b < _RIVALS]
 
