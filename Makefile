@@ -28,7 +28,7 @@ export PYTHONUNBUFFERED := 1
 export DIESELTWIN_CLUSTER := $(CLUSTER)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run repro discover proof evaluate bench promote test check ui serve
+.PHONY: help setup run repro discover proof evaluate bench promote test check docs ui serve
 
 help:  ## this list
 	@echo "make run    the whole chain: data, pretraining, identification, report (PROFILE=quick or paper)"
@@ -40,6 +40,7 @@ help:  ## this list
 	@echo "make promote  put newly trained networks into MLflow's registry, in use unless they are worse"
 	@echo "make test   all tests"
 	@echo "make check  style, types, import directions, hygiene"
+	@echo "make docs   the documentation as a site, in site/"
 	@echo "make ui     MLflow with the results (PORT=5000)"
 	@echo "make serve  retraining on a schedule"
 
@@ -90,6 +91,10 @@ check: $(READY)  ## style, types, directions, hygiene
 	@$(BIN)/python -c "import sys; from importlinter.cli import lint_imports_command as lint; sys.exit(lint())" --no-logo
 	@$(BIN)/python .ci/hygiene.py
 	@echo "check: all good"
+
+docs: $(READY)  ## the documentation's site; a broken link ends the build
+	@NO_MKDOCS_2_WARNING=true $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "site/index.html"
 
 ui: $(READY)  ## MLflow with the comparison of the methods
 	@$(BIN)/python -m tasks.ui --port $(PORT)

@@ -20,6 +20,7 @@ from dieseltwin.version import __version__
 
 if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fetches a name when it is asked for
     from dieseltwin.api.calibration import calibrate as calibrate
+    from dieseltwin.api.channels import channels as channels
     from dieseltwin.api.discovery import discover as discover
     from dieseltwin.api.engines import engine as engine
     from dieseltwin.api.export import export as export
@@ -30,24 +31,29 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.reading import read as read
     from dieseltwin.api.simulation import simulate as simulate
     from dieseltwin.api.versions import show_versions as show_versions
+    from dieseltwin.api.watch import history as history
+    from dieseltwin.api.watch import watch as watch
 
 # Name -> module of `dieseltwin.api` that holds it. Loaded when first used: `import dieseltwin` loads no numpy.
 _ROOMS = {
     "Setup": "identification",
     "calibrate": "calibration",
+    "channels": "channels",
     "discover": "discovery",
     "export": "export",
+    "history": "watch",
     "identify": "identification",
     "imply": "points",
     "learn": "learning",
     "read": "reading",
     "show_versions": "versions",
     "simulate": "simulation",
+    "watch": "watch",
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "discover", "engine", "export", "identify", "imply", "learn", "read",
-    "show_versions", "simulate",
+    "Setup", "__version__", "calibrate", "channels", "discover", "engine", "export", "history", "identify", "imply",
+    "learn", "read", "show_versions", "simulate", "watch",
 ]  # fmt: skip
 
 

@@ -14,8 +14,8 @@ class Note(str):
 
     Attributes:
         code: misfit, not_converged, out_of_range, left_out, missing_sensor, frozen_channel, short, wrong_engine,
-            reading (what was done to the file), reference (about what was learned), long (a part was judged),
-            out_of_time.
+            reading (what was done to the file), reference (about what was learned), dates (of several recordings),
+            long (a part was judged), out_of_time.
         affects: columns, or segments, that it is about; none: the whole answer.
     """
 

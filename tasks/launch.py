@@ -35,6 +35,7 @@ _EXPECTED_S = {
     "flow discover": 80.0,
     "flow prove": 800.0,
     "flow promote": 40.0,
+    "flow watch": 60.0,
 }
 _STEP_S = 430.0
 

@@ -31,6 +31,8 @@ EXPERIMENTS = {
     "could show. The report is under Artifacts.",
     "prove": "The concealed benchmark: shares with their 95 % intervals (`…_low`, `…_high`), runs nested below are the "
     "machines. The table is `score.md` under Artifacts.",
+    "watch": "Histories of engines: a run for every batch of new recordings. `alarm` is 1 where something besides wear "
+    "has changed, `evidence` against 1 / `alarms_per_year`; `…_since_reference` is health over that of the reference.",
     "promote": "Trained networks against the ones in use: relative L2 error in per cent on validation driving, "
     "`mean_ratio` is the geometric mean of new / in use. The versions are under Models.",
 }
@@ -72,6 +74,10 @@ VIEWS = {
             "seconds",
         ],
         ["cases", "tier", "sensors"],
+    ),
+    "watch": view(
+        ["alarm", "evidence", "recordings", "added", "refused", *(f"{name}_since_reference" for name in _HEALTH)],
+        ["history"],
     ),
     "promote": view(["mean_ratio", "worst_ratio", "version"], ["decision"]),
 }

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
+import pandas as pd
+
 from dieseltwin.api.driving import ask_driving
 from dieseltwin.api.engines import Engine
 from dieseltwin.api.findings import Asked, Discovered, Question
@@ -21,10 +23,11 @@ from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.settings.names import refuse_options
 
 AnyRecording: TypeAlias = Source | Recording | SteadyPoints | PetrolRecording
+_ONE = (str, Path, pd.DataFrame, Recording, SteadyPoints, PetrolRecording)
 
 
 def discover(
-    recording: AnyRecording,
+    recording: AnyRecording | Sequence[AnyRecording],
     engine: Engine | str | Path | None = None,
     *,
     channels: Channels | None = None,
@@ -38,7 +41,8 @@ def discover(
     """Find what physics the twin leaves out: where, what, how large, since when.
 
     Args:
-        recording: a file, a table or what `read` gave: a recording, or settled points (no `time_s`).
+        recording: a file, a table or what `read` gave: a recording, or settled points (no `time_s`). Several recordings
+            of one diesel engine are judged together: one verdict, with the health of each.
         engine: what the twin believes: name, file or parameters of a diesel or a petrol engine; the published engine
             without it. A calibrated engine's file says by its sidecar what it was calibrated from, its parameters
             don't: give the file where settled points are judged.
@@ -60,7 +64,7 @@ def discover(
 
 
 def ask(
-    recording: AnyRecording,
+    recording: AnyRecording | Sequence[AnyRecording],
     engine: Engine | str | Path | None = None,
     channels: Channels | None = None,
     asked: Asked | None = None,
@@ -69,6 +73,11 @@ def ask(
     asked = asked or Asked()
     no_reference = {"--reference": tuple(asked.reference) or None, "--time": asked.time_s}
     machine = as_engine(engine)
+    if not isinstance(recording, _ONE):
+        if len(recording) != 1:
+            _check_together(recording, machine, channels)
+            return ask_driving(recording, engine, channels, asked, known_engine(engine, asked.reference, channels))
+        recording = recording[0]
     if isinstance(machine, PetrolParameters):
         refuse_options(no_reference, "for a petrol engine")
         if isinstance(recording, Recording | SteadyPoints):
@@ -80,6 +89,22 @@ def ask(
         raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
                          "name the engine that it belongs to")
     if timed(recording, channels):
-        return ask_driving(recording, engine, channels, asked, known_engine(engine, asked.reference, channels))
+        return ask_driving([recording], engine, channels, asked, known_engine(engine, asked.reference, channels))
     refuse_options({"--map-tolerance": asked.map_tolerance, **no_reference}, "for settled points")
     return ask_points(recording, engine, channels, asked)
+
+
+def _check_together(recordings: Sequence[AnyRecording], machine: Engine, channels: Channels | None) -> None:
+    """Refuse what can't be judged together.
+
+    Raises:
+        InputError: none at all, a petrol engine, settled points.
+    """
+    if not recordings:
+        raise InputError("RECORDING", "nothing", "a recording", "name the recording")
+    if isinstance(machine, PetrolParameters):
+        raise InputError("RECORDING", f"{len(recordings)}", "one of a petrol engine", "judge them one by one")
+    for item in recordings:
+        if isinstance(item, SteadyPoints | PetrolRecording) or not timed(item, channels):
+            raise InputError("RECORDING", "settled points among several", "recordings over time of a diesel engine",
+                             "judge settled points by themselves")  # fmt: skip

@@ -19,6 +19,7 @@ from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
 from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.verdict.assemble import together_sha256
 from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
@@ -30,12 +31,13 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, overlap
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
-from dieseltwin.settings.names import unknown_name
+from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
 _REPORT_S = 5.0  # of a time limit that document, figures and page need
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
 _MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
-OWNED = ("figures", "report.html", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
+OWNED = ("figures", "report.html", "report.pdf", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,6 +122,7 @@ class DrivingQuestion(Question):
         began: clock when it was asked [s].
         known: what was learned of the engine from recordings of when it was well.
         time_s: of the whole discovery [s]; None: as long as it takes.
+        days: all recordings in time order, where several are judged together; `recording` is then the last.
     """
 
     recording: Recording
@@ -131,6 +134,7 @@ class DrivingQuestion(Question):
     whole: Recording
     known: LearnedEngine | None = None
     time_s: float | None = None
+    days: tuple[Dated, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -139,6 +143,10 @@ class DrivingQuestion(Question):
     @property
     def about(self) -> str:
         sensors = ", ".join(self.options.sensors or ())
+        if self.days:
+            hours = sum(day.recording.duration_s for day in self.days) / 3600.0
+            span = f"{self.days[0].day} to {self.days[-1].day}"
+            return f"{len(self.days)} recordings, {span}: {hours:.2g} h, {sensors} ..."
         return f"{self.recording.path or 'recording'}: {self.recording.duration_s:.0f} s, {sensors} ..."
 
     @cached_property
@@ -149,6 +157,9 @@ class DrivingQuestion(Question):
     @property
     def smallest(self) -> Mapping[str, float]:
         """Effect -> smallest magnitude that this recording could show [unit of the effect]."""
+        if self.days:
+            twin = core.several_twin(self.days, self.parameters, self.options, self.known)
+            return core.visible_sizes(twin, self.options.settings())
         return self.prepared.minimum_detectable
 
     def _check_sensitivity(self) -> None:
@@ -169,15 +180,18 @@ class DrivingQuestion(Question):
             return False
         details = load_details(folder)
         same = details["options"] == json.loads(json.dumps(self.asked))
-        return same and details["recording_sha256"] == self.recording.sha256
+        judged = [day.recording for day in self.days] or [self.recording]
+        return same and details["recording_sha256"] == together_sha256(judged)
 
     def answer(self) -> DrivingDiscovered:
         self._check_sensitivity()
-        prepared = self.prepared
         left = None
         if self.time_s is not None:
             left = max(0.0, self.time_s - _REPORT_S - (time.perf_counter() - self.began))
-        found = core.discover(self.recording, self.parameters, self.options, self.known, prepared, left)
+        if self.days:
+            found = core.discover_together(self.days, self.parameters, self.options, self.known, left)
+        else:
+            found = core.discover(self.recording, self.parameters, self.options, self.known, self.prepared, left)
         check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
 
@@ -190,13 +204,13 @@ def _time_notes(document: Discrepancy) -> list[Note]:
 
 
 def ask_driving(
-    recording: Source | Recording,
+    recordings: Sequence[Source | Recording],
     engine: Engine | str | Path | None,
     channels: Channels | None,
     question: Asked,
     known: tuple[LearnedEngine | None, Sequence[Note]] = (None, ()),
 ) -> DrivingQuestion:
-    """Read and check a recording and what is asked of it; see `discovery.discover`.
+    """Read and check recordings, one or several, and what is asked of them; see `discovery.discover`.
 
     Raises:
         InputError: any file or option that can't be used, a recording or an engine that can't carry a verdict.
@@ -210,22 +224,52 @@ def ask_driving(
     if learned is not None:
         asked["reference_sha256"] = [item.sha256 for item in learned.recordings]
     parameters = diesel_engine(engine) if learned is None else learned.engine
-    source = _read(recording, channels, parameters)
-    used, notes = check_recording(source, parameters, asked["sensors"])
-    notes = [*doubts, *(Note(note, "reading") for note in source.notes), *notes]
-    if learned is not None:
-        _check_apart(learned, source)
-    judged = source if question.settings.minutes_max is None else liveliest(source, question.settings.minutes_max)
-    if judged is not source:
-        used, _ = check_recording(judged, parameters, asked["sensors"])
-        of_all = f"{minutes_of(judged):.0f} of {minutes_of(source):.0f} minutes with the engine running"
-        notes.append(Note(f"judged by {of_all}, the liveliest stretches, spread over the recording;"
-                          " `discover.minutes_max` of params.yaml says how many", "long"))  # fmt: skip
-    options = Options(sensors=used, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
+    wholes = [_read(recording, channels, parameters) for recording in recordings]
+    most = question.settings.minutes_max
+    sources = [whole if most is None else liveliest(whole, most) for whole in wholes]
+    days = in_time_order(sources) if len(sources) > 1 else ()
+    notes: list[Note] = [*doubts, *_date_notes(days)]
+    sensors = []
+    for source, whole in zip(sources, wholes, strict=True):
+        used, own = check_recording(source, parameters, asked["sensors"])
+        where = f"{source.path or 'recording'}: " if days else ""
+        notes += [Note(f"{where}{note}", "reading") for note in source.notes]
+        notes += [Note(f"{where}{note.removeprefix('note: ')}", note.code, note.affects) for note in own]
+        notes += _length_notes(where, source, whole)
+        sensors.append(used)
+        if learned is not None:
+            _check_apart(learned, source)
+    common = tuple(name for name in sensors[0] if all(name in used for used in sensors))
+    if left := sorted({name for used in sensors for name in used} - set(common)):
+        notes.append(Note(f"{listed(left)} is not in all recordings and isn't used", "reading", tuple(left)))
+    options = Options(sensors=common, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
                       seed=question.seed, search=question.settings.search.driving)
+    last = days[-1].recording if days else sources[0]
+    whole = next(whole for source, whole in zip(sources, wholes, strict=True) if source is last)
     return DrivingQuestion(
-        judged, parameters, options, asked, tuple(notes), began, source, learned, asked["time_s"]
+        last, parameters, options, asked, tuple(notes), began, whole, learned, asked["time_s"], days
     )
+
+
+def _length_notes(where: str, judged: Recording, whole: Recording) -> list[Note]:
+    """That a part of a long recording is judged, where it is."""
+    if judged is whole:
+        return []
+    of_all = f"{minutes_of(judged):.0f} of {minutes_of(whole):.0f} minutes with the engine running"
+    return [Note(f"{where}judged by {of_all}, the liveliest stretches, spread over the recording;"
+                 " `discover.minutes_max` of params.yaml says how many", "long")]  # fmt: skip
+
+
+def _date_notes(days: Sequence[Dated]) -> list[Note]:
+    """How the dates of several recordings are known, where nothing in the recordings or their names says it."""
+    kinds = {day.date_from for day in days}
+    if MODIFIED in kinds:
+        count = sum(day.date_from == MODIFIED for day in days)
+        return [Note(f"the dates of {count} of {len(days)} recordings are those of their files, which copying may have "
+                     "changed; a date in the name (2026-03-14) counts for more", "dates")]  # fmt: skip
+    if ORDER in kinds:
+        return [Note("the recordings have no dates; they are taken to be a day apart in the order given", "dates")]
+    return []
 
 
 def _check_apart(learned: LearnedEngine, source: Recording) -> None:

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 from dieseltwin.engine import EngineParameters, load_engine, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import Term
-from dieseltwin.errors import InputError
+from dieseltwin.errors import InputError, shortened
 from dieseltwin.petrol.parameters import PetrolParameters, is_petrol, load_petrol
 from dieseltwin.settings.names import unknown_name
 from dieseltwin.settings.strict import validate
@@ -96,3 +96,27 @@ def _magnitude(name: str, value: float | str) -> float:
             f"--effect {name}", repr(value), f"a number from {low:g} to {high:g} {effect.unit}", "correct the value"
         )
     return number
+
+
+def parameter_changes(engine: Engine, other: Engine | None = None) -> list[tuple[str, str, str, str]]:
+    """Where two engines differ: name, the engine's value, the other's, unit; all of them of different kinds.
+
+    Args:
+        other: to compare with; the published diesel engine without it.
+    """
+    other = NAMED[PUBLISHED] if other is None else other
+    here, there = engine.model_dump(mode="json"), other.model_dump(mode="json")
+    fields = type(engine).model_fields
+    return [(name, _in_words(value), _in_words(there.get(name)), fields[name].description or "")
+            for name, value in here.items() if value != there.get(name)]
+
+
+def _in_words(value: Any) -> str:
+    """A value of an engine file on one line, long ones shortened."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return shortened(", ".join(map(_in_words, value)) or "none", 200)
+    if isinstance(value, dict):
+        return " ".join(f"{key} {_in_words(item)}" for key, item in value.items() if item is not None)
+    return "none" if value is None else str(value)

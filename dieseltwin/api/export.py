@@ -1,4 +1,4 @@
-"""Taking an engine away: as C, as a functional mock-up unit."""
+"""Taking an engine away: as C, as a functional mock-up unit, its maps as tables; networks as ONNX."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from pathlib import Path
 
 from dieseltwin.api.engines import NAMED, PUBLISHED, Engine
 from dieseltwin.api.engines import engine as engine_of
-from dieseltwin.atomic import atomic_path, check_writable, write_text
+from dieseltwin.atomic import atomic_path, check_folder, check_writable, write_text
 from dieseltwin.codegen.c_engine import c_source
 from dieseltwin.codegen.fmu import VERSIONS, check_platform, write_fmu
+from dieseltwin.codegen.tables import write_tables
 from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.settings.extras import require
 
 
 def export(
     engine: Engine | str | Path = PUBLISHED, *, c: str | Path | None = None, fmu: str | Path | None = None,
-    fmi: int = 2, sources_only: bool = False, overwrite: bool = False,
+    table: str | Path | None = None, fmi: int = 2, sources_only: bool = False, overwrite: bool = False,
 ) -> list[Path]:  # fmt: skip
     """Write an engine with its terms and learned maps for programs that know nothing of this package.
 
@@ -24,6 +26,7 @@ def export(
         engine: name, file or parameters of a diesel engine.
         c: file of C to write: a simulator without dependencies.
         fmu: functional mock-up unit to write, for co-simulation.
+        table: folder for the six empirical maps, learned corrections applied: a CSV each and `maps.c` with look-ups.
         fmi: version of FMI, 2 or 3.
         sources_only: leave the FMU's binary for this platform out; no compiler is needed then.
         overwrite: replace files that are there.
@@ -35,12 +38,14 @@ def export(
         InputError: nothing asked for, a petrol engine, a file that is there, no compiler.
     """
     targets = [Path(path) for path in (c, fmu) if path is not None]
-    if not targets:
-        raise InputError("export", "no file to write", "--c, --fmu", "name one of them")
+    if not targets and table is None:
+        raise InputError("export", "nothing to write", "--c, --fmu, --table, --onnx", "name one of them")
     found, name = exportable(engine)
     for path, option, ending in ((c, "--c", ".c"), (fmu, "--fmu", ".fmu")):
         if path is not None:
             _check_target(Path(path), option, ending, overwrite)
+    if table is not None:
+        _check_folder(Path(table), "--table", overwrite)
     if len({path.resolve() for path in targets}) < len(targets):
         raise InputError("export", f"{targets[0]} twice", "a file each", "choose another name")
     version = next((known for known in VERSIONS if known == fmi), None)
@@ -53,7 +58,29 @@ def export(
     if fmu is not None:
         with atomic_path(fmu) as temporary:
             write_fmu(found, name, temporary, version, binary=not sources_only)
-    return targets
+    return targets if table is None else targets + write_tables(found, name, Path(table))
+
+
+def export_networks(models: str | Path, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+    """Write learned maps, bodies and operators as ONNX, physical units outside.
+
+    Args:
+        models: folder of the pretrained networks (`make run` leaves it in `models/`).
+        out: folder for the files.
+        overwrite: replace files that are there.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        InputError: an extra is missing, no networks, files that are there.
+    """
+    require("torch", "networks", "--onnx")
+    require("onnx", "export", "--onnx")
+    _check_folder(Path(out), "--onnx", overwrite)
+    from dieseltwin.codegen.networks_onnx import networks_in, write_onnx  # needs torch, which the core hasn't
+
+    return write_onnx(networks_in(Path(models)), Path(out))
 
 
 def exportable(source: Engine | str | Path) -> tuple[EngineParameters, str]:
@@ -69,6 +96,13 @@ def exportable(source: Engine | str | Path) -> tuple[EngineParameters, str]:
     if isinstance(source, str) and source in NAMED:
         return found, source
     return found, re.sub(r"\s+", "_", Path(source).stem) if isinstance(source, str | Path) else "engine"
+
+
+def _check_folder(path: Path, option: str, overwrite: bool) -> None:
+    if path.is_dir() and any(path.iterdir()) and not overwrite:
+        raise InputError(f"{option} {path}", "a folder with files", "a new or empty one",
+                         "choose another, or add --overwrite")
+    check_folder(path)
 
 
 def _check_target(path: Path, option: str, ending: str, overwrite: bool) -> None:

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MOST_RUNS = 10_000
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
-OPTIONAL_RESULTS = ("curves.parquet", "figures")  # another method in the same folder must not leave its own behind
+# another method in the same folder must not leave its own behind
+OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class Identified(Result):
         return drawn(results_of(self.found, self.problems), drawings, name)
 
     def save(self, out: str | Path) -> Path:
-        """identification.json, runtime.json, states.parquet, figures/ and, with learning curves, curves.parquet."""
+        """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
             write_json(folder / "identification.json", {**self.found.to_json(), "warnings": self.warnings})
             write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
@@ -121,7 +122,8 @@ class Identified(Result):
             curves = curves_table(self.found)
             if curves is not None:
                 curves.to_parquet(folder / "curves.parquet", index=False)
-            identification_figures(self.found, self.problems, folder / "figures")
+            name = self.provenance.get("recording", "")
+            identification_figures(self.found, self.problems, folder / "figures", folder / "report.html", name)
         return Path(out)
 
     @property
@@ -145,7 +147,7 @@ class IdentificationQuestion:
         settings: of the run.
         networks: that the method needs.
         notes: what is doubtful or left out, one sentence each.
-        recording_sha256: of the file.
+        recording_sha256: of the file; recording_name: for people, "" for one made in memory.
     """
 
     problems: tuple[SegmentProblem, ...]
@@ -156,12 +158,14 @@ class IdentificationQuestion:
     networks: Mapping[str, Any]
     notes: tuple[str, ...]
     recording_sha256: str
+    recording_name: str = ""
 
     def answer(self) -> Identified:
         """Identify every segment."""
         config = self.settings.identify
         found = identify_segments(self.problems, self.method, self.runs, self.seed, config=config, **self.networks)
-        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording_sha256}
+        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording_sha256,
+                      **({"recording": self.recording_name} if self.recording_name else {})}  # fmt: skip
         return Identified(found, self.problems, self.notes, provenance)
 
 
@@ -226,7 +230,14 @@ def ask(
                for name in SENSORS if name not in used]
     notes = (*_notes(source, parameters), *without, *left_out)
     seed = settings.seed if seed is None else seed
-    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source.sha256)
+    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source.sha256,
+                                  source.path.name if source.path else "")  # fmt: skip
+
+
+def sensors_of(source: Recording) -> tuple[str, ...] | None:
+    """Sensors that `Setup` has to name for this recording: None where it has the paper's five, else those it has."""
+    there = tuple(name for name in SENSORS if name in source.columns)
+    return None if there == SENSORS else there
 
 
 def problems_of(

@@ -48,6 +48,17 @@ def read(
     return settled_points(source, channels, machine, needed=INPUTS)
 
 
+def description(found: Recording | SteadyPoints | PetrolRecording) -> list[str]:
+    """What was read, in sentences: size and rate, the quantities, and what reading did to the file."""
+    if isinstance(found, SteadyPoints):
+        return [f"{found.size} settled points with {', '.join(found.columns)}."]
+    if isinstance(found, PetrolRecording):
+        return [f"{found.signals.time_s[-1] / 60.0:.1f} minutes of a petrol engine with {', '.join(found.columns)}."]
+    rate = 1.0 / float(np.median(np.diff(found.time_s)))
+    there = [name for name in found.channels if name != TIME]
+    return [f"{found.duration_s / 60.0:.1f} minutes at {rate:.3g} Hz with {', '.join(there)}.", *found.notes]
+
+
 def as_engine(source: Engine | str | Path | None) -> Engine:
     """`engines.engine`, the published engine for None."""
     return diesel_engine(None) if source is None else engine(source)

@@ -194,7 +194,9 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         names += added
     last = rounds[-1]
     more_is_missing = last.found.kind != "healthy" and not last.taken
-    law, terms, scatter = None, (), None
+    law: Law | None = None
+    terms: tuple[OneTerm, ...] = ()
+    scatter = None
     if more_is_missing and options.law_search:
         proved = _proved_law(last.found, here, free, nll)
         if proved is not None:

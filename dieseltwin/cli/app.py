@@ -23,9 +23,11 @@ from dieseltwin.cli.export import export_command
 from dieseltwin.cli.identify import identify_command
 from dieseltwin.cli.learn import learn_command
 from dieseltwin.cli.options import help_without_command
+from dieseltwin.cli.page import app_command
 from dieseltwin.cli.points import calibrate_command, imply_command
 from dieseltwin.cli.show import engine_app, params_app
 from dieseltwin.cli.simulate import simulate_command
+from dieseltwin.cli.watch import watch_app
 from dieseltwin.errors import LONGEST_LINE, DieselTwinError, InputError, one_line, shortened
 from dieseltwin.version import __version__
 
@@ -47,11 +49,13 @@ app.command("simulate")(simulate_command)
 app.command("identify")(identify_command)
 app.command("learn")(learn_command)
 app.command("discover")(discover_command)
+app.add_typer(watch_app, name="watch")
 app.add_typer(engine_app, name="engine")
 app.add_typer(params_app, name="params")
 app.add_typer(challenge_app, name="challenge")
 app.add_typer(data_app, name="data")
 app.command("channels")(channels_command)
+app.command("app")(app_command)
 app.command("effects")(show_effects)
 app.command("calibrate")(calibrate_command)
 app.command("imply")(imply_command)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from dieseltwin.atomic import check_writable
 from dieseltwin.cli.early import check_apart
 from dieseltwin.errors import InputError
 
@@ -45,22 +46,17 @@ def run_channels(
     Raises:
         InputError: a file that cannot be read, or a map that cannot be written.
     """
-    from dieseltwin.atomic import atomic_path, check_writable
-    from dieseltwin.recordings.guess.propose import propose
-    from dieseltwin.recordings.guess.words import channel_lines, guess_lines, map_text
-    from dieseltwin.recordings.importers.read import read_raw
-
     if out is not None and out.suffix.lower() not in MAP_SUFFIXES:
         raise InputError(f"--out {out}", f"ending {out.suffix or 'nothing'}", ", ".join(MAP_SUFFIXES),
                          "choose one of them")  # fmt: skip
+    if out is not None:
         check_apart(out, file, dbc)
         check_writable(out)
-    proposal = propose(read_raw(file, dbc), cylinders, dbc)
-    yield from channel_lines(proposal)
-    yield ""
-    yield from guess_lines(proposal)
+    from dieseltwin.api.channels import channels
+
+    found = channels(file, dbc, cylinders)
+    yield from found.lines()
     if out is not None:
-        with atomic_path(out) as temporary:
-            temporary.write_text(map_text(proposal), encoding="utf-8")
+        found.save(out)
         yield ""
         yield f"channel map: {out} (check every line)"

@@ -1,4 +1,4 @@
-"""`dieseltwin discover`: a recording in, what the twin leaves out, as a document, a report and a repaired engine."""
+"""`dieseltwin discover`: recordings in, what the twin leaves out, as a document, a report and a repaired engine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Profile, Strict, progress, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Pdf, Profile, Strict, progress, say
 from dieseltwin.errors import InputError
 from dieseltwin.notes import STRICT_CODE
 from dieseltwin.settings.names import refuse_options
@@ -17,9 +17,12 @@ from dieseltwin.settings.names import refuse_options
 
 def discover_command(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
-    recording: Annotated[
-        Path | None,
-        typer.Argument(metavar="RECORDING", help="Recording of a running engine (CSV, MDF, ...), 10 min or more."),
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="RECORDING...",
+            help="Recording of a running engine (CSV, MDF, ...), 10 min or more; several are judged together.",
+        ),
     ] = None,
     engine: EngineFile = None,
     sensors: Annotated[
@@ -50,17 +53,19 @@ def discover_command(
     ] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
+    pdf: Pdf = False,
     strict: Strict = False,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
-    for path in (recording, *(reference or ())):
+    for path in (*(recordings or ()), *(reference or ())):
         check_there(path)
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
+    from dieseltwin.api.printing import check_printable, print_report
     from dieseltwin.discovery.verdict.explain import check_name, explain
     from dieseltwin.settings.params import load_params
 
-    if recording is None:
+    if not recordings:
         if name is None:
             raise InputError("RECORDING", "nothing", "a recording", "name the recording")
         say(explain(name, out))
@@ -68,7 +73,7 @@ def discover_command(
     settings = load_params(params, profile).discover
     asked = Asked(_names(sensors), _names(withhold), map_tolerance, seed, tuple(reference or ()), settings,
                   time_s)
-    question = ask(recording, engine, channels, asked)
+    question = ask(tuple(recordings), engine, channels, asked)
     if name is not None:
         if not question.catalogue:
             refuse_options({"--explain": name}, question.kind)
@@ -76,12 +81,16 @@ def discover_command(
         if question.answered_in(out):
             say(explain(name, out, question.catalogue))
             return
+    if pdf:
+        check_printable()
     check_folder(out)  # a place that cannot be written to is better known before the work
     progress(question.about)
     say(question.preview())
     progress("fitting ...")
     found = question.answer()
     found.save(out)
+    if pdf:
+        print_report(out)
     say([*found.lines(), f"results: {out}"])
     if name is not None:
         say(["", *explain(name, out, question.catalogue)])

@@ -12,26 +12,40 @@ from dieseltwin.cli.early import check_apart, check_there
 
 
 def export_command(
-    engine: Annotated[str, typer.Argument(metavar="ENGINE", help="Engine file, or the name we2011.")],
+    engine: Annotated[str, typer.Argument(metavar="[ENGINE]", help="Engine file, or a name.")] = "we2011",
     c: Annotated[
         Path | None, typer.Option("--c", metavar="FILE.c", help="One file of C: a simulator without dependencies.")
     ] = None,
     fmu: Annotated[
         Path | None, typer.Option("--fmu", metavar="FILE.fmu", help="A functional mock-up unit for co-simulation.")
     ] = None,
+    table: Annotated[
+        Path | None, typer.Option("--table", metavar="DIR", help="The maps: a CSV each, and C with look-up functions.")
+    ] = None,
+    onnx: Annotated[
+        Path | None, typer.Option("--onnx", metavar="DIR", help="The networks of --models, each as ONNX.")
+    ] = None,
+    models: Annotated[
+        Path, typer.Option("--models", metavar="DIR", help="Folder of pretrained networks, for --onnx.")
+    ] = Path("models"),
     fmi: Annotated[int, typer.Option("--fmi", metavar="N", help="Version of FMI: 2 (2.0) or 3 (3.0).")] = 2,
     sources_only: Annotated[
         bool, typer.Option("--sources-only", help="No binary in the FMU: its C sources are compiled where it runs.")
     ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
 ) -> None:
-    """Write an engine with its effects and learned maps as C or as an FMU; the equations are those of `simulate`."""
+    """Write an engine with its effects and learned maps as C, as an FMU or as tables, and networks as ONNX."""
     if os.path.exists(engine) or Path(engine).suffix:
         check_there(Path(engine), "an engine file")
     for out in (c, fmu):
         if out is not None:
             check_apart(out, engine)
-    from dieseltwin.api.export import export
+    from dieseltwin.api.export import export, export_networks
 
-    for path in export(engine, c=c, fmu=fmu, fmi=fmi, sources_only=sources_only, overwrite=overwrite):
+    written = []
+    if onnx is None or c is not None or fmu is not None or table is not None:
+        written += export(engine, c=c, fmu=fmu, table=table, fmi=fmi, sources_only=sources_only, overwrite=overwrite)
+    if onnx is not None:
+        written += export_networks(models, onnx, overwrite=overwrite)
+    for path in written:
         typer.echo(f"{path}: {path.stat().st_size / 1000:.0f} kB")

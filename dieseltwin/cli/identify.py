@@ -9,7 +9,7 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Profile, Strict, progress, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Pdf, Profile, Strict, progress, say
 from dieseltwin.notes import STRICT_CODE
 from dieseltwin.settings import methods
 from dieseltwin.settings.names import unknown_name
@@ -50,6 +50,7 @@ def identify_command(
     seed: Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Seed of everything random.")] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
+    pdf: Pdf = False,
     strict: Strict = False,
 ) -> None:
     """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty."""
@@ -57,15 +58,20 @@ def identify_command(
         raise unknown_name("--method", method, methods.names())
     check_there(recording)
     from dieseltwin.api.identification import Setup, ask
+    from dieseltwin.api.printing import check_printable, print_report
 
     named = None if sensors is None else tuple(name.strip() for name in sensors.split(",") if name.strip())
     setup = Setup(models, maps, params, profile, named)
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
+    if pdf:
+        check_printable()
     check_folder(out)  # a place that cannot be written to is better known before the work
     progress(f"{recording}: {len(question.problems)} segments, {question.runs} runs each, {method} ...")
     found = question.answer()
     found.save(out)
+    if pdf:
+        print_report(out)
     say([*found.lines(), f"results: {out}"])
     if strict and found.warnings:
         raise typer.Exit(STRICT_CODE)

@@ -18,6 +18,8 @@ ChannelsFile = Annotated[
 ParamsFile = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Settings instead of params.yaml.")]
 Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile of the settings: quick or paper.")]
 
+Pdf = Annotated[bool, typer.Option("--pdf", help="Print the report to report.pdf as well (with Chromium or Chrome).")]
+
 Strict = Annotated[bool, typer.Option("--strict", help="Exit code 3 when the answer carries a warning.")]
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit
 from dieseltwin.discovery.likelihood.metric import Whitening
@@ -12,12 +13,14 @@ from dieseltwin.discovery.likelihood.score import effect_responses, minimum_dete
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
 from dieseltwin.discovery.verdict.assemble import assemble
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Reference
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
+from dieseltwin.recordings.dates import ORDER, Dated
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.search import SearchSettings
@@ -49,7 +52,7 @@ def prepare(
     return Prepared(visible_sizes(twin, options.settings()), twin)
 
 
-def visible_sizes(twin: EngineTwin, settings: SearchSettings) -> dict[str, float]:
+def visible_sizes(twin: EngineTwin | SeveralTwin, settings: SearchSettings) -> dict[str, float]:
     """`Prepared.minimum_detectable` of a twin."""
     start = first_fit(twin)
     whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
@@ -80,9 +83,45 @@ def discover(
     clock = time.perf_counter()
     twin = _twin(recording, engine, options, learned) if prepared is None else prepared.twin.fresh()
     found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
-    result = assemble(recording, found, options, _reference(found, learned), time_s)
+    day = Dated(recording, datetime.fromtimestamp(0.0, UTC), ORDER)
+    result = assemble([day], found, options, _reference(found, learned), time_s)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
     return replace(result, runtime=runtime)
+
+
+def discover_together(
+    days: Sequence[Dated], engine: EngineParameters, options: Options | None = None,
+    learned: LearnedEngine | None = None, time_s: float | None = None,
+) -> Discovery:  # fmt: skip
+    """As `discover`, of several recordings of one engine: one verdict, with the health of each.
+
+    Maps and sensors are the same in all recordings, health is each one's own. What was left out may be of one size in
+    all of them, begin between two, grow, or come with cold weather.
+
+    Args:
+        days: two recordings or more, in time order.
+        engine, options, learned, time_s: as of `discover`.
+
+    Raises:
+        InputError: as `discover`, or recordings without a common set of sensors.
+    """
+    options = options or Options()
+    clock = time.perf_counter()
+    twin = several_twin(days, engine, options, learned)
+    found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
+    result = assemble(days, found, options, _reference(found, learned), time_s)
+    return replace(result, runtime={**found.seconds, "total": time.perf_counter() - clock})
+
+
+def several_twin(
+    days: Sequence[Dated], engine: EngineParameters, options: Options, learned: LearnedEngine | None
+) -> SeveralTwin:
+    """The twin over several recordings, in time order."""
+    parts = [_twin(day.recording, engine, options, learned) for day in days]
+    occasions = [
+        Occasion((day.date - days[0].date).total_seconds() / 86400.0, day.recording.t_amb_k) for day in days
+    ]
+    return SeveralTwin(parts, occasions)
 
 
 def _twin(

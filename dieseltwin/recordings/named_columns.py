@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -36,10 +37,12 @@ class Imported:
     Attributes:
         columns: our names (and the file's own where nobody maps them) -> (n,).
         notes: what was done to get there, one sentence each.
+        began: date of the first row [UTC], where the file says it.
     """
 
     columns: Mapping[str, np.ndarray]
     notes: tuple[str, ...]
+    began: datetime | None = None
 
 
 def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = None) -> Imported:
@@ -61,15 +64,15 @@ def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = 
         raw = read_raw(path, mapping.database)  # for the message: every name that the file has
     if raw.table is None:
         columns, notes = on_one_raster(quantities(raw, mapping), str(path))
-        return Imported(columns, (*raw.notes, *notes))
+        return Imported(columns, (*raw.notes, *notes), raw.began)
     columns = {str(name): raw.table[name].to_numpy() for name in raw.table.columns}
     if not mapping.entries:
-        return Imported(columns, raw.notes)
+        return Imported(columns, raw.notes, raw.began)
     numeric = {
         name: numbers(name, values, str(path), True) if name in mapping.entries else values
         for name, values in columns.items()
     }
-    return Imported(mapping.apply(numeric, str(path)), raw.notes)
+    return Imported(mapping.apply(numeric, str(path)), raw.notes, raw.began)
 
 
 def numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndarray:

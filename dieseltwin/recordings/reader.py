@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
 
@@ -88,6 +89,7 @@ class Recording:
         path: where it was read from, None for one made in memory.
         sha256: of the file, or of the columns for one made in memory.
         notes: what reading did to the file and what it costs, one sentence each.
+        began: date of the first row [UTC], where the file's stamps say it.
     """
 
     time_s: np.ndarray
@@ -97,6 +99,7 @@ class Recording:
     path: Path | None = None
     sha256: str = ""
     notes: tuple[str, ...] = ()
+    began: datetime | None = None
 
     @property
     def duration_s(self) -> float:
@@ -350,7 +353,7 @@ def read_recording(
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     made = recording(imported.columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors,
                      any_rate=any_rate)
-    return replace(made, notes=(*imported.notes, *made.notes))
+    return replace(made, notes=(*imported.notes, *made.notes), began=imported.began)
 
 
 def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:

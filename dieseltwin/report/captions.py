@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 
 def _line(text: str) -> str:
     return " ".join(text.split())
@@ -105,3 +107,10 @@ SUMMARY_UNKNOWN = _line("""
     “Std over bound”: root mean square over the identifiable segments of the stated standard deviation divided by the
     segment's Cramér–Rao bound; an efficient method scores about 1.
 """)
+
+SET_TITLES: Mapping[str, str] = {
+    "set_i": "Set-I: WHSC, WHTC seconds 1-900, random driving",
+    "set_ii": "Set-II: minutes 0-1 and 3-5 drive, 1-2 enters idle, 2-3 idles; WHTC seconds 901-1800",
+    "set_iii": "Set-III: WHSC, WHTC and random driving, u_egr modified for a wider range",
+    "set_iv": "Set-IV: WHSC, WHTC and random driving, u_vgt modified for a wider range",
+}

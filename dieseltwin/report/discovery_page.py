@@ -12,8 +12,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.report import discovery_figures, discovery_residuals, quantities, style
+from dieseltwin.report import discovery_figures, discovery_residuals, over_recordings, quantities, style
 from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words, unit_of
+from dieseltwin.report.interactive import discovery_series, still
+from dieseltwin.report.law_cards import law_cards
 from dieseltwin.report.style import ReportFigure
 
 _EMPTY = "–"
@@ -43,6 +45,7 @@ def discovery_sections(found: Discovery) -> list[Section]:
     ]
     sections = [
         Section("doubts", "What is doubtful", (), heads=("kind", "what", "about"), rows=doubts),
+        Section("over-recordings", "The recordings", _kept(over_recordings.trends(found))),
         Section("health-parameters", "Health parameters", _kept(discovery_figures.health(found))),
         Section("law-of-it", "Law", _kept(discovery_figures.law_curves(found))),
         Section(
@@ -218,7 +221,9 @@ def _page(found: Discovery, sections: Sequence[Section], encoded: Mapping[str, b
     )
     recording = found.document.recording
     name = Path(recording.path).name
+    series = discovery_series(found)
     return environment.get_template("discovery.html.j2").render(
+        series=series, still=_figure(picture := still(series), picture.encode()), cards=law_cards(found),
         title="What the twin leaves out" if found.document.mismatch else "Nothing left out that could be seen",
         about=f"Recording: {name} · {recording.duration_s:.0f} s · {len(recording.channels)} sensors",
         mismatch=found.document.mismatch,

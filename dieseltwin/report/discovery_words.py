@@ -202,11 +202,23 @@ def _when_words(document: Discrepancy) -> str:
     if location is None:
         return ""
     text = "from the start" if location.onset_s is None else f"since {clock(location.onset_s)}"
+    if document.recordings:
+        text = _over_recordings(document)
     confined = [r for r in location.regions if r.share_of_evidence >= _SHARE and region_words(r)]
     if confined:
         region = max(confined, key=lambda r: r.share_of_evidence)
         text += f", with {100 * region.share_of_evidence:.0f} % of the evidence at {region_words(region)}"
     return text
+
+
+def _over_recordings(document: Discrepancy) -> str:
+    """How what is missing differs between several recordings."""
+    location, days = document.location, [item.date[:10] for item in document.recordings]
+    text = f"over {len(days)} recordings ({days[0]} to {days[-1]})"
+    if location is not None and location.onset_s is not None:
+        return f"{text} since {clock(location.onset_s)} into that of {location.onset_date}"
+    words = next((e.over_recordings for e in document.effects if e.over_recordings), None)
+    return f"{text}, where it {words}" if words else text
 
 
 def _apart_words(document: Discrepancy) -> str:

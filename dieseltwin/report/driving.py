@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dieseltwin.duty_cycles import full_load_torque
+from dieseltwin.report.captions import SET_TITLES
 from dieseltwin.report.style import ReportFigure, note, styled
 from dieseltwin.settings.params import EcuConfig
 from dieseltwin.symbols import label
@@ -24,12 +25,6 @@ EGR, VGT = "#009E73", "#CC79A7"
 INTAKE, EXHAUST = "#0072B2", "#D55E00"
 LIMIT = "#555555"
 
-SET_TITLES: Mapping[str, str] = {
-    "set_i": "Set-I: WHSC, WHTC seconds 1-900, random driving",
-    "set_ii": "Set-II: minutes 0-1 and 3-5 drive, 1-2 enters idle, 2-3 idles; WHTC seconds 901-1800",
-    "set_iii": "Set-III: WHSC, WHTC and random driving, u_egr modified for a wider range",
-    "set_iv": "Set-IV: WHSC, WHTC and random driving, u_vgt modified for a wider range",
-}
 # enlarged part [s]; Set-I starts with minutes of idle, so the end of its WHTC and the first random driving are shown
 SET_WINDOWS_S: Mapping[str, tuple[float, float]] = {"set_i": (2650.0, 2950.0)}
 DEFAULT_WINDOW_S = (0.0, 300.0)

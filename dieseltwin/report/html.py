@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from dieseltwin.atomic import write_text
+from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
-from dieseltwin.report.driving import SET_TITLES
+from dieseltwin.report.interactive import results_series, still
 from dieseltwin.report.results import PARAMETERS, Results, load_results
 from dieseltwin.report.style import ReportFigure
 from dieseltwin.report.tables import headline, paper_table, segment_table, summary_table
@@ -266,12 +267,12 @@ def _picture(path: Path) -> dict[str, str]:
     kind = path.suffix.removeprefix(".")
     plain = path.stem.replace("_", " ").replace("-", " ")
     # the picture carries its whole title itself
-    title = SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:]).partition(":")[0]
+    title = captions.SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:]).partition(":")[0]
     return {"name": path.stem, "title": title, "caption": "", "uri": style.data_uri(path.read_bytes(), kind)}
 
 
-def _figure(figure: ReportFigure, dpi: int) -> dict[str, str]:
-    uri = style.data_uri(figure.encode(dpi), figure.kind)
+def _figure(figure: ReportFigure, content: bytes) -> dict[str, str]:
+    uri = style.data_uri(content, figure.kind)
     return {
         "name": figure.name,
         "title": figure.title,
@@ -280,12 +281,16 @@ def _figure(figure: ReportFigure, dpi: int) -> dict[str, str]:
     }
 
 
-def _page(results: Results, sections: Sequence[Section], dpi: int) -> str:
+def _page(results: Results, sections: Sequence[Section], encode: Callable[[ReportFigure], bytes]) -> str:
     known = results.truth is not None
+    series = results_series(results)
+    whole = None if series is None else still(series)
     loader = PackageLoader("dieseltwin.report")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     note = captions.SUMMARY_KNOWN if known else captions.SUMMARY_UNKNOWN
     return environment.get_template("report.html.j2").render(
+        series=series,
+        still=None if whole is None else _figure(whole, encode(whole)),
         title=str(results.about.get("title") or "Engine health from a recording"),
         about=_about_line(results),
         headline=headline(results),
@@ -303,7 +308,7 @@ def _page(results: Results, sections: Sequence[Section], dpi: int) -> str:
                 "words": s.words,
                 "table": s.table,
                 "beside_paper": s.beside_paper,
-                "figures": [_picture(p) for p in s.pictures] + [_figure(f, dpi) for f in s.figures],
+                "figures": [_picture(p) for p in s.pictures] + [_figure(f, encode(f)) for f in s.figures],
             }
             for s in sections
         ],
@@ -315,10 +320,28 @@ def _page(results: Results, sections: Sequence[Section], dpi: int) -> str:
 def _fitting_page(results: Results, sections: Sequence[Section]) -> str:
     page = ""
     for dpi in _SMALLER_DPI:
-        page = _page(results, sections, dpi)
+        page = _page(results, sections, partial(ReportFigure.encode, dpi=dpi))
         if len(page.encode("utf-8")) < SIZE_LIMIT_BYTES:
             break
     return page
+
+
+def identification_page(results: Results, out_html: str | Path, figures_dir: str | Path) -> list[Path]:
+    """Write the page of one identification and its figures as files, each drawn once; returns the figures' paths.
+
+    The paper's printed run times stay out: they belong to the comparison of methods.
+    """
+    sections = [section for section in _sections(results) if section.id != "times"]
+    paths: list[Path] = []
+
+    def encode(figure: ReportFigure) -> bytes:
+        content = figure.encode()
+        Path(figures_dir).mkdir(parents=True, exist_ok=True)
+        paths.append(write_bytes(Path(figures_dir) / f"{figure.name}.{figure.kind}", content))
+        return content
+
+    write_text(Path(out_html), _page(results, sections, encode))
+    return paths
 
 
 def render(results: Results) -> str:

@@ -1,4 +1,4 @@
-"""Figures of one identification as files."""
+"""Figures and page of one identification as files."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from pathlib import Path
 
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification
-from dieseltwin.report.html import result_figures
+from dieseltwin.report.html import identification_page
 from dieseltwin.report.inputs import results_of
 
 
 def identification_figures(
-    identification: Identification, problems: Sequence[SegmentProblem], out_dir: str | Path
-) -> list[Path]:
-    """Draw every figure that one identification has data for and write them as SVG (charts) and PNG (time series).
+    identification: Identification, problems: Sequence[SegmentProblem], out_dir: str | Path, page: str | Path,
+    recording: str = "",
+) -> list[Path]:  # fmt: skip
+    """Draw every figure that one identification has data for, as SVG (charts) and PNG (time series), and its page.
 
     Works without truth. The paper's printed run times stay out: they belong to the comparison of methods.
 
@@ -22,9 +23,11 @@ def identification_figures(
         identification: result of any method.
         problems: the segments that it solved.
         out_dir: folder for the figures, made where missing.
+        page: HTML that holds them all.
+        recording: its name, for the page.
 
     Returns:
-        The paths written.
+        The figures' paths.
     """
-    figures = result_figures(results_of(identification, problems))
-    return [figure.save(Path(out_dir)) for figure in figures if figure.name != "run_times"]
+    about = {"recording": recording} if recording else None
+    return identification_page(results_of(identification, problems, about=about), page, out_dir)

@@ -67,12 +67,12 @@ def words(name: str) -> str:
 
 
 def html_symbol(name: str) -> str:
-    """Symbol for HTML text, e.g. ``A<sub>egrmax</sub>``, from the name itself (names are plain letters)."""
+    """Symbol for HTML text, e.g. ``A<sub>egrmax</sub>``, from the name itself."""
     entry = known(name)
     text = entry.name if entry is not None else name
     greek = {"eta": "η", "omega": "ω", "Phi": "Φ", "lambda": "λ"}
     head, _, tail = text.partition("_")
-    head = greek.get(head, head)
+    head = escape(greek.get(head, head))  # a foreign channel's name may be anything
     tail = re.sub(r"[^A-Za-z0-9_ ]", "", tail).replace("_", ",")
     return f"<i>{head}</i><sub>{tail}</sub>" if tail else f"<i>{head}</i>"
 

@@ -99,6 +99,11 @@ def styled(function: Callable[P, R]) -> Callable[P, R]:
     return drawn
 
 
+def plain_text(text: str) -> str:
+    """Somebody else's text for a figure: dollar signs are no mathematics, and it ends after 80 letters."""
+    return text[:80].replace("$", r"\$")
+
+
 def note(axes: Axes, text: str) -> None:
     """Write ``text`` into the middle of an empty panel: a panel without data says so instead of staying blank."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="#555555", wrap=True)

@@ -30,6 +30,7 @@ from dieseltwin.settings.method_settings import MethodSettings
 from dieseltwin.settings.methods import find
 from dieseltwin.settings.search import SearchConfig
 from dieseltwin.settings.strict import StrictModel, overridden, read_profile, validate
+from dieseltwin.settings.watch import WatchConfig
 
 PARAMS_FILE = "params.yaml"
 DEFAULT_PROFILE = "quick"
@@ -272,6 +273,7 @@ class Params(StrictModel):
     promotion: PromotionConfig
     discover: DiscoverConfig
     proof: ProofConfig
+    watch: WatchConfig
     report: ReportConfig
 
     @property

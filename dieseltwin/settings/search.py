@@ -30,6 +30,9 @@ class SearchSettings(StrictModel):
     hanging_second_gain: NonNegativeFloat = Field(description="that a second effect must add that hangs on one window")
     variant_gain: NonNegativeFloat = Field(description="that an onset or a region must add")
     hidden_gain: NonNegativeFloat = Field(description="of an onset or a region that raises an alarm by itself")
+    profile_gain: NonNegativeFloat = Field(description="that a size that differs between recordings must be ahead of "
+                                           "one size for all")
+    hidden_profile_gain: NonNegativeFloat = Field(description="of such a size that raises an alarm by itself")
     unnamed_gain: NonNegativeFloat = Field(description="of a term without a name that raises an alarm by itself, where "
                                            "it keeps that share of it")
     unnamed_sensor_gain: NonNegativeFloat = Field(description="the same of a sensor's fault")

@@ -151,11 +151,13 @@ def test_sources_compile_where_they_run(tmp_path: Path, compiler: str):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["we2011"], "no file to write"), (["we2012", "--c", "a.c"], "unknown name"),
+        (["we2011"], "nothing to write"), (["we2012", "--c", "a.c"], "unknown name"),
         (["none.yaml", "--c", "a.c"], "no such file"), (["we2011", "--c", "a.txt"], "ending .txt"),
         (["we2011", "--fmu", "a.fmu", "--fmi", "1"], "2 or 3"), (["liu_petrol", "--c", "a.c"], "petrol"),
         (["we2011", "--c", "there.c"], "--overwrite"), (["we2011", "--fmu", "a.fmu"], "no C compiler"),
-        (["bad.yaml", "--c", "a.c"], "V_dd"), (["we2011", "--c", "nowhere/a.c"], "no such file or directory"),
+        (["bad.yaml", "--c", "a.c"], "V_dd"), (["--table", "full"], "a folder with files"),
+        (["--onnx", "a", "--models", "none"], "no such folder"), (["--onnx", "a", "--models", "full"], "no networks"),
+        (["we2011", "--c", "nowhere/a.c"], "no such file or directory"),
     ],
 )  # fmt: skip
 def test_bad_input(
@@ -165,10 +167,12 @@ def test_bad_input(
     monkeypatch.setenv("CC", "no-such-compiler")
     Path("there.c").touch()
     Path("bad.yaml").write_text("V_dd: 1\n")
+    Path("full").mkdir()
+    Path("full", "something").touch()
     assert main(["export", *arguments]) == 2
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.yaml", "there.c"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.yaml", "full", "there.c"]
 
 
 def test_the_command_writes_both(tmp_path: Path, compiler: str):

@@ -37,12 +37,12 @@ _LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
 def try_variants(found: Search) -> None:
     """Effects that begin in the middle or act in a part of the operating range only."""
     top = found.gain(found.singles[0]) if found.singles else 0.0
-    variants = [v for v in found.scanned[:VARIANTS] if v.gain > 0.5 * top]
+    variants = [v for v in found.scanned if v.gain > 0.5 * top]
     if not variants:
         return
     _refit_variants(found, variants)
     best, fit = found.variants[0]
-    if found.gain(fit) < top + 0.5 * found.settings.variant_gain:
+    if found.gain(fit) < top + 0.5 * freedom_cost(found, best):
         return
     if best.onset_s is not None:
         for reach, count in ((8.0, 5), (2.0, 5)):
@@ -75,8 +75,16 @@ def try_variants(found: Search) -> None:
         _polish_variants(found)
 
 
-def _with_edges(pair: tuple[Variant, Fit]) -> float:
-    return pair[1].objective + edge_cost(pair[0])
+def freedom_cost(found: Search, variant: Variant) -> float:
+    """What a variant must be ahead of an effect of one size everywhere and always [units of gain]."""
+    if variant.profile is not None:
+        return found.settings.profile_gain
+    return found.settings.variant_gain + edge_cost(variant)
+
+
+def _in_order(found: Search, pairs: Sequence[tuple[Variant, Fit]]) -> list[tuple[Variant, Fit]]:
+    """Variants with their fits, best first."""
+    return sorted(pairs, key=lambda pair: pair[1].objective + freedom_cost(found, pair[0]))
 
 
 def _leaders(found: Search) -> list[tuple[Variant, Fit]]:
@@ -95,7 +103,7 @@ def _polish_variants(found: Search) -> None:
         fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit for _, fit in leaders
     ]
     polished = [(variant, fit) for (variant, _), fit in zip(leaders, fits, strict=True)]
-    found.variants = sorted([*rest, *polished], key=_with_edges)
+    found.variants = _in_order(found, [*rest, *polished])
 
 
 def _compare_leaders(found: Search) -> None:
@@ -106,7 +114,7 @@ def _compare_leaders(found: Search) -> None:
     compared = in_own_metrics(found, [fit for _, fit in leaders])
     same = {fit.candidate.names[0] for fit in compared}  # what they were beside has moved with them
     rest = [pair for pair in rest if pair[0].name not in same]
-    found.variants = sorted([*((variants[f.candidate.names[0]], f) for f in compared), *rest], key=_with_edges)
+    found.variants = _in_order(found, [*((variants[f.candidate.names[0]], f) for f in compared), *rest])
 
 
 def _since(found: Search, variant: Variant, onset_s: float) -> Variant:
@@ -125,8 +133,7 @@ def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None
         base = Linearisation(found.twin, found.whitening, near, found.null)
         response = base.jacobian[-1:]
         fits = refit_all(base, candidates, [response for _ in variants])
-    pairs = [*found.variants, *zip(variants, fits, strict=True)]
-    found.variants = sorted(pairs, key=_with_edges)
+    found.variants = _in_order(found, [*found.variants, *zip(variants, fits, strict=True)])
 
 
 def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Scored, Scored]]:
@@ -274,13 +281,12 @@ def choose(found: Search, first: Linearisation) -> None:
 
 def _leading_kind(found: Search) -> tuple[float, str, Fit, Variant | None]:
     """Gain less what the freedom costs, kind, fit and variant of the best explanation with names."""
-    settings = found.settings
     options: list[tuple[float, str, Fit, Variant | None]] = [
         (found.gain(found.singles[0]), "single", found.singles[0], None)
     ]
     if found.variants:
         timed, timed_fit = found.variants[0]
-        options.append((found.gain(timed_fit) - settings.variant_gain - edge_cost(timed), "variant", timed_fit, timed))
+        options.append((found.gain(timed_fit) - freedom_cost(found, timed), "variant", timed_fit, timed))
     pair = _best_pair(found)
     if pair is not None:
         options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))

@@ -13,6 +13,7 @@ from dieseltwin.discovery.likelihood.fit import Candidate, Fit
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
+from dieseltwin.discovery.search.by_recording import gained_elsewhere, refitted, starts_by_recording
 from dieseltwin.discovery.search.explanations import (
     VARIANTS,
     beyond_law,
@@ -34,7 +35,7 @@ from dieseltwin.discovery.search.preparation import (
     verify,
 )
 from dieseltwin.discovery.search.state import Search, occam
-from dieseltwin.discovery.search.variants import edge_cost, scan
+from dieseltwin.discovery.search.variants import Variant, edge_cost, scan
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.settings.search import SearchSettings
@@ -75,12 +76,16 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: floa
 def _with_names(twin: Twin, settings: SearchSettings) -> Search:
     """Health-only fit and refits of single effects, about the leading one where what was learned of the maps bends."""
     found = _with_singles(prepare(twin, settings))
+    clock = time.perf_counter()
+    starts = starts_by_recording(found)
+    found = refitted(found, starts)
+    found.seconds["by_recording"] = time.perf_counter() - clock
     for _ in range(_RENEWALS):
-        if belief_of(twin) is None or found.gain(found.singles[0]) < _BENDS:
+        lead = _lead(found)
+        if belief_of(twin) is None or found.gain(lead) < _BENDS:
             break
-        lead = found.singles[0].candidate.names
-        found = _with_singles(prepared_about(found, found.singles[0]))
-        if found.singles[0].candidate.names == lead:
+        found = refitted(_with_singles(prepared_about(found, lead)), starts)
+        if _lead(found).candidate.names == lead.candidate.names:
             break
     return found
 
@@ -90,7 +95,8 @@ def _explain(found: Search, laws: bool) -> None:
     twin, settings = found.twin, found.settings
     found.stage = "terms without a name"
     found.scanned = scan(found.null, found.scored, VARIANTS, settings.least_share)
-    hidden = bool(found.scanned) and found.scanned[0].gain > found.settings.hidden_gain
+    tried = [*found.scanned, *(variant for variant, _ in found.variants)]
+    hidden = any(variant.gain > _hidden_bar(found, variant) for variant in tried)
     base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
     clock = time.perf_counter()
     found.structure = score_features(base, generic_features(twin, found.null.fit))
@@ -122,6 +128,11 @@ def _explain(found: Search, laws: bool) -> None:
     found.seconds["pairs"] = time.perf_counter() - clock
     if found.kind == "law":
         _law(found, laws)
+
+
+def _lead(found: Search) -> Fit:
+    """The leading explanation so far: of one size, or one that differs between recordings."""
+    return min([found.singles[0], *(fit for _, fit in found.variants[:1])], key=lambda fit: fit.objective)
 
 
 def _with_singles(found: Search) -> Search:
@@ -157,10 +168,17 @@ def _shown(found: Search) -> bool:
     if not found.variants:
         return False
     variant, fit = found.variants[0]
-    if found.gain(fit) - edge_cost(variant) <= found.settings.hidden_gain:
+    if found.gain(fit) - edge_cost(variant) <= _hidden_bar(found, variant):
         return False
+    if variant.profile is not None:
+        return gained_elsewhere(found.null, fit) >= found.settings.least_spread
     direction = without_parameters(found.null, found.null.metric.project(variant.response[None]))[0]
     return spread(found.null, direction) >= found.settings.least_spread
+
+
+def _hidden_bar(found: Search, variant: Variant) -> float:
+    """Gain from which an effect that doesn't act everywhere and always raises an alarm by itself."""
+    return found.settings.hidden_gain if variant.profile is None else found.settings.hidden_profile_gain
 
 
 def _unnamed(found: Search) -> Structure | None:

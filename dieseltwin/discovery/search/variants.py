@@ -1,7 +1,7 @@
-"""Effects that begin in the middle of a recording or act in a part of the operating range only.
+"""Effects that begin in the middle of a recording, act in a part of the operating range only, or differ by recording.
 
-Every beginning and every range of every condition is tried for every effect, by sums over windows and over bins of a
-condition: masked responses needn't be projected one by one.
+Every beginning, every range of every condition and every profile over recordings is tried for every effect, by sums
+over windows, over bins of a condition and over recordings: masked responses needn't be projected one by one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, without_parameters
-from dieseltwin.discovery.twins.interface import Array, Twin
+from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 
 _BINS = 20  # of a condition, with equal numbers of samples
 LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
@@ -40,6 +40,7 @@ class Variant:
         response: (n, C) linear response per unit of magnitude.
         gain: linear gain.
         edges: of the region, inside the range driven.
+        profile: way in which its size differs between recordings, or None.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Variant:
     response: Array
     gain: float
     edges: int = 0
+    profile: str | None = None
 
 
 class _Sums:
@@ -120,6 +122,7 @@ def scan(
     at: Linearisation, scored: Sequence[Scored], count: int, least_share: float = LEAST_SHARE
 ) -> list[Variant]:
     """The strongest variants of all hypotheses, at most two of each effect; each acts on `least_share` of the samples.
+    And half as many that differ between recordings, where there are several.
 
     The response of a part is taken as that part of the response: exact for an onset at a window's start (windows start
     anew), nearly so for a region (pressures follow within a second). Refits simulate it in full.
@@ -134,7 +137,8 @@ def scan(
     for variant in found:
         if sum(v.name == variant.name for v in kept) < 2:
             kept.append(variant)
-    return kept[:count]
+    by_recording = sorted(_profiled(sums), key=lambda v: -v.gain)
+    return sorted([*kept[:count], *by_recording[: count // 2]], key=lambda v: -v.gain)
 
 
 def _variant(
@@ -255,6 +259,23 @@ def _refined(sums: _Sums, h: int, gain: float, region: Region) -> tuple[float, R
     return gain, region
 
 
+def _profiled(sums: _Sums) -> list[Variant]:
+    """Best profile over recordings of each hypothesis; none on one recording."""
+    twin = sums.at.twin
+    if not isinstance(twin, OverRecordings) or not twin.profiles:
+        return []
+    names = list(twin.profiles)
+    levels, of_sample = np.unique(np.stack([twin.profiles[name] for name in names]), axis=1, return_inverse=True)
+    squares, pushes, inner = sums.of(sums.per_row(of_sample.reshape(-1)), levels.shape[1])
+    gains = sums.gains(levels**2 @ squares, levels @ pushes, np.einsum("pg,gkh->pkh", levels, inner))
+    found = []
+    for h, best in enumerate(gains.argmax(axis=0)):
+        item, schedule = sums.items[h], twin.profiles[names[best]]
+        response = schedule[:, None] * item.response
+        found.append(Variant(item.name, None, None, schedule, response, float(gains[best, h]), 0, names[best]))
+    return found
+
+
 def onset_candidates(twin: Twin, around_s: float, reach_s: float, count: int) -> list[float]:
     """Times about a first estimate, at samples, `count` of them [s]."""
     times = np.linspace(around_s - reach_s, around_s + reach_s, count)
@@ -263,7 +284,11 @@ def onset_candidates(twin: Twin, around_s: float, reach_s: float, count: int) ->
 
 
 def same_region(at: Linearisation, scored: Sequence[Scored], like: Variant) -> list[Variant]:
-    """All hypotheses in the region of one variant, strongest first."""
+    """All hypotheses in the region, or with the profile over recordings, of one variant, strongest first."""
+    if like.profile is not None:
+        return sorted(
+            (v for v in _profiled(_Sums(at, best_of_each(scored))) if v.profile == like.profile), key=lambda v: -v.gain
+        )
     if like.region is None:
         return []
     sums = _Sums(at, best_of_each(scored))

@@ -7,7 +7,7 @@ recording can't diverge where the machine is unstable, and what is lost is a few
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -160,6 +160,26 @@ class Twin(Protocol):
     def first_local(self) -> Array:
         """First guess of the windows' initial states from the readings, (W, S)."""
         ...
+
+
+@runtime_checkable
+class OverRecordings(Twin, Protocol):
+    """A twin over R recordings, in which an effect's size may differ from one to the next.
+
+    Attributes:
+        parts: a twin of each recording by itself; `parameters` are those of all, one recording's behind the other's.
+        factors: way in which a size may differ -> (R,) factor of the effect's magnitude.
+        profiles: the same for every sample, (n,).
+    """
+
+    @property
+    def parts(self) -> Sequence[Twin]: ...
+
+    @property
+    def factors(self) -> Mapping[str, Array]: ...
+
+    @property
+    def profiles(self) -> Mapping[str, Array]: ...
 
 
 def rows_of(twin: Twin, windows: NDArray[np.bool_]) -> NDArray[np.bool_]:

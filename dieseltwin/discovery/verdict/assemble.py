@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, cast
 
 import numpy as np
@@ -14,74 +17,76 @@ from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.run import Search, occam
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array, rows_of, single
+from dieseltwin.discovery.twins.several import SeveralTwin
 from dieseltwin.discovery.verdict import findings
 from dieseltwin.discovery.verdict.curves import Candidate as CandidateRow
 from dieseltwin.discovery.verdict.curves import Curves, Discovery, LawCurve
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Discrepancy,
-    HealthValue,
     OutOfTime,
     Provenance,
     RecordingInfo,
     Reference,
-    SinceReference,
 )
 from dieseltwin.discovery.verdict.document import Fit as FitFigures
 from dieseltwin.discovery.verdict.effect_curve import effect_curves
 from dieseltwin.discovery.verdict.findings import finite
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
+from dieseltwin.discovery.verdict.observed import observed
+from dieseltwin.discovery.verdict.over_recordings import (
+    health_places,
+    health_values,
+    judged,
+    onset_of,
+    told_apart,
+    with_words,
+)
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.since_reference import since_reference
-from dieseltwin.engine import EngineParameters
+from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import OneTerm, Term
+from dieseltwin.recordings.dates import Dated
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.version import __version__
 
 
 def assemble(
-    recording: Recording, found: Search, options: Options, reference: Reference | None = None,
+    days: Sequence[Dated], found: Search, options: Options, reference: Reference | None = None,
     time_s: float | None = None,
 ) -> Discovery:  # fmt: skip
-    """The result of a search on a recording of the engine.
+    """The result of a search on recordings of the engine, one or several that were judged together.
+
+    Health, the repaired engine and its states are those of the last recording.
 
     Args:
-        recording: that was judged.
-        found: what the search found.
-        options: of the search.
-        reference: what the engine was learned from, if anything.
+        days: the recordings, in time order; found: the search.
+        options: what was asked; reference: what the engine was learned from.
         time_s: limit of the search [s], None where there was none.
     """
     null = found.null
     best = found.best
-    twin = cast(EngineTwin, found.twin)
+    twin = cast(EngineTwin | SeveralTwin, found.twin)
     mismatch = found.kind != "healthy"
-    since = _since_reference(found)
+    since = since_reference(best if best is not None and found.kind != "law" else null)
     after, parameters, covariance = after_of(found)
     evidence = _evidence(found, after)
+    sizes, differ = told_apart(found, days) if mismatch else ([], "")
     document = Discrepancy(
         schema=1,  # type: ignore[call-arg]  # the alias of schema_version
-        recording=RecordingInfo(
-            path=str(recording.path.name if recording.path else "recording"), sha256=recording.sha256,
-            duration_s=recording.duration_s, channels=twin.channels,
-        ),
+        recording=_about(days, twin.channels),
         mismatch=mismatch,
         p_value=p_value(found),
-        location=findings.location(found, twin, evidence) if mismatch else None,
-        effects=findings.effects(found) if mismatch else (),
+        location=onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None,
+        effects=with_words(findings.effects(found), differ) if mismatch else (),
         more_is_missing=found.more_is_missing(),
-        health={
-            p.name: HealthValue(
-                value=float(parameters[j]), std=finite(covariance[j, j] ** 0.5 if covariance is not None else None),
-                before=float(null.fit.parameters[j]), since_reference=since.get(p.name),
-            )
-            for j, p in enumerate(twin.parameters)
-        },
+        health=health_values(found, (parameters, covariance), since),
         fit=fit_figures(found, after),
         minimum_detectable=finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
         out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
+        recordings=judged(found, days, (parameters, covariance), since, sizes),
     )  # fmt: skip
     before_engine = _engine(twin, null.fit.parameters, ())
     terms = _terms(found, twin) if mismatch else ()
@@ -96,22 +101,32 @@ def assemble(
         allowed=_allowed(found, after),
     )  # fmt: skip
     details = details_of_search(found, rows, best)
+    starts, local = twin.starts, twin.initial(_local(found))
+    if isinstance(twin, SeveralTwin):
+        starts, local = twin.parts[-1].starts, local[-twin.parts[-1].starts.size :]
     return Discovery(
-        document, _engine(twin, parameters, terms), before_engine, curves, {}, details, twin.starts,
-        twin.initial(_local(found)),
+        document, _engine(twin, parameters, terms), before_engine, curves, {}, details, starts, local,
+        None if len(days) > 1 else observed(found, (parameters, covariance), since),
+    )
+
+
+def _about(days: Sequence[Dated], channels: Sequence[str]) -> RecordingInfo:
+    """The recording; several are named by the first and the last, and hashed together."""
+    recordings = [day.recording for day in days]
+    names = [str(item.path.name if item.path else "recording") for item in recordings]
+    several = len(recordings) > 1
+    return RecordingInfo(
+        path=f"{names[0]} to {names[-1]}, {len(names)} recordings" if several else names[0],
+        sha256=together_sha256(recordings), duration_s=sum(item.duration_s for item in recordings),
+        channels=tuple(channels),
     )  # fmt: skip
 
 
-def _since_reference(found: Search) -> dict[str, SinceReference]:
-    """What became of the health parameters since the reference; empty without one."""
-    at = found.best if found.best is not None and found.kind != "law" else found.null
-    compared = since_reference(at)
-    if compared is None:
-        return {}
-    return {
-        p.name: SinceReference(value=float(value), std=float(std))
-        for p, value, std in zip(at.twin.parameters, *compared, strict=True)
-    }
+def together_sha256(recordings: Sequence[Recording]) -> str:
+    """Hash of a recording, or of several whatever their order."""
+    if len(recordings) == 1:
+        return recordings[0].sha256
+    return hashlib.sha256("".join(sorted(item.sha256 for item in recordings)).encode()).hexdigest()
 
 
 def _local(found: Search) -> Array:
@@ -123,10 +138,6 @@ def _local(found: Search) -> Array:
 
 
 def _options_hash(options: Options) -> str:
-    import hashlib
-    import json
-    from dataclasses import asdict
-
     plain = {**asdict(options), "search": options.search.model_dump()}
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
@@ -209,7 +220,7 @@ def _held_rows(found: Search) -> np.ndarray:
     return rows_of(found.twin, held_windows(found.twin))
 
 
-def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
+def _terms(found: Search, twin: EngineTwin | SeveralTwin) -> tuple[Any, ...]:
     if found.kind == "law":
         return () if found.law is None else law_terms_of(found.law, twin.points)
     at = found.best
@@ -217,15 +228,17 @@ def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
         return ()
     P = len(twin.parameters)
     variant = found.variant if found.kind == "variant" else None
-    onset = None
-    if variant is not None and variant.onset_s is not None:
+    onset, share = None, 1.0  # of its size, on the last recording
+    if variant is not None and variant.onset_s is not None and not isinstance(twin, SeveralTwin):
         onset = float(variant.onset_s - twin.time_s[0])
+    if variant is not None and variant.profile is not None:
+        share = float(variant.schedule[-1])
     terms = []
     for j, name in enumerate(at.fit.candidate.names):
         terms.append(
             Term(
-                effect=name, magnitude=float(np.clip(at.fit.magnitudes[j], *EFFECTS[name].limits)),
-                std=finite(float(at.fit.std[P + j])), onset_s=onset,
+                effect=name, magnitude=float(np.clip(share * at.fit.magnitudes[j], *EFFECTS[name].limits)),
+                std=finite(share * float(at.fit.std[P + j])), onset_s=onset,
                 region=dict(variant.region) if variant is not None and variant.region else None,
                 valid_for=findings.valid_for(found),
             )
@@ -233,8 +246,8 @@ def _terms(found: Search, twin: EngineTwin) -> tuple[Any, ...]:
     return tuple(terms)
 
 
-def _engine(twin: EngineTwin, parameters: Array, terms: tuple[Any, ...]) -> EngineParameters:
-    values = {p.name: float(parameters[j]) for j, p in enumerate(twin.parameters)}
+def _engine(twin: EngineTwin | SeveralTwin, parameters: Array, terms: tuple[Any, ...]) -> EngineParameters:
+    values = {name: float(parameters[j]) for name, j in zip(HEALTH, health_places(twin), strict=True)}
     return twin.engine.replace(**values, terms=with_found(twin.engine.terms, terms))
 
 
@@ -259,7 +272,7 @@ def _same_but_size(one: OneTerm, other: OneTerm) -> bool:
     return one.model_dump(exclude=size) == other.model_dump(exclude=size)
 
 
-def _law_curves(found: Search, twin: EngineTwin) -> list[LawCurve]:
+def _law_curves(found: Search, twin: EngineTwin | SeveralTwin) -> list[LawCurve]:
     if found.best is not None and found.kind not in ("law", "healthy"):
         return effect_curves(found.best, twin.engine)
     curve = None if found.law is None else found.law.curve
@@ -289,7 +302,8 @@ def details_of_search(found: Search, rows: list[CandidateRow], best: Linearisati
         "singles": [_fit_row(found, fit) for fit in found.singles[:12]],
         "pairs": [_fit_row(found, fit) for fit in found.pairs[:6]],
         "variants": [
-            {**_fit_row(found, fit), "onset_s": v.onset_s, "region": v.region} for v, fit in found.variants[:4]
+            {**_fit_row(found, fit), "onset_s": v.onset_s, "region": v.region, "profile": v.profile}
+            for v, fit in found.variants[:4]
         ],
         "unnamed": [
             {

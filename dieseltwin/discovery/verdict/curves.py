@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.discovery.verdict.observed import Observed
 from dieseltwin.engine.parameters import EngineParameters
 
 
@@ -115,6 +116,7 @@ class Discovery:
         starts, local: (W,) first rows of the windows of the repaired fit, among the rows with the engine running, and
             (W, 3) p_im, p_em [Pa], omega_t [rad/s] there; None where they weren't kept (`implied` then takes smoothed
             readings).
+        observed: what the recording leaves in its engine's history; None without a learned engine.
     """
 
     document: Discrepancy
@@ -125,3 +127,4 @@ class Discovery:
     details: Mapping[str, Any] = field(default_factory=dict)
     starts: NDArray[np.int64] | None = None
     local: Array | None = None
+    observed: Observed | None = None

@@ -70,13 +70,18 @@ class FoundRegion(_Part):
 
 
 class Location(_Part):
-    """Where the mismatch enters the model, in which driving, and since when [s on the recording's clock]."""
+    """Where the mismatch enters the model, in which driving, and since when [s on the recording's clock].
+
+    Of several recordings: the date of the first that shows it, and of the last one before, where that is known.
+    """
 
     site: Name
     probability: Probability
     alternatives: tuple[Alternative, ...] = ()
     regions: tuple[FoundRegion, ...] = ()
     onset_s: float | None = None
+    onset_date: str | None = None
+    onset_after: str | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Location:
@@ -104,6 +109,7 @@ class FoundEffect(_Part):
     unit: str | None
     valid_for: str | None = None
     split_by: str | None = None
+    over_recordings: str | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> FoundEffect:
@@ -154,6 +160,28 @@ class Reference(_Part):
     recordings: int = Field(ge=1)
     minutes: NotNegative
     domain_share: Probability
+
+
+class SizeValue(_Part):
+    """Size of an effect in one recording, in the effect's unit."""
+
+    value: float
+    std: NotNegative | None
+
+
+class JudgedRecording(_Part):
+    """One of several recordings that were judged together: where it lies, when it was made and how that is known, its
+    ambient, the health parameters in it, and the size of every effect that was found."""
+
+    path: str
+    sha256: str
+    duration_s: NotNegative
+    date: str
+    date_from: str
+    p_amb_pa: float
+    t_amb_k: float
+    health: dict[Name, HealthValue]
+    magnitudes: dict[Name, SizeValue] = Field(default_factory=dict)
 
 
 class Fit(_Part):
@@ -211,6 +239,7 @@ class Discrepancy(_Part):
     minimum_detectable: dict[Name, NotNegative]
     provenance: Provenance
     reference: Reference | None = None
+    recordings: tuple[JudgedRecording, ...] = ()
     warnings: tuple[Doubt, ...] = ()
     out_of_time: OutOfTime | None = None
 
@@ -226,15 +255,21 @@ class Discrepancy(_Part):
         return self
 
     def to_json(self) -> dict[str, Any]:
-        """The document as JSON types, keys as in the file; what needs a reference is there with one alone,
-        and a time limit where it ended the search."""
+        """The document as JSON types, keys as in the file; what needs a reference, several recordings or a time limit
+        is there with those alone."""
         content = self.model_dump(mode="json", by_alias=True)
         for name in ("reference", "out_of_time"):
             if content[name] is None:
                 del content[name]
-        for value in content["health"].values():
-            if value["since_reference"] is None:
-                del value["since_reference"]
+        for part in (content, *content["recordings"]):
+            for value in part["health"].values():
+                if value["since_reference"] is None:
+                    del value["since_reference"]
+        if not content["recordings"]:
+            del content["recordings"]
+            for part in (*content["effects"], *([content["location"]] if content["location"] else [])):
+                for key in ("over_recordings", "onset_date", "onset_after"):
+                    part.pop(key, None)
         return content
 
     def write(self, path: str | Path) -> Path:

@@ -10,6 +10,7 @@ from scipy.special import expit, logsumexp
 from dieseltwin.discovery.search.run import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.twins.several import SeveralTwin
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, FoundEffect, FoundRegion, Location
 from dieseltwin.discovery.verdict.reasons import split_by
 
@@ -23,7 +24,7 @@ def finite(value: float | None) -> float | None:
     return float(value) if value is not None and np.isfinite(value) else None
 
 
-def location(found: Search, twin: EngineTwin, evidence: Array) -> Location:
+def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> Location:
     """Site with its rivals, the driving that holds the evidence, and the onset."""
     weights = site_probabilities(found)
     ranked = sorted(weights.items(), key=lambda item: -item[1])
@@ -76,7 +77,7 @@ def _strongest(found: Search, names: list[str]) -> str:
 
 
 def _regions(
-    twin: EngineTwin, evidence: Array, known: Mapping[str, tuple[float, float]] | None
+    twin: EngineTwin | SeveralTwin, evidence: Array, known: Mapping[str, tuple[float, float]] | None
 ) -> tuple[FoundRegion, ...]:
     """The box of conditions that holds most of the evidence."""
     positive = np.maximum(_smooth(evidence), 0.0)

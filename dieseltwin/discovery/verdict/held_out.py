@@ -7,15 +7,20 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.search.run import Search
 from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
+from dieseltwin.discovery.twins.several import SeveralTwin
 
 HELD_SHARE = 0.3
-"""Of the windows, the last ones."""
+"""Of the windows, the last ones; of several recordings the last ones of each."""
 
 
 def held_windows(twin: Twin) -> np.ndarray:
     """(W,) True for windows that are kept from the fit."""
-    n = twin.time_s.size
-    return np.asarray(twin.starts >= (1.0 - HELD_SHARE) * n)
+    recordings = twin.rows if isinstance(twin, SeveralTwin) else (slice(0, twin.time_s.size),)
+    held = np.zeros(twin.starts.size, dtype=bool)
+    for rows in recordings:
+        first = rows.start + (1.0 - HELD_SHARE) * (rows.stop - rows.start)
+        held |= (twin.starts >= first) & (twin.starts < rows.stop)
+    return held
 
 
 def held_out_scores(found: Search, after: Array) -> tuple[float, float]:

@@ -11,7 +11,9 @@ from dieseltwin.learning.belief import HEALTH_AT
 
 
 def since_reference(at: Linearisation) -> tuple[Array, Array] | None:
-    """Quotients (4,) of the health parameters to the reference's and their standard deviations; None without one.
+    """Quotients (P,) of the health parameters to the reference's and their standard deviations; None without one.
+
+    Of several recordings each has its own health parameters, one recording's behind the other's.
 
     Args:
         at: the chosen explanation, linearised with what is still open of the engine as its nuisances.
@@ -24,14 +26,16 @@ def since_reference(at: Linearisation) -> tuple[Array, Array] | None:
     precision = np.concatenate([at.precision, np.ones(len(at.loadings))])
     covariance = np.linalg.inv(columns @ columns.T + np.diag(np.maximum(precision, 1e-30)))
     seen = at.loadings[:, HEALTH_AT]
+    unseen = np.diag(belief.covariance[HEALTH_AT, HEALTH_AT] - seen.T @ seen)  # directions that no reading here tells
     then = belief.health + at.metric.nuisance_estimate(np.nan_to_num(at.residual)) @ seen
+    times = count // then.size
+    seen, unseen, then = np.tile(seen, times), np.tile(unseen, times), np.tile(then, times)
     now = at.fit.parameters[:count]
-    unseen = belief.covariance[HEALTH_AT, HEALTH_AT] - seen.T @ seen  # of directions that this recording can't tell
     quotient, std = now / then, np.empty(count)
     for j in range(count):
         row = np.zeros(len(covariance))
         row[j] = 1.0 / then[j]
         row[known:] = -quotient[j] / then[j] * seen[:, j]
-        rest = max(float(unseen[j, j]), 0.0) * (quotient[j] / then[j]) ** 2
+        rest = max(float(unseen[j]), 0.0) * (quotient[j] / then[j]) ** 2
         std[j] = np.sqrt(float(row @ covariance @ row) + rest)
     return quotient, std

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime
 
 import numpy as np
 import pandas as pd
@@ -69,6 +70,17 @@ def seconds_from_stamps(frame: pd.DataFrame, where: str) -> tuple[pd.DataFrame, 
         notes.append(f"{name} holds date stamps; taken as s from the first row")
         units[name] = "s"
     return frame, units, notes
+
+
+def first_stamp(frame: pd.DataFrame) -> datetime | None:
+    """Date and time of the first row [UTC], where a column of date stamps says it; None without one."""
+    for name in stamped_columns(frame):
+        if _kind(frame[name]) in ("both", "date"):
+            day_first = bool(re.match(r"\s*\d{1,2}\.", str(frame[name].dropna().iloc[0])))
+            stamp = pd.to_datetime(str(frame[name].dropna().iloc[0]), errors="coerce", dayfirst=day_first, utc=True)
+            if not pd.isna(stamp):
+                return datetime.fromtimestamp(stamp.timestamp(), UTC)
+    return None
 
 
 def _kind(column: pd.Series) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.importers.clock import seconds_from_stamps
+from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps
 from dieseltwin.recordings.importers.layout import (
     LOOKED_AT,
     MISSING,
@@ -76,6 +76,7 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     if len(frame) == 0:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
     units = {name: unit for name, unit in zip(names, dialect.layout.units, strict=True) if name and unit}
+    began = first_stamp(frame)
     frame, stamp_units, stamp_notes = seconds_from_stamps(frame, str(path))
     words = []
     if dialect.decimal == ",":
@@ -86,7 +87,8 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
         words.append(f"names in row {dialect.layout.header + 1}")
     if words:
         notes.append("read with " + ", ".join(words))
-    return RawChannels(path, "CSV", table=frame, units={**units, **stamp_units}, notes=(*notes, *stamp_notes))
+    units |= stamp_units
+    return RawChannels(path, "CSV", table=frame, units=units, notes=(*notes, *stamp_notes), began=began)
 
 
 def _decoded(path: Path, content: bytes) -> tuple[str, str]:

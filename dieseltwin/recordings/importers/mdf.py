@@ -6,6 +6,7 @@ import gc
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ TIME_SYNC = 1
 
 def read_mdf(
     path: Path, wanted: Collection[str] | None = None
-) -> tuple[str, list[Signal], CanFrames | None, list[str]]:
+) -> tuple[str, list[Signal], CanFrames | None, list[str], datetime | None]:
     """Read the channels of an MDF file, and the raw frames of a bus log.
 
     Args:
@@ -32,7 +33,7 @@ def read_mdf(
         wanted: names to read; None reads all. An hour of 500 channels takes long, five of them don't.
 
     Returns:
-        The format's name, signals, the frames of a bus log (None without), and notes.
+        The format's name, signals, the frames of a bus log (None without), notes, and when it begins [UTC].
 
     Raises:
         InputError: asammdf is missing, not readable, or without any channel of numbers.
@@ -42,10 +43,12 @@ def read_mdf(
 
     problem = ""
     notes: list[str] = []
+    began: datetime | None = None
     with _quiet_disposal():
         try:
             with MDF(path, memory="full", raise_on_multiple_occurrences=False) as mdf:
                 kind = f"MDF {mdf.version}"
+                began = mdf.start_time.astimezone(UTC)
                 frames = _bus_frames(mdf)
                 signals = list(_signals(mdf, wanted, notes))
         except Exception as error:  # asammdf lets struct, zlib, mmap and its own errors through
@@ -59,7 +62,7 @@ def read_mdf(
             "a measurement with channels",
             "check the export" + (f" ({notes[0]})" if notes else ""),
         )
-    return kind, signals, frames, notes
+    return kind, signals, frames, notes, began
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pyarrow.parquet as pq
 
-from dieseltwin.recordings.importers.clock import seconds_from_stamps
+from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
 
 UNIT_KEYS = (b"unit", b"units", b"Unit")
@@ -33,5 +33,6 @@ def read_parquet(path: Path) -> RawChannels:
         if unit:
             units[str(field.name)] = unit
     frame.columns = [str(name) for name in frame.columns]
+    began = first_stamp(frame)
     frame, stamp_units, notes = seconds_from_stamps(frame, str(path))
-    return RawChannels(path, "Parquet", table=frame, units={**units, **stamp_units}, notes=tuple(notes))
+    return RawChannels(path, "Parquet", table=frame, units={**units, **stamp_units}, notes=tuple(notes), began=began)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def read_raw(path: str | Path, database: Path | None = None, wanted: Collection[
 
 
 def _from_mdf(path: Path, database: Path | None, wanted: Collection[str] | None) -> RawChannels:
-    kind, signals, frames, notes = read_mdf(path, wanted)
+    kind, signals, frames, notes, began = read_mdf(path, wanted)
     if frames is None:
         if database is not None:
             raise InputError(
@@ -68,10 +69,12 @@ def _from_mdf(path: Path, database: Path | None, wanted: Collection[str] | None)
                 "a DBC for a CAN trace only",
                 "leave the DBC out",
             )
-        return _in_order(RawChannels(path, kind, unique_names(signals), notes=tuple(notes)))
+        return _in_order(RawChannels(path, kind, unique_names(signals), notes=tuple(notes), began=began))
     bus = _from_frames(path, f"{kind} bus log", frames, database)
     return _in_order(
-        RawChannels(path, bus.kind, unique_names([*bus.signals.values(), *signals]), notes=(*notes, *bus.notes))
+        RawChannels(
+            path, bus.kind, unique_names([*bus.signals.values(), *signals]), notes=(*notes, *bus.notes), began=began
+        )
     )
 
 
@@ -108,4 +111,4 @@ def _in_order(raw: RawChannels) -> RawChannels:
         time, rows = np.unique(time, return_index=True)
         ordered[name] = Signal(name, signal.unit, time, signal.values[rows], signal.origin, signal.spn)
     notes = (f"{mended} channels had times that repeat or fall: sorted, each time once",) if mended else ()
-    return RawChannels(raw.path, raw.kind, ordered, raw.table, raw.units, (*raw.notes, *notes))
+    return replace(raw, signals=ordered, notes=(*raw.notes, *notes))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,7 @@ class RawChannels:
         table: the rows of a file that is one table, in the file's own names; None for files of several rasters.
         units: name -> unit, where the file says it.
         notes: what the importer did or left out, one sentence each.
+        began: date of the first row [UTC], where the file says it.
     """
 
     path: Path
@@ -52,6 +54,7 @@ class RawChannels:
     table: pd.DataFrame | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    began: datetime | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,0 +1,193 @@
+"""The history of one engine: recordings added one by one, and an alarm that may be looked at after each."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from dieseltwin.api.driving import DrivingDiscovered, ask_driving
+from dieseltwin.api.figures import drawn
+from dieseltwin.api.findings import Asked
+from dieseltwin.api.reading import Channels
+from dieseltwin.api.results import Result
+from dieseltwin.atomic import atomic_folder, write_text
+from dieseltwin.errors import InputError
+from dieseltwin.learning.alarm import Course, course
+from dieseltwin.learning.files import LearnedEngine, load_learned
+from dieseltwin.learning.history import Entry, History
+from dieseltwin.recordings.dates import Dated, dated
+from dieseltwin.report import history as pages
+from dieseltwin.settings.params import load_params
+from dieseltwin.settings.watch import WatchConfig
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PAGE, TABLE = "history.html", "history.csv"
+
+
+@dataclass(frozen=True, repr=False)
+class Watched(Result):
+    """The history of an engine.
+
+    Attributes:
+        entries: recordings by date.
+        course: evidence after each, and the alarm.
+        alarms_per_year: false alarms per engine and year, at most.
+        added: names of the recordings that were added now.
+        known: names of those that were there before.
+        refused: name -> why it can't be used.
+    """
+
+    entries: tuple[Entry, ...]
+    course: Course
+    alarms_per_year: float
+    added: tuple[str, ...] = ()
+    known: tuple[str, ...] = ()
+    refused: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        return pages.sentence(self.entries, self.course, self.alarms_per_year)
+
+    def table(self) -> pd.DataFrame:
+        """One row a recording: date, name, hours, ambient, health since the reference, evidence, verdict."""
+        return pages.table(self.entries, self.course)
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`health`: health parameters since the reference; `evidence`: that something else has changed."""
+        return drawn(self, {"health": lambda self: pages.health(self.entries, self.course),
+                            "evidence": lambda self: pages.evidence(self.entries, self.course)}, name)  # fmt: skip
+
+    def save(self, out: str | Path) -> Path:
+        """Write history.html and history.csv."""
+        with atomic_folder(out) as folder:
+            self.table().to_csv(folder / TABLE, index=False, lineterminator="\n")
+            write_text(folder / PAGE, pages.page(self.entries, self.course, self.alarms_per_year))
+        return Path(out)
+
+    def lines(self) -> list[str]:
+        verdicts = {entry.path: entry.verdict for entry in self.entries}
+        told = [f"{name}: added, {verdicts[Path(name).name]} by itself" for name in self.added]
+        told += [f"{name}: was there already" for name in self.known]
+        return [*told, *(f"{name}: not added: {why}" for name, why in self.refused), self.sentence]
+
+
+def watch(
+    recordings: Sequence[str | Path],
+    engine: str | Path,
+    history: str | Path,
+    *,
+    channels: Channels | None = None,
+    sensors: Sequence[str] | None = None,
+    settings: WatchConfig | None = None,
+) -> Watched:
+    """Judge recordings one by one, add them to the history of their engine, and say whether it has changed.
+
+    A recording that is there already is passed over. One that can't be used stops none of the others.
+
+    Args:
+        recordings: files; their dates are in them, in their names (2026-03-14), or those of the files.
+        engine: file that `learn` wrote.
+        history: folder of the history, made where there is none.
+        channels: channel map of the recordings.
+        sensors: columns to use; None is all that there are.
+        settings: when to raise an alarm; `watch` of params.yaml.
+
+    Raises:
+        InputError: an engine of which nothing was learned, a history of another engine, a damaged one.
+    """
+    learned = _learned(engine)
+    store = History(history, _known_sha256(learned))
+    added: list[str] = []
+    known: list[str] = []
+    refused: list[tuple[str, str]] = []
+    for path in map(Path, recordings):
+        try:
+            if path.is_file() and store.holds(hashlib.sha256(path.read_bytes()).hexdigest()):
+                known.append(str(path))
+                continue
+            (added if store.add(_judged(path, engine, learned, channels, sensors)) else known).append(str(path))
+        except InputError as error:
+            refused.append((str(path), str(error)))
+    return _watched(store, settings, tuple(added), tuple(known), tuple(refused))
+
+
+def judge(
+    recording: str | Path, engine: str | Path, *, channels: Channels | None = None, sensors: Sequence[str] | None = None
+) -> Entry:
+    """What `watch` would add for one recording, without a history to add it to; arguments and errors as there."""
+    return _judged(Path(recording), engine, _learned(engine), channels, sensors)
+
+
+def begun(folder: str | Path, engine: str | Path) -> History:
+    """The history in a folder to add entries to, made where there is none.
+
+    Raises:
+        InputError: an engine of which nothing was learned, a history of another engine, a damaged one.
+    """
+    return History(folder, _known_sha256(_learned(engine)))
+
+
+def history(folder: str | Path, *, settings: WatchConfig | None = None) -> Watched:
+    """The history of an engine as it stands.
+
+    Raises:
+        InputError: no history there, or a damaged one.
+    """
+    return _watched(History(folder), settings)
+
+
+def _watched(
+    store: History, settings: WatchConfig | None, added: tuple[str, ...] = (), known: tuple[str, ...] = (),
+    refused: tuple[tuple[str, str], ...] = (),
+) -> Watched:  # fmt: skip
+    settings = load_params().watch if settings is None else settings
+    entries = store.entries()
+    found = course([entry.scores for entry in entries], [entry.moment for entry in entries], settings)
+    return Watched(entries, found, settings.alarms_per_year, added, known, refused)
+
+
+def _learned(engine: str | Path) -> LearnedEngine:
+    learned = load_learned(Path(engine)) if Path(engine).is_file() else None
+    if learned is None:
+        raise InputError(str(engine), "no learned engine", "a file that `dieseltwin learn` wrote",
+                         "learn the engine from recordings of when it was well")  # fmt: skip
+    return learned
+
+
+def _judged(
+    path: Path, engine: str | Path, learned: LearnedEngine, channels: Channels | None, sensors: Sequence[str] | None
+) -> Entry:
+    question = ask_driving([path], engine, channels, Asked(sensors), (learned, ()))
+    day = dated(question.recording)
+    if day is None:
+        raise InputError(str(path), "no date", "a date in the file or in its name", "name it 2026-03-14.csv")
+    return _entry(question.answer(), day)
+
+
+def _known_sha256(learned: LearnedEngine) -> str:
+    """Hash of what is known of an engine: scores of recordings are in its coordinates."""
+    belief = learned.belief
+    return hashlib.sha256(belief.mean.tobytes() + belief.covariance.tobytes()).hexdigest()
+
+
+def _entry(found: DrivingDiscovered, day: Dated) -> Entry:
+    """A judged recording as a row of the history."""
+    seen, document, recording = found.found.observed, found.document, day.recording
+    if seen is None:
+        raise InputError(str(recording.path), "no fit with an interval", "one that the engine's maps explain",
+                         "look at it with `dieseltwin discover`")  # fmt: skip
+    return Entry(
+        sha256=recording.sha256, path=str(recording.path.name if recording.path else "recording"),
+        date=day.date.isoformat(), date_from=day.date_from,
+        hours=sum(float(recording.time_s[p.stop - 1] - recording.time_s[p.start]) for p in recording.pieces()) / 3600.0,
+        p_amb_pa=recording.p_amb_pa, t_amb_k=recording.t_amb_k, health=seen.health,
+        health_covariance=seen.health_covariance, since=seen.since, since_std=seen.since_std, scores=seen.scores,
+        verdict=" + ".join(effect.name for effect in document.effects) or "healthy", sentence=found.sentence,
+    )  # fmt: skip

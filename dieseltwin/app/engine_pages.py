@@ -1,0 +1,140 @@
+"""Pages of the engines: shipped, uploaded, learned, repaired; what was found of each over time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
+from starlette.responses import FileResponse, Response
+
+from dieseltwin.app.desk import SHIPPED, Desk, desk_of, engine_file, see
+from dieseltwin.app.history import Past, alarms_of, history_of, trends_of
+from dieseltwin.app.kept import BESIDE, DETAILS, KeptEngine
+from dieseltwin.app.workplace import MEGABYTE, shown_name
+
+router = APIRouter()
+ENGINE_MB, BESIDE_MB = 2, 100
+MOST_RECORDINGS = 20
+
+
+@router.get("/engines")
+def engines(request: Request) -> Response:
+    return _page(desk_of(request))
+
+
+def _page(desk: Desk, status: int = 200, error: str = "") -> Response:
+    rows: list[tuple[str, str, KeptEngine | None, list[Past]]] = [
+        (key, words, None, history_of(desk, key)) for key, words in SHIPPED.items()
+    ]
+    rows += [(kept.id, kept.name, kept, history_of(desk, kept.id)) for kept in desk.store.engines()]
+    shown = [{"key": key, "name": name, "kept": kept, "count": len(past), "alarms": alarms_of(past),
+              "check": None if kept is None else desk.short(kept.check)} for key, name, kept, past in rows]  # fmt: skip
+    usable = [kept for kept in desk.store.recordings() if desk.store.channels(kept.id) is not None]
+    return desk.page("engines.html.j2", status, tab="engines", engines=shown, recordings=usable,
+                     choices=desk.engine_choices(), error=error)  # fmt: skip
+
+
+@router.post("/engines")
+async def upload(request: Request) -> Response:
+    desk = desk_of(request)
+    async with request.form(max_files=4, max_fields=10, max_part_size=100_000) as form:
+        files = [item for _, item in form.multi_items() if isinstance(item, UploadFile) and item.filename]
+        content, beside, name = b"", {}, ""
+        for item in files:
+            shown = shown_name(item.filename)
+            if shown.lower().endswith((".yaml", ".yml")):
+                if (item.size or 0) > ENGINE_MB * MEGABYTE:
+                    return _page(desk, 413, f"{shown} is larger than {ENGINE_MB} MB: an engine file has some kB.")
+                content, name = await item.read(), shown
+                continue
+            ending = next((ending for ending in BESIDE if shown.lower().endswith(ending)), None)
+            if ending is None or (item.size or 0) > BESIDE_MB * MEGABYTE:
+                allowed = f"a .yaml, and beside it {', '.join(BESIDE)} of at most {BESIDE_MB} MB"
+                return _page(desk, 422, f"{shown}: got another file; allowed: {allowed}; choose these")
+            beside[BESIDE[ending]] = await item.read()
+        if not content:
+            return _page(desk, 422, "No engine file came with the form: choose a .yaml.")
+        if not await run_in_threadpool(desk.workplace.room_for, len(content) + sum(map(len, beside.values()))):
+            return desk.refused(507, "There is no room for this file here: take old recordings or results away.")
+    kept = await run_in_threadpool(desk.keep_engine, name, "uploaded", content, beside)
+    return see(f"/engines/{kept.id}")
+
+
+@router.post("/engines/learn")
+async def learn(request: Request) -> Response:
+    """Learn an engine from recordings of when it was well."""
+    desk = desk_of(request)
+    form = await request.form(max_files=0, max_fields=100)
+    chosen = tuple(str(key) for key in form.getlist("healthy") if desk.store.recording(str(key)) is not None)
+    name, base = shown_name(str(form.get("name", ""))), str(form.get("engine", ""))
+    if not 1 <= len(chosen) <= MOST_RECORDINGS:
+        return _page(desk, 422, f"Choose one to {MOST_RECORDINGS} recordings of the engine when it was well.")
+    if base not in dict(desk.engine_choices()):
+        return _page(desk, 422, "Choose an engine of the list to begin with.")
+    job = desk.store.new_job("learn", f"Learn {name}", chosen, base, name=name)
+    desk.lanes.put(job)
+    return see(f"/jobs/{job.id}")
+
+
+@router.get("/engines/{key}")
+def show(request: Request, key: str) -> Response:
+    desk = desk_of(request)
+    kept = None if key in SHIPPED else desk.engine(key)
+    past = history_of(desk, key)
+    return desk.page("engine.html.j2", tab="engines", key=key, kept=kept, name=desk.engine_name(key),
+                     check=None if kept is None else desk.short(kept.check), details=_details(desk, kept),
+                     past=past, alarms=alarms_of(past), trends=trends_of(past))  # fmt: skip
+
+
+@router.get("/engines/{key}/part")
+def part(request: Request, key: str) -> Response:
+    desk = desk_of(request)
+    kept = desk.engine(key)
+    check = desk.short(kept.check)
+    over = check is None or not check.active
+    return desk.page("engine_part.html.j2", headers={"HX-Refresh": "true"} if over else None, kept=kept, check=check)
+
+
+@router.get("/engines/{key}/engine.yaml")
+def file(request: Request, key: str) -> Response:
+    desk = desk_of(request)
+    path = engine_file(desk.store, desk.engine(key).id)
+    if not path.is_file():
+        return desk.refused(404, "This engine could not be read.", f"/engines/{key}")
+    return FileResponse(path, media_type="application/octet-stream", filename="engine.yaml")
+
+
+@router.get("/engines/{key}/beside/{number}")
+def file_beside(request: Request, key: str, number: int) -> Response:
+    """A file that belongs to an engine's."""
+    desk = desk_of(request)
+    names = list(BESIDE.values())
+    path = desk.store.engine_folder(desk.engine(key).id) / names[number % len(names)]
+    if not path.is_file():
+        return desk.refused(404, "There is no such file beside this engine.", f"/engines/{key}")
+    return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+
+
+@router.post("/engines/{key}/remove")
+def remove(request: Request, key: str) -> Response:
+    desk = desk_of(request)
+    desk.store.remove(desk.store.engine_folder(desk.engine(key).id))
+    return see("/engines")
+
+
+def _details(desk: Desk, kept: KeptEngine | None) -> dict[str, Any]:
+    """What a worker read in an engine file: where it differs from the published set, what was learned, files beside."""
+    nothing: dict[str, Any] = {"changes": [], "learned": [], "beside": []}
+    if kept is None:
+        return nothing
+    folder: Path = desk.store.engine_folder(kept.id)
+    try:
+        found = json.loads((folder / DETAILS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return nothing
+    beside = [(number, name) for number, name in enumerate(BESIDE.values()) if (folder / name).is_file()]
+    return {**nothing, **found, "beside": beside}

@@ -1,0 +1,87 @@
+"""`dieseltwin watch`: recordings into the history of their engine, and what it shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dieseltwin.atomic import check_folder
+from dieseltwin.cli.early import check_there
+from dieseltwin.cli.options import ChannelsFile, ParamsFile, Profile, help_without_command, progress, say
+from dieseltwin.errors import InputError
+from dieseltwin.settings.params import load_params
+from dieseltwin.settings.watch import WatchConfig
+
+watch_app = typer.Typer(help="The history of one engine: add recordings, see what has changed.", add_completion=False)
+
+HistoryFolder = Annotated[Path, typer.Option("--history", metavar="DIR", help="Folder of the engine's history.")]
+Rate = Annotated[
+    float | None,
+    typer.Option("--alarms-per-year", metavar="X", help="False alarms an engine and year; else the settings'."),
+]
+
+
+@watch_app.callback(invoke_without_command=True)
+def _help(context: typer.Context) -> None:
+    help_without_command(context)
+
+
+@watch_app.command("add")
+def add_command(
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings of the engine.")],
+    engine: Annotated[Path, typer.Option("--engine", metavar="FILE", help="File that `dieseltwin learn` wrote.")],
+    history: HistoryFolder,
+    channels: ChannelsFile = None,
+    sensors: Annotated[
+        str | None, typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; all without it.")
+    ] = None,
+    alarms_per_year: Rate = None,
+    params: ParamsFile = None,
+    profile: Profile = "quick",
+) -> None:
+    """Judge recordings, add each to the history once, and say whether the engine has changed."""
+    for path in recordings:
+        check_there(path)
+    progress(f"{len(recordings)} recording(s) ...")
+    from dieseltwin.api.watch import watch
+
+    named = None if sensors is None else tuple(name.strip() for name in sensors.split(",") if name.strip())
+    settings = _settings(params, profile, alarms_per_year)
+    found = watch(recordings, engine, history, channels=channels, sensors=named, settings=settings)
+    say(found.lines())
+    if found.refused:
+        raise typer.Exit(InputError.exit_code)
+
+
+@watch_app.command("show")
+def show_command(
+    history: HistoryFolder,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the page and the table; none without it.")
+    ] = None,
+    alarms_per_year: Rate = None,
+    params: ParamsFile = None,
+    profile: Profile = "quick",
+) -> None:
+    """Show the history: whether there is an alarm, and with --out a page with all trends."""
+    if out is not None:
+        check_folder(out)
+    from dieseltwin.api.watch import history as history_of
+
+    found = history_of(history, settings=_settings(params, profile, alarms_per_year))
+    say(found.lines())
+    if out is not None:
+        found.save(out)
+        say([f"results: {out}"])
+
+
+def _settings(params: Path | None, profile: str, alarms_per_year: float | None) -> WatchConfig:
+    """Section `watch` of the settings, with another rate of false alarms where one is given."""
+    settings = load_params(params, profile).watch
+    if alarms_per_year is None:
+        return settings
+    if not 0.0 < alarms_per_year <= 1.0:  # not so for NaN either
+        raise InputError("--alarms-per-year", f"{alarms_per_year:g}", "above 0, up to 1", "choose another")
+    return settings.model_copy(update={"alarms_per_year": alarms_per_year})

@@ -1,0 +1,248 @@
+"""Several recordings of one engine as one twin: maps and sensors are shared, each recording has a health of its own.
+
+The windows of all recordings stand one after another. So the likelihood, the search and the laws see one long
+recording: tolerances of maps and sensors are directions that act on all of it at once, and the health parameters of a
+recording act on its own rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Point, some_lanes
+from dieseltwin.engine import EngineParameters
+from dieseltwin.errors import InputError
+
+_COLD_SPAN_K = 5.0
+"""Spread of the recordings' ambient temperatures from which cold weather can be told from chance [K]: its change over a
+day."""
+
+_PAUSE_S = 1.0  # between recordings on the common time axis
+
+
+@dataclass(frozen=True)
+class Occasion:
+    """When and in what weather a recording was made.
+
+    Attributes:
+        days: since the first recording [d].
+        t_amb_k: ambient temperature [K].
+    """
+
+    days: float
+    t_amb_k: float
+
+
+def profiles_of(occasions: Sequence[Occasion]) -> dict[str, Array]:
+    """Ways in which an effect's size may differ between R recordings in time order: name -> (R,) factors of its size.
+
+    `begins:k`: nothing before recording k; `grows:k`: zero up to recording k, then proportional to time, 1 at the last;
+    `cold`: zero at the warmest recording, 1 at the coldest, linear in ambient temperature. Those that are alike are
+    given once, the earlier kind first.
+    """
+    days = np.array([item.days for item in occasions])
+    warmth = np.array([item.t_amb_k for item in occasions])
+    count = len(occasions)
+    found: dict[str, Array] = {f"begins:{k}": (np.arange(count) >= k).astype(np.float64) for k in range(1, count)}
+    if days[-1] > days[0]:
+        for k in range(count - 2):
+            grown = np.maximum(days - days[k], 0.0)
+            if grown[-1] > 0.0:
+                found[f"grows:{k}"] = grown / grown[-1]
+    if np.ptp(warmth) >= _COLD_SPAN_K:
+        found["cold"] = (warmth.max() - warmth) / np.ptp(warmth)
+    distinct: dict[str, Array] = {}
+    for name, factors in found.items():
+        if not any(np.allclose(factors, other) for other in distinct.values()):
+            distinct[name] = factors
+    return distinct
+
+
+class SeveralTwin:
+    """`discovery.twins.interface.Twin` over the windows of several recordings of one engine.
+
+    Args:
+        parts: one twin a recording, in time order, with the same channels.
+        occasions: of each.
+
+    Raises:
+        InputError: fewer than two recordings, or other channels in one of them.
+    """
+
+    law_kinds = EngineTwin.law_kinds
+    command_operators = EngineTwin.command_operators
+    own_schedules = EngineTwin.own_schedules
+    law_variables = EngineTwin.law_variables
+    lagging_sensors = EngineTwin.lagging_sensors
+    channel_units = EngineTwin.channel_units
+
+    def __init__(self, parts: Sequence[EngineTwin], occasions: Sequence[Occasion]) -> None:
+        if len(parts) < 2:
+            raise InputError("recordings", f"{len(parts)}", "two or more", "judge one recording by itself")
+        first = parts[0]
+        for part in parts[1:]:
+            if part.channels != first.channels:
+                raise InputError("recordings: sensors", ", ".join(part.channels), ", ".join(first.channels),
+                                 "name sensors that all recordings have")  # fmt: skip
+        self.parts, self.occasions = tuple(parts), tuple(occasions)
+        self.channels, self.states, self.state_scales = first.channels, first.states, first.state_scales
+        self.points: tuple[Point, ...] = first.points
+        self.belief = first.belief
+        self.parameters = tuple(
+            replace(parameter, name=f"{parameter.name}:{r}")
+            for r, part in enumerate(parts)
+            for parameter in part.parameters
+        )
+        self.hypotheses: Mapping[str, Hypothesis] = {
+            name: hypothesis
+            for name, hypothesis in first.hypotheses.items()
+            if all(name in part.hypotheses for part in parts)
+        }
+        self._edges = np.cumsum([0, *(part.time_s.size for part in parts)])
+        self.rows = tuple(slice(int(a), int(b)) for a, b in pairwise(self._edges))
+        self.time_s = _one_after_another([part.time_s for part in parts])
+        self.recording_time_s = _one_after_another([part.recording_time_s for part in parts])
+        self.conditions: Mapping[str, Array] = {
+            name: np.concatenate([part.conditions[name] for part in parts]) for name in first.conditions
+        }
+        self.deviation = first.deviation
+        self._begin()
+
+    def _begin(self) -> None:
+        begins = zip(self.parts, self.rows, strict=True)
+        self.starts = np.concatenate([part.starts + rows.start for part, rows in begins])
+        self._windows = np.cumsum([0, *(part.starts.size for part in self.parts)])
+        self.measured: Array = np.concatenate([part.measured for part in self.parts])
+        self.moved = np.zeros_like(self.measured)
+
+    @property
+    def engine(self) -> EngineParameters:
+        """The engine on the last recording, before anything is fitted."""
+        return self.parts[-1].engine
+
+    @property
+    def factors(self) -> dict[str, Array]:
+        """Ways in which an effect may differ between the recordings: name -> (R,) factor of its magnitude."""
+        return profiles_of(self.occasions)
+
+    @property
+    def profiles(self) -> dict[str, Array]:
+        """The same for every sample, (n,)."""
+        return {name: self.spread(factors) for name, factors in self.factors.items()}
+
+    def spread(self, factors: Array) -> Array:
+        """One value a recording (R,) -> one a sample (n,)."""
+        return np.repeat(factors, np.diff(self._edges))
+
+    def recording_at(self, row: int) -> int:
+        """Number of the recording that a sample is in."""
+        return int(np.searchsorted(self._edges, row, side="right")) - 1
+
+    def parameters_of(self, values: Array) -> Array:
+        """Free parameters (..., P) -> (..., R, 4) of each recording."""
+        return values.reshape(*values.shape[:-1], len(self.parts), -1)
+
+    def _lanes_of(self, r: int, lanes: Lanes) -> Lanes:
+        """What the lanes are in one recording."""
+        rows, count = self.rows[r], len(self.parts[r].parameters)
+        return Lanes(
+            lanes.parameters[:, r * count : (r + 1) * count],
+            lanes.local[:, self._windows[r] : self._windows[r + 1]],
+            lanes.magnitudes,
+            {name: values[..., rows] for name, values in lanes.schedules.items()},
+            {name: values[rows] for name, values in lanes.signals.items()},
+            lanes.lane_points,
+            None if lanes.lane_signals is None else np.ascontiguousarray(lanes.lane_signals[:, rows]),
+        )
+
+    def _joined(self, lanes: Lanes, answer: Callable[[EngineTwin, Lanes], Array]) -> Array:
+        """Answers (B, rows, C) of every part, one after another; lanes that are alike in a part are asked for once.
+
+        The lanes of a linearisation differ in one recording's health each, and so hardly at all in every other.
+        """
+        out = []
+        for r, part in enumerate(self.parts):
+            own = self._lanes_of(r, lanes)
+            first, again = _alike(own)
+            out.append(answer(part, own if first.size == own.size else some_lanes(own, first))[again])
+        return np.concatenate(out, axis=1)
+
+    def simulate(self, lanes: Lanes) -> Array:
+        """Readings without noise, (B, n, C)."""
+        return self._joined(lanes, lambda part, own: part.simulate(own))
+
+    def simulate_all(self, lanes: Lanes) -> Array:
+        """All six columns of `MEASURED` without sensor effects, (B, n, 6)."""
+        return self._joined(lanes, lambda part, own: part.simulate_all(own))
+
+    def variables(self, lanes: Lanes) -> dict[str, Array]:
+        """As `EngineTwin.variables`, of all recordings one after another."""
+        return _merged([part.variables(self._lanes_of(r, lanes)) for r, part in enumerate(self.parts)])
+
+    def trajectories(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
+        """Readings (B, n, C), and `variables` of every lane."""
+        found = [part.trajectories(self._lanes_of(r, lanes)) for r, part in enumerate(self.parts)]
+        variables = [_merged([each[b] for _, each in found]) for b in range(lanes.size)]
+        return np.concatenate([readings for readings, _ in found], axis=1), variables
+
+    def first_local(self) -> Array:
+        """First guess of the windows' initial states, (W, 1)."""
+        return np.concatenate([part.first_local() for part in self.parts])
+
+    def local_limits(self) -> tuple[Array, Array]:
+        """Lowest and highest initial states, (W, 1) each."""
+        lows, highs = zip(*(part.local_limits() for part in self.parts), strict=True)
+        return np.concatenate(lows), np.concatenate(highs)
+
+    def initial(self, local: Array) -> Array:
+        """p_im, p_em [Pa], omega_t [rad/s] at the windows' starts (..., W, 3) for initial states (..., W, 1)."""
+        parts = np.split(local, self._windows[1:-1], axis=-2)
+        return np.concatenate([part.initial(own) for part, own in zip(self.parts, parts, strict=True)], axis=-2)
+
+    def split(self, windows: np.ndarray, parts: int, local: Array) -> Array:
+        """Cut some windows into parts; the initial states (W', 1) of all. As `EngineTwin.split`."""
+        edges = self._windows[1:-1]
+        each = zip(self.parts, np.split(windows, edges), np.split(local, edges), strict=True)
+        out = np.concatenate([part.split(cut, parts, own) for part, cut, own in each])
+        self._begin()
+        return out
+
+    def deviating(self, deviation: Array, moved: Array) -> SeveralTwin:
+        """The twin about other corrections of the maps than the belief's mean (`likelihood.learned.LearnedTwin`)."""
+        other = copy(self)
+        other.parts = tuple(
+            part.deviating(deviation, np.zeros_like(part.measured)) for part in self.parts
+        )
+        other.deviation, other.moved = deviation, moved
+        other.measured = self.measured - self.moved + moved
+        return other
+
+
+def _one_after_another(times: Sequence[Array]) -> Array:
+    """Times of all recordings on one axis, each behind the one before."""
+    out, end = [], 0.0
+    for time in times:
+        out.append(time - time[0] + end)
+        end = float(out[-1][-1]) + _PAUSE_S
+    return np.concatenate(out)
+
+
+def _merged(parts: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _alike(lanes: Lanes) -> tuple[np.ndarray, np.ndarray]:
+    """First lane of every kind, and which kind each lane is of; lanes with signals or schedules of their own aren't
+    compared."""
+    if lanes.lane_signals is not None or any(values.ndim > 1 for values in lanes.schedules.values()):
+        return np.arange(lanes.size), np.arange(lanes.size)
+    columns = [lanes.parameters, lanes.local.reshape(lanes.size, -1)]
+    columns += [np.asarray(values, dtype=np.float64).reshape(-1, 1) for values in lanes.magnitudes.values()]
+    _, first, again = np.unique(np.concatenate(columns, axis=1), axis=0, return_index=True, return_inverse=True)
+    return first, again.reshape(-1)

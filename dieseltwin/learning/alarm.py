@@ -1,0 +1,219 @@
+"""Alarm over the history of an engine: a test that may be looked at after every recording, for years.
+
+Every recording leaves one estimate of the size of every effect, made beside its own health parameters. A healthy
+engine's estimates are zero but for noise, new in every recording, and for what is still open of its maps and sensors,
+which is the same in all. Against that stands: since some day the effect has a size, or grows. The evidence is a
+likelihood ratio, averaged over effects, sizes and days:
+
+    M(t) = sum over days d up to t of w(d) mean over effects of p(estimates up to t | begins at d) / p(.. | healthy)
+
+With w in years it is an e-detector (Shin, Ramdas and Rinaldo, "E-detectors: a nonparametric framework for sequential
+change detection", 2023): the mean of M(t) of a healthy engine is at most the years that have passed,
+and so an alarm at M >= 1/rate is false within T years with probability rate max(T, 1) at most, however often one looks
+(Doob's inequality for submartingales). M is a function of the set of recordings: the order in which they are added
+doesn't matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import log_ndtr, logsumexp
+
+from dieseltwin.settings.watch import WatchConfig
+
+Array = np.ndarray
+
+_YEAR_D = 365.25
+_SURE = 0.9
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one recording says of one effect, at the health-only fit.
+
+    Attributes:
+        name, site: of the effect.
+        unit: of its size.
+        tolerance: smallest size of interest [unit].
+        one_sided: whether a negative size is impossible.
+        estimate: linear estimate of its size, impossible signs included [unit].
+        noise_std: standard deviation by what is new in every recording [unit].
+        shared: (D,) response of the estimate to what is open of maps and sensors, in standard deviations [unit].
+    """
+
+    name: str
+    site: str
+    unit: str
+    tolerance: float
+    one_sided: bool
+    estimate: float
+    noise_std: float
+    shared: Array
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the estimate, maps and sensors included [unit]."""
+        return float(np.sqrt(self.noise_std**2 + self.shared @ self.shared))
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """An alarm, as of the recording that raised it.
+
+    Attributes:
+        at: number of that recording in time order.
+        name, site, unit: of the likeliest effect; share: of the evidence that it has.
+        others: names of further effects that have at least a tenth of the evidence.
+        size, std: of it, at that recording [unit].
+        grows: whether growth explains it better than one size since its beginning.
+        since: day of its beginning, most likely; earliest, latest: 90 % interval.
+        evidence: M.
+    """
+
+    at: int
+    name: str
+    site: str
+    unit: str
+    share: float
+    others: tuple[str, ...]
+    size: float
+    std: float
+    grows: bool
+    since: datetime
+    earliest: datetime
+    latest: datetime
+    evidence: float
+
+
+@dataclass(frozen=True)
+class Course:
+    """Evidence over a history.
+
+    Attributes:
+        evidence: (n,) M after each recording [years].
+        threshold: from which it is an alarm [years].
+        alarm: the first one, None for none.
+    """
+
+    evidence: Array
+    threshold: float
+    alarm: Alarm | None
+
+
+@dataclass(frozen=True)
+class _OfEffect:
+    """One effect after each recording, kind by day of beginning: all (n, 2, K).
+
+    Attributes:
+        score: its first.
+        counted: log likelihood ratio in which no recording counts for more than it may: raises alarms.
+        whole: the same of the estimates as they are: says what an alarm is about.
+        size, std: of the effect at that recording [unit].
+    """
+
+    score: Score
+    counted: Array
+    whole: Array
+    size: Array
+    std: Array
+
+
+def course(
+    scores: Sequence[Sequence[Score]], dates: Sequence[datetime], settings: WatchConfig
+) -> Course:
+    """Evidence after each of n recordings, and the first alarm.
+
+    Args:
+        scores: of each recording; dates: of each, ascending.
+        settings: rate of false alarms, what faults are like, and how much recordings scatter.
+    """
+    threshold = 1.0 / settings.alarms_per_year
+    count = len(scores)
+    days = np.array([(date - dates[0]).total_seconds() / 86400.0 for date in dates]) if count else np.zeros(0)
+    names = list(dict.fromkeys(score.name for some in scores for score in some))
+    if not names:
+        return Course(np.zeros(count), threshold, None)
+    effects = [_of_effect(name, scores, days, settings) for name in names]
+    begun = np.arange(count)[:, None] >= np.arange(count)[None, :]  # (recording, day of beginning)
+    with np.errstate(divide="ignore"):
+        weights = np.log(_weights(days, settings.at_start_years)) - np.log(2.0 * len(names))
+        weights = np.where(begun, weights, -np.inf)[:, None, :]
+    evidence = np.exp(np.minimum(logsumexp(np.stack([e.counted + weights for e in effects]), axis=(0, 2, 3)), 700.0))
+    for at in np.flatnonzero(evidence >= threshold):
+        weighted = np.stack([item.whole[at] + weights[at] for item in effects])
+        alarm = _alarm(int(at), effects, weighted, dates, float(evidence[at]), settings)
+        if alarm is not None:
+            return Course(evidence, threshold, alarm)
+    return Course(evidence, threshold, None)
+
+
+def _weights(days: Array, at_start: float) -> Array:
+    """Years' worth of each day of beginning: the time since the recording before; `at_start` of the first year goes to
+    the first recording."""
+    passed = days / _YEAR_D
+    spent = np.where(passed < 1.0, at_start + (1.0 - at_start) * passed, passed)
+    return np.diff(spent, prepend=0.0)
+
+
+def _of_effect(name: str, scores: Sequence[Sequence[Score]], days: Array, settings: WatchConfig) -> _OfEffect:
+    own = [next((score for score in some if score.name == name), None) for some in scores]
+    at = np.array([k for k, score in enumerate(own) if score is not None])
+    known = [score for score in own if score is not None]
+    first = known[0]
+    shared = np.stack([score.shared for score in known])
+    covariance = shared @ shared.T + np.diag([(settings.inflation * score.noise_std) ** 2 for score in known])
+    lower = cholesky(covariance, lower=True)
+    surprise = solve_triangular(lower, np.array([score.estimate for score in known]), lower=True)
+    before = np.concatenate([days[:1], days[:-1]])
+    profiles = np.concatenate([
+        days[at][:, None] >= days[None, :], np.maximum(days[at][:, None] - before[None, :], 0.0) / _YEAR_D
+    ], axis=1)  # fmt: skip
+    columns = solve_triangular(lower, profiles, lower=True)
+    spread = np.repeat([settings.step_size, settings.growth_size], len(days)) * first.tolerance
+    std = (np.cumsum(columns**2, axis=0) + spread**-2.0) ** -0.5
+    latest = np.searchsorted(at, np.arange(len(days)), side="right") - 1  # recordings without this effect add nothing
+    means = []
+    for estimates in (np.clip(surprise, -settings.clip, settings.clip), surprise):
+        means.append(std**2 * np.cumsum(columns * estimates[:, None], axis=0))
+    ratios = [np.where((latest >= 0)[:, None], _log_ratio(mean, std, spread, first)[latest], 0.0) for mean in means]
+    now = profiles[latest]
+    shape = (len(days), 2, len(days))
+    return _OfEffect(
+        first, ratios[0].reshape(shape), ratios[1].reshape(shape), (means[1][latest] * now).reshape(shape),
+        (std[latest] * now).reshape(shape),
+    )  # fmt: skip
+
+
+def _log_ratio(mean: Array, std: Array, spread: Array, effect: Score) -> Array:
+    """Log likelihood ratio of a size believed normal about 0 with standard deviation `spread`, by its posterior."""
+    ratio = np.log(std / spread) + 0.5 * (mean / std) ** 2
+    return ratio + np.log(2.0) + log_ndtr(mean / std) if effect.one_sided else ratio
+
+
+def _alarm(
+    at: int, effects: Sequence[_OfEffect], weighted: Array, dates: Sequence[datetime], evidence: float,
+    settings: WatchConfig,
+) -> Alarm | None:  # fmt: skip
+    """What the evidence (H, 2, K) after a recording says; None where its size is below what is of interest."""
+    shares = np.exp(weighted - logsumexp(weighted))
+    of_effects = shares.sum(axis=(1, 2))
+    best = int(np.argmax(of_effects))
+    lead = effects[best]
+    kind, day = divmod(int(np.argmax(shares[best])), shares[best].shape[1])
+    size, std = float(lead.size[at, kind, day]), float(lead.std[at, kind, day])
+    if abs(size) < settings.least_size * lead.score.tolerance:
+        return None
+    cumulated = np.cumsum(shares[best].sum(axis=0)) / of_effects[best]
+    edge = 0.5 * (1.0 - _SURE)
+    early, late = (int(np.searchsorted(cumulated, level)) for level in (edge, 1.0 - edge))
+    others = [effects[k].score.name for k in np.argsort(-of_effects) if k != best and of_effects[k] >= 0.1]
+    return Alarm(
+        at, lead.score.name, lead.score.site, lead.score.unit, float(of_effects[best]), tuple(others), size, std,
+        kind == 1, dates[day], dates[max(early - 1, 0)], dates[min(late, at)], evidence,
+    )  # fmt: skip
+

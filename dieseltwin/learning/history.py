@@ -1,0 +1,211 @@
+"""History of one engine: a row a recording in an SQLite file, each with its own checksum.
+
+A recording is added in one transaction: a kill at any moment loses at most the one being added, and one that is there
+already stays as it is. The history belongs to one learned engine file: its scores are in that file's coordinates.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.errors import InputError
+from dieseltwin.learning.alarm import Array, Score
+from dieseltwin.version import __version__
+
+SCHEMA = 1
+FILE_NAME = "history.sqlite"
+_APPLICATION = 0x64_74_77_68  # "dtwh": what `PRAGMA application_id` of our files says
+_WAIT_S = 60.0
+_NEW = "keep a copy, and add the recordings to a new folder"
+_TABLES = (
+    "CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT",
+    "CREATE TABLE recordings (sha256 TEXT PRIMARY KEY, date TEXT NOT NULL, hours REAL NOT NULL, p_amb_pa REAL NOT NULL,"
+    " t_amb_k REAL NOT NULL, verdict TEXT NOT NULL, row TEXT NOT NULL, checksum TEXT NOT NULL) STRICT",
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recording of a history.
+
+    Attributes:
+        sha256, path: of the file; date: of its first row (ISO 8601, UTC); date_from: how that is known.
+        hours: of running engine [h].
+        p_amb_pa, t_amb_k: ambient [Pa], [K].
+        health, health_covariance: (4,) and (4, 4) in the order of `HEALTH`.
+        since, since_std: (4,) health over that of the reference [-].
+        scores: of every effect.
+        verdict: names of what the recording shows by itself, "healthy" without any; sentence: the same in words.
+    """
+
+    sha256: str
+    path: str
+    date: str
+    date_from: str
+    hours: float
+    p_amb_pa: float
+    t_amb_k: float
+    health: Array
+    health_covariance: Array
+    since: Array
+    since_std: Array
+    scores: tuple[Score, ...]
+    verdict: str
+    sentence: str
+
+    @property
+    def moment(self) -> datetime:
+        """The date."""
+        return datetime.fromisoformat(self.date).astimezone(UTC)
+
+
+class History:
+    """The history in a folder, made where there is none.
+
+    Args:
+        folder: holds `history.sqlite`.
+        engine_sha256: of what the engine's file knows; None reads a history whosever it is.
+
+    Raises:
+        InputError: no history to read, one of another engine or version, a file that is damaged.
+    """
+
+    def __init__(self, folder: str | Path, engine_sha256: str | None = None) -> None:
+        self.folder = Path(folder)
+        self.path = self.folder / FILE_NAME
+        if engine_sha256 is None and not self.path.is_file():
+            raise InputError(str(self.path), "no such file", "a folder with a history", "add a recording first")
+        if not self.path.is_file():
+            self._make(str(engine_sha256))
+        self._check(engine_sha256)
+
+    def _make(self, engine_sha256: str) -> None:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(str(self.folder), error.strerror or error, "a folder you may write to",
+                             "choose another --history") from None
+        with self._opened() as connection:
+            known = {name for name, in connection.execute("SELECT name FROM sqlite_master")}
+            if "about" not in known:  # another process may have been first
+                for table in _TABLES:
+                    connection.execute(table)
+                about = {"schema": str(SCHEMA), "engine_sha256": engine_sha256, "code_version": __version__}
+                connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
+                connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+
+    @contextmanager
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        """One transaction, whole or not at all."""
+        try:
+            with closing(sqlite3.connect(self.path, timeout=_WAIT_S, isolation_level=None)) as connection:
+                connection.execute("PRAGMA synchronous = FULL")
+                connection.execute("BEGIN IMMEDIATE")
+                try:
+                    yield connection
+                    connection.execute("COMMIT")
+                except BaseException:
+                    connection.rollback()
+                    raise
+        except sqlite3.OperationalError as error:
+            raise InputError(str(self.path), str(error), "a history that can be written to",
+                             "check the disk and the folder's permissions") from None
+        except sqlite3.DatabaseError as error:
+            raise self._damaged(str(error)) from None
+
+    def _damaged(self, what: str) -> InputError:
+        return InputError(str(self.path), what, "a history as `dieseltwin watch add` wrote it", _NEW)
+
+    def _check(self, engine_sha256: str | None) -> None:
+        with self._opened() as connection:
+            if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION:
+                raise self._damaged("an SQLite file of something else")
+            sound = connection.execute("PRAGMA integrity_check").fetchone()[0]
+            if sound != "ok":
+                raise self._damaged(str(sound).splitlines()[0])
+            about = dict(connection.execute("SELECT key, value FROM about"))
+        if about.get("schema") != str(SCHEMA):
+            raise InputError(str(self.path), f"schema {about.get('schema')}", f"schema {SCHEMA}", _NEW)
+        if engine_sha256 is not None and about.get("engine_sha256") != engine_sha256:
+            raise InputError(
+                str(self.path), "a history of another engine file, or of this one before it learned more",
+                "the file that the history was begun with", "begin a new --history and add the recordings again",
+            )  # fmt: skip
+
+    def holds(self, sha256: str) -> bool:
+        """Whether a recording is there already."""
+        with self._opened() as connection:
+            return connection.execute("SELECT 1 FROM recordings WHERE sha256 = ?", (sha256,)).fetchone() is not None
+
+    def add(self, entry: Entry) -> bool:
+        """Add a recording; False where it is there already, which stays as it is."""
+        row = to_json(entry)
+        columns = (entry.sha256, entry.date, entry.hours, entry.p_amb_pa, entry.t_amb_k, entry.verdict)
+        with self._opened() as connection:
+            before = connection.total_changes
+            connection.execute("INSERT OR IGNORE INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                               (*columns, row, _checksum(row)))
+            return connection.total_changes > before
+
+    def entries(self) -> tuple[Entry, ...]:
+        """All recordings by date, whatever the order in which they were added.
+
+        Raises:
+            InputError: a row that isn't what was written.
+        """
+        with self._opened() as connection:
+            rows = connection.execute("SELECT sha256, row, checksum FROM recordings ORDER BY date, sha256").fetchall()
+        out = []
+        for sha256, row, checksum in rows:
+            entry = from_json(row) if _checksum(row) == checksum else None
+            if entry is None or entry.sha256 != sha256:
+                raise self._damaged(f"the row of {sha256[:12]} is not as it was written")
+            out.append(entry)
+        return tuple(out)
+
+
+def _checksum(row: str) -> str:
+    return hashlib.sha256(row.encode()).hexdigest()
+
+
+def to_json(entry: Entry) -> str:
+    """An entry as one line of JSON."""
+    content = asdict(entry)
+    content["scores"] = [{**asdict(score), "shared": _packed(score.shared)} for score in entry.scores]
+    for name in _ARRAYS:
+        content[name] = np.asarray(content[name]).tolist()
+    return json.dumps(content, sort_keys=True, allow_nan=False)
+
+
+_ARRAYS = ("health", "health_covariance", "since", "since_std")
+
+
+def _packed(values: Array) -> str:
+    return base64.b64encode(np.asarray(values, dtype="<f8").tobytes()).decode()
+
+
+def _unpacked(text: str) -> Array:
+    return np.frombuffer(base64.b64decode(text), dtype="<f8").copy()
+
+
+def from_json(row: str) -> Entry | None:
+    """An entry as `to_json` wrote it; None for what isn't one."""
+    try:
+        content: dict[str, Any] = json.loads(row)
+        scores = tuple(Score(**{**score, "shared": _unpacked(score["shared"])}) for score in content["scores"])
+        arrays = {name: np.array(content[name]) for name in _ARRAYS}
+        return Entry(**{**content, **arrays, "scores": scores})
+    except (ValueError, KeyError, TypeError):
+        return None
+

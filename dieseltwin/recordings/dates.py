@@ -1,0 +1,84 @@
+"""When a recording was made, and how that is known."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.reader import Recording
+
+STAMP, NAME, MODIFIED, ORDER = "time stamp", "file name", "file's modification time", "order given"
+_IN_NAME = re.compile(
+    r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])"
+    r"(?:[-_T ]?([01]\d|2[0-3])[-_:.]?([0-5]\d)(?:[-_:.]?[0-5]\d)?)?(?!\d)"
+)
+_FIRST_EPOCH_S = 946684800.0  # 2000-01-01 in seconds since 1970: no time since a logger's start is that large
+_START = datetime(1970, 1, 1, tzinfo=UTC)  # of recordings without a date, a day apart
+
+
+@dataclass(frozen=True)
+class Dated:
+    """A recording with its date.
+
+    Attributes:
+        recording: what was recorded.
+        date: of its first row, in UTC.
+        date_from: how that is known, in words.
+    """
+
+    recording: Recording
+    date: datetime
+    date_from: str
+
+    @property
+    def day(self) -> str:
+        """The date for people: YYYY-MM-DD, or which recording it is where no date is known."""
+        if self.date_from == ORDER:
+            return f"recording {self.date.toordinal() - _START.toordinal() + 1}"
+        return self.date.strftime("%Y-%m-%d")
+
+
+def dated(recording: Recording) -> Dated | None:
+    """The recording with its own date: by its time stamps, by its file's name, else by its file; None without a file.
+
+    A time column counts as stamps where it holds seconds since 1970. A date in a name looks like 2026-03-14 or
+    20260314T0815.
+    """
+    stamp = float(recording.time_s[0])
+    if stamp >= _FIRST_EPOCH_S:
+        return Dated(recording, datetime.fromtimestamp(stamp, UTC), STAMP)
+    if recording.began is not None:
+        return Dated(recording, recording.began, STAMP)
+    if recording.path is None:
+        return None
+    named = _IN_NAME.search(recording.path.name)
+    if named is not None:
+        year, month, day, hour, minute = (int(part or 0) for part in named.groups())
+        try:
+            return Dated(recording, datetime(year, month, day, hour, minute, tzinfo=UTC), NAME)
+        except ValueError:  # 30 February
+            pass
+    if not recording.path.is_file():
+        return None
+    return Dated(recording, datetime.fromtimestamp(recording.path.stat().st_mtime, UTC), MODIFIED)
+
+
+def in_time_order(recordings: Sequence[Recording]) -> tuple[Dated, ...]:
+    """Recordings with their dates, the earliest first; where one has none, a day apart in the order given.
+
+    Raises:
+        InputError: the same recording twice.
+    """
+    hashes = [item.sha256 for item in recordings]
+    for item in recordings:
+        if hashes.count(item.sha256) > 1:
+            raise InputError(str(item.path or "recording"), "the same recording twice", "each once", "name it once")
+    known = [dated(item) for item in recordings]
+    found = [item for item in known if item is not None]
+    if len(found) < len(known) or any(a.date == b.date for a, b in pairwise(sorted(found, key=lambda d: d.date))):
+        return tuple(Dated(item, _START + timedelta(days=k), ORDER) for k, item in enumerate(recordings))
+    return tuple(sorted(found, key=lambda item: item.date))

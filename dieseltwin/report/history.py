@@ -1,0 +1,146 @@
+"""The history of an engine as a page: what has changed, when, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from dieseltwin.engine import HEALTH
+from dieseltwin.learning.alarm import Course
+from dieseltwin.learning.history import Entry
+from dieseltwin.report import quantities, style
+from dieseltwin.report.discovery_words import magnitude_words, site_words
+from dieseltwin.report.trend import Trend, trend_figure
+
+_LEAST_EVIDENCE = 1e-3  # shown; below, nothing speaks for a change
+_SHOWN_SITES = 4
+_DAY = "%Y-%m-%d"
+
+
+def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -> str:
+    """One sentence: alarm or none, what, since when, how large, and how often such an alarm is false."""
+    rate = f"{alarms_per_year:g} false alarms an engine and year at most"
+    if not entries:
+        return "The history holds no recording."
+    span = f"{len(entries)} recordings, {entries[0].moment:{_DAY}} to {entries[-1].moment:{_DAY}}"
+    alarm, last = course.alarm, entries[-1].verdict
+    if alarm is None:
+        alone = "" if last == "healthy" else f"; but the last recording by itself shows {last}"
+        return (f"No alarm over {span}: the evidence for a change is {course.evidence[-1]:.2g} where "
+                f"{course.threshold:g} is an alarm ({rate}); wear of the health parameters is no alarm{alone}.")
+    size = magnitude_words(alarm.name, alarm.size, alarm.std, alarm.unit, extra=False)
+    or_others = f" or {', '.join(alarm.others)}" if alarm.others else ""
+    way = "growing since" if alarm.grows else "there since"
+    return (
+        f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
+        f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size}, "
+        f"{way} {alarm.since:{_DAY}} ({alarm.earliest:{_DAY}} to {alarm.latest:{_DAY}}); {span}; {rate}. "
+        "`dieseltwin discover` on these recordings together says what it is."
+    )
+
+
+def table(entries: Sequence[Entry], course: Course) -> pd.DataFrame:
+    """One row a recording, SI units in the names."""
+    rows = []
+    for entry, evidence in zip(entries, course.evidence, strict=True):
+        row = {"date": entry.date, "date_from": entry.date_from, "recording": entry.path, "sha256": entry.sha256,
+               "hours": entry.hours, "p_amb_pa": entry.p_amb_pa, "t_amb_k": entry.t_amb_k}  # fmt: skip
+        for j, name in enumerate(HEALTH):
+            row |= {f"{name}_since": entry.since[j], f"{name}_since_std": entry.since_std[j]}
+        for site, (effect, distance) in strongest(entry).items():
+            row |= {f"score:{site}": distance, f"effect:{site}": effect}
+        rows.append({**row, "evidence": evidence, "verdict": entry.verdict})
+    return pd.DataFrame(rows)
+
+
+def strongest(entry: Entry) -> dict[str, tuple[str, float]]:
+    """Site -> its effect whose estimate is most standard deviations from zero, and how many."""
+    best: dict[str, tuple[str, float]] = {}
+    for score in entry.scores:
+        distance = score.estimate / score.std
+        if score.site not in best or abs(distance) > abs(best[score.site][1]):
+            best[score.site] = (score.name, distance)
+    return dict(sorted(best.items()))
+
+
+def health(entries: Sequence[Entry], course: Course) -> style.ReportFigure | None:
+    """Health parameters since the reference, with intervals; None without a recording."""
+    if not entries:
+        return None
+    panels = [
+        Trend(f"{quantities.symbol(name)} since the reference [%]", [100.0 * (e.since[j] - 1.0) for e in entries],
+              [100.0 * e.since_std[j] for e in entries], 0.0)
+        for j, name in enumerate(HEALTH)
+    ]  # fmt: skip
+    caption = "Change of the health parameters since the reference with 90 % intervals; a line marks an alarm."
+    return trend_figure("health", "Health since the reference", caption, panels, *_when(entries, course))
+
+
+def evidence(entries: Sequence[Entry], course: Course) -> style.ReportFigure | None:
+    """Evidence of a change after each recording, and the estimates of the effects that show most; None without."""
+    if not entries:
+        return None
+    levels = np.log10(np.maximum(course.evidence, _LEAST_EVIDENCE))
+    panels = [Trend("evidence of a change, log10", list(levels), level=float(np.log10(course.threshold)), line=True)]
+    for name in _leading(entries, course):
+        found = [next((score for score in entry.scores if score.name == name), None) for entry in entries]
+        panels.append(
+            Trend(
+                f"{name.replace('_', ' ')} [standard deviations]",
+                [np.nan if score is None else score.estimate / score.std for score in found],
+                [np.nan if score is None else 1.0 for score in found], 0.0,
+            )
+        )  # fmt: skip
+    caption = ("Evidence that something besides health has changed, dashed: alarm; and the effects that show most, "
+               "each estimated in each recording by itself, with 90 % intervals.")  # fmt: skip
+    return trend_figure("evidence", "Evidence of a change", caption, panels, *_when(entries, course))
+
+
+def _leading(entries: Sequence[Entry], course: Course) -> list[str]:
+    first = [] if course.alarm is None else [course.alarm.name]
+    total: dict[str, float] = {}
+    for entry in entries:
+        for score in entry.scores:
+            total[score.name] = total.get(score.name, 0.0) + score.estimate / score.std
+    ranked = sorted(total, key=lambda name: -abs(total[name]))
+    return list(dict.fromkeys([*first, *ranked]))[: _SHOWN_SITES - 1]
+
+
+def _when(entries: Sequence[Entry], course: Course) -> tuple[list, list]:
+    dates = [entry.moment for entry in entries]
+    return dates, [] if course.alarm is None else [dates[course.alarm.at]]
+
+
+def page(entries: Sequence[Entry], course: Course, alarms_per_year: float) -> str:
+    """The page as text, self-contained."""
+    environment = Environment(
+        loader=PackageLoader("dieseltwin.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    figures = [figure for figure in (health(entries, course), evidence(entries, course)) if figure is not None]
+    hours = sum(entry.hours for entry in entries)
+    return environment.get_template("history.html.j2").render(
+        title="Alarm: the engine has changed" if course.alarm else "No change but wear",
+        about=f"{len(entries)} recordings · {hours:.3g} h of running engine",
+        alarm=course.alarm is not None,
+        headline=quantities.with_symbols(sentence(entries, course, alarms_per_year)),
+        figures=[
+            {"name": f.name, "title": f.title, "caption": quantities.with_symbols(f.caption),
+             "uri": style.data_uri(f.encode(), f.kind)}
+            for f in figures
+        ],
+        rows=[
+            (f"{entry.moment:{_DAY}}", entry.path, f"{60.0 * entry.hours:.0f}", f"{1e-3 * entry.p_amb_pa:.1f}",
+             f"{entry.t_amb_k - 273.15:.0f}", *_changes(entry), f"{value:.2g}", entry.verdict)
+            for entry, value in zip(entries, course.evidence, strict=True)
+        ],
+        heads=("date", "recording", "min", "kPa", "°C", *(f"{name} [%]" for name in HEALTH), "evidence", "by itself"),
+        dates=sorted({entry.date_from for entry in entries}),
+    )  # fmt: skip
+
+
+def _changes(entry: Entry) -> list[str]:
+    shown = zip(100.0 * (entry.since - 1.0), 100.0 * entry.since_std, strict=True)
+    return [f"{change:+.1f} ± {std:.1f}" for change, std in shown]

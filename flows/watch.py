@@ -1,0 +1,58 @@
+"""New recordings of a folder -> the history of their engine, its page, MLflow; once, or ``--serve`` on a schedule."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from prefect import flow
+
+from tasks import discover
+from tasks import records_watch as records
+from tasks import watch as steps
+from tasks.cluster import task_runner
+from tasks.launch import run_alone, serve
+from tasks.settings import DEFAULT_PROFILE, load_settings
+from tasks.store import Artifact
+
+
+@flow(name="watch", description=__doc__, task_runner=task_runner())
+def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
+    """Add what is new. Returns the names of the recordings that were added; those that are no good stop none."""
+    settings = load_settings(profile)
+    files = steps.engine_files(engine)
+    pending = {
+        name: steps.watched.submit(recording=Artifact.of(path), kind=path.stem, name=name, **files)
+        for name, path in steps.new_recordings(folder, engine, history).items()
+    }
+    found, refused = discover.gathered(pending)
+    batch = steps.add(found, engine, history, settings["watch"])
+    if batch.added:
+        records.watched(batch, found, refused, settings)
+    steps.show(batch, refused)
+    return list(batch.added)
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument("--serve", action="store_true")
+    parser.add_argument("--cron")
+    chosen, rest = parser.parse_known_args()
+    if not chosen.serve:
+        return run_alone(watch, rest, options=_options, check=steps.check)
+    full = argparse.ArgumentParser(description=__doc__)
+    full.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml")
+    _options(full)
+    arguments = vars(full.parse_args(rest))
+    steps.check(arguments)
+    return serve(watch, chosen.cron or load_settings(arguments["profile"])["watch"]["schedule"], **arguments)
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    steps.options(parser)
+    parser.epilog = "--serve stays and runs on the schedule: --cron, five fields, else watch.schedule of params.yaml"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,82 @@
+"""Several recordings through the front door: judged together, and one after another in the history of their engine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import dieseltwin as dt
+from dieseltwin.engine import we2011
+from dieseltwin.engine.terms import Term
+from dieseltwin.errors import InputError
+from tests.api.learned import learned_file
+from tests.api.simulated import drive
+
+LEAK = Term(effect="boost_leak", magnitude=25e-6)
+
+
+@pytest.fixture(scope="module")
+def year(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three recordings, the last with a leak, given in the wrong order."""
+    folder, files = tmp_path_factory.mktemp("year"), []
+    for k, month in enumerate(("01", "05", "09")):
+        engine = we2011.PARAMETERS.replace(A_egrmax=we2011.PARAMETERS.A_egrmax * (1.0 - 0.03 * k),
+                                           terms=(LEAK,) if k == 2 else ())  # fmt: skip
+        files.append(folder / f"2026-{month}-01.csv")
+        drive(90.0, engine, seed=30 + k).to_csv(files[-1], index=False)
+    return [files[2], files[0], files[1]]
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return learned_file(tmp_path_factory.mktemp("mine"))
+
+
+def test_a_leak_that_began_is_named_with_its_date(year: list[Path], tmp_path: Path):
+    found = dt.discover(year)
+    document = found.document.to_json()
+    assert [effect["name"] for effect in document["effects"]] == ["boost_leak"]
+    assert document["location"]["onset_date"] == "2026-09-01" and document["location"]["onset_after"] == "2026-05-01"
+    assert "began between 2026-05-01 and 2026-09-01" in found.sentence
+    rows = document["recordings"]
+    assert [row["date"][:10] for row in rows] == ["2026-01-01", "2026-05-01", "2026-09-01"]
+    sizes = [row["magnitudes"]["boost_leak"] for row in rows]
+    for size, truth in zip(sizes, (0.0, 0.0, 25e-6), strict=True):
+        assert abs(size["value"] - truth) < 3.5 * size["std"] < 15e-6
+    worn = [row["health"]["A_egrmax"]["value"] / we2011.PARAMETERS.A_egrmax for row in rows]
+    assert worn == pytest.approx([1.0, 0.97, 0.94], abs=0.025)
+    assert found.engine.terms[-1].effect == "boost_leak"
+    found.save(tmp_path)
+    assert "From recording to recording" in (tmp_path / "report.html").read_text()
+    assert dt.discover(year[0]).document.to_json().keys() == document.keys() - {"recordings"}
+
+
+def test_what_cannot_be_judged_together_is_refused(year: list[Path]):
+    with pytest.raises(InputError, match="the same recording twice"):
+        dt.discover([year[0], year[0]])
+    with pytest.raises(InputError, match="nothing"):
+        dt.discover([])
+
+
+def test_a_history_grows_once_by_each_recording_in_any_order(year: list[Path], mine: Path, tmp_path: Path):
+    bad = tmp_path / "2026-10-01.csv"
+    bad.write_text("time_s,n_e_rpm\n0,1000\n")
+    found = dt.watch([year[0], bad, year[1]], mine, tmp_path / "history")
+    assert len(found.added) == 2 and not found.known and found.refused[0][0] == str(bad)
+    again = dt.watch(year, mine, tmp_path / "history")
+    assert again.added == (str(year[2]),) and len(again.known) == 2
+    table = again.table()
+    assert list(table["date"].str[:10]) == ["2026-01-01", "2026-05-01", "2026-09-01"]
+    assert table["A_egrmax_since"].is_monotonic_decreasing and list(table["verdict"])[:2] == ["healthy", "healthy"]
+    other = dt.watch(year[::-1], mine, tmp_path / "other")
+    assert other.table().equals(table) and other.sentence == again.sentence
+    again.save(tmp_path / "out")
+    page = (tmp_path / "out" / "history.html").read_text()
+    assert page.count("<img") == 2 and "2026-09-01.csv" in page
+    assert dt.history(tmp_path / "history").sentence == again.sentence
+
+
+def test_a_history_needs_a_learned_engine(year: list[Path], tmp_path: Path):
+    with pytest.raises(InputError, match="no learned engine"):
+        dt.watch(year, tmp_path / "none.yaml", tmp_path)

@@ -1,0 +1,126 @@
+"""From a dropped file to a verdict, without a browser: forms, workers, what is kept, and what is refused."""
+
+from __future__ import annotations
+
+import re
+
+import yaml
+from fastapi.testclient import TestClient
+
+from dieseltwin.app.kept import JobState, Outcome, now, save
+from dieseltwin.app.workplace import Workplace
+from tests.app.conftest import Waiting
+from tests.report import synthetic_discovery
+
+
+def chosen(page: str, column: str) -> str:
+    """Words of the channel that a form has chosen for a quantity."""
+    box = re.search(rf'<select name="channel-{column}">(.*?)</select>', page, re.DOTALL)
+    assert box is not None
+    found = re.search(r"<option[^>]* selected>(.*?)</option>", box.group(1))
+    assert found is not None
+    return found.group(1)
+
+
+def form_of(page: str) -> dict[str, str]:
+    """The fields of the channel map's form as a browser would send them."""
+    form = page[page.index('/map">') : page.index("</form>", page.index('/map">'))]
+    fields = dict(re.findall(r'<input [^>]*name="([^"]+)" value="([^"]*)"', form))
+    for name, box in re.findall(r'<select name="([^"]+)">(.*?)</select>', form, re.DOTALL):
+        value = re.search(r'<option value="([^"]*)" selected>', box)
+        fields[name] = "" if value is None else value.group(1)
+    return fields
+
+
+def test_a_dropped_file_is_mapped_by_guess_and_its_names_stay_text(client: TestClient, recording: str) -> None:
+    page = client.get(recording).text
+    assert "<h1>Fahrt &lt;i&gt;7&lt;" not in page  # the part before the slash of the hostile name is gone
+    assert "i&gt;7&lt;/i" not in page and "<b>Ventil" not in page and "AGR &lt;b&gt;Ventil&lt;/b&gt;" in page
+    assert chosen(page, "p_im_pa").startswith("Ladedruck abs [kPa]")
+    assert chosen(page, "t_im_k") == "none"
+    assert client.get(f"{recording}/overview.png").content.startswith(b"\x89PNG")
+
+
+def test_a_map_is_mended_and_tried(client: TestClient, recording: str, wait_for: Waiting) -> None:
+    fields = form_of(client.get(recording).text)
+    assert fields["reading-p_im_pa"] == "unit:kPa" and fields["reading-time_s"] == "unit:s"
+    twice = client.post(f"{recording}/map", data={**fields, "channel-p_em_pa": fields["channel-p_im_pa"]})
+    assert twice.status_code == 422 and "chosen for p_im_pa and p_em_pa" in twice.text
+    wrong = client.post(f"{recording}/map", data={**fields, "scale-p_im_pa": "one"})
+    assert wrong.status_code == 422 and "a number" in wrong.text
+    assert client.post(f"{recording}/map", data={**fields, "reading-p_im_pa": "unit:bar"}).status_code == 200
+    assert "p_im_pa" in wait_for(recording, r'class="alert"><p>')  # 14,000 kPa of boost: the reader says so
+    assert client.post(f"{recording}/map", data=fields).status_code == 200
+    assert "1.1 minutes at 5 Hz" in wait_for(recording, "can be read")
+    kept = yaml.safe_load(client.get(f"{recording}/map.yaml").text)
+    assert kept["Ladedruck abs [kPa]"] == {"column": "p_im_pa", "unit": "kPa"}
+
+
+def finished(client: TestClient, key: str, **changes: float) -> str:
+    """A discovery that ended: a job of the server's store with a real document in it; returns its id."""
+    desk = client.app.state.desk
+    store = desk.store
+    job = store.new_job("discover", "What is left out of Fahrt 7", (key,))
+    document = synthetic_discovery.document()
+    health = {name: value.model_copy(update={"value": value.value * changes.get(name, 1.0)})
+              for name, value in document.health.items()}  # fmt: skip
+    (store.job_folder(job.id) / "result").mkdir()
+    document.model_copy(update={"health": health}).write(store.job_folder(job.id) / "result" / "discrepancy.json")
+    (store.job_folder(job.id) / "result" / "report.html").write_text("<p>report</p>")
+    save(Outcome(sentence="The twin leaves out <b>something</b>."), store.job_folder(job.id) / "outcome.json")
+    store.keep_state(job.id, JobState(status="done", started=now(), ended=now()))
+    return job.id
+
+
+def test_verdicts_have_a_history_and_are_compared(client: TestClient, recording: str) -> None:
+    key = recording.rsplit("/", 1)[-1]
+    first, second = finished(client, key), finished(client, key, A_egrmax=0.9)
+    page = client.get(f"/jobs/{second}").text
+    assert "largest effective EGR area" in page and "The twin leaves out &lt;b&gt;" in page
+    report = client.get(f"/jobs/{second}/report")
+    assert report.headers["content-security-policy"].startswith("sandbox") and "attachment" not in str(report.headers)
+    assert "attachment" in client.get(f"/jobs/{second}/report.html").headers["content-disposition"]
+    beside = client.get("/compare", params={"one": first, "other": second}).text
+    assert beside.count(">0.00 %") == 3 and "−10.00 %" in beside and beside.count("differ</span>") == 1
+    engine = client.get("/engines/we2011").text
+    assert f'href="/jobs/{first}"' in engine and "<svg" in engine and "moved by −10.00 %" in engine
+    assert client.post(f"/jobs/{second}/keep-engine").status_code == 404  # it repaired none
+    assert client.get(f"/jobs/{second}/state").headers["hx-refresh"] == "true"
+    assert "0123456789abcdef" not in client.post(f"/jobs/{first}/remove").text and first not in client.get("/").text
+
+
+def test_an_uploaded_engine_is_read_and_can_be_chosen(
+    client: TestClient, recording: str, wait_for: Waiting, workplace: Workplace
+) -> None:
+    files = [("yaml", ("../../truck.yaml", b"V_d: 0.0128\n"))]
+    answer = client.post("/engines", files=files, follow_redirects=False)
+    engine = answer.headers["location"]
+    page = wait_for(engine, "Other than the published engine")
+    assert "truck.yaml" in page and "0.0128" in page
+    wait_for(recording, r"truck\.yaml \(uploaded\)")
+    bad = client.post("/engines", files=[("yaml", ("bad.yaml", b"V_dd: 0.0128\n"))], follow_redirects=False)
+    assert "V_dd" in wait_for(bad.headers["location"], 'role="alert"')
+    assert "bad.yaml (" not in client.get(recording).text
+    other = client.post("/engines", files=[("yaml", ("engine.exe", b"MZ"))])
+    assert other.status_code == 422 and "engine.exe" in other.text
+    names = {path.name for path in workplace.engines.rglob("*") if path.is_file()}
+    assert names <= {"about.json", "uploaded.yaml", "engine.yaml", "details.json"}
+
+
+def test_what_is_no_recording_is_said_in_one_line(client: TestClient, wait_for: Waiting) -> None:
+    answer = client.post("/recordings", files={"file": ("report.pdf", b"%PDF-1.7\n" + bytes(100))},
+                         follow_redirects=False)  # fmt: skip
+    page = wait_for(answer.headers["location"], 'role="alert"')
+    assert "report.pdf: got a PDF document" in page and "recording.bin" not in page
+    assert client.post(f"{answer.headers['location']}/remove").status_code == 200
+    assert client.get(answer.headers["location"]).status_code == 404
+    assert "is empty" in client.post("/recordings", files={"file": ("nothing.csv", b"")}).text
+    assert "No file came" in client.post("/recordings", data={"file": "text"}).text
+
+
+def test_what_can_not_be_asked_is_refused(client: TestClient, recording: str) -> None:
+    assert client.post(f"{recording}/ask", data={"kind": "delete", "engine": "we2011"}).status_code == 422
+    assert client.post(f"{recording}/ask", data={"kind": "discover", "engine": "../../x"}).status_code == 422
+    assert client.post("/engines/learn", data={"name": "x", "engine": "we2011"}).status_code == 422
+    assert client.get("/compare", params={"one": "x", "other": "y"}).status_code == 200
+    assert client.get("/nothing").status_code == 404 and client.post("/").status_code == 405

@@ -1,0 +1,47 @@
+"""`dieseltwin watch`: what it refuses, in one line, and what an empty history says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dieseltwin.cli.app import main
+from dieseltwin.learning.history import FILE_NAME, History
+from tests.api.learned import learned_file
+from tests.api.simulated import drive
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    assert main(["watch", *map(str, arguments)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("dieseltwin: ") and error.count("\n") == 1
+    return error
+
+
+def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    drive(20.0).to_csv(tmp_path / "2026-01-01.csv", index=False)
+    (tmp_path / "plain.yaml").write_text("J_t: 2.0e-4\n")
+    good, plain, history = tmp_path / "2026-01-01.csv", tmp_path / "plain.yaml", tmp_path / "history"
+    assert "no such file" in refused(capsys, "show", "--history", history)
+    assert "no learned engine" in refused(capsys, "add", good, "--engine", plain, "--history", history)
+    assert "none.csv" in refused(capsys, "add", tmp_path / "none.csv", "--engine", plain, "--history", history)
+    assert not history.exists()
+    History(history, "e" * 64)
+    assert "--alarms-per-year" in refused(capsys, "show", "--history", history, "--alarms-per-year", "2")
+    assert "another engine file" in refused(
+        capsys, "add", good, "--engine", learned_file(tmp_path), "--history", history
+    )
+    (history / FILE_NAME).write_bytes(b"x" * 5000)
+    assert FILE_NAME in refused(capsys, "show", "--history", history)
+
+
+def test_a_recording_that_is_no_good_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    drive(20.0).to_csv(tmp_path / "2026-01-01.csv", index=False)
+    mine = learned_file(tmp_path)
+    assert main(["watch", "add", str(tmp_path / "2026-01-01.csv"), "--engine", str(mine), "--history",
+                 str(tmp_path / "history")]) == 2  # fmt: skip
+    assert "2026-01-01.csv: not added: " in capsys.readouterr().out
+    assert main(["watch", "show", "--history", str(tmp_path / "history"), "--out", str(tmp_path / "out")]) == 0
+    assert "holds no recording" in capsys.readouterr().out
+    assert (tmp_path / "out" / "history.html").is_file()

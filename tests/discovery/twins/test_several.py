@@ -1,0 +1,68 @@
+"""Several recordings as one twin: it is its parts, one behind the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dieseltwin.discovery.likelihood.fit import first_fit, parameter_lanes
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.interface import OverRecordings, single
+from dieseltwin.discovery.twins.several import Occasion, SeveralTwin, profiles_of
+from dieseltwin.engine import we2011
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.reader import recording
+from tests.api.simulated import drive
+
+
+@pytest.fixture(scope="module")
+def twin() -> SeveralTwin:
+    parts = [EngineTwin(recording(drive(40.0, seed=k)), we2011.PARAMETERS) for k in (1, 2)]
+    return SeveralTwin(parts, [Occasion(0.0, 298.0), Occasion(30.0, 283.0)])
+
+
+def test_it_is_a_twin_of_all_rows_with_health_of_each(twin: SeveralTwin):
+    assert isinstance(twin, OverRecordings)
+    first, second = twin.parts
+    assert twin.measured.shape[0] == first.time_s.size + second.time_s.size == twin.time_s.size
+    assert np.all(np.diff(twin.time_s) > 0) and len(twin.parameters) == 8
+    assert twin.starts.size == first.starts.size + second.starts.size == len(twin.first_local())
+    lane = first_fit(twin).lanes()
+    assert {name: values.shape for name, values in twin.variables(lane).items()}["p_im"] == twin.time_s.shape
+    assert twin.initial(lane.local).shape == (1, twin.starts.size, 3)
+
+
+def test_every_lane_is_that_of_each_part(twin: SeveralTwin):
+    fit = first_fit(twin)
+    lanes, _ = parameter_lanes(twin, fit)
+    lanes = replace(lanes, magnitudes={"boost_leak": np.full(lanes.size, 1e-5)}, schedules={"boost_leak": twin.spread(
+        np.array([0.0, 1.0]))})  # fmt: skip
+    together = twin.simulate(lanes)
+    for b in (0, 3, 7, lanes.size - 1):
+        for r, (part, rows) in enumerate(zip(twin.parts, twin.rows, strict=True)):
+            local = np.split(lanes.local[b], [twin.parts[0].starts.size])[r]
+            alone = part.simulate(
+                single(lanes.parameters[b, 4 * r : 4 * r + 4], local, magnitudes={"boost_leak": np.full(1, 1e-5 * r)})
+            )[0]
+            assert np.allclose(together[b, rows], alone, rtol=1e-9)
+    assert not np.array_equal(together[1, twin.rows[0]], together[0, twin.rows[0]])  # health of the first recording
+    assert np.array_equal(together[1, twin.rows[1]], together[0, twin.rows[1]])  # is nothing to the second
+
+
+def test_profiles_of_a_year():
+    year = [Occasion(90.0 * k, 290.0 + t) for k, t in enumerate((0.0, 10.0, -12.0, 1.0))]
+    found = profiles_of(year)
+    assert set(found) == {"begins:1", "begins:2", "begins:3", "grows:0", "grows:1", "cold"}
+    assert np.allclose(found["grows:0"], [0.0, 1 / 3, 2 / 3, 1.0])
+    assert np.allclose(found["cold"], [10 / 22, 0.0, 1.0, 9 / 22])
+    assert set(profiles_of(year[:2])) == {"begins:1", "cold"}  # that grew is the same as that it began
+
+
+def test_one_recording_or_other_sensors_are_refused(twin: SeveralTwin):
+    with pytest.raises(InputError, match="two or more"):
+        SeveralTwin(twin.parts[:1], twin.occasions[:1])
+    fewer = EngineTwin(recording(drive(40.0, seed=3)), we2011.PARAMETERS, ("p_im_pa", "p_em_pa", "omega_t_rad_s"))
+    with pytest.raises(InputError, match="sensors"):
+        SeveralTwin([twin.parts[0], fewer], twin.occasions)

@@ -1,0 +1,93 @@
+"""The flow that takes new recordings of a folder into the history of their engine."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import tiny_settings
+
+import dieseltwin as dt
+from dieseltwin.errors import InputError
+from tasks import run_context
+from tasks import watch as steps
+from tasks.failures import StepFailed
+from tasks.progress import Display
+from tasks.run_context import RunContext
+from tasks.workspace import Workspace
+from tests.api.learned import learned_file
+from tests.api.simulated import drive
+
+LONG_AGO = 1.7e9
+
+
+@pytest.fixture
+def fresh(tmp_path: Path) -> Iterator[Callable[[], None]]:
+    """A workspace with small settings; call it for a context that has run nothing yet."""
+    tiny_settings.write_params(tmp_path)
+    codes: dict = {}
+
+    def made() -> None:
+        display = Display(tmp_path / ".cache" / "expected_seconds.json")
+        display.console.quiet = True
+        run_context.use(RunContext(Workspace(tmp_path), display, codes=codes))
+
+    yield made
+    run_context.use(None)
+
+
+def arrived(folder: Path, name: str, seconds: float = 90.0, *, settled: bool = True) -> None:
+    folder.mkdir(exist_ok=True)
+    drive(seconds, seed=len(list(folder.iterdir())) + 40).to_csv(folder / name, index=False)
+    if settled:
+        os.utime(folder / name, (LONG_AGO, LONG_AGO))
+
+
+def test_what_is_new_is_what_the_history_does_not_hold(tmp_path: Path) -> None:
+    mine = learned_file(tmp_path)
+    arrived(tmp_path / "in", "2026-01-01.csv", 20.0)
+    arrived(tmp_path / "in", "2026-02-01.csv", 20.0, settled=False)
+    (tmp_path / "in" / "notes.txt").write_text("not a recording")
+    found = steps.new_recordings(str(tmp_path / "in"), str(mine), str(tmp_path / "history"))
+    assert list(found) == ["2026-01-01.csv"]  # the other one may still be written to
+
+
+def test_wrong_arguments_are_one_line_before_anything_starts(tmp_path: Path) -> None:
+    mine = learned_file(tmp_path)
+    good = {"folder": str(tmp_path), "engine": str(mine), "history": str(tmp_path / "history")}
+    steps.check(good)
+    with pytest.raises(StepFailed, match="no such folder"):
+        steps.check({**good, "folder": str(tmp_path / "none")})
+    (tmp_path / "plain.yaml").write_text("J_t: 2.0e-4\n")
+    with pytest.raises(StepFailed, match="no learned engine"):
+        steps.check({**good, "engine": str(tmp_path / "plain.yaml")})
+    (tmp_path / "history" / "history.sqlite").write_text("no database at all" * 100)
+    with pytest.raises(InputError, match="a history as"):
+        steps.check(good)
+
+
+@pytest.mark.flow
+def test_a_batch_is_added_once_and_logged_once(
+    prefect: None, fresh: Callable[[], None], tmp_path: Path
+) -> None:
+    from flows.watch import watch
+    from tasks.tracking import Tracker
+
+    mine, folder, history = learned_file(tmp_path), tmp_path / "in", tmp_path / "lorry_7"
+    arrived(folder, "2026-01-01.csv")
+    arrived(folder, "2026-02-01.csv", 20.0)  # too short
+    fresh()
+    assert watch("tiny", str(folder), str(mine), str(history)) == ["2026-01-01.csv"]
+    assert [entry.path for entry in dt.history(history).entries] == ["2026-01-01.csv"]
+    page = tmp_path / "reports" / "watch" / "lorry_7" / "history.html"
+    assert "2026-01-01.csv" in page.read_text()
+    fresh()
+    assert watch("tiny", str(folder), str(mine), str(history)) == []
+
+    client = Tracker(Workspace(tmp_path)).client
+    experiment = client.get_experiment_by_name("watch")
+    run, = client.search_runs([experiment.experiment_id])
+    assert run.data.metrics["added"] == run.data.metrics["refused"] == run.data.metrics["recordings"] == 1.0
+    assert run.data.metrics["alarm"] == 0.0 and run.data.params["history"] == "lorry_7"

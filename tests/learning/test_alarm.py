@@ -1,0 +1,118 @@
+"""The alarm over a history: its rate of false alarms, what it finds, and what it doesn't depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal, norm
+
+from dieseltwin.learning.alarm import Course, Score, course
+from dieseltwin.settings.params import load_params
+
+SETTINGS = load_params().watch.model_copy(update={"inflation": 1.0})
+FIRST = datetime(2026, 1, 1, tzinfo=UTC)
+TOLERANCE, NOISE, SHARED = 4e-6, 3e-6, 3e-6
+NAMES = {"boost_leak": "intake_mass_balance", "exhaust_leak": "exhaust_mass_balance", "w_c_gain": "sensor:w_c_kg_s"}
+
+
+def histories(count: int, recordings: int, seed: int) -> list[list[list[Score]]]:
+    """Estimates of a healthy engine: one error that is the same in all recordings, and noise."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for _ in range(count):
+        open_of_maps = rng.standard_normal(len(NAMES))
+        out.append([
+            [
+                Score(
+                    name, site, "m2", TOLERANCE, k < 2, SHARED * open_of_maps[k] + NOISE * rng.standard_normal(), NOISE,
+                    SHARED * np.eye(len(NAMES))[k],
+                )
+                for k, (name, site) in enumerate(NAMES.items())
+            ]
+            for _ in range(recordings)
+        ])  # fmt: skip
+    return out
+
+
+def dates(count: int, years: float) -> list[datetime]:
+    return [FIRST + timedelta(days=365.25 * years * k / (count - 1)) for k in range(count)]
+
+
+def with_fault(scores: Sequence[Sequence[Score]], name: str, sizes: Sequence[float]) -> list[list[Score]]:
+    return [
+        [replace(score, estimate=score.estimate + size * (score.name == name)) for score in some]
+        for some, size in zip(scores, sizes, strict=True)
+    ]
+
+
+def test_false_alarms_stay_below_the_rate_that_is_stated():
+    rate, years = 0.2, 3.0
+    settings = SETTINGS.model_copy(update={"alarms_per_year": rate, "least_size": 0.0})
+    some = histories(400, 40, 3)
+    alarms = sum(course(scores, dates(40, years), settings).alarm is not None for scores in some)
+    assert alarms / len(some) <= rate * years  # the mean is bounded; what is seen lies well below
+    means = np.mean([course(scores, dates(40, years), settings).evidence[-1] for scores in some])
+    assert means < years
+
+
+def _found(sizes: Sequence[float], seed: int = 8) -> Course:
+    scores = histories(1, len(sizes), seed)[0]
+    return course(with_fault(scores, "boost_leak", sizes), dates(len(sizes), 1.0), SETTINGS)
+
+
+def test_a_leak_that_begins_is_found_named_and_dated():
+    found = _found([0.0] * 6 + [25e-6] * 6).alarm
+    assert found is not None and found.at in (7, 8)
+    assert found.name == "boost_leak" and found.share > 0.9 and not found.others
+    day = FIRST + timedelta(days=365.25 * 6 / 11)
+    assert found.earliest <= day <= found.latest
+    assert abs(found.size - 25e-6) < 4.0 * found.std
+
+
+def test_a_leak_that_grows_is_told_from_one_that_begins():
+    found = _found(np.linspace(0.0, 40e-6, 12)).alarm
+    assert found is not None and found.name == "boost_leak"
+    assert _found([0.0] * 12).alarm is None
+
+
+def test_one_odd_recording_is_no_alarm():
+    sizes = [0.0] * 12
+    sizes[6] = 500e-6
+    assert _found(sizes).alarm is None
+
+
+def test_what_is_open_of_the_maps_is_no_change():
+    """An estimate that is off in all recordings alike, by what the reference left open, is what a map does."""
+    scores = [[replace(score, estimate=2.0 * SHARED, noise_std=0.1 * NOISE) for score in some]
+              for some in histories(1, 30, 4)[0]]  # fmt: skip
+    assert course(scores, dates(30, 2.0), SETTINGS).alarm is None
+
+
+def test_evidence_is_the_integral_that_it_claims():
+    scores = [some[:1] for some in histories(1, 3, 11)[0]]
+    days = dates(3, 0.5)
+    values = np.array([some[0].estimate for some in scores])
+    covariance = SHARED**2 * np.ones((3, 3)) + NOISE**2 * np.eye(3)
+    years = np.array([0.0, 0.25, 0.5])
+    weights = [0.5, 0.125, 0.125]
+    begins = [multivariate_normal(cov=covariance).pdf(values)]
+
+    def ratio(profile: np.ndarray, spread: float) -> float:
+        def density(size: float) -> float:
+            shifted = multivariate_normal(mean=size * profile, cov=covariance).pdf(values)
+            return float(2.0 * norm.pdf(size, scale=spread) * shifted / begins[0])
+
+        return float(quad(density, 0.0, 12.0 * spread, points=[NOISE, 5.0 * NOISE], limit=200)[0])
+
+    expected = 0.0
+    for k, weight in enumerate(weights):
+        before = years[max(k - 1, 0)]
+        step = ratio((years >= years[k]).astype(float), SETTINGS.step_size * TOLERANCE)
+        growth = ratio(np.maximum(years - before, 0.0), SETTINGS.growth_size * TOLERANCE)
+        expected += weight * 0.5 * (step + growth)
+    assert course(scores, days, SETTINGS).evidence[-1] == pytest.approx(expected, rel=1e-4)

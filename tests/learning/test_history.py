@@ -1,0 +1,105 @@
+"""The history of an engine: nothing lost, nothing double, nothing damaged unseen."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dieseltwin.errors import InputError
+from dieseltwin.learning.alarm import Score
+from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, to_json
+
+ENGINE = "e" * 64
+
+
+def entry(k: int) -> Entry:
+    rng = np.random.default_rng(k)
+    score = Score("boost_leak", "intake_mass_balance", "m2", 4e-6, True, 1e-6 * k, 1e-6, rng.standard_normal(5))
+    health = rng.uniform(1.0, 2.0, 4)
+    return Entry(
+        f"{k:064d}", f"{k}.csv", f"2026-01-{k + 1:02d}T00:00:00+00:00", "file name", 0.1, 1e5, 298.0, health,
+        np.diag(health), health, 0.1 * health, (score,), "healthy", "Nothing.",
+    )  # fmt: skip
+
+
+def test_an_entry_comes_back_bit_for_bit():
+    before = entry(3)
+    after = from_json(to_json(before))
+    assert after is not None and to_json(after) == to_json(before)
+    assert np.array_equal(after.scores[0].shared, before.scores[0].shared)
+    assert from_json("{}") is None and from_json("no JSON") is None
+
+
+def test_order_and_repetition_of_adding_do_not_matter(tmp_path: Path):
+    forth, back = History(tmp_path / "a", ENGINE), History(tmp_path / "b", ENGINE)
+    for k in range(4):
+        assert forth.add(entry(k))
+        assert back.add(entry(3 - k))
+    assert not forth.add(entry(2)) and forth.holds(entry(2).sha256) and not forth.holds("f" * 64)
+    assert [to_json(e) for e in forth.entries()] == [to_json(e) for e in back.entries()]
+    assert [e.path for e in History(tmp_path / "a").entries()] == ["0.csv", "1.csv", "2.csv", "3.csv"]
+
+
+KILLED = """
+import os, sqlite3, sys
+sys.path[:0] = {path!r}
+from tests.learning.test_history import ENGINE, entry
+from dieseltwin.learning.history import History
+store = History({folder!r}, ENGINE)
+store.add(entry(0))
+with store._opened() as connection:
+    connection.execute("INSERT INTO recordings SELECT 'x', date, hours, p_amb_pa, t_amb_k, verdict, row, checksum "
+                       "FROM recordings")
+    os.kill(os.getpid(), 9)
+"""
+
+
+def test_a_kill_in_the_middle_loses_what_was_being_added_alone(tmp_path: Path):
+    code = KILLED.format(path=sys.path, folder=str(tmp_path))
+    assert subprocess.run([sys.executable, "-c", code], check=False, env=dict(os.environ)).returncode == -9
+    store = History(tmp_path, ENGINE)
+    assert [e.path for e in store.entries()] == ["0.csv"]
+    assert store.add(entry(1)) and len(store.entries()) == 2
+
+
+@pytest.mark.parametrize("damage", ["row", "number", "truncated", "other", "foreign"])
+def test_a_damaged_history_is_refused_in_one_line(tmp_path: Path, damage: str):
+    store, path = History(tmp_path, ENGINE), tmp_path / FILE_NAME
+    for k in range(3):
+        store.add(entry(k))
+    if damage in ("row", "number"):
+        change = {"row": "row = replace(row, '1.csv', '9.csv')", "number": "checksum = 'no'"}[damage]
+        with sqlite3.connect(path) as connection:
+            connection.execute(f"UPDATE recordings SET {change}")
+        connection.close()
+    elif damage == "truncated":
+        path.write_bytes(path.read_bytes()[:5000])
+    elif damage == "other":
+        path.write_bytes(b"no database at all, but some text that is long enough to be looked at " * 20)
+    else:
+        path.unlink()
+        with sqlite3.connect(path) as connection:
+            connection.execute("CREATE TABLE about (key TEXT, value TEXT)")
+        connection.close()
+    with pytest.raises(InputError, match=FILE_NAME) as refused:
+        History(tmp_path, ENGINE).entries()
+    assert "\n" not in str(refused.value)
+
+
+def test_a_history_belongs_to_one_engine(tmp_path: Path):
+    History(tmp_path, ENGINE).add(entry(0))
+    with pytest.raises(InputError, match="another engine file"):
+        History(tmp_path, "f" * 64)
+    with pytest.raises(InputError, match="no such file"):
+        History(tmp_path / "none")
+
+
+def test_dates_are_compared_as_moments():
+    assert replace(entry(0), date="2026-01-01T01:00:00+01:00").moment == entry(0).moment
