@@ -28,7 +28,7 @@ export PYTHONUNBUFFERED := 1
 export DIESELTWIN_CLUSTER := $(CLUSTER)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run repro discover proof evaluate promote test check docs ui serve
+.PHONY: help setup run repro discover proof evaluate bench promote test check docs ui serve
 
 help:  ## this list
 	@echo "make run    the whole chain: data, pretraining, identification, report (PROFILE=quick or paper)"
@@ -36,6 +36,7 @@ help:  ## this list
 	@echo "make discover  what physics the twin left out (RECORDINGS='a.csv b.parquet'; none: a concealed machine)"
 	@echo "make proof  the concealed benchmark: 40 machines, at most 15 minutes (PROFILE=paper: 300)"
 	@echo "make evaluate  the paper's tables and figures, from ensembles of every method (PROFILE=quick or paper)"
+	@echo "make bench  every speed, part by part, into docs/speed.md; goes on where it was stopped (PROFILE=paper: an hour)"
 	@echo "make promote  put newly trained networks into MLflow's registry, in use unless they are worse"
 	@echo "make test   all tests"
 	@echo "make check  style, types, import directions, hygiene"
@@ -74,6 +75,9 @@ proof: $(READY)  ## the concealed benchmark of the profile; goes on where it was
 
 evaluate: $(READY)  ## the paper's tables and figures
 	@$(BIN)/python -m flows.evaluate --profile $(PROFILE)
+
+bench: $(READY)  ## docs/speed.md
+	@$(BIN)/python benchmarks/bench.py $(if $(filter paper,$(PROFILE)),--full)
 
 promote: $(READY)  ## the registry's champion, from models/
 	@$(BIN)/python -m flows.promote --profile $(PROFILE)

@@ -16,8 +16,8 @@ class Note(str):
         code: misfit and residuals (the twin doesn't fit), untested (whether it fits isn't known), more_is_missing,
             not_converged, not_identifiable, out_of_range, extrapolated, left_out, missing_sensor, frozen_channel,
             replayed_channel, clipped_channel, spikes, short, wrong_engine, reading (what was done to the file),
-            reference (about what was learned), dates (of several recordings), false_alarms (of a calibration on pieces
-            without fault).
+            reference (about what was learned), dates (of several recordings), long (a part was
+            judged), out_of_time, false_alarms (of a calibration on pieces without fault).
         affects: columns, or segments, that it is about; none: the whole answer.
     """
 

@@ -181,7 +181,8 @@ def page(
     import pandas as pd
 
     from dieseltwin.paper.evaluation.page import build_page
-    from dieseltwin.report import load_results, write_report_inputs
+    from dieseltwin.report.inputs import write_report_inputs
+    from dieseltwin.report.results import load_results
     from tasks.ensembles import problems_for
     from tasks.identify import problems_of
     from tasks.store import RUNTIME

@@ -58,7 +58,9 @@ def comparison(
     import shutil
     import tempfile
 
-    from dieseltwin.report import load_results, summary_table, write_report_inputs
+    from dieseltwin.report.inputs import write_report_inputs
+    from dieseltwin.report.results import load_results
+    from dieseltwin.report.tables import summary_table
     from tasks.identify import problems_of
 
     problems, truth_states = problems_of(field, settings)
@@ -114,7 +116,9 @@ def report(
     import shutil
     import tempfile
 
-    from dieseltwin.report import build_report, load_results, summary_table, summary_text
+    from dieseltwin.report.html import build_report
+    from dieseltwin.report.results import load_results
+    from dieseltwin.report.tables import summary_table, summary_text
 
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "results"

@@ -36,6 +36,7 @@ def discover(
     map_tolerance: float | None = None,
     seed: int = 0,
     reference: Sequence[Source | Recording] = (),
+    time_s: float | None = None,
 ) -> Discovered:
     """Find what physics the twin leaves out: where, what, how large, since when.
 
@@ -52,11 +53,13 @@ def discover(
             params.yaml, where all else that is decided by stands too.
         seed: of everything random.
         reference: recordings of the engine when it was known to be well; it is learned from them first.
+        time_s: for a recording of the diesel engine, after so many seconds the best answer so far is given and says so;
+            None is that of params.yaml.
 
     Raises:
         InputError: anything that can't be used, or that can't carry a verdict.
     """
-    asked = Asked(sensors, withhold, map_tolerance, seed, reference)
+    asked = Asked(sensors, withhold, map_tolerance, seed, reference, time_s=time_s)
     return ask(recording, engine, channels, asked).answer()
 
 
@@ -68,7 +71,7 @@ def ask(
 ) -> Question:
     """Read and check all that `discover` needs, and search for nothing yet; the errors are those of it."""
     asked = asked or Asked()
-    no_reference = {"--reference": tuple(asked.reference) or None}
+    no_reference = {"--reference": tuple(asked.reference) or None, "--time": asked.time_s}
     machine = as_engine(engine)
     if not isinstance(recording, _ONE):
         if len(recording) != 1:

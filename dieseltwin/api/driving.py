@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +32,7 @@ from dieseltwin.learning.files import LearnedEngine, overlap
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
+from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
 from dieseltwin.report.discovery_words import magnitude_words
@@ -43,6 +45,7 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_REPORT_S = 5.0  # of a time limit that document, figures and page need
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
 _MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
 OWNED = ("figures", "report.html", "report.pdf", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
@@ -64,7 +67,7 @@ class DrivingDiscovered(Discovered):
 
     @property
     def document(self) -> Discrepancy:
-        return with_warnings(self.found.document, self.question.notes)
+        return with_warnings(self.found.document, [*self.question.notes, *_time_notes(self.found.document)])
 
     @property
     def engine(self) -> EngineParameters:
@@ -93,8 +96,9 @@ class DrivingDiscovered(Discovered):
             write_text(folder / "engine.yaml", engine_yaml(self.engine))
             stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
             sensors = self.question.options.sensors
-            implied = implied_frame(self.question.recording, self.engine, stds, sensors=sensors,
-                                    starts=self.found.starts, local=self.found.local)  # fmt: skip
+            judged, whole = self.question.recording, self.question.whole
+            starts, local = (self.found.starts, self.found.local) if whole is judged else (None, None)
+            implied = implied_frame(whole, self.engine, stds, sensors=sensors, starts=starts, local=local)
             implied.to_parquet(folder / "implied.parquet", index=False, write_page_checksum=True)
             told = replace(self.found, document=self.document)
             discovery_page.build_discovery_report(told, folder / "report.html", figures_dir=folder / "figures")
@@ -111,13 +115,15 @@ class DrivingQuestion(Question):
     """A recording of the diesel engine, checked.
 
     Attributes:
-        recording: what was recorded.
+        recording: what is judged.
+        whole: what was recorded: the same, or longer (`liveliest`).
         parameters: what the twin believes.
         options: of the search; its sensors are those that are there.
         asked: the question as JSON types: what has to agree for old results to be an answer to it.
         notes: what is doubtful about the recording, one sentence each.
         began: clock when it was asked [s].
         known: what was learned of the engine from recordings of when it was well.
+        time_s: of the whole discovery [s]; None: as long as it takes.
         days: all recordings in time order, where several are judged together; `recording` is then the last.
     """
 
@@ -127,7 +133,9 @@ class DrivingQuestion(Question):
     asked: Mapping[str, Any]
     notes: tuple[str, ...]
     began: float
+    whole: Recording
     known: LearnedEngine | None = None
+    time_s: float | None = None
     days: tuple[Dated, ...] = ()
 
     @property
@@ -144,12 +152,17 @@ class DrivingQuestion(Question):
         return f"{self.recording.path or 'recording'}: {self.recording.duration_s:.0f} s, {sensors} ..."
 
     @cached_property
+    def prepared(self) -> core.Prepared:
+        """What this recording could show."""
+        return core.prepare(self.recording, self.parameters, self.options, self.known)
+
+    @property
     def smallest(self) -> Mapping[str, float]:
         """Effect -> smallest magnitude that this recording could show [unit of the effect]."""
         if self.days:
             twin = core.several_twin(self.days, self.parameters, self.options, self.known)
             return core.visible_sizes(twin, self.options.settings())
-        return core.prepare(self.recording, self.parameters, self.options, self.known).minimum_detectable
+        return self.prepared.minimum_detectable
 
     def _check_sensitivity(self) -> None:
         limits = {name: max(map(abs, effect.limits)) for name, effect in EFFECTS.items()}
@@ -174,12 +187,22 @@ class DrivingQuestion(Question):
 
     def answer(self) -> DrivingDiscovered:
         self._check_sensitivity()
+        left = None
+        if self.time_s is not None:
+            left = max(0.0, self.time_s - _REPORT_S - (time.perf_counter() - self.began))
         if self.days:
-            found = core.discover_together(self.days, self.parameters, self.options, self.known)
+            found = core.discover_together(self.days, self.parameters, self.options, self.known, left)
         else:
-            found = core.discover(self.recording, self.parameters, self.options, self.known)
+            found = core.discover(self.recording, self.parameters, self.options, self.known, self.prepared, left)
         check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
+
+
+def _time_notes(document: Discrepancy) -> list[Note]:
+    if document.out_of_time is None:
+        return []
+    unfinished = ", ".join(document.out_of_time.unfinished)
+    return [Note(f"the time was over before the search was through: not finished are {unfinished}", "out_of_time")]
 
 
 def ask_driving(
@@ -203,15 +226,18 @@ def ask_driving(
     if learned is not None:
         asked["reference_sha256"] = [item.sha256 for item in learned.recordings]
     parameters = diesel_engine(engine) if learned is None else learned.engine
-    sources = [_read(recording, channels, parameters) for recording in recordings]
+    wholes = [_read(recording, channels, parameters) for recording in recordings]
+    most = question.settings.minutes_max
+    sources = [whole if most is None else liveliest(whole, most) for whole in wholes]
     days = in_time_order(sources) if len(sources) > 1 else ()
     notes: list[Note] = [*doubts, *_date_notes(days)]
     sensors = []
-    for source in sources:
+    for source, whole in zip(sources, wholes, strict=True):
         used, own = check_recording(source, parameters, asked["sensors"])
         where = f"{source.path or 'recording'}: " if days else ""
         notes += [Note(f"{where}{note}", "reading") for note in source.notes]
         notes += [Note(f"{where}{note.removeprefix('note: ')}", note.code, note.affects) for note in own]
+        notes += _length_notes(where, source, whole)
         sensors.append(used)
         if learned is not None:
             _check_apart(learned, source)
@@ -221,7 +247,19 @@ def ask_driving(
     options = Options(sensors=common, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
                       seed=question.seed, search=question.settings.search.driving)
     last = days[-1].recording if days else sources[0]
-    return DrivingQuestion(last, parameters, options, asked, tuple(notes), began, learned, days)
+    whole = next(whole for source, whole in zip(sources, wholes, strict=True) if source is last)
+    return DrivingQuestion(
+        last, parameters, options, asked, tuple(notes), began, whole, learned, asked["time_s"], days
+    )
+
+
+def _length_notes(where: str, judged: Recording, whole: Recording) -> list[Note]:
+    """That a part of a long recording is judged, where it is."""
+    if judged is whole:
+        return []
+    of_all = f"{minutes_of(judged):.0f} of {minutes_of(whole):.0f} minutes with the engine running"
+    return [Note(f"{where}judged by {of_all}, the liveliest stretches, spread over the recording;"
+                 " `discover.minutes_max` of params.yaml says how many", "long")]  # fmt: skip
 
 
 def _date_notes(days: Sequence[Dated]) -> list[Note]:
@@ -256,11 +294,15 @@ def _asked(engine: Engine | str | Path | None, channels: Channels | None, questi
         raise InputError("--map-tolerance", f"{map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
     if seed < 0:
         raise InputError("--seed", seed, "0 or more", "choose another")
+    time_s = settings.time_s if question.time_s is None else question.time_s
+    if time_s is not None and not 0.0 < time_s < math.inf:
+        raise InputError("--time", f"{time_s:g}", "a positive number of seconds", "choose another or leave it out")
     if sensors is not None and not sensors:
         raise InputError("--sensors", "no name", f"columns such as {','.join(SENSORS)}", "name some or leave it out")
     return {
         "sensors": None if sensors is None else sorted(set(sensors)), "withhold": sorted(set(withhold)),
-        "map_tolerance": map_tolerance, "seed": seed, "engine_sha256": _engine_sha256(engine),
+        "map_tolerance": map_tolerance, "seed": seed, "time_s": time_s,
+        "minutes_max": settings.minutes_max, "engine_sha256": _engine_sha256(engine),
         "channels_sha256": _sha256(channels) if isinstance(channels, str | Path) else None,
         "search_sha256": params_sha256(settings.search.driving.model_dump(mode="json")), "code_version": __version__,
     }  # fmt: skip

@@ -36,6 +36,7 @@ class Asked:
         seed: of everything random.
         reference: recordings of the engine when it was known to be well; it is learned from them first.
         settings: what is decided by; `discover` of params.yaml.
+        time_s: of the whole discovery [s], after which the best answer so far is given; None: the settings'.
     """
 
     sensors: Sequence[str] | None = None
@@ -44,6 +45,7 @@ class Asked:
     seed: int = 0
     reference: Sequence[Source | Recording] = ()
     settings: DiscoverConfig = field(default_factory=lambda: load_params().discover)
+    time_s: float | None = None
 
 
 class Discovered(Result):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin import report
 from dieseltwin.api.engines import Engine, diesel_engine
 from dieseltwin.api.figures import drawn
 from dieseltwin.api.reading import Channels, Source, diesel_recording
@@ -19,6 +18,7 @@ from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.fit_test import fit_notes
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.identification.curves import curves_table
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification
@@ -28,6 +28,7 @@ from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report import timeseries, violins
+from dieseltwin.report.identification import identification_figures
 from dieseltwin.report.inputs import results_of
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.methods import EXACT, Method, find
@@ -128,11 +129,11 @@ class Identified(Result):
                        sealed_json({**self.found.to_json(), "warnings": self.warnings}))
             write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
             self.found.states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)
-            curves = report.curves_table(self.found)
+            curves = curves_table(self.found)
             if curves is not None:
                 curves.to_parquet(folder / "curves.parquet", index=False, write_page_checksum=True)
             name = self.provenance.get("recording", "")
-            report.identification_figures(self.found, self.problems, folder / "figures", folder / "report.html", name)
+            identification_figures(self.found, self.problems, folder / "figures", folder / "report.html", name)
         return Path(out)
 
     @property

@@ -56,6 +56,10 @@ def discover_command(
         list[Path] | None,
         typer.Option("--reference", metavar="HEALTHY", help="Recording of the engine when it was well; repeatable."),
     ] = None,
+    time_s: Annotated[
+        float | None,
+        typer.Option("--time", metavar="S", help="Seconds after which the best answer so far is given; no limit."),
+    ] = None,
     params: ParamsFile = None,
     profile: Profile = "quick",
     pdf: Pdf = False,
@@ -76,7 +80,8 @@ def discover_command(
         say(explain(name, out))
         return
     settings = load_params(params, profile).discover
-    asked = Asked(_names(sensors), _names(withhold), map_tolerance, seed, tuple(reference or ()), settings)
+    asked = Asked(_names(sensors), _names(withhold), map_tolerance, seed, tuple(reference or ()), settings,
+                  time_s)
     question = ask(tuple(recordings), engine, channels, asked)
     if name is not None:
         if not question.catalogue:

@@ -34,9 +34,11 @@ class Prepared:
 
     Attributes:
         minimum_detectable: effect -> smallest magnitude that would raise an alarm [unit of the effect].
+        twin: bound to the recording, for `discover`.
     """
 
     minimum_detectable: Mapping[str, float]
+    twin: EngineTwin
 
 
 def prepare(
@@ -49,7 +51,7 @@ def prepare(
     """
     options = options or Options()
     twin = _twin(recording, engine, options, learned)
-    return Prepared(visible_sizes(twin, options.settings()))
+    return Prepared(visible_sizes(twin, options.settings()), twin)
 
 
 def visible_sizes(twin: EngineTwin | SeveralTwin, settings: SearchSettings) -> dict[str, float]:
@@ -63,8 +65,9 @@ def visible_sizes(twin: EngineTwin | SeveralTwin, settings: SearchSettings) -> d
 
 
 def discover(
-    recording: Recording, engine: EngineParameters, options: Options | None = None, learned: LearnedEngine | None = None
-) -> Discovery:
+    recording: Recording, engine: EngineParameters, options: Options | None = None,
+    learned: LearnedEngine | None = None, prepared: Prepared | None = None, time_s: float | None = None,
+) -> Discovery:  # fmt: skip
     """Detect, locate, name, model, prove.
 
     Args:
@@ -72,23 +75,25 @@ def discover(
         engine: what the twin believes; its terms are part of it.
         options: None for the defaults.
         learned: what is known of the engine from recordings of when it was well; `engine` is then its own.
+        prepared: of the same recording and engine, where that was asked before: its twin is used again.
+        time_s: of the search, after which the best answer so far is given; None: no limit.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     options = options or Options()
     clock = time.perf_counter()
-    twin = _twin(recording, engine, options, learned)
-    found = search.run(twin, options.settings(), laws=options.law_search)
+    twin = _twin(recording, engine, options, learned) if prepared is None else prepared.twin.fresh()
+    found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
     day = Dated(recording, datetime.fromtimestamp(0.0, UTC), ORDER)
-    result = assemble([day], found, options, _reference(found, learned))
+    result = assemble([day], found, options, _reference(found, learned), time_s)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
     return replace(_with_doubts(result, engine, [recording]), runtime=runtime)
 
 
 def discover_together(
     days: Sequence[Dated], engine: EngineParameters, options: Options | None = None,
-    learned: LearnedEngine | None = None,
+    learned: LearnedEngine | None = None, time_s: float | None = None,
 ) -> Discovery:  # fmt: skip
     """As `discover`, of several recordings of one engine: one verdict, with the health of each.
 
@@ -97,7 +102,7 @@ def discover_together(
 
     Args:
         days: two recordings or more, in time order.
-        engine, options, learned: as of `discover`.
+        engine, options, learned, time_s: as of `discover`.
 
     Raises:
         InputError: as `discover`, or recordings without a common set of sensors.
@@ -105,8 +110,8 @@ def discover_together(
     options = options or Options()
     clock = time.perf_counter()
     twin = several_twin(days, engine, options, learned)
-    found = search.run(twin, options.settings(), laws=options.law_search)
-    result = assemble(days, found, options, _reference(found, learned))
+    found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
+    result = assemble(days, found, options, _reference(found, learned), time_s)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
     return replace(_with_doubts(result, engine, [day.recording for day in days]), runtime=runtime)
 

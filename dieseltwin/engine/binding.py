@@ -172,8 +172,10 @@ def _cached_numba_primitives() -> dict[str, Any]:
     return _numba_primitives()
 
 
-def primitives_of(backend: Backend) -> dict[str, Any]:
-    """The primitives of a backend by name."""
+def primitives_of(backend: Backend | Mapping[str, Any]) -> dict[str, Any]:
+    """The primitives of a backend by name; a backend of one's own is given by them (`array_namespace.PRIMITIVES`)."""
+    if not isinstance(backend, str):
+        return dict(backend)
     if backend == "numpy":
         return {name: getattr(array_namespace, name) for name in array_namespace.PRIMITIVES}
     if backend == "torch":
@@ -193,7 +195,7 @@ def _named_values(module: types.ModuleType) -> Scope:
     }  # fmt: skip
 
 
-def _in_scope(function: Any, scope: Scope, backend: Backend) -> Function:
+def _in_scope(function: Any, scope: Scope, backend: Backend | Mapping[str, Any]) -> Function:
     copy = types.FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
     copy.__doc__ = function.__doc__
     copy.__module__ = scope["__name__"]
@@ -204,11 +206,11 @@ def _in_scope(function: Any, scope: Scope, backend: Backend) -> Function:
     return copy
 
 
-def bind(backend: Backend, replace: Mapping[str, Function] | None = None) -> Model:
+def bind(backend: Backend | Mapping[str, Any], replace: Mapping[str, Function] | None = None) -> Model:
     """The model's equations over a backend, with some of them replaced.
 
     Args:
-        backend: "numpy" (arrays), "torch" (differentiable tensors) or "numba" (compiled scalars).
+        backend: "numpy" (arrays), "torch" (differentiable tensors), "numba" (compiled scalars), or primitives by name.
         replace: equation name -> function of the same signature, for instance learned maps (`MAPS`). For "numba"
             the functions must be compiled ones.
 

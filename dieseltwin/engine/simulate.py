@@ -10,7 +10,7 @@ import pandas as pd
 from dieseltwin.engine._compiled import LANES, follow_oxygen, integrate_block, integrate_one
 from dieseltwin.engine.actuation import actuate
 from dieseltwin.engine.binding import numpy_model
-from dieseltwin.engine.extended_frame import extended_frame, published_frame
+from dieseltwin.engine.extended_frame import columns_along
 from dieseltwin.engine.extended_terms import along, simulate_lanes, simulate_terms
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate_like
 from dieseltwin.engine.observations import Observations, pool, thread_count
@@ -153,7 +153,7 @@ def simulate(
 
     Returns:
         One row per sample (history left out), columns as in the reference traces, and x_oim, x_oem, lambda,
-        egr_fraction, torque_nm; with terms further ones (`extended_frame.extended_frame`).
+        egr_fraction, torque_nm; with terms further ones (`extended_frame.columns_along`).
     """
     inputs = inputs.clipped(parameters)
     actuation = actuate(inputs, parameters, step_s)
@@ -185,12 +185,10 @@ def _simulated(actuation: Actuation, parameters: EngineParameters, initial: np.n
 def quantities_frame(states: np.ndarray, actuation: Actuation, parameters: EngineParameters) -> pd.DataFrame:
     """Every algebraic quantity at given states, shape (n, 5), as a table in the columns of the reference traces.
 
-    With terms the columns of `extended_frame.extended_frame`.
+    With terms all columns of `extended_frame.columns_along`.
     """
-    if parameters.terms:
-        return extended_frame(states, actuation, parameters)
-    q = numpy_model().quantities(*states.T, *actuation.at_samples(), constants(parameters))
-    return published_frame(states, actuation, q, parameters)
+    columns = columns_along(states, actuation, parameters.terms, constants(parameters), bool(parameters.terms))
+    return pd.DataFrame(columns)
 
 
 def _oxygen(

@@ -8,13 +8,14 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.states import INTERVAL, StateSamples, segment_states
@@ -23,7 +24,7 @@ from dieseltwin.identification.unknowns import HEALTH, UNITS
 Array = NDArray[np.float64]
 
 SCHEMA = 1
-Z_90 = float(stats.norm.ppf(0.5 + INTERVAL / 2.0))
+Z_90 = float(ndtri(0.5 + INTERVAL / 2.0))
 """Half width of the 90 % interval in standard deviations."""
 MEMBERS_FOR_QUANTILES = 20
 """From this many members on, the spread is read as quantiles; below, a Student interval is used."""
@@ -257,7 +258,7 @@ class Identification:
             "versions": versions,
         }
 
-    @property
+    @cached_property
     def states(self) -> pd.DataFrame:
         """States and derived quantities of every segment (column `segment`: 0, 1, ..); see `states.segment_states`."""
         parts = []
@@ -297,7 +298,7 @@ def _combine_runs(values: Array, own: Array) -> tuple[float, float, tuple[float,
         return mean, std, (float(low), float(high))
     if len(values) < 2:
         return mean, math.nan, None
-    half = float(stats.t.ppf(0.5 + INTERVAL / 2.0, len(values) - 1)) * std
+    half = float(stdtrit(len(values) - 1, 0.5 + INTERVAL / 2.0)) * std
     return mean, std, (mean - half, mean + half)
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.engine import HEALTH, actuate, quantities_frame
+from dieseltwin.engine.extended_frame import lanes_along
 from dieseltwin.identification.problem import SegmentProblem
 
 INTERVAL = 0.90
@@ -58,15 +59,10 @@ def segment_states(
     if samples is None:
         return table
     columns = [c for c in table.columns if c not in _INPUTS + _ACTUATORS]
-    drawn = np.stack(
-        [
-            quantities_frame(
-                path, actuation, problem.parameters.replace(**dict(zip(HEALTH, map(float, values), strict=True)))
-            )[columns].to_numpy()
-            for path, values in zip(samples.states, samples.parameters, strict=True)
-        ]
-    )
-    low, high = np.quantile(drawn, [0.5 - INTERVAL / 2.0, 0.5 + INTERVAL / 2.0], axis=0)
-    bands = {f"{c}{LOW}": low[:, j] for j, c in enumerate(columns)}
-    bands.update({f"{c}{HIGH}": high[:, j] for j, c in enumerate(columns)})
+    health_of_draw = dict(zip(HEALTH, samples.parameters.T, strict=True))
+    drawn = lanes_along(samples.states, actuation, problem.parameters, **health_of_draw)
+    edges = [0.5 - INTERVAL / 2.0, 0.5 + INTERVAL / 2.0]
+    limits = {name: np.quantile(drawn[name], edges, axis=0) for name in columns}
+    bands = {f"{name}{LOW}": low for name, (low, _) in limits.items()}
+    bands.update({f"{name}{HIGH}": high for name, (_, high) in limits.items()})
     return pd.concat([table, pd.DataFrame(bands)], axis=1)

@@ -288,6 +288,13 @@ def _what_words(document: Discrepancy) -> str:
     return f"{subject} {'in a way ' if off else ''}that no effect of the catalogue explains ({found}){beside}"
 
 
+def _time_words(document: Discrepancy) -> list[str]:
+    """That the search was ended by its time limit, where it was."""
+    if document.out_of_time is None:
+        return []
+    return [f"the time for the search was over before it was through with {_listing(document.out_of_time.unfinished)}"]
+
+
 _EXAMPLES = ("boost_leak", "back_pressure", "bearing_friction")
 
 
@@ -300,7 +307,7 @@ def _healthy(document: Discrepancy) -> str:
             "tolerances of the maps explain it")
     if shown:
         text += f"; {_listing(shown)} would have been seen, smaller ones cannot be ruled out"
-    return text + "."
+    return "; ".join([text, *_time_words(document)]) + "."
 
 
 def sentence(document: Discrepancy) -> str:
@@ -315,5 +322,6 @@ def sentence(document: Discrepancy) -> str:
             _held_out_words(document),
             _apart_words(document),
             *_left_words(document),
+            *_time_words(document),
         ]
     ) + "."

@@ -127,6 +127,7 @@ class ReportFigure:
         with mpl.rc_context(RC):
             if self.kind == "png":
                 return _png(self.figure, dpi)
+            _lay_out(self.figure)
             buffer = io.BytesIO()
             self.figure.savefig(buffer, format="svg", metadata={"Date": None})
             return buffer.getvalue()
@@ -135,6 +136,14 @@ class ReportFigure:
         """Write ``<directory>/<name>.<kind>`` atomically and return its path."""
         Path(directory).mkdir(parents=True, exist_ok=True)
         return write_bytes(Path(directory) / f"{self.name}.{self.kind}", self.encode())
+
+
+def _lay_out(figure: Figure) -> None:
+    """Give every panel its place, for good: `savefig` would draw the whole figure once more for a layout of its own."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
 
 
 def _png(figure: Figure, dpi: int) -> bytes:

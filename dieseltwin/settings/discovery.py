@@ -25,6 +25,8 @@ class DiscoverConfig(StrictModel):
     map_tolerance: NonNegativeFloat = Field(description="rms of the smooth error that is believed of the maps [-]")
     seed: NonNegativeInt
     concealed_seed: NonNegativeInt = Field(description="of the concealed recording that the flow makes for itself")
+    minutes_max: PositiveFloat | None = Field(description="of driving that are judged of a longer recording; null: all")
+    time_s: PositiveFloat | None = Field(description="of a whole discovery of a recording [s]; null: any")
     search: SearchConfig
 
 

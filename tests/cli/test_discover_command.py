@@ -67,7 +67,8 @@ class FakeCore:
         self.options = options
         return SimpleNamespace(minimum_detectable=self.smallest)
 
-    def discover(self, source: Recording, engine: Any, options: Any, known: Any = None) -> Discovery:
+    def discover(self, source: Recording, engine: Any, options: Any, known: Any = None, prepared: Any = None,
+                 time_s: float | None = None) -> Discovery:  # fmt: skip
         self.asked += 1
         about = {"path": str(source.path), "sha256": source.sha256, "duration_s": source.duration_s,
                  "channels": list(options.sensors)}  # fmt: skip
@@ -266,6 +267,7 @@ def test_engine_file_of_another_engine(
         (["--map-tolerance", "0.5"], "0 to 0.05"),
         (["--map-tolerance", "nan"], "0 to 0.05"),
         (["--seed", "-1"], "0 or more"),
+        (["--time", "0"], "a positive number of seconds"),
         (["--explain", "boost_lek"], "did you mean boost_leak"),
         (["--engine", "nowhere.yaml"], "no such file"),
     ],

@@ -98,7 +98,6 @@ def test_one_ensemble_can_be_run_alone_and_multi_stage_brings_what_it_starts_fro
 
 
 def test_the_figures_show_readings_that_a_member_saw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dieseltwin import report
     from dieseltwin.paper.evaluation import page as evaluation_page
     from dieseltwin.settings.params import load_params
     from tasks import ensembles, evaluate, identify
@@ -123,8 +122,8 @@ def test_the_figures_show_readings_that_a_member_saw(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(identify, "problems_of", lambda *_: ([], None))
     monkeypatch.setattr(ensembles, "problems_for", fake_problems)
-    monkeypatch.setattr(report, "write_report_inputs", lambda folder, *_, **__: folder.mkdir())
-    monkeypatch.setattr(report, "load_results", lambda folder: None)
+    monkeypatch.setattr("dieseltwin.report.inputs.write_report_inputs", lambda folder, *_, **__: folder.mkdir())
+    monkeypatch.setattr("dieseltwin.report.results.load_results", lambda folder: None)
     monkeypatch.setattr(evaluation_page, "build_page", lambda *_, **__: None)
     evaluate.page.function(
         tmp_path, None, field=tmp_path, common=tmp_path, settings={}, about={}, run_times=[], **parts

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import synthetic_results as synthetic
 
-from dieseltwin.report import Results, load_results, result_figures
+from dieseltwin.report.html import result_figures
+from dieseltwin.report.results import Results, load_results
 from dieseltwin.report.style import ReportFigure
 
 

@@ -92,6 +92,14 @@ def test_the_share_explained_and_what_is_left_are_said() -> None:
     assert "but more is missing" in sentence(synthetic.document(fit=known, more_is_missing=True))
 
 
+def test_a_search_that_its_time_ended_says_so() -> None:
+    cut = {"limit_s": 20.0, "unfinished": ["two effects", "a law"]}
+    ends = "; the time for the search was over before it was through with two effects and a law."
+    assert sentence(synthetic.document(out_of_time=cut)).endswith(ends)
+    healthy = {"mismatch": False, "location": None, "effects": []}
+    assert sentence(synthetic.document(out_of_time=cut, **healthy)).endswith(ends)
+
+
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_every_effect_has_words_and_a_size_with_a_unit(name: str) -> None:
     effect = EFFECTS[name]

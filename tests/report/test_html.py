@@ -11,8 +11,9 @@ import pytest
 import synthetic_results as synthetic
 
 from dieseltwin.errors import InputError
-from dieseltwin.report import build_report, load_results, quantities
-from dieseltwin.report.html import SIZE_LIMIT_BYTES
+from dieseltwin.report import quantities
+from dieseltwin.report.html import SIZE_LIMIT_BYTES, build_report
+from dieseltwin.report.results import load_results
 
 
 class Loads(HTMLParser):

@@ -11,18 +11,15 @@ import pandas as pd
 import pytest
 
 from dieseltwin.engine import Inputs, we2011
+from dieseltwin.identification.curves import curves_table
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification, SegmentEstimate
 from dieseltwin.identification.unknowns import HEALTH
-from dieseltwin.report import (
-    curves_table,
-    identification_figures,
-    load_results,
-    results_of,
-    summary_table,
-    write_report_inputs,
-)
+from dieseltwin.report.identification import identification_figures
+from dieseltwin.report.inputs import results_of, write_report_inputs
+from dieseltwin.report.results import load_results
 from dieseltwin.report.statistics import odd_channels, residuals
+from dieseltwin.report.tables import summary_table
 from dieseltwin.report.timeseries import residual_figure
 from dieseltwin.symbols import MEASURED
 

@@ -87,7 +87,7 @@ class _Scored:
 
 def rank(
     twin: Twin, responses: Responses, variables: Mapping[str, Array], points: Sequence[str] | None = None,
-    readings: float | None = None, kinds: Sequence[str] | None = None,
+    readings: float | None = None, kinds: Sequence[str] | None = None, screened: Sequence[str] | None = None,
 ) -> tuple[list[Ranked], int]:  # fmt: skip
     """Candidate laws of all points, best first, and how many forms were tried.
 
@@ -98,6 +98,7 @@ def rank(
         points: names of the points to try; None for all.
         readings: independent ones where the size of the misfit counts as unknown (`worth`), else None.
         kinds: of factors; None for the twin's `law_kinds`, else all.
+        screened: names of those among the points that are ranked at all; laws pay for the choice from all of them.
     """
     kinds = kinds or getattr(twin, "law_kinds", None)
     admitted = getattr(twin, "law_variables", None)
@@ -109,6 +110,8 @@ def rank(
     chosen = [i for i, point in enumerate(twin.points) if points is None or point.name in points]
     for index in chosen:
         point = twin.points[index]
+        if screened is not None and point.name not in screened:
+            continue
         known = {
             name: describe(name, np.asarray(variables[name]), unit_of(name, units))
             for name in arguments(point)

@@ -46,6 +46,35 @@ class Refit:
         return self.worth - self.ranked.charge
 
 
+def spread_over_forms(
+    best: LawTwin, fit: Fit, others: Sequence[tuple[float, Refit]], variables: Mapping[str, Array]
+) -> float:
+    """Deviation of the size of a law over the forms that explain as much, relative to its own [-].
+
+    A form's own interval says how well its coefficient is known if the form is right. Which form is right the recording
+    says by their scores alone: each counts by its probability. The size is the rms of what enters the point.
+
+    Args:
+        best: the law with its fit.
+        others: probability over the law's own, and refit, of any point; those of its own point count.
+        variables: along the trajectory of the best.
+    """
+    point = best.laws[0].form.point
+    here = [(weight, r) for weight, r in others if r.twin.laws[0].form.point == point]
+    laws = [(best, fit), *((r.twin, r.fit) for _, r in here)]
+    if any(placed.form.fixed is not None for law, _ in laws for placed in law.laws):
+        return 0.0  # an operator moves the quantity itself: its time is no size beside another form's
+    at = before(variables, point)
+    sizes, weights = [], np.array([1.0, *(weight for weight, _ in here)])
+    for law, own in laws:
+        terms = zip(law.laws, law.values(own.parameters), strict=True)
+        total = sum(np.asarray(c * placed.form.value(at, shape)) for placed, (c, shape) in terms)
+        sizes.append(float(np.sqrt(np.mean(np.square(total)))))
+    if not (np.isfinite(sizes).all() and sizes[0] > 0.0):
+        return 0.0
+    return float(np.sqrt(np.sum(weights * (np.array(sizes) / sizes[0] - 1.0) ** 2) / weights.sum()))
+
+
 def start_of(at: Linearisation, law: LawTwin) -> Fit:
     """The linearisation's fit with the law's first values."""
     extra = np.array([p.value for p in law.parameters[len(law.base.parameters) :]])

@@ -19,7 +19,7 @@ from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself, signal
 from dieseltwin.discovery.laws.grammar import Form, rounded
 from dieseltwin.discovery.laws.ranking import Ranked, rank, shortlist, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
-from dieseltwin.discovery.laws.refit import Refit, refit_all_laws, start_of
+from dieseltwin.discovery.laws.refit import Refit, refit_all_laws, spread_over_forms, start_of
 from dieseltwin.discovery.laws.responses import Linearised, Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
@@ -39,6 +39,8 @@ class Options:
 
     Attributes:
         points: names of the points where a law is looked for; None for all.
+        screened: names of those among them where a term without a name explains enough for a law to (`near_the_best`);
+            None for all.
         kinds: kinds of factors (`grammar.Kind`) that a law may have; None for the twin's `law_kinds`, else all.
         refits: laws refitted by simulation after each ranking.
         renewals: linearisations with the best law inside.
@@ -48,6 +50,7 @@ class Options:
     """
 
     points: tuple[str, ...] | None = None
+    screened: tuple[str, ...] | None = None
     kinds: tuple[str, ...] | None = None
     refits: int = 16
     renewals: int = 1
@@ -73,7 +76,8 @@ class Law:
         point, site: where it enters.
         text: with coefficient and units.
         form: for simulation (`LawTwin`).
-        coefficient, std, unit: of the term [unit of the point].
+        coefficient, std, unit: of the term [unit of the point]; the deviation holds what other forms that explain as
+            much say of the size.
         shape, shape_std: estimate of the first factor's exponent (threshold, time); None where it wasn't free.
         argument: the variable over which `curve` shows it.
         curve: the law and, free of it, what the recording says bin by bin.
@@ -158,7 +162,7 @@ def search(
     responses = Responses(cast(Linearised, at), base_lanes)
     readings = independent(at.residual, twin.starts, len(twin.states)) if options.unknown_misfit else None
     worth = Worth(at.fit.objective, readings)
-    ranked, tried = rank(twin, responses, variables, options.points, readings, options.kinds)
+    ranked, tried = rank(twin, responses, variables, options.points, readings, options.kinds, options.screened)
     refits: list[Refit] = []
     here: Linearisation = at
     for renewal in range(options.renewals + 1):
@@ -296,6 +300,8 @@ def _report(
     std = float(np.sqrt(scale) * lin.fit.std[at_coefficient])
     lanes = lin.fit.lanes()
     variables = {**law.variables(lanes), "time_s": twin.time_s}
+    forms = _probable(best, refits[1:])
+    std = float(np.hypot(std, coefficient * spread_over_forms(law, lin.fit, forms, variables)))
     point = next(p for p in twin.points if p.name == form.point)
     rivals = tuple(
         Rival(_text(twin, r), r.ranked.site, abs(best.score - r.score))
@@ -322,6 +328,12 @@ def _report(
         reached.fit.objective / readings,
         rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last,
     )  # fmt: skip
+
+
+def _probable(best: Refit, others: Sequence[Refit]) -> list[tuple[float, Refit]]:
+    """Refits with their probabilities over the best one's; what maps off a little can put behind counts in full."""
+    behind = [max(0.0, best.score - r.score - _ALIKE_SHARE * best.gain) for r in others]
+    return [(float(np.exp(-0.5 * b)), r) for b, r in zip(behind, others, strict=True) if b < _RIVALS]
 
 
 def _as_found(placed: Placed, coefficient: float, shape: float | None) -> Placed:

@@ -12,12 +12,14 @@ from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself
 from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.laws.reading_twin import FaultKind, ReadingFault, ReadingTwin
-from dieseltwin.discovery.laws.search import Law, Rival, search
+from dieseltwin.discovery.laws.search import Law, Options, Rival, search
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.twins.interface import Twin
 
 _WITHIN = 0.5  # of the best linear gain: faults that are refitted
 _MOST = 4
+_SCREENED = 0.3  # of the best linear gain inside the machine: points with less have no law that comes first
+_LEAST_POINTS = 4  # are looked at in any case
 _ROUNDS = 8
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _LAGS_S = (0.2, 1.0)  # where a lag's fit begins: at none it has no useful slope
@@ -38,6 +40,23 @@ def faults_of(structure: Sequence[Structure], channels: Sequence[str]) -> list[R
                 size *= float(np.max(np.abs(item.response)))
             out.append(ReadingFault(channels[cast(int, item.feature.channel)], kind, size))
     return out
+
+
+def near_the_best(structure: Sequence[Structure], twin: Twin) -> tuple[str, ...] | None:
+    """Names of the points at which simple terms gain enough for a law to be looked for; None for all.
+
+    A simple term's linear gain costs one lane of a simulation, all forms of a point cost as many as a window has
+    samples. A law follows more than a simple term, but no multiple of it.
+    """
+    best: dict[int, float] = {}
+    for item in structure:
+        if item.feature.point is not None:
+            best[item.feature.point] = max(item.gain, best.get(item.feature.point, 0.0))
+    if len(best) <= _LEAST_POINTS:
+        return None
+    ordered = sorted(best, key=lambda index: -best[index])
+    limit = min(_SCREENED * best[ordered[0]], best[ordered[_LEAST_POINTS - 1]])
+    return tuple(twin.points[index].name for index in ordered if best[index] >= limit)
 
 
 def sensor_law(
@@ -119,7 +138,8 @@ def best_law(
     if len(of_sensors) == len(near) > 0:
         return fault
     try:
-        inside = search(twin, at, at.nuisance_response, tolerances=tolerances).law
+        options = Options(screened=near_the_best(structure, twin))
+        inside = search(twin, at, at.nuisance_response, options, tolerances).law
     except np.linalg.LinAlgError:  # with the best law inside the machine runs away: no law of this machine
         inside = None
     if inside is None or fault is None:

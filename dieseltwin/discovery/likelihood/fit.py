@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, rows_of, single
 
 _DIFFERENCE = 1e-4  # of a scale, for sensitivities
@@ -16,6 +17,7 @@ _TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what mat
 _LOCAL_SETTLED = 1e-3  # of a state's scale
 _STEP_LIMIT = 2.0  # parameter scales in one step
 _SHORTER_STEPS = 5
+_SHORTENED = 0.35  # a step after one that led uphill
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
 
@@ -112,6 +114,7 @@ def lanes_of(fits: Sequence[Fit], own_schedules: bool = False) -> Lanes:
 
 def simulate_fits(twin: Twin, fits: Sequence[Fit]) -> Array:
     """Readings of every fit, (len(fits), n, C); as few calls as schedules allow."""
+    check_time()
     if getattr(twin, "own_schedules", False):
         return twin.simulate(lanes_of(fits, own_schedules=True))
     out = np.empty((len(fits), *twin.measured.shape))
@@ -180,6 +183,7 @@ class Linearisation:
         self, twin: Twin, whitening: Whitening, fit: Fit, frozen: Linearisation | None = None,
         nuisance_response: Array | None = None, loadings: Array | None = None,
     ) -> None:
+        check_time()
         self.loadings: Array | None = loadings if frozen is None else frozen.loadings
         lanes, steps = parameter_lanes(twin, fit, local=frozen is None)
         simulated = twin.simulate(lanes)
@@ -274,9 +278,9 @@ def fit_fully(
         step, predicted = here.step()
         if predicted < _CONVERGED:
             return _marked(here, True)
-        there = _downhill(make, here, step, local=True)
+        there = _downhill(make, here, step, predicted, local=True)
         if there is None and predicted > 20 * _CONVERGED:
-            there = _downhill(make, here, step, local=False)
+            there = _downhill(make, here, step, predicted, local=False)
         if there is None:
             return _marked(here, predicted < 20 * _CONVERGED)
         gained = here.fit.objective - there.fit.objective
@@ -287,35 +291,53 @@ def fit_fully(
 
 
 def _downhill(
-    make: Callable[[Fit], Linearisation], here: Linearisation, step: Array, *, local: bool
+    make: Callable[[Fit], Linearisation], here: Linearisation, step: Array, predicted: float, *, local: bool
 ) -> Linearisation | None:
     """The first of ever shorter steps that lowers the objective, None if none does.
 
+    A step that promises less than counts as converged isn't tried. Where the full step fails, one simulation of all
+    shorter ones, judged by the metric from which they start, tells which is worth sensitivities of its own.
     `local`: whether initial states move along. They do in general; but one window in which a valve or a stop turns its
     slope round, so that its own step leads uphill, would stop all the others.
     """
-    twin, names = here.twin, here.fit.candidate.names
-    scales = np.array([p.scale if p.bounded else np.inf for p in twin.parameters])
+    scales = np.array([p.scale if p.bounded else np.inf for p in here.twin.parameters])
     P = len(scales)
-    shrink = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
-    for _ in range(_SHORTER_STEPS):
-        change = shrink * step
-        parameters, magnitudes = within_limits(
-            twin, here.fit.parameters + change[:P], names, here.fit.magnitudes + change[P:]
-        )
-        begun = here.fit.local
-        if local:
-            moved = np.concatenate([parameters - here.fit.parameters, magnitudes - here.fit.magnitudes])
-            begun = bounded(twin, begun + shrink * here.local_step(moved / shrink))
-        trial = replace(here.fit, parameters=parameters, magnitudes=magnitudes, local=begun)
-        shrink *= 0.35
-        try:
-            there = make(trial)
-        except np.linalg.LinAlgError:  # the machine runs away there
-            continue
-        if np.isfinite(there.fit.objective) and there.fit.objective < here.fit.objective:
-            return there
+    longest = min(1.0, float(np.min(_STEP_LIMIT * scales / np.maximum(np.abs(step[:P]), 1e-300), initial=1.0)))
+    shares = [longest * _SHORTENED**k for k in range(_SHORTER_STEPS)]
+    shares = [s for k, s in enumerate(shares) if k == 0 or s * (2.0 - s) * predicted >= _CONVERGED]
+    there = _lower(make, here, _trial(here, step, shares[0], local=local))
+    if there is not None or len(shares) == 1:
+        return there
+    shorter = [_trial(here, step, share, local=local) for share in shares[1:]]
+    projected = here.metric.project(np.nan_to_num(here.twin.measured - simulate_fits(here.twin, shorter)))
+    for trial, vector in zip(shorter, projected, strict=True):
+        if here.objective(vector, trial.parameters) < here.fit.objective:
+            there = _lower(make, here, trial)
+            if there is not None:
+                return there
     return None
+
+
+def _lower(make: Callable[[Fit], Linearisation], here: Linearisation, trial: Fit) -> Linearisation | None:
+    """The linearisation at a trial, where its objective is lower."""
+    try:
+        there = make(trial)
+    except np.linalg.LinAlgError:  # the machine runs away there
+        return None
+    return there if there.fit.objective < here.fit.objective else None
+
+
+def _trial(here: Linearisation, step: Array, share: float, *, local: bool) -> Fit:
+    """The fit after a share of a step, kept within its limits."""
+    P, fit = len(here.twin.parameters), here.fit
+    parameters, magnitudes = within_limits(
+        here.twin, fit.parameters + share * step[:P], fit.candidate.names, fit.magnitudes + share * step[P:]
+    )
+    begun = fit.local
+    if local:
+        moved = np.concatenate([parameters - fit.parameters, magnitudes - fit.magnitudes])
+        begun = bounded(here.twin, begun + share * here.local_step(moved / share))
+    return replace(fit, parameters=parameters, magnitudes=magnitudes, local=begun)
 
 
 def settle_local(at: Linearisation, rounds: int = 3) -> Linearisation:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithSignals, joined
 
 CORRELATION_LENGTH = 1.0 / 3.0
@@ -111,6 +112,7 @@ def sensor_nuisances(twin: Twin, simulated: Array, gains: Sequence[float], offse
 
 def signal_responses(twin: Twin, base: Lanes, simulated: Array, points: Sequence[int], signals: Array) -> Array:
     """Responses of the readings to signals at points, (K, n, C), by simulation next to `base` (one lane)."""
+    check_time()
     count = len(points)
     if not count:
         return np.zeros((0, *simulated.shape))

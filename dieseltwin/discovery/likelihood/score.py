@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
@@ -132,7 +132,7 @@ class Chance:
         exceeded = float(np.mean(self.draws >= gain))
         if exceeded * self.draws.size >= 20:
             return exceeded
-        return float(min(1.0, self.effective * chi2.sf(gain, 1)))
+        return float(min(1.0, self.effective * chdtrc(1, gain)))
 
     def threshold(self, level: float) -> float:
         """Gain that chance exceeds with probability `level`."""
@@ -161,7 +161,7 @@ def chance(at: Linearisation, scored: Sequence[Scored], seed: int) -> Chance:
     draws = np.where(one_sided, np.maximum(draws, 0.0), draws)
     largest = (draws**2).max(axis=1)
     at_level = np.quantile(largest, 0.98)
-    return Chance(largest, float(0.02 / chi2.sf(at_level, 1)))
+    return Chance(largest, float(0.02 / chdtrc(1, at_level)))
 
 
 def minimum_detectable(scored: Sequence[Scored], gain: float) -> dict[str, float]:

@@ -251,41 +251,53 @@ def _pair_bar(found: Search, pair: Fit) -> float:
 def choose(found: Search, first: Linearisation) -> None:
     """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs."""
     settings = found.settings
-    single = found.gain(found.singles[0])
-    options: list[tuple[float, str, Fit | None, Variant | None]] = [(single, "single", first.fit, None)]
+    best, kind, fit, variant = _leading_kind(found)
+    bar = best + settings.law_gain
+    if any(item.gain > bar for item in found.nameless()) or found.local_ahead(bar) is not None:
+        found.kind = "law"
+        return
+    found.kind, found.variant = kind, variant
+    found.best = first if kind == "single" else recentred(found, fit)
+    # a confident lie is what nearly fits: look at what the explanation leaves
+    found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
+    found.left_local = score_features(found.best, local_features(found.twin, found.best.fit))
+    left = found.left[0].gain if found.left else 0.0
+    place = {"single": 0, "pair": 1}.get(kind, 2)
+    gained = found.gain(fit)
+    limit = max(settings.left_gain[place], settings.left_share[place] * gained)
+    held = max((item.held for item in found.left), default=0.0)
+    ahead = held - found.second_effect_gain if kind == "single" else np.inf
+    bumps = max((item.held for item in found.left_local), default=0.0)
+    if (
+        (held > limit and ahead > settings.left_ahead)
+        or bumps > max(settings.local_gain, settings.left_share[place] * gained)
+        or (left > settings.chance_leaves and _one_term_explains_more(found, best))
+    ):
+        found.refused, found.kind = kind, "law"
+        return
+    _widen(found.best, left / settings.chance_leaves)
+    set_probabilities(found, kind)
+
+
+def _leading_kind(found: Search) -> tuple[float, str, Fit, Variant | None]:
+    """Gain less what the freedom costs, kind, fit and variant of the best explanation with names."""
+    options: list[tuple[float, str, Fit, Variant | None]] = [
+        (found.gain(found.singles[0]), "single", found.singles[0], None)
+    ]
     if found.variants:
         timed, timed_fit = found.variants[0]
         options.append((found.gain(timed_fit) - freedom_cost(found, timed), "variant", timed_fit, timed))
     pair = _best_pair(found)
     if pair is not None:
         options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
-    best, kind, fit, variant = max(options, key=lambda option: option[0])
-    bar = best + settings.law_gain
-    if any(item.gain > bar for item in found.nameless()) or found.local_ahead(bar) is not None:
-        found.kind = "law"
-        return
-    found.kind, found.variant = kind, variant
-    if fit is not None and kind != "single":
-        found.best = recentred(found, fit)
-    if found.best is not None:  # a confident lie is what nearly fits: look at what the explanation leaves
-        found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
-        found.left_local = score_features(found.best, local_features(found.twin, found.best.fit))
-        left = found.left[0].gain if found.left else 0.0
-        place = {"single": 0, "pair": 1}.get(kind, 2)
-        gained = single if kind == "single" or fit is None else found.gain(fit)
-        limit = max(settings.left_gain[place], settings.left_share[place] * gained)
-        held = max((item.held for item in found.left), default=0.0)
-        ahead = held - found.second_effect_gain if kind == "single" else np.inf
-        bumps = max((item.held for item in found.left_local), default=0.0)
-        if (
-            (held > limit and ahead > settings.left_ahead)
-            or bumps > max(settings.local_gain, settings.left_share[place] * gained)
-            or (left > settings.chance_leaves and _one_term_explains_more(found, best))
-        ):
-            found.refused, found.kind = kind, "law"
-            return
-        _widen(found.best, left / settings.chance_leaves)
-    set_probabilities(found, kind)
+    return max(options, key=lambda option: option[0])
+
+
+def choose_so_far(found: Search) -> None:
+    """The best explanation with names among those that were fitted; what it leaves isn't looked at."""
+    _, found.kind, fit, found.variant = _leading_kind(found)
+    found.best = recentred(found, fit)
+    set_probabilities(found, found.kind)
 
 
 def beyond_law(found: Search, law: Law) -> tuple[list[Structure], list[Structure]]:

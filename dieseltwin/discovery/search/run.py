@@ -18,6 +18,7 @@ from dieseltwin.discovery.search.explanations import (
     VARIANTS,
     beyond_law,
     choose,
+    choose_so_far,
     pair_beats_single,
     polish,
     try_more_pairs,
@@ -35,8 +36,12 @@ from dieseltwin.discovery.search.preparation import (
 )
 from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.search.variants import Variant, edge_cost, scan
+from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.settings.search import SearchSettings
+
+STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
+"""What is looked at behind single effects, in this order."""
 
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _REFIT_AT_LEAST = 6
@@ -45,14 +50,31 @@ _BENDS = 60.0  # gain from which what was learned of the maps is linearised abou
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
 
-def run(twin: Twin, settings: SearchSettings, *, laws: bool = True) -> Search:
+def run(twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: float | None = None) -> Search:
     """The whole search.
 
     Args:
         twin: bound to its recording.
         settings: thresholds.
         laws: look for a law where no name fits.
+        time_s: after so many seconds the best answer so far is given; the refits of single effects are always
+            finished. None: no limit.
     """
+    began = time.perf_counter()
+    found = _with_names(twin, settings)
+    left = None if time_s is None else time_s - (time.perf_counter() - began)
+    try:
+        with time_limit(left):
+            _explain(found, laws)
+    except OutOfTimeError:
+        found.unfinished = STAGES[STAGES.index(found.stage) :]
+        if found.kind != "law" and (found.kind != "healthy" or _alarm(found, found.singles[0])):
+            choose_so_far(found)
+    return found
+
+
+def _with_names(twin: Twin, settings: SearchSettings) -> Search:
+    """Health-only fit and refits of single effects, about the leading one where what was learned of the maps bends."""
     found = _with_singles(prepare(twin, settings))
     clock = time.perf_counter()
     starts = starts_by_recording(found)
@@ -65,8 +87,13 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True) -> Search:
         found = refitted(_with_singles(prepared_about(found, lead)), starts)
         if _lead(found).candidate.names == lead.candidate.names:
             break
-    twin = found.twin
+    return found
 
+
+def _explain(found: Search, laws: bool) -> None:
+    """Everything beyond single effects: what has no name, onsets and regions, two effects, a law."""
+    twin, settings = found.twin, found.settings
+    found.stage = "terms without a name"
     found.scanned = scan(found.null, found.scored, VARIANTS, settings.least_share)
     tried = [*found.scanned, *(variant for variant, _ in found.variants)]
     hidden = any(variant.gain > _hidden_bar(found, variant) for variant in tried)
@@ -79,13 +106,14 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True) -> Search:
     alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _explained_by_catalogue(found, unnamed))
     clock = time.perf_counter()
     if alarm or hidden:
+        found.stage = "onsets and regions"
         try_variants(found)
     found.seconds["variants"] = time.perf_counter() - clock
     if not alarm and not (hidden and _shown(found)):
         if unnamed is not None:
             _law(found, laws)
-        return found
-    found.kind = "single"
+        return
+    found.kind, found.stage = "single", "two effects"
     first = recentred(found, found.singles[0])
     found.best = first
     clock = time.perf_counter()
@@ -100,7 +128,6 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True) -> Search:
     found.seconds["pairs"] = time.perf_counter() - clock
     if found.kind == "law":
         _law(found, laws)
-    return found
 
 
 def _lead(found: Search) -> Fit:
@@ -123,7 +150,7 @@ def _with_singles(found: Search) -> Search:
 
 def _law(found: Search, wanted: bool) -> None:
     """No name fits: a law from the grammar, where one is resolved and asked for."""
-    found.kind = "law"
+    found.kind, found.stage = "law", "a law"
     found.best = None
     if wanted:
         clock = time.perf_counter()

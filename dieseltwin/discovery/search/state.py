@@ -26,6 +26,7 @@ class Search:
 
     `null` is the health-only fit, `best` the explanation; `second_effect_gain` is what the best second effect would
     gain beside the best single one, `spreads` which share of it each second effect keeps without its best window.
+    `stage` is what is looked at, `unfinished` the stages that no time was left for.
     """
 
     twin: Twin
@@ -55,6 +56,8 @@ class Search:
     nuisances: list[Nuisance] = field(default_factory=list)
     left_out: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     seconds: dict[str, float] = field(default_factory=dict)
+    stage: str = ""
+    unfinished: tuple[str, ...] = ()
 
     def gain(self, fit: Fit) -> float:
         """Gain of a fit over the health-only fit."""

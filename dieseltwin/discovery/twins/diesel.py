@@ -196,6 +196,12 @@ class EngineTwin:
         self._choose_steps()
         self._memory = Memory()  # the states' starts are another's
 
+    def fresh(self) -> EngineTwin:
+        """The same twin with readings and windows of its own, for a search that leaves some of them out."""
+        other = copy(self)
+        other.measured, other._law_signals = self.measured.copy(), dict(self._law_signals)
+        return other
+
     def split(self, windows: np.ndarray, parts: int, local: Array) -> Array:
         """Cut some windows into parts and return the initial states (W', 1) of all, new ones from the readings.
 
@@ -376,9 +382,9 @@ class EngineTwin:
         moved = self._actuations(*self._combined(one))
         actuation = moved[0] if moved else self._plain[0]
         engine = self.engine_of(one)
-        coefficients = corrections_in(engine.terms)
-        terms = effect_terms(engine.terms)  # laws are among the signals
-        engine = engine.replace(terms=terms if coefficients is None else with_corrections(terms, coefficients))
+        if self._laws:  # they are among the signals
+            coefficients, terms = corrections_in(engine.terms), effect_terms(engine.terms)
+            engine = engine.replace(terms=terms if coefficients is None else with_corrections(terms, coefficients))
         states, readings = result.states[b], result.measured[b]  # type: ignore[attr-defined]
         signals = signals_of_lane(one, self.points)
         return variables_along(states, readings, actuation, engine, (signals, self.points))

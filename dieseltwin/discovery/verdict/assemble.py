@@ -24,6 +24,7 @@ from dieseltwin.discovery.verdict.curves import Curves, Discovery, LawCurve
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Discrepancy,
+    OutOfTime,
     Provenance,
     RecordingInfo,
     Reference,
@@ -52,8 +53,9 @@ from dieseltwin.version import __version__
 
 
 def assemble(
-    days: Sequence[Dated], found: Search, options: Options, reference: Reference | None = None
-) -> Discovery:
+    days: Sequence[Dated], found: Search, options: Options, reference: Reference | None = None,
+    time_s: float | None = None,
+) -> Discovery:  # fmt: skip
     """The result of a search on recordings of the engine, one or several that were judged together.
 
     Health, the repaired engine and its states are those of the last recording.
@@ -61,6 +63,7 @@ def assemble(
     Args:
         days: the recordings, in time order; found: the search.
         options: what was asked; reference: what the engine was learned from.
+        time_s: limit of the search [s], None where there was none.
     """
     null = found.null
     best = found.best
@@ -82,6 +85,7 @@ def assemble(
         fit=fit_figures(found, after),
         minimum_detectable=finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
+        out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
         recordings=judged(found, days, (parameters, covariance), since, sizes),
     )  # fmt: skip
     before_engine = _engine(twin, null.fit.parameters, ())

@@ -215,10 +215,18 @@ class Doubt(_Part):
     affects: tuple[Name, ...] = ()
 
 
+class OutOfTime(_Part):
+    """A search that its time limit [s] ended, and what it hadn't finished."""
+
+    limit_s: NotNegative
+    unfinished: tuple[Name, ...]
+
+
 class Discrepancy(_Part):
     """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first.
 
-    `more_is_missing`: what the effects leave is beyond noise and tolerances; something else is left out as well.
+    `out_of_time`: the search was ended before it was through; None where it was. `more_is_missing`: what the effects
+    leave is beyond noise and tolerances; something else is left out as well.
     """
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -235,6 +243,7 @@ class Discrepancy(_Part):
     reference: Reference | None = None
     recordings: tuple[JudgedRecording, ...] = ()
     warnings: tuple[Doubt, ...] = ()
+    out_of_time: OutOfTime | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Discrepancy:
@@ -248,11 +257,12 @@ class Discrepancy(_Part):
         return self
 
     def to_json(self) -> dict[str, Any]:
-        """The document as JSON types, keys as in the file; what needs a reference, or several recordings, is there with
-        those alone."""
+        """The document as JSON types, keys as in the file; what needs a reference, several recordings or a time limit
+        is there with those alone."""
         content = self.model_dump(mode="json", by_alias=True)
-        if content["reference"] is None:
-            del content["reference"]
+        for name in ("reference", "out_of_time"):
+            if content[name] is None:
+                del content[name]
         for part in (content, *content["recordings"]):
             for value in part["health"].values():
                 if value["since_reference"] is None:

@@ -21,7 +21,8 @@ from dieseltwin.discovery.laws.grammar import (
     played,
     rounded,
 )  # fmt: skip
-from dieseltwin.discovery.laws.ranking import rank
+from dieseltwin.discovery.laws.ranking import Ranked, rank
+from dieseltwin.discovery.laws.refit import Refit, spread_over_forms, start_of
 from dieseltwin.discovery.laws.responses import Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation
@@ -186,6 +187,26 @@ def test_law_as_signals_is_refitted_alike():
     assert found is not None and found.site == "lower_tank"
     assert "h_2" in found.form.variables and found.chi2_after < 1.1 < found.chi2_before
     assert found.chi2_before > 1.3
+
+
+def test_the_deviation_of_a_law_holds_what_other_forms_say_of_its_size():
+    """Half a percent by itself; a form that says ten percent more, as good a one, makes it seven."""
+    twin = _tanks(1)
+    at = _null(twin)
+    variables = {"h_2": np.linspace(1.0, 2.0, len(twin.time_s))}
+    square = Form("lower_balance", (Factor("power", ("h_2",), (1.0,), 2.0, ("m",)),))
+
+    def refit(form: Form, coefficient: float) -> Refit:
+        law = LawTwin(twin, (Placed(form, coefficient),))
+        ranked = Ranked(1, "lower_tank", law.laws, 50.0, 10.0, 50.0)
+        return Refit(ranked, law, start_of(at, law), 50.0, 50.0)
+
+    best, alone = refit(square, -0.002), refit(Form("upper_balance"), -0.5)
+    assert spread_over_forms(best.twin, best.fit, [(1.0, alone)], variables) == 0.0
+    other = refit(square, -0.0022)
+    both = [(1.0, alone), (1.0, other)]
+    assert spread_over_forms(best.twin, best.fit, both, variables) == pytest.approx(0.1 / np.sqrt(2.0))
+    assert spread_over_forms(best.twin, best.fit, [(0.01, other)], variables) == pytest.approx(0.01, rel=0.01)
 
 
 def test_orifice():

@@ -165,6 +165,17 @@ def test_search_says_when_no_name_fits() -> None:
     assert found.structure[0].feature.site == "vessel"
 
 
+def test_without_time_the_best_single_effect_is_the_answer_and_what_was_left_out_is_said() -> None:
+    toy = Toy().record(drag=0.1)
+    found = search.run(toy, SETTINGS, time_s=0.0)
+    assert found.kind == "single" and found.best is not None
+    assert found.best.fit.candidate.names == ("drag",)
+    assert found.best.fit.magnitudes[0] == pytest.approx(0.1, abs=0.02)
+    assert found.unfinished == search.STAGES and not found.pairs and not found.structure
+    assert search.run(Toy().record(), SETTINGS, time_s=0.0).kind == "healthy"
+    assert not search.run(Toy().record(drag=0.1), SETTINGS, laws=False, time_s=600.0).unfinished
+
+
 def test_onset_is_found() -> None:
     toy = Toy()
     acts = (toy.time_s >= 160.0).astype(float)
@@ -257,7 +268,7 @@ def test_one_window_that_leads_uphill_does_not_stop_a_fit() -> None:
     start = Fit(Candidate(("drag",)), np.array([1.09]), np.array([0.09]), local, np.inf, False)
     here = Linearisation(toy, right.whitening, start, turned)
     make = partial(Linearisation, toy, right.whitening, frozen=turned)
-    assert _downhill(make, here, here.step()[0], local=True) is None
+    assert _downhill(make, here, *here.step(), local=True) is None
     reached = fit_fully(toy, right.whitening, start, frozen=turned).fit
     assert reached.converged
     assert reached.magnitudes[0] == pytest.approx(0.1, abs=0.03)

@@ -10,7 +10,9 @@ from typing import Any
 CALLS = "FAKE_DISCOVERY_CALLS"
 
 
-def _discover(recording: Any, engine: Any, options: Any = None, known: Any = None) -> Any:
+def _discover(
+    recording: Any, engine: Any, options: Any = None, known: Any = None, prepared: Any = None, time_s: Any = None
+) -> Any:
     """Says "boost leak" of every recording whose mean intake pressure is odd."""
     import hashlib
     import os
