@@ -10,7 +10,8 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
-OF_THE_TOP = {"README.md": "readme.md", "CHANGELOG.md": "changes.md"}
+PAGES = {"README": "readme", "CHANGELOG": "changes"}
+OF_THE_TOP = {f"{name}.md": f"{page}.md" for name, page in PAGES.items()}
 """Files at the top of the repository -> pages."""
 
 OF_ANOTHER_HOST = "https://unpkg.com/iframe-worker/shim"
