@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -120,7 +121,9 @@ def learn(
         sources.append(source)
     settings = default_learn()
     size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
-    prior = _from_siblings(siblings, base, size, settings.type_share)
+    own = {item.sha256 for item in (*sources, *(before.recordings if before is not None else ()))}
+    others = _siblings(siblings, base, size, own)
+    prior = belief_from_siblings(others, base, size, settings.type_share) if others else None
     known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in sources:
         _check_misfit(known, source, settings.misfit_max)
@@ -143,10 +146,14 @@ def known_engine(
     return _known(engine), ()
 
 
-def _from_siblings(
-    siblings: Sequence[str | Path], base: EngineParameters, map_rms: float, type_share: float
-) -> Belief | None:
-    """What engines of the type say of the next one; the same to the last bit in any order, each counted once."""
+def _siblings(
+    siblings: Sequence[str | Path], base: EngineParameters, map_rms: float, own: AbstractSet[str]
+) -> list[tuple[Belief, Belief]]:
+    """What was believed of every engine of the type before and after it was learned, each once, in an order of its own.
+
+    Args:
+        own: hashes of the new engine's recordings, on which no sibling may rest.
+    """
     found: dict[str, LearnedEngine] = {}
     for name in siblings:
         one = _known(name)
@@ -156,14 +163,14 @@ def _from_siblings(
         if one.map_rms != map_rms:
             raise InputError(f"--siblings {name}", f"learned with a map error of {one.map_rms:g}", f"{map_rms:g}, as "
                              "of the new engine", "name the same --map-error")
+        if own & {item.sha256 for item in one.recordings}:
+            raise InputError(f"--siblings {name}", "learned from a recording of the new engine itself",
+                             "another engine of the type", "leave it out")
         if _maps_of(one.base) != _maps_of(base):
             raise InputError(f"--siblings {name}", "learned from another base engine", "the base of the new engine",
                              "name the same --engine")
         found["".join(item.sha256 for item in one.recordings)] = one
-    if not found:
-        return None
-    pairs = [(found[key].believed, found[key].belief) for key in sorted(found)]
-    return belief_from_siblings(pairs, base, map_rms, type_share)
+    return [(found[key].believed, found[key].belief) for key in sorted(found)]
 
 
 def _maps_of(engine: EngineParameters) -> EngineParameters:

@@ -106,11 +106,15 @@ def test_too_short_a_reference_is_refused(folder: Path, tmp_path: Path, capsys: 
 def test_siblings_are_learned_engines(folder: Path, capsys: pytest.CaptureFixture[str]):
     plain = folder / "plain.yaml"
     plain.write_text("eta_sc: 1.1\n")
-    arguments = ["learn", str(folder / "healthy.csv"), "--out", str(folder / "next.yaml"), "--siblings"]
+    _recorded(6, A_egrmax=0.95).to_csv(folder / "next.csv", index=False)
+    arguments = ["learn", str(folder / "next.csv"), "--out", str(folder / "next.yaml"), "--siblings"]
     assert main([*arguments, str(plain)]) == 2
     assert "no learned engine" in capsys.readouterr().err
+    itself = ["learn", str(folder / "healthy.csv"), "--out", str(folder / "next.yaml"), "--siblings"]
+    assert main([*itself, str(folder / "mine.yaml")]) == 2
+    assert "of the new engine itself" in capsys.readouterr().err
     assert main([*arguments, str(folder / "mine.yaml")]) == 0
     capsys.readouterr()
-    assert main(["learn", str(folder / "healthy.csv"), "--engine", str(folder / "next.yaml"),
+    assert main(["learn", str(folder / "next.csv"), "--engine", str(folder / "next.yaml"),
                  "--out", str(folder / "again.yaml")]) == 0  # fmt: skip
     assert (folder / "again.learned.parquet").read_bytes() == (folder / "next.learned.parquet").read_bytes()
