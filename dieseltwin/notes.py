@@ -13,9 +13,11 @@ class Note(str):
     """A sentence that also says what kind of doubt it is.
 
     Attributes:
-        code: misfit, not_converged, out_of_range, left_out, missing_sensor, frozen_channel, short, wrong_engine,
-            reading (what was done to the file), reference (about what was learned), dates (of several recordings),
-            long (a part was judged), out_of_time.
+        code: misfit and residuals (the twin doesn't fit), untested (whether it fits isn't known), more_is_missing,
+            not_converged, not_identifiable, out_of_range, extrapolated, left_out, missing_sensor, frozen_channel,
+            replayed_channel, clipped_channel, spikes, short, wrong_engine, reading (what was done to the file),
+            reference (about what was learned), dates (of several recordings), long (a part was
+            judged), out_of_time, false_alarms (of a calibration on pieces without fault).
         affects: columns, or segments, that it is about; none: the whole answer.
     """
 
@@ -31,6 +33,11 @@ class Note(str):
     def __getnewargs__(self) -> tuple[str, str, tuple[str, ...]]:  # type: ignore[override]
         """For copies in other processes."""
         return self.removeprefix("note: "), self.code, self.affects
+
+
+def doubts_among(notes: Iterable[str]) -> list[Note]:
+    """Those of some sentences that are notes; the others say what was assumed, always."""
+    return [note for note in notes if isinstance(note, Note)]
 
 
 def warnings_of(notes: Iterable[str]) -> list[dict[str, Any]]:

@@ -145,7 +145,7 @@ def test_a_forbidden_import_is_noticed(project_root: Path, project: dict, tmp_pa
     contracts = project["tool"]["importlinter"]["contracts"]
     layers = {contract.get("containers", [""])[0]: contract for contract in contracts if contract["type"] == "layers"}
     rooms = [room for layer in layers["dieseltwin"]["layers"] for room in layer.split(" | ")]
-    discovery = layers["dieseltwin.discovery"]["layers"]
+    discovery = [room for layer in layers["dieseltwin.discovery"]["layers"] for room in layer.split(" | ")]
     for package in ("dieseltwin", "dieseltwin/discovery", "flows", "tasks"):
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").write_text("")

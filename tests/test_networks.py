@@ -253,3 +253,15 @@ def test_a_bad_file_is_one_line(content: bytes | str | None, tmp_path: Path) -> 
     with pytest.raises(InputError) as error:
         load_network(path)
     assert "bad.pt" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_file_without_a_checksum_is_still_read(tmp_path: Path) -> None:
+    network = NETWORKS["mlp"](1)
+    path = save_network(tmp_path / "a.pt", network, {"note": 1})
+    content = torch.load(path, weights_only=True)
+    torch.save({"schema": 1, "meta": content["meta"], "state": content["state"]}, tmp_path / "old.pt")
+    again, meta = load_network(tmp_path / "old.pt")
+    assert meta == {"note": 1} and again.spec() == network.spec()
+    torch.save({**content, "meta": content["meta"].replace('"note": 1', '"note": 2')}, tmp_path / "changed.pt")
+    with pytest.raises(InputError, match="SHA-256 differs"):
+        load_network(tmp_path / "changed.pt")

@@ -37,6 +37,7 @@ from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
+from dieseltwin.sealed import sealed_json, sealed_text
 from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -94,14 +95,15 @@ class DrivingDiscovered(Discovered):
         began = time.perf_counter()
         with atomic_folder(out, owned=OWNED) as folder:
             self.document.write(folder / FILE_NAME)
-            write_json(folder / DETAILS, details_of(self.found, self.question.asked, list(self.question.notes)))
+            details = details_of(self.found, self.question.asked, list(self.question.notes))
+            write_json(folder / DETAILS, sealed_json(details))
             write_text(folder / "engine.yaml", engine_yaml(self.engine))
             stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
             sensors = self.question.options.sensors
             judged, whole = self.question.recording, self.question.whole
             starts, local = (self.found.starts, self.found.local) if whole is judged else (None, None)
             implied = implied_frame(whole, self.engine, stds, sensors=sensors, starts=starts, local=local)
-            implied.to_parquet(folder / "implied.parquet", index=False)
+            implied.to_parquet(folder / "implied.parquet", index=False, write_page_checksum=True)
             told = replace(self.found, document=self.document)
             discovery_page.build_discovery_report(told, folder / "report.html", figures_dir=folder / "figures")
             seconds = self.seconds + time.perf_counter() - began
@@ -359,6 +361,5 @@ def engine_yaml(engine: EngineParameters) -> str:
     import yaml
 
     values = engine.model_dump(mode="json")
-    return "# Repaired by `dieseltwin discover`; --engine accepts it.\n" + yaml.safe_dump(
-        values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
-    )
+    body = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
+    return sealed_text(f"# Repaired by `dieseltwin discover`; --engine accepts it.\n{body}")

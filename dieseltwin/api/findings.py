@@ -61,6 +61,11 @@ class Discovered(Result):
     def engine(self) -> Engine:
         """The repaired engine."""
 
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """As in `discrepancy.json`."""
+        return [doubt.model_dump(mode="json") for doubt in self.document.warnings]
+
     def table(self) -> pd.DataFrame:
         """One row for each effect that was found; none where nothing is missing."""
         rows = [(e.name, e.magnitude, e.std, e.unit, e.probability, ", ".join(e.equivalent_names), e.law)

@@ -15,19 +15,22 @@ from dieseltwin.api.figures import drawn
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.discovery.fit_test import fit_notes
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.identification.curves import curves_table
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification
-from dieseltwin.notes import Note, warnings_of
+from dieseltwin.notes import Note, doubts_among, warnings_of
+from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report import timeseries, violins
 from dieseltwin.report.identification import identification_figures
 from dieseltwin.report.inputs import results_of
+from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.methods import EXACT, Method, find
 from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.params import DEFAULT_PROFILE, Params, load_params
@@ -39,7 +42,10 @@ if TYPE_CHECKING:
 # Below, the turbo's seconds do not fit in; above, the health parameters are no longer constants of one segment.
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MOST_RUNS = 10_000
+MOST_ROWS = 1_500_000  # 42 hours at 10 Hz; the bands of the states take a kilobyte a row
 MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
+MISFIT_CODES = ("misfit", "residuals")  # of `fit_notes`: they stand before the numbers
+MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
 # another method in the same folder must not leave its own behind
 OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")
 
@@ -54,6 +60,7 @@ class Setup:
         params: file of settings; None is params.yaml.
         profile: of the settings.
         sensors: columns to use; None takes the paper's five, which must be there then.
+        fit_test: test whether the twin fits the recording (methods with exact maps; see `discovery.fit_test`).
     """
 
     models: str | Path | None = None
@@ -61,6 +68,7 @@ class Setup:
     params: str | Path | None = None
     profile: str = DEFAULT_PROFILE
     sensors: Sequence[str] | None = None
+    fit_test: bool = True
 
     def settings(self) -> Params:
         """The settings; raises `InputError` for a file that can't be used."""
@@ -94,7 +102,8 @@ class Identified(Result):
         unknown = [name for name, p in pooled.items() if p.mean is None]
         words = [", ".join(known) or "no parameter can be told"]
         words += [f"not identifiable here: {', '.join(unknown)}"] if unknown and known else []
-        return f"{self.found.method}, {len(self.problems)} segments: {'; '.join(words)}."
+        doubt = "The twin doesn't fit this recording (see `dieseltwin discover`). " if self._misfits else ""
+        return f"{doubt}{self.found.method}, {len(self.problems)} segments: {'; '.join(words)}."
 
     def table(self) -> pd.DataFrame:
         """One row a parameter: mean, std, low and high (90 % interval), bound, unit, segments behind it."""
@@ -116,12 +125,13 @@ class Identified(Result):
     def save(self, out: str | Path) -> Path:
         """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
-            write_json(folder / "identification.json", {**self.found.to_json(), "warnings": self.warnings})
+            write_json(folder / "identification.json",
+                       sealed_json({**self.found.to_json(), "warnings": self.warnings}))
             write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
-            self.found.states.to_parquet(folder / "states.parquet", index=False)
+            self.found.states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)
             curves = curves_table(self.found)
             if curves is not None:
-                curves.to_parquet(folder / "curves.parquet", index=False)
+                curves.to_parquet(folder / "curves.parquet", index=False, write_page_checksum=True)
             name = self.provenance.get("recording", "")
             identification_figures(self.found, self.problems, folder / "figures", folder / "report.html", name)
         return Path(out)
@@ -131,10 +141,15 @@ class Identified(Result):
         """All that is doubtful, as in identification.json: code, text, affects."""
         return warnings_of([*self.notes, *misfits(self.found.to_json())])
 
+    @property
+    def _misfits(self) -> list[Note]:
+        return [note for note in doubts_among(self.notes) if note.code in MISFIT_CODES]
+
     def lines(self) -> list[str]:
-        """The table as text, and the notes."""
+        """That the twin doesn't fit, where it doesn't; the table as text, and the other notes."""
         document = self.found.to_json()
-        return [*text_table(document), *self.notes, *misfits(document)]
+        first = self._misfits
+        return [*first, *text_table(document), *(n for n in self.notes if n not in first), *misfits(document)]
 
 
 @dataclass(frozen=True)
@@ -147,7 +162,9 @@ class IdentificationQuestion:
         settings: of the run.
         networks: that the method needs.
         notes: what is doubtful or left out, one sentence each.
-        recording_sha256: of the file; recording_name: for people, "" for one made in memory.
+        recording: what was read.
+        tested: engine and sensors that the fit is tested with; None without a test.
+        recording_name: for people, "" for one made in memory.
     """
 
     problems: tuple[SegmentProblem, ...]
@@ -157,16 +174,18 @@ class IdentificationQuestion:
     settings: Params
     networks: Mapping[str, Any]
     notes: tuple[str, ...]
-    recording_sha256: str
+    recording: Recording
+    tested: tuple[EngineParameters, tuple[str, ...]] | None
     recording_name: str = ""
 
     def answer(self) -> Identified:
-        """Identify every segment."""
+        """Identify every segment, and test whether the twin fits the recording."""
         config = self.settings.identify
         found = identify_segments(self.problems, self.method, self.runs, self.seed, config=config, **self.networks)
-        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording_sha256,
+        doubts = [] if self.tested is None else fit_notes(self.recording, *self.tested)
+        provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256,
                       **({"recording": self.recording_name} if self.recording_name else {})}  # fmt: skip
-        return Identified(found, self.problems, self.notes, provenance)
+        return Identified(found, self.problems, (*doubts, *self.notes), provenance)
 
 
 def identify(
@@ -223,14 +242,18 @@ def ask(
     parameters = diesel_engine(engine)
     used = SENSORS if setup.sensors is None else _checked(setup.sensors, chosen)
     source = diesel_recording(recording, channels, parameters, sensors=used)
+    if source.time_s.size > MOST_ROWS:
+        raise InputError(str(source.path or "recording"), f"{source.time_s.size} rows", f"at most {MOST_ROWS}",
+                         "cut it, or average it down to 10 Hz")
     masked = None if setup.sensors is None else used
     problems, left_out = _usable(problems_of(source, parameters, settings, segment_s, masked), source)
     networks = setup.networks(chosen)
     without = [Note(f"without {name}: {COSTS[name]}", "missing_sensor", (name,))
                for name in SENSORS if name not in used]
-    notes = (*_notes(source, parameters), *without, *left_out)
+    notes = (*_notes(source, parameters), *channel_notes(source, used), *without, *left_out)
     seed = settings.seed if seed is None else seed
-    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source.sha256,
+    tested = (_intake(source, parameters), tuple(used)) if setup.fit_test and chosen.needs.maps == EXACT else None
+    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source, tested,
                                   source.path.name if source.path else "")  # fmt: skip
 
 
@@ -251,6 +274,13 @@ def problems_of(
     noise = NoiseLevels.from_signals(signals, relative=settings.noise.channels)
     duration_s = settings.identify.segment_s if segment_s is None else segment_s
     return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s, channels=sensors)
+
+
+def _intake(source: Recording, parameters: EngineParameters) -> EngineParameters:
+    """The engine with the intake temperature that `problems_from_recording` takes."""
+    values = source.columns.get("t_im_k")
+    known = values is not None and bool(np.isfinite(values).any())
+    return parameters.replace(T_im=float(np.nanmedian(values))) if known else parameters  # type: ignore[arg-type]
 
 
 def _checked(sensors: Sequence[str], method: Method) -> tuple[str, ...]:
@@ -307,11 +337,13 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[Note]:
 def misfits(document: Mapping[str, Any]) -> list[Note]:
     """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
     everything = [s for run in document["runs"] for s in run["segments"]]
-    stuck = sum(not s["converged"] for s in everything)
+    by_segment = list(zip(*([s["converged"] for s in run["segments"]] for run in document["runs"]), strict=True))
+    stuck, lost = sum(not any(ends) for ends in by_segment), sum(not s["converged"] for s in everything)
     notes: list[Note] = []
-    if stuck:
-        notes = [Note(f"{stuck} of {len(everything)} fits did not converge (`converged` in identification.json); a "
-                      "segment without a converged fit is left out of the pooled values", "not_converged")]
+    if stuck or lost > MOSTLY_STUCK * len(everything):
+        notes = [Note(f"{lost} of {len(everything)} fits did not converge (`converged` in identification.json), in "
+                      f"{stuck} of {len(by_segment)} segments none; such a segment is left out of the pooled values",
+                      "not_converged")]  # fmt: skip
     values = [s["chi2_per_sample"] for s in everything]
     known = [value for value in values if value is not None]
     if not known or float(np.median(known)) <= MISFIT:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,16 +16,19 @@ from dieseltwin.api.findings import Asked, Discovered, Question, machine
 from dieseltwin.api.reading import Channels, Source, petrol_recording
 from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_json
-from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
 from dieseltwin.discovery.verdict.explain import DETAILS, Known, plain
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note, warnings_of
 from dieseltwin.petrol.calibrate import SubmodelFit
 from dieseltwin.petrol.calibrate import calibrate as calibrated
 from dieseltwin.petrol.discover import PetrolDiscovery, PetrolOptions, details, discover_petrol
 from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording
+from dieseltwin.recordings.channel_checks import series_notes
 from dieseltwin.report import petrol as pages
+from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -51,7 +54,7 @@ class PetrolDiscovered(Discovered):
 
     @property
     def document(self) -> Discrepancy:
-        return self.found.document
+        return with_warnings(self.found.document, recording_notes(self.question.recording))
 
     @property
     def engine(self) -> PetrolParameters:
@@ -60,6 +63,9 @@ class PetrolDiscovered(Discovered):
     @property
     def sentence(self) -> str:
         return self.found.sentence
+
+    def lines(self) -> list[str]:
+        return [self.sentence, *(f"note: {doubt.text}" for doubt in self.document.warnings)]
 
     def plot(self, name: str | None = None) -> Figure:
         """`residuals_over_time`, `over_pressure` or `candidates`."""
@@ -72,9 +78,10 @@ class PetrolDiscovered(Discovered):
         began = time.perf_counter()
         with atomic_folder(out, owned=OWNED) as folder:
             self.document.write(folder / FILE_NAME)
-            write_json(folder / DETAILS, plain(details(self.found, self.question.asked)))
+            write_json(folder / DETAILS, sealed_json(plain(details(self.found, self.question.asked))))
             save_petrol(self.engine, folder / "engine.yaml")
-            pages.build_petrol_report(self.found, folder / "report.html", folder / "figures")
+            told = replace(self.found, document=self.document)
+            pages.build_petrol_report(told, folder / "report.html", folder / "figures")
             seconds = self.found.runtime_s + time.perf_counter() - began
             write_json(folder / "runtime.json", {"seconds": seconds, **machine()})
         return Path(out)
@@ -175,12 +182,22 @@ class PetrolCalibrated(Result):
     """A petrol engine calibrated on a fault-free recording.
 
     Attributes:
+        notes: what is doubtful about the recording.
         engine: the calibrated engine, with verdicts on fault-free pieces that its maps did not see.
         fits: of each balance on held-out stretches.
     """
 
     engine: PetrolParameters
     fits: tuple[SubmodelFit, ...]
+    notes: tuple[Note, ...] = ()
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """Of the recording, and alarms on pieces that ought to be without fault."""
+        alarms = sum(piece.alarm for piece in self.engine.pieces)
+        said = [Note(f"{alarms} of {len(self.engine.pieces)} pieces of this recording raise an alarm: it isn't without "
+                     "fault, or the maps don't hold", "false_alarms")] if alarms else []  # fmt: skip
+        return warnings_of([*self.notes, *said])
 
     @property
     def sentence(self) -> str:
@@ -206,7 +223,7 @@ class PetrolCalibrated(Result):
         return ()
 
     def lines(self) -> list[str]:
-        return pages.calibration_lines(self.fits, self.engine.pieces)
+        return [*pages.calibration_lines(self.fits, self.engine.pieces), *self.notes]
 
 
 def calibrate_petrol(recording: Source | PetrolRecording, base: PetrolParameters) -> PetrolCalibrated:
@@ -217,4 +234,12 @@ def calibrate_petrol(recording: Source | PetrolRecording, base: PetrolParameters
     """
     source = petrol_recording(recording)
     engine, fits = calibrated(source.signals, base, source.sha256)
-    return PetrolCalibrated(engine, tuple(fits))
+    return PetrolCalibrated(engine, tuple(fits), tuple(recording_notes(source)))
+
+
+def recording_notes(recording: PetrolRecording) -> list[Note]:
+    """Faults that the channels show by themselves."""
+    signals = recording.signals
+    sensors = {"p_ic_pa": signals.p_ic, "p_im_pa": signals.p_im, "w_af_kg_s": signals.W_af}
+    found = {name: values for name, values in sensors.items() if name in recording.columns}
+    return series_notes(signals.time_s, found, signals.omega_e)

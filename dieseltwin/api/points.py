@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -36,10 +36,12 @@ from dieseltwin.discovery.verdict.explain import DETAILS
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note, doubts_among, warnings_of
 from dieseltwin.recordings.channels import INPUTS, SENSORS
 from dieseltwin.recordings.reader import Recording, write_recording
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report import calibration as pages
+from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -98,6 +100,11 @@ class Calibrated(Result):
         write_calibration(self.found, out)
         pages.calibration_report(self.found, out.with_suffix(".html"))
         return out
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """As in the sidecar."""
+        return warnings_of(doubts_among(self.found.notes))
 
     def beside(self, out: Path) -> tuple[str, ...]:
         """Names of the files that `save` writes beside the engine's, the channel map left out."""
@@ -184,7 +191,7 @@ class PointsDiscovered(Discovered):
         with atomic_folder(out, owned=OWNED) as folder:
             implied = _implied(self.found)
             self.document.write(folder / FILE_NAME)
-            write_json(folder / DETAILS, details(self.found, self.asked))
+            write_json(folder / DETAILS, sealed_json(details(self.found, self.asked)))
             write_repaired(self.found, folder / "repaired.yaml")
             _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
             pages.discovery_report(self.found, implied, self.sentence, folder / "report.html")
@@ -199,7 +206,7 @@ class PointsDiscovered(Discovered):
             for k, item in enumerate(self.found.rounds, 1) for fit in item.found.singles[:SHOWN]
             for name in fit.candidate.names
         ]  # fmt: skip
-        return [*tried, "", self.sentence]
+        return [*tried, "", self.sentence, *(f"note: {doubt.text}" for doubt in self.document.warnings)]
 
 
 @dataclass(frozen=True)
@@ -285,7 +292,7 @@ class Implied(Result):
 
     points: SteadyPoints
     quantities: pd.DataFrame
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
     @property
     def sentence(self) -> str:
@@ -304,6 +311,11 @@ class Implied(Result):
     def save(self, out: str | Path) -> Path:
         """The table as .csv or .parquet."""
         return write_recording(self.table(), out)
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """Of the notes."""
+        return warnings_of(self.notes)
 
     def lines(self) -> list[str]:
         return [self.sentence, *self.notes]
@@ -332,8 +344,9 @@ def imply(
     decided = [f"{column} ({100 * share:.0f} %)" for column, share in answers.disagreement(straight).items()
                if share > DECIDED]
     if decided:
-        notes.insert(0, "beliefs decide (share of the variance that formulations of the unmeasured places disagree "
-                     f"about): {', '.join(decided)}")
+        notes.insert(0, Note("beliefs decide (share of the variance that formulations of the unmeasured places "
+                             f"disagree about): {', '.join(decided)}", "not_identifiable"))  # fmt: skip
+    notes = [*(Note(note, "reading") for note in source.notes), *notes]
     return Implied(source, answers(straight), tuple(notes))
 
 
@@ -343,11 +356,13 @@ def _answers(engine: PointsDiscovered | str | Path) -> tuple[Answers, tuple[str,
     return answers_of(engine.found), tuple(a.column for a in engine.found.calibration.actuators if a.opens < 0)
 
 
-def outside(source: SteadyPoints, centre: np.ndarray, spread: np.ndarray) -> list[str]:
+def outside(source: SteadyPoints, centre: np.ndarray, spread: np.ndarray) -> list[Note]:
     """One line if points lie beyond `FAR` standard deviations of the inputs that the engine was calibrated with."""
     inputs = np.stack([source[name] for name in INPUTS], axis=1)
     far = (np.abs(inputs - centre) > FAR * spread).any(axis=1)
-    return [f"{int(far.sum())} points lie far from those of the calibration: extrapolated"] if far.any() else []
+    if not far.any():
+        return []
+    return [Note(f"{int(far.sum())} points lie far from those of the calibration: extrapolated", "extrapolated")]
 
 
 def _beside(points: SteadyPoints, implied: pd.DataFrame) -> pd.DataFrame:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # a simulation without a figure needn't load matplotlib
     import pandas as pd
@@ -39,6 +39,11 @@ class Result(ABC):
         Raises:
             InputError: a place that can't be written to.
         """
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """All that is doubtful: code, text, affects; with --strict a command ends with 3 where there is any."""
+        return []
 
     def lines(self) -> list[str]:
         """What the command prints."""

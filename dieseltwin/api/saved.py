@@ -13,6 +13,7 @@ from dieseltwin.discovery.verdict.document import FILE_NAME, load_discrepancy
 from dieseltwin.errors import InputError
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words, site_words
+from dieseltwin.sealed import opened_json
 
 IDENTIFICATION = "identification.json"
 _EMPTY = "–"
@@ -151,7 +152,7 @@ def _sentences(doubts: Sequence[Any]) -> tuple[str, ...]:
 def _identified(folder: Path) -> Saved:
     path = folder / IDENTIFICATION
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = opened_json(json.loads(path.read_text(encoding="utf-8")), str(path), "identify again")
         levels = tuple(_level(name, entry["mean"], entry["std"], None)
                        for name, entry in document["parameters"].items())
         about = f"method {document['method']}; segments: {len(document['segments'])}, runs: {len(document['runs'])}"

@@ -16,6 +16,7 @@ from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.steady_model import EXTRA_ROWS, ROWS, SteadyModel, term_values
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note
 from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.settings.strict import read_mapping, unknown_name
 
@@ -77,7 +78,7 @@ class Calibration:
         coefficients: of the fit to all points.
         covariance: (P, P) of the coefficients.
         actuators: EGR valve and VGT.
-        notes: what could not be told and what was assumed, one sentence each.
+        notes: what could not be told and what was assumed, one sentence each; a `Note` where it is a doubt.
         estimate: of all points.
         model: the relations.
         start: fixed values.
@@ -172,7 +173,9 @@ def calibrate(
     geometry = geometry or base
     points = check_points(points, where)
     valves = actuators(points)
-    points, notes = _turned(points, valves)
+    read = [Note(note, "reading") for note in points.notes]
+    points, turned = _turned(points, valves)
+    notes = [*read, *turned]
     notes += [valve.sentence() for valve in valves]
     engine = _with_ambient_and_ranges(geometry, points)
     extra = tuple(name for name in EXTRA_ROWS if name in points and np.isfinite(points[name]).mean() > 0.5)
@@ -183,7 +186,8 @@ def calibrate(
     trained, _ = _fit(model, points.take(~mask), free, start, noise, seed)
     whole, final = _fit(model, points, free, {**start, **trained.values()}, noise, seed, staged=False)
     if not whole.converged:
-        notes.append("the joint fit was still moving when it ended: coefficients that trade against each other")
+        notes.append(Note("the joint fit was still moving when it ended: coefficients that trade against each other",
+                          "not_converged"))
     notes.append("c_pa, c_pe, the dead times, lags and volumes can't be told from settled points: the base's are kept")
     notes.append("eta_c and eta_tm enter the balances as a product: without t_c_k their scale is the prior's")
     if "t_im_k" not in points:
@@ -226,15 +230,16 @@ def _free(points: SteadyPoints, base: EngineParameters, engine: EngineParameters
     dropped: set[str] = set()
     if egr_shut(points):
         dropped |= {c.name for c in free if c.submodel == "egr_flow"}
-        notes.append("not identifiable: the EGR valve is shut in every point, so A_egrmax, Pi_egropt and c_egr are "
-                     "the base engine's; measure points with EGR")
+        notes.append(Note("not identifiable: the EGR valve is shut in every point, so A_egrmax, Pi_egropt and c_egr are"
+                          " the base engine's; measure points with EGR", "not_identifiable", ("u_egr_pct",)))
     elif not valves[0].moves:
         dropped |= {"c_egr1", "c_egr3"}
-        notes.append("not identifiable: u_egr_pct doesn't move; A_egrmax is the area at that position")
+        notes.append(Note("not identifiable: u_egr_pct doesn't move; A_egrmax is the area at that position",
+                          "not_identifiable", ("u_egr_pct",)))
     if not valves[1].moves:
         dropped |= {"c_f2", "c_vgt1", "c_vgt2"}
-        notes.append("not identifiable: u_vgt_pct doesn't move; A_vgtmax is the area at that position, the shape of "
-                     "f_vgt the base engine's; vary the VGT")
+        notes.append(Note("not identifiable: u_vgt_pct doesn't move; A_vgtmax is the area at that position, the shape "
+                          "of f_vgt the base engine's; vary the VGT", "not_identifiable", ("u_vgt_pct",)))
     fixed = {c.name: c.mean for c in free if c.name in dropped}
     return [c for c in free if c.name not in dropped], fixed
 

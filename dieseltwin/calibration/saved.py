@@ -26,6 +26,8 @@ from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.notes import doubts_among, warnings_of
+from dieseltwin.sealed import opened_json, sealed_json, sealed_text
 
 FORMAT = 1
 STEADY_FORMAT = 2  # 1 held one formulation and the terms that the engine file now has
@@ -50,7 +52,7 @@ def write_engine(engine: EngineParameters, path: Path, heading: str) -> Path:
     """The engine's parameters as YAML that --engine takes."""
     content = engine.model_dump(mode="json", exclude_defaults=False)
     body = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=100)
-    return write_text(path, "".join(f"# {line}\n" for line in heading.splitlines()) + body)
+    return write_text(path, sealed_text("".join(f"# {line}\n" for line in heading.splitlines()) + body))
 
 
 def write_calibration(calibration: Calibration, path: Path) -> list[Path]:
@@ -72,16 +74,17 @@ def write_calibration(calibration: Calibration, path: Path) -> list[Path]:
         "converged": calibration.estimate.converged,
         "actuators": [asdict(a) for a in calibration.actuators],
         "notes": list(calibration.notes),
+        "warnings": warnings_of(doubts_among(calibration.notes)),
         "base": calibration.base.model_dump(mode="json"),
         "geometry": geometry.model_dump(mode="json"),
     }  # fmt: skip
-    written.append(write_json(calibration_sidecar(path), content))
+    written.append(write_json(calibration_sidecar(path), sealed_json(content)))
     turned = [a.column for a in calibration.actuators if a.opens < 0]
     if turned:
         entries = {f"{c}": {"column": c, "scale": -1.0, "offset": 100.0} for c in turned}
         text = "# These actuators close with rising position: give this map with --channels.\n"
         text += yaml.safe_dump(entries)
-        written.append(write_text(channel_map_file(path), text))
+        written.append(write_text(channel_map_file(path), sealed_text(text)))
     return written
 
 
@@ -117,7 +120,7 @@ def write_repaired(result: PointsDiscovery, path: Path) -> list[Path]:
         "base": result.calibration.base.model_dump(mode="json"),
         "geometry": result.calibration.geometry.model_dump(mode="json"),
     }  # fmt: skip
-    written.append(write_json(steady_sidecar(path), content))
+    written.append(write_json(steady_sidecar(path), sealed_json(content)))
     return written
 
 
@@ -176,6 +179,7 @@ def _read(path: Path, version: int) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise _broken(path, error) from None
+    content = opened_json(content, str(path), "write it anew")
     if not isinstance(content, dict) or content.get("format") != version:
         raise _broken(path, "another format")
     return content

@@ -23,6 +23,8 @@ from dieseltwin.discovery.verdict.document import (
     Location,
     Provenance,
     RecordingInfo,
+    fit_doubts,
+    with_warnings,
 )
 from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.discovery.verdict.findings import finite, valid_for
@@ -30,6 +32,7 @@ from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.engine.terms import Term
+from dieseltwin.notes import doubts_among
 from dieseltwin.recordings.steady_points import STATES
 from dieseltwin.version import __version__
 
@@ -129,7 +132,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
     first = result.rounds[0].found
     std = result.repaired.estimate.std()
     engine, before = result.engine(), result.calibration.engine
-    return Discrepancy(
+    made = Discrepancy(
         schema=1,  # type: ignore[call-arg]  # the alias of schema_version
         recording=RecordingInfo(path=str(points.path.name if points.path else "points"), sha256=points.sha256,
                                 duration_s=0.0, channels=tuple(name for name in STATES if name in points)),
@@ -148,6 +151,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
                             if np.isfinite(size) and name in EFFECTS},
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
+    return with_warnings(made, [*doubts_among(result.calibration.notes), *fit_doubts(made)])
 
 
 def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]:

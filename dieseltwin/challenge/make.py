@@ -16,6 +16,7 @@ from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import SEALED, file_sha256, new_salt, salted_sha256, write_answers, write_salt
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
+from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.strict import unknown_name
 from dieseltwin.version import __version__
 
@@ -67,7 +68,7 @@ def make_challenge(
         "duration_s": duration_s, "healthy_only": healthy_only,
         "seed_sha256": salted_sha256(salt, str(seed).encode()), "cases": entries,
     }  # fmt: skip
-    write_json(out / MANIFEST, manifest)
+    write_json(out / MANIFEST, sealed_json(manifest))
     return manifest
 
 

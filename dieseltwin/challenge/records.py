@@ -20,7 +20,9 @@ from dieseltwin.discovery.verdict.document import FILE_NAME, NONE_OF_THESE, Disc
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.terms import Term
+from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording, read_recording
+from dieseltwin.sealed import opened_json, sealed_json
 
 COUNTED_RATIO = 3.0
 """Detection, sites and names are counted from this magnitude over tolerance on (docs/benchmark.md)."""
@@ -216,18 +218,26 @@ def _true_effect(fault: Fault) -> TrueEffect:
     return TrueEffect(fault.effect, family.site, fault.magnitude, fault.ratio, family.catalogued)
 
 
+def _kept(cache: Path) -> dict[str, Any]:
+    """What was kept, nothing where it isn't whole: it is computed again then."""
+    try:
+        return dict(opened_json(json.loads(cache.read_text(encoding="utf-8")), str(cache), "remove it"))
+    except (OSError, ValueError, TypeError, InputError):
+        return {}
+
+
 def _computed(
     folder: Path, result: Path, answers: Mapping[str, Any], faults: Sequence[Fault], scoring: Scoring
 ) -> dict[str, Any]:
     """Held-out scores, separability and the law's error; kept beside the result, since they take seconds a case."""
     cache = result / "scored.json"
     if cache.is_file():
-        kept = json.loads(cache.read_text())
+        kept = _kept(cache)
         if kept.get("of") == _stamp(result):
             values = dict(kept["values"])
             if "law_error" in values and "oracle_law_error" not in values:  # of a scorer that didn't tell it
                 values |= _law_errors(folder, result, answers, faults, scoring, values.get("oracle_magnitudes", {}))
-                write_json(cache, {"of": _stamp(result), "values": values})
+                write_json(cache, sealed_json({"of": _stamp(result), "values": values}))
             return values
     name = str(answers["case"])
     values = {}
@@ -257,7 +267,7 @@ def _computed(
     values |= _law_errors(folder, result, answers, faults, scoring, values.get("oracle_magnitudes", {}))
     with_numbers = {k: (None if isinstance(v, float) and not np.isfinite(v) else v) for k, v in values.items()}
     if scoring != Scoring():
-        write_json(cache, {"of": _stamp(result), "values": with_numbers})
+        write_json(cache, sealed_json({"of": _stamp(result), "values": with_numbers}))
     return with_numbers
 
 

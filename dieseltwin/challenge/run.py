@@ -24,6 +24,7 @@ from dieseltwin.discovery.verdict.document import FILE_NAME
 from dieseltwin.engine import EngineParameters, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording, read_recording
+from dieseltwin.sealed import opened_json
 from dieseltwin.settings.strict import unknown_name, validate
 
 RESULTS = "results"
@@ -68,6 +69,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     except RecursionError:
         raise InputError(str(path), "lists in lists thousands deep", "the manifest of `challenge make`",
                          "restore it") from None
+    content = opened_json(content, str(path), "give the folder that `challenge make` wrote")
     if not isinstance(content, dict):
         raise InputError(str(path), f"a {type(content).__name__}", "the manifest of `challenge make`", "restore it")
     validate(Manifest, content, str(path))

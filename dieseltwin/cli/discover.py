@@ -9,9 +9,18 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Pdf, Profile, Strict, progress, say
+from dieseltwin.cli.options import (
+    ChannelsFile,
+    EngineFile,
+    ParamsFile,
+    Pdf,
+    Profile,
+    Strict,
+    progress,
+    say,
+    strictly,
+)
 from dieseltwin.errors import InputError
-from dieseltwin.notes import STRICT_CODE
 from dieseltwin.settings.names import refuse_options
 
 
@@ -94,8 +103,7 @@ def discover_command(
     say([*found.lines(), f"results: {out}"])
     if name is not None:
         say(["", *explain(name, out, question.catalogue)])
-    if strict and found.document.warnings:
-        raise typer.Exit(STRICT_CODE)
+    strictly(strict, found.warnings)
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

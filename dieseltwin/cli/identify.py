@@ -9,8 +9,17 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, ParamsFile, Pdf, Profile, Strict, progress, say
-from dieseltwin.notes import STRICT_CODE
+from dieseltwin.cli.options import (
+    ChannelsFile,
+    EngineFile,
+    ParamsFile,
+    Pdf,
+    Profile,
+    Strict,
+    progress,
+    say,
+    strictly,
+)
 from dieseltwin.settings import methods
 from dieseltwin.settings.names import unknown_name
 
@@ -51,6 +60,9 @@ def identify_command(
     params: ParamsFile = None,
     profile: Profile = "quick",
     pdf: Pdf = False,
+    fit_test: Annotated[
+        bool, typer.Option("--fit-test/--no-fit-test", help="Test whether the twin fits the recording at all.")
+    ] = True,
     strict: Strict = False,
 ) -> None:
     """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty."""
@@ -61,7 +73,7 @@ def identify_command(
     from dieseltwin.api.printing import check_printable, print_report
 
     named = None if sensors is None else tuple(name.strip() for name in sensors.split(",") if name.strip())
-    setup = Setup(models, maps, params, profile, named)
+    setup = Setup(models, maps, params, profile, named, fit_test)
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
     if pdf:
@@ -73,5 +85,4 @@ def identify_command(
     if pdf:
         print_report(out)
     say([*found.lines(), f"results: {out}"])
-    if strict and found.warnings:
-        raise typer.Exit(STRICT_CODE)
+    strictly(strict, found.warnings)

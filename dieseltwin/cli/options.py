@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from dieseltwin.notes import STRICT_CODE
 
 EngineFile = Annotated[
     Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")
@@ -33,6 +35,12 @@ def say(lines: Iterable[str]) -> None:
     """Print lines as they come."""
     for line in lines:
         typer.echo(line)
+
+
+def strictly(strict: bool, warnings: Sequence[object]) -> None:
+    """End with `STRICT_CODE` where that was asked for and there is a warning."""
+    if strict and warnings:
+        raise typer.Exit(STRICT_CODE)
 
 
 def help_without_command(context: typer.Context) -> None:

@@ -10,7 +10,7 @@ import typer
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.cli.early import check_apart, check_there
-from dieseltwin.cli.options import say
+from dieseltwin.cli.options import Strict, say, strictly
 from dieseltwin.errors import InputError
 
 ENGINE_SUFFIXES = (".yaml", ".yml")
@@ -32,6 +32,7 @@ def calibrate_command(
         float | None, typer.Option("--noise", metavar="PCT", help="Standard deviation of every sensor [%].")
     ] = None,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the held-out third.")] = 0,
+    strict: Strict = False,
 ) -> None:
     """Calibrate another engine of the same kind from steady points."""
     check_there(points)
@@ -46,6 +47,7 @@ def calibrate_command(
     found.save(out)
     names = ", ".join([str(out), *found.beside(out)])
     say([*found.lines(), f"{names} ({time.perf_counter() - began:.0f} s)"])
+    strictly(strict, found.warnings)
 
 
 def imply_command(
@@ -53,6 +55,7 @@ def imply_command(
     engine: Annotated[Path, typer.Option("--engine", metavar="FILE", help="repaired.yaml of `discover POINTS`.")],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help=".csv or .parquet to write.")],
     channels: Channels = None,
+    strict: Strict = False,
 ) -> None:
     """Say, for each point, every quantity that nobody measured, with its standard deviation."""
     check_there(points)
@@ -64,3 +67,4 @@ def imply_command(
     found.save(out)
     first, *notes = found.lines()
     say([f"{out}: {first}", *notes])
+    strictly(strict, found.warnings)

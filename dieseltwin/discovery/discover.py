@@ -15,11 +15,13 @@ from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
 from dieseltwin.discovery.verdict.assemble import assemble
+from dieseltwin.discovery.verdict.checks import misfit_of
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.document import Reference
+from dieseltwin.discovery.verdict.document import Reference, fit_doubts, with_warnings
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
+from dieseltwin.notes import Note
 from dieseltwin.recordings.dates import ORDER, Dated
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
@@ -86,7 +88,7 @@ def discover(
     day = Dated(recording, datetime.fromtimestamp(0.0, UTC), ORDER)
     result = assemble([day], found, options, _reference(found, learned), time_s)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
-    return replace(result, runtime=runtime)
+    return replace(_with_doubts(result, engine, [recording]), runtime=runtime)
 
 
 def discover_together(
@@ -110,7 +112,18 @@ def discover_together(
     twin = several_twin(days, engine, options, learned)
     found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
     result = assemble(days, found, options, _reference(found, learned), time_s)
-    return replace(result, runtime={**found.seconds, "total": time.perf_counter() - clock})
+    runtime = {**found.seconds, "total": time.perf_counter() - clock}
+    return replace(_with_doubts(result, engine, [day.recording for day in days]), runtime=runtime)
+
+
+def _with_doubts(result: Discovery, engine: EngineParameters, recordings: Sequence[Recording]) -> Discovery:
+    """What was done to the recordings on reading, and what is doubtful about the fit, in the document."""
+    doubts = [Note(note, "reading") for recording in recordings for note in recording.notes]
+    doubts += fit_doubts(result.document)
+    problem = misfit_of(engine, result.engine, result.document.fit.chi2_per_sample_after)
+    if problem is not None:
+        doubts.append(Note(f"{problem[0]} ({problem[1]} is allowed): no twin of what was recorded", "misfit"))
+    return replace(result, document=with_warnings(result.document, doubts))
 
 
 def several_twin(

@@ -29,6 +29,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.strict import read_mapping
 from dieseltwin.version import __version__
 
@@ -83,7 +84,8 @@ def save_learned(learned: LearnedEngine, path: Path) -> Path:
     values |= {LEARNED: target.name, SHA256: hashlib.sha256(content).hexdigest()}
     minutes = f"{learned.minutes:.0f} minutes of {len(learned.recordings)} recording(s)"
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
-    write_text(path, f"# Learned by `dieseltwin learn` from {minutes}; --engine accepts it.\n{text}")
+    heading = f"# Learned by `dieseltwin learn` from {minutes}; --engine accepts it.\n"
+    write_text(path, sealed_text(heading + text))
     return target
 
 

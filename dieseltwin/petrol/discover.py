@@ -30,6 +30,8 @@ from dieseltwin.discovery.verdict.document import (
     Location,
     Provenance,
     RecordingInfo,
+    fit_doubts,
+    with_warnings,
 )
 from dieseltwin.discovery.verdict.findings import effects, finite, site_probabilities
 from dieseltwin.discovery.verdict.reasons import candidate_rows
@@ -179,7 +181,7 @@ def _document(
     mismatch = found.kind != "healthy"
     null, at = found.null, found.best or found.null
     used = [c for c in COLUMNS if any(c in NEEDS[name] for name in twin.channels)]
-    return Discrepancy(
+    made = Discrepancy(
         schema=1,
         recording=RecordingInfo(path=recording.path, sha256=recording.sha256,
                                 duration_s=float(recording.signals.time_s[-1]), channels=tuple(used)),
@@ -196,6 +198,7 @@ def _document(
         minimum_detectable=minimum_detectable(twin, found),
         provenance=Provenance(code_version=__version__, params_sha256=params_sha256 or engine.calibrated_on),
     )  # fmt: skip
+    return with_warnings(made, fit_doubts(made))
 
 
 def _location(recording: PetrolRecording, found: Search) -> Location:

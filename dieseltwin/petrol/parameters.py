@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from dieseltwin.atomic import write_text
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.recording import Geometry
+from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.strict import StrictModel, read_mapping, validate
 
 Array = NDArray[np.float64]
@@ -188,7 +189,7 @@ def save_petrol(parameters: PetrolParameters, path: str | Path) -> Path:
     """Write the engine file atomically; numbers with six digits."""
     text = yaml.safe_dump(_rounded(parameters.model_dump(mode="json")), sort_keys=False, default_flow_style=None,
                           width=118)
-    return write_text(path, text)
+    return write_text(path, sealed_text(text))
 
 
 def _rounded(value: object) -> object:

@@ -109,6 +109,9 @@ def known_columns() -> tuple[str, ...]:
     return (TIME, *INPUTS, *OPTIONAL_INPUTS, *SENSORS, *OPTIONAL_SENSORS, *AMBIENT, "torque_nm")
 
 
+LARGEST_FACTOR = 1e15  # of a scale or an offset
+
+
 class ChannelEntry(StrictModel):
     """One entry of a channel map: ours = scale(unit) * scale * theirs + offset(unit) + offset.
 
@@ -129,6 +132,14 @@ class ChannelEntry(StrictModel):
     def _no_yes_for_a_number(cls, value: Any) -> Any:
         if holds_boolean(value):
             raise ValueError("no number but yes or no; YAML reads true, yes and on so")
+        return value
+
+    @field_validator("scale", "offset")
+    @classmethod
+    def _of_a_size(cls, value: float) -> float:
+        """No conversion of units is larger, and times of 1e-300 s would be simulated step by step."""
+        if value != 0.0 and not 1.0 / LARGEST_FACTOR <= abs(value) <= LARGEST_FACTOR:
+            raise ValueError(f"a number of size {1.0 / LARGEST_FACTOR:g} to {LARGEST_FACTOR:g}")
         return value
 
     @property

@@ -46,6 +46,7 @@ SLOW_ROWS = (
 )
 LONGEST_GAP_S = 1.0
 LONGEST_S = 1e6  # eleven days; longer ones are in milliseconds
+MOST_ROWS = 6_000_000  # of a table; with more, memory for the columns and their text runs out on small machines
 JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
 HISTORY_S = 2.0  # of inputs kept before a segment: dead time and ten time constants of the slowest actuator are 1.4 s
 MINIMUM_ROWS = 10  # of a segment; fewer hold no information on four parameters and three states
@@ -243,6 +244,8 @@ def recording(
     time = columns[TIME]
     if time.size < 2:
         raise InputError(where, f"{time.size} rows", "at least 2 rows", "record longer")
+    if time.size > MOST_ROWS:
+        raise InputError(where, f"{time.size} rows", f"at most {MOST_ROWS}", "cut it, or average it down to 10 Hz")
     _check_time(time, where, any_rate)
     _check_running(columns["n_e_rpm"], where)
     infinite = [f"{count} infinite values of {name} count as missing" for name in needed if name in frame
@@ -373,7 +376,7 @@ def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:
             with temporary.open("w", encoding="utf-8", newline="") as file:  # pandas would hide the kind of failure
                 frame.to_csv(file, index=False, lineterminator="\n")
         else:
-            frame.to_parquet(temporary, index=False)
+            frame.to_parquet(temporary, index=False, write_page_checksum=True)
     return path
 
 

@@ -45,6 +45,7 @@ class SteadyPoints:
         row: (n,) data row of the file that each point came from, from 1.
         path, sha256: where it was read from.
         origin: "points" as given, or "averaged quasi-steady windows of a transient recording".
+        notes: what reading did to them, one sentence each.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -52,6 +53,7 @@ class SteadyPoints:
     path: Path | None = None
     sha256: str = ""
     origin: str = "points"
+    notes: tuple[str, ...] = ()
 
     @property
     def size(self) -> int:
@@ -104,6 +106,7 @@ def points(
             raise InputError(f"{where}: column {name}", f"none ({listed(names)})", "this column",
                              foreign_hint(name, names))
     columns: dict[str, np.ndarray] = {}
+    notes = []
     for name in names:
         raw = pd.Series(np.asarray(frame[name]))
         values = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64)
@@ -112,6 +115,9 @@ def points(
             raise InputError(f"{where}: column {name}, data row {row + 1}", repr(raw.iloc[row]),
                              "numbers with a decimal point", "mend or empty this cell")
         columns[name] = np.where(np.isfinite(values), values, np.nan)
+        infinite = int(np.count_nonzero(np.isinf(values)))
+        if infinite and name in {*needed, *INPUTS, *STATES, "p_amb_pa", "t_amb_k"}:
+            notes.append(f"{infinite} infinite values of {name} count as missing")
     size = len(next(iter(columns.values()))) if columns else 0
     for name, value in (("p_amb_pa", engine.p_amb), ("t_amb_k", engine.T_amb)):
         columns[name] = np.where(np.isnan(columns[name]), value, columns[name]) if name in columns \
@@ -123,7 +129,9 @@ def points(
     check_plausible(columns, where, float(np.median(columns["t_amb_k"])), engine.V_d / engine.n_cyl)
     for values in columns.values():
         values.setflags(write=False)
-    return SteadyPoints(MappingProxyType(columns), np.flatnonzero(whole) + 1, path, sha256, origin)
+    if not whole.all():
+        notes.append(f"{int(np.count_nonzero(~whole))} of {size} rows are left out: an input is missing")
+    return SteadyPoints(MappingProxyType(columns), np.flatnonzero(whole) + 1, path, sha256, origin, tuple(notes))
 
 
 def read_points(

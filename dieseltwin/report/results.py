@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
+from dieseltwin.sealed import opened_json
 from dieseltwin.settings.methods import known
 from dieseltwin.symbols import HEALTH_NAMES
 
@@ -230,11 +231,12 @@ def method_from_document(
 
 def _read_json(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError(
             str(path), error, "a JSON document", "write it again with `dieseltwin identify`"
         ) from error
+    return opened_json(content, str(path), "write it again with `dieseltwin identify`")
 
 
 def _optional_json(path: Path) -> dict[str, Any]:
@@ -245,7 +247,7 @@ def _optional_table(path: Path) -> pd.DataFrame | None:
     if not path.exists():
         return None
     try:
-        return pd.read_parquet(path)
+        return pd.read_parquet(path, page_checksum_verification=True)
     except (OSError, ValueError) as error:  # pyarrow's errors derive from these
         raise InputError(str(path), error, "a Parquet table", "make it again") from error
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from dieseltwin.errors import InputError
 from dieseltwin.paths import refuse_unreadable
+from dieseltwin.sealed import check_text
 from dieseltwin.settings.names import LISTED_NAMES, did_you_mean, listed, refuse_options, unknown_name
 from dieseltwin.settings.plain_yaml import plain_yaml
 
@@ -43,7 +44,8 @@ def read_mapping(path: str | Path) -> dict[str, Any]:
     Keys are text as they stand in the file ("on" and "1" too), and a date is text.
 
     Raises:
-        InputError: no such file, not readable, not plain YAML, a key twice, or not a mapping.
+        InputError: no such file, not readable, not plain YAML, a key twice, not a mapping, or another content than its
+            checksum says.
     """
     path = Path(path)
     refuse_unreadable(path, "a YAML file")
@@ -51,6 +53,7 @@ def read_mapping(path: str | Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(str(path), error, "a readable YAML file in UTF-8", "check the file") from None
+    check_text(text, str(path))
     loaded = plain_yaml(text, str(path))
     if loaded is None:
         return {}

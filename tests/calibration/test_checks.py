@@ -12,7 +12,7 @@ from dieseltwin.calibration.calibrate import calibrate, read_geometry
 from dieseltwin.calibration.checks import actuators, check_points, egr_shut
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import SteadyPoints, points
 from tests.calibration.simulated import GEOMETRY, made_points
 
 
@@ -85,3 +85,16 @@ def test_geometry_file(tmp_path: Path) -> None:
     file.write_text("bor_mm: 130\n")
     with pytest.raises(InputError, match="bore_mm"):
         read_geometry(file, we2011.PARAMETERS)
+
+
+def test_infinite_cells_count_as_missing_and_are_said(few: SteadyPoints) -> None:
+    flow = few["w_c_kg_s"].copy()
+    flow[[3, 5]] = np.inf
+    speed = few["n_e_rpm"].copy()
+    speed[7] = np.inf
+    made = points({**few.columns, "w_c_kg_s": flow, "n_e_rpm": speed})
+    assert sorted(made.notes) == [
+        "1 infinite values of n_e_rpm count as missing", f"1 of {few.size} rows are left out: an input is missing",
+        "2 infinite values of w_c_kg_s count as missing",
+    ]  # fmt: skip
+    assert np.isnan(made["w_c_kg_s"]).sum() == 2 and made.size == few.size - 1

@@ -297,6 +297,16 @@ class EngineTwin:
         other._law_signals = dict(self._law_signals)
         return other
 
+    def with_inputs(self, inputs: Inputs) -> EngineTwin:
+        """The same twin driven by other inputs, at as many sample times and on as many steps."""
+        other = copy(self)
+        longer = np.diff(inputs.time_s) / np.diff(self.time_s)
+        other.inputs, other.time_s, other._memory = inputs.clipped(self.engine), inputs.time_s, Memory()
+        other._step_s = longer * self._step_s
+        other._plain = actuate_lanes(other.inputs, self.engine, {}, 1, None, other._step_s)
+        other._law_signals = dict(self._law_signals)
+        return other
+
     def deviating(self, deviation: Array, moved: Array) -> EngineTwin:
         """The twin about other corrections than the belief's mean (`likelihood.learned.LearnedTwin`)."""
         coefficients = deviation if self.belief is None else self.belief.coefficients + deviation

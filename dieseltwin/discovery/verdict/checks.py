@@ -16,6 +16,7 @@ from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, constants
 from dieseltwin.engine.simulate import numpy_model
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
+from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import INPUTS, foreign_hint
 from dieseltwin.recordings.held import rows_between_readings
 from dieseltwin.recordings.reader import Recording
@@ -27,6 +28,9 @@ agree; noise and its correlation need some 200 rows."""
 
 COMFORTABLE_S = 300.0
 """Below, a note: limits grow with one over the square root of the time, and all error rates were measured at 600 s."""
+
+MOST_ROWS = 150_000
+"""Rows with the engine running: responses to all tolerances and effects take 50 kB a row while they are compared."""
 
 LEAST_SENSORS = 3
 """As many readings as states; with fewer a state can't be told from a parameter."""
@@ -45,7 +49,6 @@ in steady running, four go to the health parameters; one effect, its place and a
 LEAST_PRESENT = 0.5  # share of a sensor's own raster with a reading; one that is mostly silent is not one of those used
 SLOWEST_READING_S = 2.0  # raster of a sensor that still counts as one: the turbo goes from idle to full load in three
 FEW_VALUES = 3  # a channel with so few different readings is stuck or a status word
-STUCK_S = 30.0  # the same reading for so long, while the engine moves, is a note
 LARGEST_BREATHING = 1.4
 """Factor by which the air balance may be off with a reading of the compressor flow: effects of the catalogue at ten
 times their tolerance reach 1.32 (volumetric efficiency), a displacement that is wrong by half is beyond it."""
@@ -142,6 +145,18 @@ def check_length(recording: Recording) -> None:
             str(recording.path or "recording"), f"{seconds:.3g} s of running engine",
             f"{MINIMUM_S:g} s or more for a verdict, 600 s for the stated error rates", "record longer",
         )  # fmt: skip
+
+
+def check_rows(recording: Recording) -> None:
+    """Refuse a recording that is too large for the memory that a verdict takes.
+
+    Raises:
+        InputError: more than `MOST_ROWS` with the engine running.
+    """
+    rows = sum(piece.stop - piece.start for piece in recording.pieces())
+    if rows > MOST_ROWS:
+        raise InputError(str(recording.path or "recording"), f"{rows} rows of running engine", f"at most {MOST_ROWS}",
+                         "judge it in parts, or average it down to 5 Hz")
 
 
 def excitation(recording: Recording, engine: EngineParameters) -> tuple[dict[str, float], int]:
@@ -284,6 +299,7 @@ def check_recording(
         InputError: the recording can't carry a verdict, or the engine file is another engine's.
     """
     check_length(recording)
+    check_rows(recording)
     used = check_sensors(recording, sensors)
     check_excitation(recording, engine)
     factor = check_engine(recording, engine)
@@ -295,28 +311,7 @@ def check_recording(
     if factor is not None and "w_c_kg_s" in used and not 1.0 / NOTED_BREATHING <= factor <= NOTED_BREATHING:
         notes.append(Note(f"the engine breathes {100 * factor:.0f} % of what the engine file says; check V_d and "
                           "the flow sensors before you trust a name", "wrong_engine"))  # fmt: skip
-    for name in used:
-        since, length = _longest_standstill(recording, name)
-        if length >= STUCK_S:
-            notes.append(Note(f"{name} stands still for {length:.0f} s from {since:.0f} s on; a stuck sensor looks "
-                              "like missing physics", "frozen_channel", (name,)))  # fmt: skip
-    return used, notes
-
-
-def _longest_standstill(recording: Recording, name: str) -> tuple[float, float]:
-    """Start and length [s] of the longest stretch of one and the same reading while the engine's speed moves."""
-    values, time = recording.columns[name], recording.time_s
-    rows = np.flatnonzero(np.isfinite(values))
-    if rows.size < 2 or name == "w_egr_kg_s":  # no flow through a shut valve stands still rightly
-        return 0.0, 0.0
-    changes = np.flatnonzero(np.diff(values[rows]) != 0.0)
-    starts, ends = np.r_[0, changes + 1], np.r_[changes, rows.size - 1]
-    lengths = time[rows[ends]] - time[rows[starts]]
-    longest = int(np.argmax(lengths))
-    first, last = rows[starts[longest]], rows[ends[longest]]
-    if np.nanstd(recording.columns["n_e_rpm"][first : last + 1]) == 0.0:
-        return 0.0, 0.0
-    return float(time[first]), float(lengths[longest])
+    return used, [*notes, *channel_notes(recording, used)]
 
 
 def check_sensitivity(
@@ -355,16 +350,26 @@ def check_fit(
     Raises:
         InputError: residuals of five times the noise, or health parameters of no engine.
     """
-    where = f"{recording.path or 'recording'} with this engine file"
-    do = "give the file of this engine with --engine, or check the channels and their units"
+    problem = misfit_of(engine, repaired, chi2_per_sample)
+    if problem is not None:
+        raise InputError(f"{recording.path or 'recording'} with this engine file", *problem,
+                         "give the file of this engine with --engine, or check the channels and their units")
+
+
+def misfit_of(
+    engine: EngineParameters, repaired: EngineParameters, chi2_per_sample: float | None
+) -> tuple[str, str] | None:
+    """What makes a repaired twin no twin of what was recorded, and what would be allowed; None where it is one.
+
+    Args:
+        engine: as given; repaired: as found; chi2_per_sample: of the repaired fit [-].
+    """
     for name in HEALTH:
         ratio = getattr(repaired, name) / getattr(engine, name)
         factor = HEALTH_FACTORS[name]
         if not 1.0 / factor <= ratio <= factor:
-            got = f"{name} at {ratio:.2g} times the file's value"
-            raise InputError(where, got, f"{1 / factor:.2g} to {factor:g} times", do)
+            return f"{name} at {ratio:.2g} times the file's value", f"{1 / factor:.2g} to {factor:g} times"
     if chi2_per_sample is not None and chi2_per_sample > LARGEST_CHI2:
-        raise InputError(
-            where, f"residuals of {math.sqrt(chi2_per_sample):.2g} times the noise after every repair",
-            f"{math.sqrt(LARGEST_CHI2):g} times at most", do,
-        )  # fmt: skip
+        return (f"residuals of {math.sqrt(chi2_per_sample):.2g} times the noise after every repair",
+                f"{math.sqrt(LARGEST_CHI2):g} times at most")
+    return None

@@ -17,10 +17,12 @@ from pydantic import Field, ValidationError, model_validator
 
 from dieseltwin.atomic import write_json
 from dieseltwin.errors import InputError
-from dieseltwin.notes import warnings_of
+from dieseltwin.notes import Note, warnings_of
+from dieseltwin.sealed import opened_json, sealed_json
 from dieseltwin.settings.strict import StrictModel
 
 SCHEMA = 1
+NOTED_CHI2 = 4.0  # per sample of the repaired fit, twice the noise: worth a warning
 NONE_OF_THESE = "none_of_these"
 FILE_NAME = "discrepancy.json"
 _ROUNDING = 1e-6  # of probabilities that sum to one
@@ -274,12 +276,25 @@ class Discrepancy(_Part):
 
     def write(self, path: str | Path) -> Path:
         """Write `discrepancy.json` atomically; strict JSON."""
-        return write_json(path, self.to_json())
+        return write_json(path, sealed_json(self.to_json()))
 
 
 def with_warnings(document: Discrepancy, notes: Iterable[str]) -> Discrepancy:
-    """The document with notes as its warnings."""
-    return document.model_copy(update={"warnings": tuple(Doubt(**warning) for warning in warnings_of(notes))})
+    """The document with notes added to its warnings, each once."""
+    both = [*document.warnings, *(Doubt(**warning) for warning in warnings_of(notes))]
+    return document.model_copy(update={"warnings": tuple(dict.fromkeys(both))})
+
+
+def fit_doubts(document: Discrepancy) -> list[Note]:
+    """Notes about the fit that a document itself calls for."""
+    notes = []
+    if document.more_is_missing:
+        notes.append(Note("what was found doesn't explain all of the misfit: more is missing, so sizes and names may "
+                          "be off", "more_is_missing"))  # fmt: skip
+    chi2 = document.fit.chi2_per_sample_after
+    if chi2 is not None and chi2 > NOTED_CHI2:
+        notes.append(Note(f"the repaired twin leaves {chi2**0.5:.2g} times the noise", "misfit"))
+    return notes
 
 
 def _no_repeats(names: list[str], what: str) -> None:
@@ -312,6 +327,7 @@ def parse_discrepancy(text: str, where: str = FILE_NAME) -> Discrepancy:
         content = json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=_unique_keys)
     except ValueError as error:  # JSONDecodeError is one
         raise InputError(where, str(error), "strict JSON: numbers without NaN, every key once", again) from None
+    content = opened_json(content, where, again)
     if not isinstance(content, dict):
         raise InputError(where, f"a {type(content).__name__}", "an object with the keys of schema 1", again)
     if content.get("schema") != SCHEMA or isinstance(content.get("schema"), bool):

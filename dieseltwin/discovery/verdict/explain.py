@@ -14,6 +14,7 @@ from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, load_discrepancy
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
+from dieseltwin.sealed import opened_json
 from dieseltwin.settings.strict import unknown_name
 
 DETAILS = "details.json"
@@ -67,6 +68,7 @@ def load_details(folder: str | Path) -> dict[str, Any]:
         raise InputError(str(path), "no such file", "a folder that `dieseltwin discover` wrote", do) from None
     except (OSError, ValueError) as error:
         raise InputError(str(path), error, "JSON that `dieseltwin discover` wrote", do) from None
+    content = opened_json(content, str(path), do)
     if not isinstance(content, dict) or not {"candidates", "options", "equivalent_gain"} <= set(content):
         raise InputError(str(path), "other content", "JSON that `dieseltwin discover` of this version wrote", do)
     return content

@@ -20,7 +20,7 @@ def read_parquet(path: Path) -> RawChannels:
         InputError: not readable, or date stamps that are none.
     """
     try:
-        frame = pd.read_parquet(path)
+        frame = pd.read_parquet(path, page_checksum_verification=True)
         schema = pq.read_schema(path)
     except (OSError, ValueError) as error:
         raise unreadable(path, "Parquet", error) from None

@@ -10,8 +10,17 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect, load_discrepancy, parse_discrepancy
+from dieseltwin.discovery.verdict.document import (
+    Discrepancy,
+    FoundEffect,
+    fit_doubts,
+    load_discrepancy,
+    parse_discrepancy,
+    with_warnings,
+)
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note
+from dieseltwin.sealed import sealed_json
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "report"))
 import synthetic_discovery as synthetic
@@ -69,7 +78,7 @@ def test_round_trip_through_a_file(content: dict[str, Any], tmp_path: Path) -> N
     document = Discrepancy.model_validate(content)
     path = document.write(tmp_path / "discrepancy.json")
     assert load_discrepancy(path) == document == load_discrepancy(tmp_path)
-    assert json.loads(path.read_text()) == document.to_json()
+    assert json.loads(path.read_text()) == sealed_json(document.to_json())
 
 
 @pytest.mark.parametrize(
@@ -131,3 +140,14 @@ def test_the_reported_set() -> None:
     leak = FoundEffect.model_validate(synthetic.LEAK)
     assert leak.named and leak.names == ("boost_leak", "compressor_efficiency_loss")
     assert not FoundEffect.model_validate(synthetic.UNNAMED).named
+
+
+def test_a_fit_that_leaves_something_warns_once(tmp_path: Path) -> None:
+    bare = synthetic.document(location={**synthetic.LOCATION, "regions": [synthetic.REGION]})
+    fit = bare.fit.model_copy(update={"chi2_per_sample_after": 9.0})
+    document = bare.model_copy(update={"more_is_missing": True, "fit": fit})
+    said = with_warnings(with_warnings(document, fit_doubts(document)), [*fit_doubts(document), Note("short", "short")])
+    assert [doubt.code for doubt in said.warnings] == ["more_is_missing", "misfit", "short"]
+    assert "3 times the noise" in said.warnings[1].text
+    said.write(tmp_path / "discrepancy.json")
+    assert load_discrepancy(tmp_path) == said

@@ -1,0 +1,182 @@
+"""Does the twin fit a recording at all? The detection step of discovery alone, in seconds: is anything beyond noise and
+tolerances, and what does it look like. No name is proved here, that is `discover`'s work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from scipy.stats import chi2
+
+from dieseltwin.discovery.likelihood.score import Scored
+from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.recording_faults import Suspicion, recording_faults, suspicions
+from dieseltwin.discovery.search.preparation import prepare
+from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.engine import MEASURED, EngineParameters
+from dieseltwin.errors import InputError
+from dieseltwin.identification.problem import NOISE_FLOOR
+from dieseltwin.notes import Note
+from dieseltwin.recordings.noise import estimate_noise
+from dieseltwin.recordings.reader import Recording
+
+LONGEST_PART_S = 600.0
+"""A longer recording is tested in parts of at most this length [s], so that memory stays bounded."""
+
+SHORTEST_S = 60.0
+"""Less running time can't be tested: six windows, each of which spends an unknown state [s]."""
+
+FEWEST_SENSORS = 3
+BEST_SENSOR = 0.002
+"""Noise that every sensor has at least, as a share of its channel's level [-], and never below `NOISE_FLOOR`. What has
+less, as a simulation, is given it: nothing else would hide the errors of integration steps and of windows' starts."""
+
+ALARM_GAIN = 16.0
+"""Gain of a fault or an effect from which the twin doesn't fit. The largest of 24 clean recordings was 6.6."""
+
+SURE_GAIN = 60.0  # above, a finding may hang on one window: a sensor that fails for ten seconds has failed
+LEAST_SPREAD = 0.5  # share of its gain that a finding below that keeps without its best window
+LEAST_SIZE = 0.8  # of its size of interest
+CHI2_SLACK = 0.25  # noise is known to some per cent alone
+CHI2_SIGMA = 6.0  # standard deviations of a chi-square beyond that
+SLOW_ROWS = 10  # readings whose mean tells slow structure from white noise
+SLOW_SLACK = 0.3
+WINDOW_LEVEL = 1e-9  # probability of a window's chi-square by chance
+WINDOW_LEAST = 4.0  # chi-square a reading of a window that counts: next to an instability 3.6 was met without a fault
+
+
+@dataclass(frozen=True)
+class Excess:
+    """What a channel leaves beyond its noise.
+
+    Attributes:
+        channel: column.
+        times: root of chi-square per reading of the whole, of the worst window, or of slow structure [-].
+        since_s, until_s: the worst window, or the whole part [s].
+    """
+
+    channel: str
+    times: float
+    since_s: float
+    until_s: float
+
+
+def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[str]) -> list[Note]:
+    """Notes that say that, where and how the twin doesn't fit; none where it does.
+
+    Args:
+        recording: what was recorded.
+        engine: what the twin believes; its health parameters are fitted.
+        sensors: columns that count.
+    """
+    parts = list(_parts(recording))
+    used = [name for name in sensors if name in recording.columns and np.isfinite(recording.columns[name]).any()]
+    if not parts or len(used) < FEWEST_SENSORS:
+        return [Note(f"whether the twin fits isn't tested: that takes {SHORTEST_S:g} s of running engine and "
+                     f"{FEWEST_SENSORS} sensors", "untested")]
+    bar = ALARM_GAIN + 2.0 * float(np.log(len(parts)))  # as many chances as parts
+    suspected: list[Scored | Suspicion] = []
+    left: list[Excess] = []
+    for part in parts:
+        try:
+            found, faults = _examined(part, engine, used)
+        except (InputError, np.linalg.LinAlgError):
+            return [Note("the twin can't follow this recording at all: see `dieseltwin discover`", "misfit")]
+        suspected += _beyond(found, faults, bar)
+        left += _excess(found)
+    notes = []
+    if suspected:
+        first = max(suspected, key=lambda item: item.gain)
+        notes.append(Note(f"the twin doesn't fit this recording: as with {_words(first)} (misfit {first.gain:.3g}, "
+                          f"{bar:.0f} is the mark); its parameters may be wrong, see `dieseltwin discover`", "misfit",
+                          (first.fault.column,) if isinstance(first, Suspicion) else ()))  # fmt: skip
+    if left:
+        worst = max(left, key=lambda item: item.times)
+        names = tuple(dict.fromkeys(item.channel for item in left))
+        notes.append(Note(f"{', '.join(names)}: the fit leaves more than noise, {worst.times:.2g} times it in "
+                          f"{worst.channel} from {worst.since_s:.5g} to {worst.until_s:.5g} s; its parameters may be "
+                          "wrong, see `dieseltwin discover`", "residuals", names))  # fmt: skip
+    return notes
+
+
+def _parts(recording: Recording) -> Iterator[Recording]:
+    """The recording in stretches of equal length; those with too little running time are left out."""
+    count = max(1, int(np.ceil(recording.duration_s / LONGEST_PART_S)))
+    edges = np.linspace(recording.time_s[0], recording.time_s[-1], count + 1)[1:-1]
+    for rows in np.split(np.arange(recording.time_s.size), np.searchsorted(recording.time_s, edges)):
+        if rows.size < 2:
+            continue
+        columns = {name: values[rows] for name, values in recording.columns.items()}
+        part = replace(recording, time_s=recording.time_s[rows], columns=MappingProxyType(columns))
+        step = float(np.median(np.diff(part.time_s)))
+        running = sum(float(part.time_s[p.stop - 1] - part.time_s[p.start]) for p in part.pieces())
+        if running + step >= SHORTEST_S:
+            yield part
+
+
+def _examined(part: Recording, engine: EngineParameters, sensors: Sequence[str]) -> tuple[Search, list[Suspicion]]:
+    columns = {**part.columns, **{name: _with_noise(part.columns[name], MEASURED.index(name)) for name in sensors}}
+    twin = EngineTwin(replace(part, columns=MappingProxyType(columns)), engine, sensors)
+    found = prepare(twin, Options().settings())
+    return found, suspicions(found.null, recording_faults(twin, found.null))
+
+
+def _with_noise(values: Array, channel: int) -> Array:
+    """Readings (n,) of a channel of `MEASURED` with as much noise as the best sensor has."""
+    least = max(BEST_SENSOR * float(np.nanmean(np.abs(values))), NOISE_FLOOR[channel])
+    own = float(estimate_noise(values[:, None]).sigma[0])
+    missing = least**2 - (own**2 if np.isfinite(own) else 0.0)
+    if missing <= 0.0:
+        return values
+    return values + np.sqrt(missing) * np.random.default_rng(channel).standard_normal(values.size)
+
+
+def _beyond(found: Search, faults: Sequence[Suspicion], bar: float) -> Iterator[Scored | Suspicion]:
+    """Effects and faults that stand out by their gain, at a size that matters."""
+    hypotheses = found.twin.hypotheses
+    for item in found.scored:
+        if item.gain >= bar and abs(item.magnitude) >= LEAST_SIZE * hypotheses[item.name].tolerance:
+            yield item
+    for fault in faults:
+        lasting = fault.gain >= SURE_GAIN or fault.held >= LEAST_SPREAD * fault.gain
+        if fault.gain >= bar and lasting and abs(fault.size) >= LEAST_SIZE * fault.fault.least:
+            yield fault
+
+
+def _words(item: Scored | Suspicion) -> str:
+    return item.fault.words(item.size) if isinstance(item, Suspicion) else item.name.replace("_", " ")
+
+
+def _excess(found: Search) -> Iterator[Excess]:
+    """Channels whose residual is beyond what noise leaves: over all, slowly, or in a window."""
+    twin, at = found.twin, found.null
+    present = at.whitening.present
+    residual = at.projected_residual[: present.size].reshape(present.shape)
+    edges = np.append(twin.starts, len(residual))
+    time = getattr(twin, "recording_time_s", twin.time_s)
+    for j, name in enumerate(twin.channels):
+        there = present[:, j]
+        rest = residual[there, j]
+        if rest.size < 5 * SLOW_ROWS:
+            continue
+        whole = (name, float(time[0]), float(time[-1]))
+        for chi, count, slack in ((np.mean(rest**2), rest.size, CHI2_SLACK), (*_slow(rest), SLOW_SLACK)):
+            if chi > 1.0 + slack + CHI2_SIGMA * np.sqrt(2.0 / count):
+                yield Excess(whole[0], float(np.sqrt(chi)), *whole[1:])
+        squares = np.add.reduceat(np.where(there, residual[:, j] ** 2, 0.0), twin.starts)
+        counts = np.add.reduceat(there.astype(np.int64), twin.starts)
+        allowed = np.maximum((1.0 + CHI2_SLACK) * chi2.isf(WINDOW_LEVEL, np.maximum(counts, 1)), WINDOW_LEAST * counts)
+        for w in np.flatnonzero(squares > allowed):
+            since, until = float(time[edges[w]]), float(time[edges[w + 1] - 1])
+            yield Excess(name, float(np.sqrt(squares[w] / counts[w])), since, until)
+
+
+def _slow(rest: Array) -> tuple[float, int]:
+    """Mean square of the means of `SLOW_ROWS` neighbours, 1 where they are independent; and how many there are."""
+    count = rest.size // SLOW_ROWS
+    means = rest[: count * SLOW_ROWS].reshape(count, SLOW_ROWS).mean(axis=1)
+    return float(SLOW_ROWS * np.mean(means**2)), count
