@@ -12,8 +12,6 @@ from dieseltwin.api.driving import ask_driving
 from dieseltwin.api.engines import Engine
 from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.learning import known_engine
-from dieseltwin.api.petrol import ask_petrol
-from dieseltwin.api.points import ask_points
 from dieseltwin.api.reading import Channels, Source, as_engine, timed
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
@@ -84,6 +82,8 @@ def ask(
             raise InputError("recording", "one of a diesel engine", "one of a petrol engine, as the engine is",
                              "name the engine that it belongs to")
         engine_file = Path(engine) if isinstance(engine, str | Path) else None
+        from dieseltwin.api.petrol import ask_petrol  # what the others of its kind need takes half a second
+
         return ask_petrol(recording, machine, engine_file, channels, asked)
     if isinstance(recording, PetrolRecording):
         raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
@@ -91,6 +91,8 @@ def ask(
     if timed(recording, channels):
         return ask_driving([recording], engine, channels, asked, known_engine(engine, asked.reference, channels))
     refuse_options({"--map-tolerance": asked.map_tolerance, **no_reference}, "for settled points")
+    from dieseltwin.api.points import ask_points
+
     return ask_points(recording, engine, channels, asked)
 
 

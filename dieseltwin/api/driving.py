@@ -67,7 +67,11 @@ class DrivingDiscovered(Discovered):
 
     @property
     def document(self) -> Discrepancy:
-        return with_warnings(self.found.document, [*self.question.notes, *_time_notes(self.found.document)])
+        document = self.found.document
+        if document.out_of_time is not None:  # the search knows what was left for it
+            told = document.out_of_time.model_copy(update={"limit_s": self.question.time_s})
+            document = document.model_copy(update={"out_of_time": told})
+        return with_warnings(document, [*self.question.notes, *_time_notes(document)])
 
     @property
     def engine(self) -> EngineParameters:

@@ -88,8 +88,11 @@ class Search:
         return max((item.held for item in (*self.left, *self.left_local)), default=0.0)
 
     def share_explained(self) -> float | None:
-        """Share of the misfit beyond noise and tolerances that the explanation takes away [-]; None where healthy."""
-        if self.kind == "healthy":
+        """Share of the misfit beyond noise and tolerances that the explanation takes away [-].
+
+        None where healthy, and where no time was left to look at what remains.
+        """
+        if self.kind == "healthy" or self.unfinished:
             return None
         explained = self.explained()
         if explained <= 0.0:

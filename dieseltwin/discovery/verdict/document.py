@@ -216,7 +216,7 @@ class Doubt(_Part):
 
 
 class OutOfTime(_Part):
-    """A search that its time limit [s] ended, and what it hadn't finished."""
+    """A discovery that its time limit [s] ended, and what the search hadn't finished."""
 
     limit_s: NotNegative
     unfinished: tuple[Name, ...]

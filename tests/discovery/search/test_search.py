@@ -172,6 +172,7 @@ def test_without_time_the_best_single_effect_is_the_answer_and_what_was_left_out
     assert found.best.fit.candidate.names == ("drag",)
     assert found.best.fit.magnitudes[0] == pytest.approx(0.1, abs=0.02)
     assert found.unfinished == search.STAGES and not found.pairs and not found.structure
+    assert found.share_explained() is None  # what is left wasn't looked at
     assert search.run(Toy().record(), SETTINGS, time_s=0.0).kind == "healthy"
     assert not search.run(Toy().record(drag=0.1), SETTINGS, laws=False, time_s=600.0).unfinished
 
