@@ -77,14 +77,13 @@ def _with_names(twin: Twin, settings: SearchSettings) -> Search:
     """Health-only fit and refits of single effects, about the leading one where what was learned of the maps bends."""
     found = _with_singles(prepare(twin, settings))
     clock = time.perf_counter()
-    starts = starts_by_recording(found)
-    found = refitted(found, starts)
+    found, starts = refitted(found, starts_by_recording(found))
     found.seconds["by_recording"] = time.perf_counter() - clock
     for _ in range(_RENEWALS):
         lead = _lead(found)
         if belief_of(twin) is None or found.gain(lead) < _BENDS:
             break
-        found = refitted(_with_singles(prepared_about(found, lead)), starts)
+        found, starts = refitted(_with_singles(prepared_about(found, lead)), starts)
         if _lead(found).candidate.names == lead.candidate.names:
             break
     return found
