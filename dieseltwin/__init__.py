@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.export import export as export
     from dieseltwin.api.identification import Setup as Setup
     from dieseltwin.api.identification import identify as identify
+    from dieseltwin.api.labelled import dataset as dataset
     from dieseltwin.api.learning import learn as learn
     from dieseltwin.api.points import imply as imply
     from dieseltwin.api.reading import read as read
@@ -39,6 +40,7 @@ _ROOMS = {
     "Setup": "identification",
     "calibrate": "calibration",
     "channels": "channels",
+    "dataset": "labelled",
     "discover": "discovery",
     "export": "export",
     "history": "watch",
@@ -52,8 +54,8 @@ _ROOMS = {
 }
 
 __all__ = [
-    "Setup", "__version__", "calibrate", "channels", "discover", "engine", "export", "history", "identify", "imply",
-    "learn", "read", "show_versions", "simulate", "watch",
+    "Setup", "__version__", "calibrate", "channels", "dataset", "discover", "engine", "export", "history", "identify",
+    "imply", "learn", "read", "show_versions", "simulate", "watch",
 ]  # fmt: skip
 
 

@@ -10,8 +10,12 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
-OF_THE_TOP = {"README.md": "readme.md", "CHANGELOG.md": "changes.md"}
+PAGES = {"README": "readme", "CHANGELOG": "changes"}
+OF_THE_TOP = {f"{name}.md": f"{page}.md" for name, page in PAGES.items()}
 """Files at the top of the repository -> pages."""
+
+OF_ANOTHER_HOST = "https://unpkg.com/iframe-worker/shim"
+OUR_OWN = "assets/iframe-worker.js"
 
 _LINK = re.compile(r"\[([^\]\[]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
@@ -39,3 +43,13 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return words
 
     return _LINK.sub(fitted, markdown)
+
+
+def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
+    """Take the one script that the theme would fetch from another host from the site itself."""
+    return output.replace(OF_ANOTHER_HOST, OUR_OWN)
+
+
+def on_post_template(output_content: str, template_name: str, config: MkDocsConfig) -> str:
+    """The same in pages that aren't written by anybody, such as the one for what isn't found."""
+    return output_content.replace(OF_ANOTHER_HOST, OUR_OWN)

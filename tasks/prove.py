@@ -78,7 +78,6 @@ def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list
 @step("opened", "seal opened, oracle", expected_s=30.0, many=True)
 def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str) -> None:
     """``scored.json`` of one case: held-out scores before and after, the oracle's, separability, the law's error."""
-    from dieseltwin.challenge.cases import MAP_RMS
     from dieseltwin.challenge.records import Scoring, case_row
     from dieseltwin.challenge.run import RESULTS, read_manifest
     from dieseltwin.challenge.score import verified_answers
@@ -87,7 +86,7 @@ def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str
     with _laid_out(benchmark, {f"{RESULTS}/{kind}": [result]}) as folder:
         manifest = read_manifest(folder)
         only = manifest | {"cases": [entry for entry in manifest["cases"] if entry["case"] == kind]}
-        scoring = Scoring.of_the_tool(MAP_RMS[manifest["tier"]])
+        scoring = Scoring.of_the_tool(manifest["tier"])
         case_row(folder, verified_answers(folder, only)[0], scoring)
         computed = folder / RESULTS / kind / _SCORED
         if computed.exists():

@@ -100,7 +100,8 @@ class ChannelsFound(Result):
         signals = signals_of(self.proposal.raw)
         rows = [(column, signals[self.proposal.guesses[column].channel]) for column in ORDER
                 if column in self.proposal.guesses]
-        return [(column, f"{s.name} [{s.unit or '?'}]", s.time_s, s.values) for column, s in rows]
+        return [(column, s.name if (s.unit or "?") in s.name else f"{s.name} [{s.unit or '?'}]", s.time_s, s.values)
+                for column, s in rows]
 
     def save(self, out: str | Path) -> Path:
         """Write the channel map (YAML with the reasons as comments), ready to edit."""

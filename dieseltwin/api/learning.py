@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,25 +17,23 @@ from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording
-from dieseltwin.engine import HEALTH, EngineParameters
+from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import HEALTH_AT, prior_belief
+from dieseltwin.learning.belief import HEALTH_AT, Belief, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
+from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
+from dieseltwin.settings.params import default_learn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MAP_ERROR = 0.02
-"""Size of the maps' smooth relative errors that is believed of an engine of the base's family, rms [-]."""
-
 MAP_ERRORS = (0.001, 0.1)
-_MISFIT = 1.6  # squared whitened residual a reading; above, the recording isn't what the corrected engine does
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,6 +90,7 @@ def learn(
     *,
     channels: Channels | None = None,
     map_error: float | None = None,
+    siblings: Sequence[str | Path] = (),
 ) -> LearnedResult:
     """Learn an engine's own maps, health and sensors from ordinary driving.
 
@@ -98,11 +98,12 @@ def learn(
         recordings: of the engine when it was known to be well, files or tables; one that comes twice counts once.
         engine: the base, or the file of an engine that was learned before, which is then known further.
         channels: channel map of the recordings.
-        map_error: size of the maps' errors that is believed [-]; None takes `MAP_ERROR`.
+        map_error: size of the maps' errors that is believed [-]; None takes that of params.yaml.
+        siblings: files of learned engines of the same type; what their maps have in common is believed of this one.
 
     Raises:
         InputError: a recording that can't be used or that isn't of this engine, none at all, another size of errors
-            than the engine was learned with.
+            than the engine or a sibling was learned with, a sibling that nothing was learned of or of another base.
     """
     if not recordings:
         raise InputError("HEALTHY", "no recording", "one or more of the engine when it was well", "name them")
@@ -118,9 +119,14 @@ def learn(
         source = diesel_recording(item, channels, base, sensors=())
         notes += [f"{source.path or 'recording'}: {note}" for note in check_recording(source, base, None)[1]]
         sources.append(source)
-    known, found = learn_engine(sources, base, MAP_ERROR if map_error is None else map_error, before)
+    settings = default_learn()
+    size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
+    own = {item.sha256 for item in (*sources, *(before.recordings if before is not None else ()))}
+    others = _siblings(siblings, base, size, own)
+    prior = belief_from_siblings(others, base, size, settings.type_share) if others else None
+    known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in sources:
-        _check_misfit(known, source)
+        _check_misfit(known, source, settings.misfit_max)
     if not found.converged:
         notes.append("note: the fit stopped before it converged; the intervals may be too narrow")
     return LearnedResult(known, found, (*notes, *_doubts(found)))
@@ -138,6 +144,39 @@ def known_engine(
         result = learn(reference, engine, channels=channels)
         return result.known, [Note(note.removeprefix("note: "), "reference") for note in result.notes]
     return _known(engine), ()
+
+
+def _siblings(
+    siblings: Sequence[str | Path], base: EngineParameters, map_rms: float, own: AbstractSet[str]
+) -> list[tuple[Belief, Belief]]:
+    """What was believed of every engine of the type before and after it was learned, each once, in an order of its own.
+
+    Args:
+        own: hashes of the new engine's recordings, on which no sibling may rest.
+    """
+    found: dict[str, LearnedEngine] = {}
+    for name in siblings:
+        one = _known(name)
+        if one is None:
+            raise InputError(f"--siblings {name}", "no learned engine", "a file of `dieseltwin learn`",
+                             "learn it first")
+        if one.map_rms != map_rms:
+            raise InputError(f"--siblings {name}", f"learned with a map error of {one.map_rms:g}", f"{map_rms:g}, as "
+                             "of the new engine", "name the same --map-error")
+        if own & {item.sha256 for item in one.recordings}:
+            raise InputError(f"--siblings {name}", "learned from a recording of the new engine itself",
+                             "another engine of the type", "leave it out")
+        if _maps_of(one.base) != _maps_of(base):
+            raise InputError(f"--siblings {name}", "learned from another base engine", "the base of the new engine",
+                             "name the same --engine")
+        found["".join(item.sha256 for item in one.recordings)] = one
+    return [(found[key].believed, found[key].belief) for key in sorted(found)]
+
+
+def _maps_of(engine: EngineParameters) -> EngineParameters:
+    """An engine but for what each of a type has of its own: health and ambient."""
+    health = dict(zip(HEALTH, we2011.PARAMETERS.health(), strict=True))
+    return engine.replace(**health, p_amb=we2011.PARAMETERS.p_amb, T_amb=we2011.PARAMETERS.T_amb)
 
 
 def _known(engine: Engine | str | Path | None) -> LearnedEngine | None:
@@ -200,12 +239,12 @@ def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
     return rows
 
 
-def _check_misfit(known: LearnedEngine, source: Recording) -> None:
+def _check_misfit(known: LearnedEngine, source: Recording, most: float) -> None:
     misfit = known.misfits[source.sha256]
-    if misfit > _MISFIT:
+    if misfit > most:
         raise InputError(
             str(source.path or "recording"), f"{misfit:.2f} times the noise is left with all maps corrected",
-            f"up to {_MISFIT:g} for a healthy engine of this kind",
+            f"up to {most:g} for a healthy engine of this kind",
             "check that it is this engine, that it was well, and that its columns and units are right",
         )  # fmt: skip
 

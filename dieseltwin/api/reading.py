@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, Union
 
 import numpy as np
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine, engine
+from dieseltwin.api.labelled import as_table
 from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
@@ -19,11 +20,14 @@ from dieseltwin.recordings.reader import Recording, read_recording, recording
 from dieseltwin.recordings.steady_points import SteadyPoints, has_time, points, quasi_steady, read_points
 from dieseltwin.settings.names import listed
 
+if TYPE_CHECKING:  # an extra
+    import xarray as xr
+
 Channels: TypeAlias = ChannelMap | str | Path
 """A channel map, or its YAML file."""
 
-Source: TypeAlias = str | Path | pd.DataFrame
-"""A file, or a table with the columns of one."""
+Source: TypeAlias = Union[str, Path, pd.DataFrame, "xr.Dataset"]
+"""A file, or a table or a dataset with the columns of one."""
 
 
 def read(
@@ -32,7 +36,7 @@ def read(
     """Read and check a recording, or settled points where there is no column of time.
 
     Args:
-        source: CSV, Parquet, Excel, MATLAB, MDF file or CAN trace, or a table of the same columns.
+        source: CSV, Parquet, Excel, MATLAB, MDF file or CAN trace, or a table or dataset of the same columns.
         channels: channel map for foreign names and units.
         engine: gives ambient values where the columns are absent and the size of a cylinder; a petrol engine reads
             petrol recordings. The published engine without it.
@@ -70,6 +74,7 @@ def timed(source: Source | Recording | SteadyPoints, channels: Channels | None =
     Raises:
         InputError: a file or a channel map that can't be read.
     """
+    source = as_table(source)
     if isinstance(source, Recording | SteadyPoints):
         return isinstance(source, Recording)
     return TIME in _named(source, channels) if isinstance(source, pd.DataFrame) else has_time(source, channels)
@@ -93,6 +98,7 @@ def diesel_recording(
     Raises:
         InputError: one line saying what is wrong with it.
     """
+    source = as_table(source)
     if isinstance(source, Recording):
         for name in sensors:
             if name not in source.columns:
@@ -115,6 +121,7 @@ def settled_points(
     Raises:
         InputError: one line saying what is wrong with them.
     """
+    source = as_table(source)
     if isinstance(source, SteadyPoints):
         return source
     if not isinstance(source, pd.DataFrame):
@@ -132,6 +139,7 @@ def petrol_recording(source: Source | PetrolRecording, channels: Channels | None
     Raises:
         InputError: one line saying what is wrong with it.
     """
+    source = as_table(source)
     if isinstance(source, PetrolRecording):
         return source
     if isinstance(source, pd.DataFrame):

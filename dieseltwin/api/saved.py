@@ -93,6 +93,11 @@ class Difference:
     beyond: bool
 
 
+def marked(text: str) -> str:
+    """HTML of a sentence, the quantities in it ("h_tot") set as symbols."""
+    return quantities.with_symbols(text)
+
+
 BEYOND = 3.0  # standard deviations from which two estimates are said to differ
 
 
@@ -137,7 +142,8 @@ def _discovered(folder: Path) -> Saved:
         Effect(effect.name, place,
                _EMPTY if effect.magnitude is None
                else magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit),
-               quantities.percent(effect.probability), ", ".join(effect.equivalent_names) or _EMPTY,
+               "> 99.9 %" if effect.probability > 0.999 else quantities.percent(effect.probability),
+               ", ".join(effect.equivalent_names) or _EMPTY,
                effect.law or _EMPTY)
         for effect in document.effects
     )  # fmt: skip

@@ -15,7 +15,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse
 
-from dieseltwin.api.saved import Saved, saved
+from dieseltwin.api.saved import Saved, marked, saved
 from dieseltwin.app.kept import (
     ABOUT,
     ACTIVE,
@@ -83,7 +83,8 @@ class Desk:
             loader=PackageLoader("dieseltwin.app"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
             lstrip_blocks=True,
         )  # fmt: skip
-        self.environment.filters |= {"moment": moment, "size": size_words, "duration": duration_words}
+        self.environment.filters |= {"moment": moment, "size": size_words, "duration": duration_words,
+                                     "marked": marked_words}  # fmt: skip
         self.environment.globals |= {"version": __version__, "largest_mb": workplace.limits.upload_mb,
                                      "kind_words": KIND_WORDS}  # fmt: skip
 
@@ -217,6 +218,11 @@ def moment(text: str | None) -> Markup | str:
     if text is None:
         return ""
     return datetime.fromisoformat(text).astimezone().strftime("%d %b %Y, %H:%M")
+
+
+def marked_words(text: str) -> Markup:
+    """A sentence with its quantities set as symbols; everything else in it is text."""
+    return Markup(marked(text))
 
 
 def size_words(count: int) -> str:

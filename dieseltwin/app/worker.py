@@ -54,7 +54,7 @@ class Worker:
         self._said += 1
         if self._said <= MOST_LINES:
             with (self.folder / PROGRESS).open("a", encoding="utf-8") as file:
-                file.write(one_line(line) + "\n")
+                file.write("".join(c if c.isprintable() else " " for c in line).rstrip() + "\n")
 
     def stage(self, words: str) -> None:
         """The step that begins, which the page shows as such."""

@@ -184,12 +184,7 @@ def build_case(
 
     rng = stream(_MACHINE)
     own = tier in TIERS
-    then, wear = draw_health(laboratory, rng) if own else (dict(laboratory), {})
-    parameters = worn(then, wear)
-    if not own:
-        for name, spread in HEALTH_SPREAD.items():
-            parameters[name] = laboratory[name] * (1.0 + rng.uniform(-spread, spread))
-    maps = MapErrors.draw(MAP_RMS[tier], rng)
+    then, wear, parameters, maps = _draw_engine(laboratory, tier, rng)
     sensor_set = SensorSet.draw(rng)
     driving = draw_driving(plan.route, duration_s, laboratory, stream(_DRIVING))
     later = draw_driving("whtc" if plan.route == "random" else "random", duration_s, laboratory, stream(_HELD_OUT))
@@ -217,6 +212,25 @@ def build_case(
     if own:
         answers["since_reference"] = wear
     return Case(plan, machine, driving, recording, held_out, run_later, answers, references)
+
+
+def _draw_engine(
+    laboratory: Mapping[str, Any], tier: Tier, rng: np.random.Generator
+) -> tuple[dict[str, Any], dict[str, float], dict[str, Any], MapErrors]:
+    """An engine's parameters when it was well, its wear since then, its parameters now, and its maps."""
+    own = tier in TIERS
+    then, wear = draw_health(laboratory, rng) if own else (dict(laboratory), {})
+    parameters = worn(then, wear)
+    if not own:
+        for name, spread in HEALTH_SPREAD.items():
+            parameters[name] = laboratory[name] * (1.0 + rng.uniform(-spread, spread))
+    return then, wear, parameters, MapErrors.draw(MAP_RMS[tier], rng)
+
+
+def maps_of(answers: Mapping[str, Any], laboratory: Mapping[str, Any]) -> MapErrors:
+    """The errors of a case's maps, drawn again from what its sealed answers say."""
+    number = int(str(answers["case"]).rsplit("_", 1)[-1])
+    return _draw_engine(laboratory, answers["tier"], np.random.default_rng([answers["seed"], number, _MACHINE]))[3]
 
 
 def _draw_fault(name: str, plan: Plan, driving: Driving, rng: np.random.Generator, k: int) -> Fault:

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, first_fit, fit_fully, settle_local
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import effect_responses, score, secant_sizes
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
 from dieseltwin.engine import HEALTH, EngineParameters
-from dieseltwin.engine.terms import Term
+from dieseltwin.engine.map_corrections import basis, look_up
+from dieseltwin.engine.terms import Term, with_corrections
 from dieseltwin.recordings.noise import Noise, estimate_noise
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.params import default_search
+
+MAPS_MET = 5e-4
+"""Standard deviation of what is left of a plant's maps in `with_plant_maps` [-]."""
+
+_RIDGE = 1e-6  # functions that a plant's range doesn't reach stay at nothing
 
 
 def _settled(twin: EngineTwin, noise: Noise, fit: Fit) -> Linearisation:
@@ -76,6 +83,23 @@ def fit_oracle(
         t.model_copy(update={"magnitude": float(m)}) for t, m in zip(terms, at.fit.magnitudes, strict=True)
     )
     return engine.replace(**values, terms=(*engine.terms, *refitted))
+
+
+def with_plant_maps(engine: EngineParameters, maps: MapErrors) -> EngineParameters:
+    """The engine with a plant's map errors among its terms, as corrections of the twin's maps.
+
+    The twin's basis meets them within some hundredths of their size, at the nodes of the plant's tables.
+    """
+    functions = basis()
+    coefficients = np.zeros(len(functions.maps))
+    for m in range(len(maps.tables)):
+        ends = [np.linspace(maps.low[m, k], maps.high[m, k], maps.tables.shape[1 + k]) for k in range(2)]
+        x, y = (nodes.ravel() for nodes in np.meshgrid(*ends, indexing="ij"))
+        at = functions.maps == m
+        values = look_up(functions.tables[at], m, x, y)
+        gram = values @ values.T + _RIDGE * np.eye(len(values))
+        coefficients[at] = np.linalg.solve(gram, values @ maps.tables[m].ravel())
+    return engine.replace(terms=with_corrections(engine.terms, coefficients))
 
 
 def separability(

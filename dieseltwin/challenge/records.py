@@ -13,6 +13,9 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.atomic import write_json
+from dieseltwin.challenge.cases import MAP_RMS, Tier, maps_of
+from dieseltwin.challenge.map_errors import MapErrors
+from dieseltwin.challenge.own_engine import TIERS
 from dieseltwin.challenge.plant_effects import FAMILIES, Fault
 from dieseltwin.challenge.run import FAILED, RESULTS
 from dieseltwin.challenge.seal import SEALED, file_sha256
@@ -139,6 +142,7 @@ class Scoring:
         law_error: (result folder, clean held-out signals, fault, true health) -> error of the found law, or None.
         error_of: (terms, clean held-out signals, fault, true health) -> error of given terms.
         terms: (faults) -> terms of the engine file.
+        with_plant_maps: (engine, plant's maps) -> engine of an oracle that knows them; None where it doesn't.
     """
 
     held_out_nll: Callable[[EngineParameters, Recording], float] | None = None
@@ -147,18 +151,22 @@ class Scoring:
     law_error: Callable[[Path, pd.DataFrame, Fault, Mapping[str, float]], float | None] | None = None
     error_of: Callable[[Sequence[Any], pd.DataFrame, Fault, Mapping[str, float]], float] | None = None
     terms: Callable[[Sequence[Fault]], tuple[Any, ...]] | None = None
+    with_plant_maps: Callable[[EngineParameters, MapErrors], EngineParameters] | None = None
 
     @classmethod
-    def of_the_tool(cls, map_tolerance: float) -> Scoring:
+    def of_the_tool(cls, tier: Tier) -> Scoring:
         """The functions of `dieseltwin.challenge.oracle` at the maps' tolerance of a tier, and the law's error of
-        `challenge.laws`."""
+        `challenge.laws`. In the own-engine tiers the oracle knows the plant's maps, and effects count as separable
+        where they would be by a twin that knows them as well as the main tier's does."""
         from dieseltwin.challenge import oracle as scoring
         from dieseltwin.challenge.laws import error_of, law_error
 
+        own = tier in TIERS
+        met, apart = (scoring.MAPS_MET, MAP_RMS["main"]) if own else (MAP_RMS[tier], MAP_RMS[tier])
         return cls(
-            scoring.held_out_nll, partial(scoring.fit_oracle, map_tolerance=map_tolerance),
-            partial(scoring.separability, map_tolerance=map_tolerance), law_error, error_of,
-            engine_terms,
+            scoring.held_out_nll, partial(scoring.fit_oracle, map_tolerance=met),
+            partial(scoring.separability, map_tolerance=apart), law_error, error_of, engine_terms,
+            scoring.with_plant_maps if own else None,
         )  # fmt: skip
 
 
@@ -213,6 +221,20 @@ def said(document: Discrepancy) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def oracle_row(row: CaseRow) -> CaseRow:
+    """The same case answered by a fit that is told the true form of the effect."""
+    said = tuple(SaidEffect(e.name, (e.name,), row.oracle_magnitudes.get(e.name), None) for e in row.truth)
+    since = {
+        name: (row.oracle_health[name] / row.health_true[name] * change, 0.0)
+        for name, change in row.since_true.items() if name in row.oracle_health
+    }  # fmt: skip
+    return replace(
+        row, said=said, mismatch=bool(row.truth), nll_after=row.nll_oracle,
+        health_after=row.oracle_health, problem=None if row.oracle_health or not row.truth else "no oracle",
+        site=row.truth[0].site if row.truth else None, seconds=None, law_error=None, since_said=since,
+    )  # fmt: skip
+
+
 def _true_effect(fault: Fault) -> TrueEffect:
     family = FAMILIES[fault.effect]
     return TrueEffect(fault.effect, family.site, fault.magnitude, fault.ratio, family.catalogued)
@@ -245,11 +267,14 @@ def _computed(
     later = read_recording(folder / SEALED / f"{name}_held_out.csv")
     catalogued = all(FAMILIES[f.effect].catalogued for f in faults)
     truth = we2011.PARAMETERS.replace(**{k: float(v) for k, v in answers["health"].items()})
+    if scoring.with_plant_maps is not None:
+        truth = scoring.with_plant_maps(truth, maps_of(answers, we2011.PARAMETERS.model_dump()))
+    healthy_too = scoring.with_plant_maps is not None  # whose change since the reference the oracle tells as well
     if scoring.held_out_nll is not None:
         values["samples"] = int(later.time_s.size)
         values["nll_before"] = float(scoring.held_out_nll(_lasting(load_engine(result / "engine_before.yaml")), later))
         values["nll_after"] = float(scoring.held_out_nll(_lasting(load_engine(result / "engine.yaml")), later))
-        if faults and catalogued and scoring.fit_oracle is not None and scoring.terms is not None:
+        if (faults or healthy_too) and catalogued and scoring.fit_oracle is not None and scoring.terms is not None:
             oracle = scoring.fit_oracle(recording, truth, scoring.terms(faults))
             values["nll_oracle"] = float(scoring.held_out_nll(_lasting(oracle), later))
             values["oracle_health"] = {name: float(getattr(oracle, name)) for name in HEALTH}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,8 @@ import pandas as pd
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.challenge import metrics
-from dieseltwin.challenge.cases import MAP_RMS
 from dieseltwin.challenge.processes import in_processes
-from dieseltwin.challenge.records import CaseRow, SaidEffect, Scoring, case_row
+from dieseltwin.challenge.records import CaseRow, Scoring, case_row, oracle_row
 from dieseltwin.challenge.run import RESULTS, plain, read_manifest
 from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_salt
 from dieseltwin.challenge.table import extra, lines, markdown
@@ -53,7 +52,7 @@ def score_challenge(
         answers = [a for a in answers if any((folder / RESULTS / a["case"]).glob("*.json"))]
     if not answers:
         raise InputError(str(folder), "no results", "results of `challenge run`", "run the tool first")
-    scoring = Scoring.of_the_tool(MAP_RMS[manifest["tier"]]) if scoring is None else scoring
+    scoring = Scoring.of_the_tool(manifest["tier"]) if scoring is None else scoring
     found_rows: dict[int, CaseRow] = {}
     for k, row in in_processes(partial(case_row, folder, scoring=scoring), answers, jobs):
         found_rows[k] = row
@@ -90,16 +89,6 @@ def verified_answers(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str
                              "the manifest that was published", "restore manifest.json")
         found.append(answers)
     return found
-
-
-def oracle_row(row: CaseRow) -> CaseRow:
-    """The same case answered by a fit that is told the true form of the effect."""
-    said = tuple(SaidEffect(e.name, (e.name,), row.oracle_magnitudes.get(e.name), None) for e in row.truth)
-    return replace(
-        row, said=said, mismatch=bool(row.truth), nll_after=row.nll_oracle,
-        health_after=row.oracle_health, problem=None if row.oracle_health or not row.truth else "no oracle",
-        site=row.truth[0].site if row.truth else None, seconds=None, law_error=None,
-    )  # fmt: skip
 
 
 def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dieseltwin.challenge import metrics
 from dieseltwin.challenge.metrics import Share
-from dieseltwin.challenge.records import CaseRow
+from dieseltwin.challenge.records import CaseRow, oracle_row
 from dieseltwin.engine import HEALTH
 
 MISSING = "not known"
@@ -203,6 +203,12 @@ def markdown(
             out.append(f"| {line.metric} | " + " | ".join(_cell(name, line.key, cell) for name, cell in
                                                           zip(names, cells, strict=True)) + " |")  # fmt: skip
         out.append("")
+    if any(row.since_said for row in tool):
+        out += ["## An oracle that knows the plant's maps and the form of the effect", "", "| metric | oracle |",
+                "|---|---|"]
+        told = {line.key: line for line in lines([oracle_row(row) for row in tool if row.oracle_health])}
+        out += [f"| {told[key].metric} | {told[key].value} |" for key in _ORACLE_SAYS if key in told]
+        out.append("")
     out += ["## Where it comes from", "", "| count | value |", "|---|---|"]
     out += [f"| {name} | {share} |" for name, share in extra(tool).items()]
     found = metrics.failures(tool)
@@ -214,6 +220,8 @@ def markdown(
     out += [f"| {kind} | {count} |" for kind, count in listed]
     return "\n".join(out) + "\n"
 
+
+_ORACLE_SAYS = ("magnitude", "health", "gain", "since")
 
 _SAYS = {
     "health only": {"false_alarms", "detection", "time"},

@@ -9,6 +9,9 @@ from typing import Annotated
 
 import typer
 
+from dieseltwin.atomic import check_writable
+from dieseltwin.errors import InputError
+
 challenge_app = typer.Typer(help="Concealed benchmark: recordings with sealed answers, run the tool, open and score.")
 
 Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", min=1, help="Processes; one per core by default.")]
@@ -88,6 +91,24 @@ def score(
     for line in lines(found.rows):
         typer.echo(f"{line.metric}: {line.value} (pass {line.pass_at}, aim {line.aim})")
     typer.echo(f"{out / 'score.md'}")
+
+
+@challenge_app.command()
+def curve(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Scored benchmarks of own engines.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Figure to write, a .png or .svg.")],
+) -> None:
+    """Draw names, none-of-these and health error over minutes of reference and size of the maps' errors."""
+    from dieseltwin.challenge.curve import write_curve
+
+    if out.suffix not in (".png", ".svg"):
+        raise InputError("--out", str(out), "a name that ends in .png or .svg", "choose another")
+    check_writable(out)
+    for place in write_curve(folders, out):
+        health = "-" if place.health is None else f"{100 * place.health:.2f} %"
+        typer.echo(f"maps {100 * place.map_rms:g} %, {place.minutes:.0f} min, {place.cases} cases: "
+                   f"named {place.named}; false none {place.none}; health {health}")  # fmt: skip
+    typer.echo(f"{out}")
 
 
 @challenge_app.command()

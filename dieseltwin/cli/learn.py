@@ -26,17 +26,21 @@ def learn_command(
         float | None,
         typer.Option("--map-error", metavar="X", help="Believed size of the maps' errors, rms; 0.02 of a family."),
     ] = None,
+    siblings: Annotated[
+        list[Path] | None,
+        typer.Option("--siblings", metavar="FILE", help="Learned engine of the same type; repeatable."),
+    ] = None,
 ) -> None:
     """Learn an engine's own maps, health and sensors from ordinary driving; learning more later adds to the file."""
     if out.suffix not in (".yaml", ".yml"):
         raise InputError("--out", str(out), "a name that ends in .yaml", "choose another")
-    for path in recordings:
+    for path in (*recordings, *(siblings or ())):
         check_there(path)
-    check_apart(out, *recordings, channels)
+    check_apart(out, *recordings, *(siblings or ()), channels)
     check_writable(out)
     progress("learning ...")
     from dieseltwin.api.learning import learn
 
-    found = learn(recordings, engine, channels=channels, map_error=map_error)
+    found = learn(recordings, engine, channels=channels, map_error=map_error, siblings=siblings or ())
     found.save(out)
     say([*found.lines(), f"{out}: --engine takes it, with the file beside it"])

@@ -108,7 +108,8 @@ def write_fmu(engine: EngineParameters, name: str, out: Path, version: Version =
     Raises:
         InputError: no compiler, or a platform for which FMI names no folder.
     """
-    identifier = re.sub(r"\W", "_", name) if name[:1].isalpha() else "engine_" + re.sub(r"\W", "_", name)
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    identifier = plain if plain[:1].isalpha() else f"engine_{plain}"
     source = fmu_source(engine, name, version)
     headers = {header: _text("fmi", header) for header in _HEADERS[version]}
     members = {"modelDescription.xml": description(engine, name, identifier, source, version)}

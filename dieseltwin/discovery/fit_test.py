@@ -84,7 +84,9 @@ def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[
     for part in parts:
         try:
             found, faults = _examined(part, engine, used)
-        except (InputError, np.linalg.LinAlgError):
+        except InputError as error:  # terms of the engine that the effects of the catalogue can't stand beside
+            return [Note(f"whether the twin fits isn't tested: {error}", "untested")]
+        except np.linalg.LinAlgError:
             return [Note("the twin can't follow this recording at all: see `dieseltwin discover`", "misfit")]
         suspected += _beyond(found, faults, bar)
         left += _excess(found)

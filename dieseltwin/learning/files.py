@@ -1,9 +1,9 @@
 """Files of a learned engine: `mine.yaml` that every command takes, and `mine.learned.parquet` with what is known of it.
 
 The Parquet file holds one row a coordinate of `learning.belief`: name, unit, mean and its row of the joint covariance,
-and in its metadata the base engine, the recordings it rests on (hash, seconds, ambient, and their columns, so that
-more can be learned later without them) and versions. Neither file names a time or a place: the same recordings in any
-order make the same bytes.
+and in its metadata the base engine, the recordings it rests on (hash, seconds, date, ambient, and their columns, so
+that more can be learned later without them) and versions. Neither file says when it was written: the same recordings
+in any order make the same bytes.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
 from dieseltwin.engine.learned_file import LEARN_AGAIN, LEARNED, SHA256, learned_bytes
 from dieseltwin.engine.terms import CorrectionTerm
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units
+from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.sealed import sealed_text
@@ -48,6 +49,7 @@ class LearnedEngine:
         recordings: of the engine when it was known to be well, sorted by hash.
         domain: point -> lowest and highest of each argument where the belief was cut to less than half.
         misfits: hash -> squared whitened residual a reading.
+        prior: what was believed before any recording, where engines of the same type say it; None for the usual.
     """
 
     base: EngineParameters
@@ -56,6 +58,12 @@ class LearnedEngine:
     recordings: tuple[Recording, ...]
     domain: dict[str, dict[str, tuple[float, float]]]
     misfits: dict[str, float]
+    prior: Belief | None = None
+
+    @property
+    def believed(self) -> Belief:
+        """What was believed before any recording."""
+        return prior_belief(self.base, self.map_rms) if self.prior is None else self.prior
 
     @property
     def engine(self) -> EngineParameters:
@@ -105,19 +113,23 @@ def _parquet(learned: LearnedEngine) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    covariance = [list(row) for row in learned.belief.covariance]
-    table = pa.table({
+    def rows(matrix: np.ndarray) -> pa.Array:
+        return pa.array([list(row) for row in matrix], type=pa.list_(pa.float64()))
+
+    columns = {
         "name": list(coordinate_names()), "unit": list(coordinate_units()), "mean": learned.belief.mean,
-        "std": np.sqrt(np.diag(learned.belief.covariance)),
-        "covariance": pa.array(covariance, type=pa.list_(pa.float64())),
-    })  # fmt: skip
+        "std": np.sqrt(np.diag(learned.belief.covariance)), "covariance": rows(learned.belief.covariance),
+    }  # fmt: skip
+    if learned.prior is not None:
+        columns |= {"mean_before": learned.prior.mean, "covariance_before": rows(learned.prior.covariance)}
+    table = pa.table(columns)
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
                 "sha256": item.sha256, "seconds": item.duration_s, "p_amb_pa": item.p_amb_pa, "t_amb_k": item.t_amb_k,
-                "misfit": learned.misfits[item.sha256],
+                "began": None if item.began is None else item.began.isoformat(), "misfit": learned.misfits[item.sha256],
             }
             for item in learned.recordings
         ],
@@ -147,18 +159,22 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         raise InputError(str(where), version, "this version's corrections", LEARN_AGAIN)
     belief = Belief(np.array(table["mean"]), np.array(table["covariance"].to_pylist()))
     base = EngineParameters(**about["base"])
+    prior = None
+    if "mean_before" in table.column_names:
+        prior = Belief(np.array(table["mean_before"]), np.array(table["covariance_before"].to_pylist()))
     known = [(row, metadata[row["sha256"].encode()]) for row in about["recordings"]]
     return LearnedEngine(
         base, belief, float(about["map_rms"]), tuple(_recording(row, data, base) for row, data in known),
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
-        {row["sha256"]: float(row["misfit"]) for row, _ in known},
+        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior,
     )  # fmt: skip
 
 
 def _recording(row: dict[str, Any], data: bytes, base: EngineParameters) -> Recording:
     frame = pd.read_parquet(io.BytesIO(base64.b64decode(data)))
     columns = {name: frame[name].to_numpy() for name in frame}
-    return Recording(columns["time_s"], columns, row["p_amb_pa"], row["t_amb_k"], None, row["sha256"])
+    began = None if row.get("began") is None else datetime.fromisoformat(row["began"])
+    return Recording(columns["time_s"], columns, row["p_amb_pa"], row["t_amb_k"], None, row["sha256"], began=began)
 
 
 def overlap(recordings: Sequence[Recording], other: Recording) -> float:

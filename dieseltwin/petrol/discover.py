@@ -20,7 +20,7 @@ from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Array
-from dieseltwin.discovery.verdict.assemble import after_of, details_of_search, finite_only, fit_figures, p_value
+from dieseltwin.discovery.verdict.assemble import details_of_search, finite_only, fit_figures, p_value
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.discovery.verdict.document import (
     Alternative,
@@ -33,6 +33,7 @@ from dieseltwin.discovery.verdict.document import (
     fit_doubts,
     with_warnings,
 )
+from dieseltwin.discovery.verdict.explained import explained_at
 from dieseltwin.discovery.verdict.findings import effects, finite, site_probabilities
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
@@ -167,7 +168,7 @@ def discover_petrol(
     """Judge a recording with a calibrated engine."""
     began = time.perf_counter()
     twin, found = judge(engine, without_terms(engine, recording), options)
-    after, _, _ = after_of(found)
+    after = explained_at(found).simulated
     document = _document(recording, engine, twin, found, after, params_sha256)
     repaired = engine.model_copy(update={"terms": (*engine.terms, *_terms(recording, document))})
     return PetrolDiscovery(document, found, twin, repaired, after, sentence(document, twin),

@@ -23,7 +23,7 @@ def overview(rows: Sequence[tuple[str, str, np.ndarray | None, np.ndarray]]) -> 
     """
     if not rows:
         return None
-    figure = Figure(figsize=(9.0, 0.95 * len(rows) + 0.4))
+    figure = Figure(figsize=(9.0, 1.05 * len(rows) + 0.4))
     panels = np.atleast_1d(figure.subplots(len(rows), 1, sharex=len({row[2] is None for row in rows}) == 1))
     for axes, (column, name, time_s, values) in zip(panels, rows, strict=True):
         x = np.arange(values.size, dtype=np.float64) if time_s is None else time_s - time_s[0]
@@ -31,8 +31,7 @@ def overview(rows: Sequence[tuple[str, str, np.ndarray | None, np.ndarray]]) -> 
         kept = extremes(values[there], MOST_POINTS)
         axes.plot(x[there][kept], values[there][kept], color=LINE, linewidth=0.9)
         axes.set_ylabel(quantities.symbol(column), rotation=0, ha="right", va="center")
-        axes.annotate(style.plain_text(name), (0.0, 1.0), xycoords="axes fraction", xytext=(3, -2),
-                      textcoords="offset points", va="top", fontsize=8, color="#555555")  # fmt: skip
+        axes.set_title(style.plain_text(name), loc="left", fontsize=8, fontweight="normal", color="#555555", pad=2)
     panels[-1].set_xlabel("row [–]" if rows[-1][2] is None else "time since the first reading [s]")
     caption = "The channels that were taken for one of the model's quantities, each in the file's own unit."
     return style.ReportFigure("overview", "The channels over time", caption, figure, kind="png")

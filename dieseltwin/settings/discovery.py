@@ -30,6 +30,16 @@ class DiscoverConfig(StrictModel):
     search: SearchConfig
 
 
+class LearnConfig(StrictModel):
+    """Learning an engine from recordings of when it was well."""
+
+    map_error: PositiveFloat = Field(description="rms of the maps' errors that is believed of the base's family [-]")
+    type_share: float = Field(ge=0.0, le=1.0, description="of their variance that engines of one type share [-]")
+    misfit_max: PositiveFloat = Field(description="squared whitened residual a reading; more is another engine")
+    suspicious_gain: PositiveFloat = Field(description="of an effect in the reference, beyond all that is believed")
+    seed: NonNegativeInt = Field(description="of the draws by which windows are left out that don't act linearly")
+
+
 class ProofConfig(StrictModel):
     """The concealed benchmark (docs/benchmark.md)."""
 

@@ -23,7 +23,7 @@ from pydantic import (
 )
 
 from dieseltwin.errors import InputError
-from dieseltwin.settings.discovery import DiscoverConfig, PromotionConfig, ProofConfig
+from dieseltwin.settings.discovery import DiscoverConfig, LearnConfig, PromotionConfig, ProofConfig
 from dieseltwin.settings.evaluation import EvaluationConfig
 from dieseltwin.settings.maps import MapsConfig, Widths
 from dieseltwin.settings.method_settings import MethodSettings
@@ -271,6 +271,7 @@ class Params(StrictModel):
     identify: IdentifyConfig
     evaluation: EvaluationConfig
     promotion: PromotionConfig
+    learn: LearnConfig
     discover: DiscoverConfig
     proof: ProofConfig
     watch: WatchConfig
@@ -308,6 +309,11 @@ def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) 
 def default_search() -> SearchConfig:
     """What a search decides by where no settings are given: those of `default_params_path()`."""
     return load_params().discover.search
+
+
+def default_learn() -> LearnConfig:
+    """What learning believes where no settings are given: those of `default_params_path()`."""
+    return load_params().learn
 
 
 def params_sha256(params: Params | Mapping[str, object]) -> str:

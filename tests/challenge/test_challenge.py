@@ -17,9 +17,9 @@ from dieseltwin.challenge.cases import HEALTH_SPREAD, make_plans
 from dieseltwin.challenge.make import make_challenge
 from dieseltwin.challenge.metrics import Share
 from dieseltwin.challenge.plant_effects import FAMILIES
-from dieseltwin.challenge.records import CaseRow, SaidEffect, Scoring, TrueEffect, case_row
+from dieseltwin.challenge.records import CaseRow, SaidEffect, Scoring, TrueEffect, case_row, oracle_row
 from dieseltwin.challenge.run import RESULTS, read_manifest, run_challenge
-from dieseltwin.challenge.score import oracle_row, score_challenge, verified_answers, write_score
+from dieseltwin.challenge.score import score_challenge, verified_answers, write_score
 from dieseltwin.challenge.seal import SEALED
 from dieseltwin.challenge.table import lines
 from dieseltwin.cli.app import main

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dieseltwin.challenge.cases import Case, Plan, build_case
+from dieseltwin.challenge.cases import Case, Plan, build_case, maps_of
+from dieseltwin.challenge.oracle import MAPS_MET, with_plant_maps
 from dieseltwin.challenge.own_engine import WEAR
 from dieseltwin.challenge.records import CaseRow
 from dieseltwin.challenge.table import lines
 from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.engine.map_corrections import corrections_of, look_up
+from dieseltwin.engine.terms import corrections_in
 
 
 @pytest.fixture(scope="module")
@@ -43,3 +46,21 @@ def test_the_table_has_a_line_for_the_change_since_the_reference():
     assert "A_egrmax 0.33 %" in found["since"].value and found["since"].passed
     assert "4/4" in found["since_coverage"].value
     assert "since" not in {line.key for line in lines([CaseRow("case_0002", "healthy", None, "random", (), ())])}
+
+
+def test_an_oracle_meets_the_plants_maps():
+    laboratory = we2011.PARAMETERS.model_dump()
+    maps = maps_of({"case": "case_0001", "seed": 3, "tier": "own-engine"}, laboratory)
+    coefficients = corrections_in(with_plant_maps(we2011.PARAMETERS, maps).terms)
+    assert coefficients is not None
+    tables = corrections_of(np.array(coefficients)).tables
+    for m in range(6):
+        ends = [np.linspace(maps.low[m, k], maps.high[m, k], maps.tables.shape[1 + k]) for k in range(2)]
+        x, y = (nodes.ravel() for nodes in np.meshgrid(*ends, indexing="ij"))
+        left = maps.tables[m].ravel() - look_up(tables[m], m, x, y)
+        assert np.sqrt(np.mean(left**2)) < MAPS_MET < 0.1 * np.sqrt(np.mean(maps.tables[m] ** 2))
+
+
+def test_the_maps_are_drawn_again_from_the_sealed_answers(case: Case):
+    maps = maps_of(case.answers, we2011.PARAMETERS.model_dump())
+    assert np.array_equal(maps.tables, case.machine.maps.tables)

@@ -221,7 +221,7 @@ def identified(tmp_path_factory: pytest.TempPathFactory, noisy: Path) -> Path:
 
 def test_identify_writes_its_files_and_nothing_else(identified: Path) -> None:
     written = {p.name for p in identified.iterdir()}
-    assert written == {"identification.json", "runtime.json", "states.parquet", "figures"}
+    assert written == {"identification.json", "runtime.json", "states.parquet", "report.html", "figures"}
     figures = list((identified / "figures").iterdir())
     assert len(figures) >= 4 and {p.suffix for p in figures} <= {".svg", ".png"}
     assert all(p.stat().st_size > 1000 for p in figures)

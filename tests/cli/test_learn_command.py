@@ -77,3 +77,44 @@ def test_idling_alone_teaches_nothing(tmp_path: Path, folder: Path, capsys: pyte
     assert main(["learn", str(tmp_path / "idle.csv"), "--out", str(tmp_path / "mine.yaml")]) == 2
     assert not (tmp_path / "mine.yaml").exists()
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_fault_in_the_reference_is_said(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    _recorded(3, (Fault("boost_leak", 1e-4),)).to_csv(tmp_path / "faulty.csv", index=False)
+    assert main(["learn", str(tmp_path / "faulty.csv"), "--out", str(tmp_path / "mine.yaml")]) == 0
+    said = capsys.readouterr().out
+    assert "the reference itself looks like" in said and "boost_leak" in said
+
+
+def test_another_engine_is_no_reference(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    driving = draw_driving("random", 120.0, LABORATORY, np.random.default_rng(4))
+    other = LABORATORY | {"V_d": 0.6 * LABORATORY["V_d"], "J_t": 3.0 * LABORATORY["J_t"]}
+    frame = read(run_plant(driving, other), driving, (), SensorSet.perfect(), 6, np.random.default_rng(5))
+    frame.to_csv(tmp_path / "other.csv", index=False)
+    assert main(["learn", str(tmp_path / "other.csv"), "--out", str(tmp_path / "mine.yaml")]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "this engine" in message
+    assert not (tmp_path / "mine.yaml").exists()
+
+
+def test_too_short_a_reference_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    pd.read_csv(folder / "healthy.csv").iloc[:150].to_csv(tmp_path / "short.csv", index=False)
+    assert main(["learn", str(tmp_path / "short.csv"), "--out", str(tmp_path / "mine.yaml")]) == 2
+    assert "s" in capsys.readouterr().err and not (tmp_path / "mine.yaml").exists()
+
+
+def test_siblings_are_learned_engines(folder: Path, capsys: pytest.CaptureFixture[str]):
+    plain = folder / "plain.yaml"
+    plain.write_text("eta_sc: 1.1\n")
+    _recorded(6, A_egrmax=0.95).to_csv(folder / "next.csv", index=False)
+    arguments = ["learn", str(folder / "next.csv"), "--out", str(folder / "next.yaml"), "--siblings"]
+    assert main([*arguments, str(plain)]) == 2
+    assert "no learned engine" in capsys.readouterr().err
+    itself = ["learn", str(folder / "healthy.csv"), "--out", str(folder / "next.yaml"), "--siblings"]
+    assert main([*itself, str(folder / "mine.yaml")]) == 2
+    assert "of the new engine itself" in capsys.readouterr().err
+    assert main([*arguments, str(folder / "mine.yaml")]) == 0
+    capsys.readouterr()
+    assert main(["learn", str(folder / "next.csv"), "--engine", str(folder / "next.yaml"),
+                 "--out", str(folder / "again.yaml")]) == 0  # fmt: skip
+    assert (folder / "again.learned.parquet").read_bytes() == (folder / "next.learned.parquet").read_bytes()

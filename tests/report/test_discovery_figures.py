@@ -79,7 +79,9 @@ def test_averages_show_what_single_residuals_hide(leak: Discovery) -> None:
 def test_page_is_self_contained_and_says_the_sentence(leak: Discovery, tmp_path: Path) -> None:
     page = build_discovery_report(leak, tmp_path / "new" / "report.html", figures_dir=tmp_path / "figures")
     text = page.read_text(encoding="utf-8")
-    outside = re.sub(r'src="data:[^"]*"', "", text)
+    scripts = re.findall(r"<script[^>]*>.*?</script>", text, re.DOTALL)
+    assert len(scripts) == 2 and not re.search(r"<script[^>]* src|fetch\(|XMLHttpRequest|import\(", "".join(scripts))
+    outside = re.sub(r'<script[^>]*>.*?</script>|src="data:[^"]*"', "", text, flags=re.DOTALL)
     assert not re.search(r"https?://|//[a-z]|@import|url\(|<script", outside)
     words = re.sub(r"<[^>]+>", "", outside)
     start = sentence(leak.document).split(";")[0].split("with")[0]

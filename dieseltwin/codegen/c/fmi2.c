@@ -57,6 +57,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, f
 {
     (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
     ((Instance *)c)->k.time_s = start;
+    ((Instance *)c)->k.started = 0;
     return fmi2OK;
 }
 

@@ -75,6 +75,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_def
 {
     (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
     ((Instance *)c)->k.time_s = start;
+    ((Instance *)c)->k.started = 0;
     return fmi3OK;
 }
 

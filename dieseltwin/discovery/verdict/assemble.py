@@ -16,7 +16,7 @@ from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.run import Search, occam
 from dieseltwin.discovery.twins.diesel import EngineTwin
-from dieseltwin.discovery.twins.interface import Array, rows_of, single
+from dieseltwin.discovery.twins.interface import Array, rows_of
 from dieseltwin.discovery.twins.several import SeveralTwin
 from dieseltwin.discovery.verdict import findings
 from dieseltwin.discovery.verdict.curves import Candidate as CandidateRow
@@ -31,6 +31,7 @@ from dieseltwin.discovery.verdict.document import (
 )
 from dieseltwin.discovery.verdict.document import Fit as FitFigures
 from dieseltwin.discovery.verdict.effect_curve import effect_curves
+from dieseltwin.discovery.verdict.explained import disagreement, explained_at
 from dieseltwin.discovery.verdict.findings import finite
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
 from dieseltwin.discovery.verdict.observed import observed
@@ -69,8 +70,11 @@ def assemble(
     best = found.best
     twin = cast(EngineTwin | SeveralTwin, found.twin)
     mismatch = found.kind != "healthy"
-    since = since_reference(best if best is not None and found.kind != "law" else null)
-    after, parameters, covariance = after_of(found)
+    at = explained_at(found)
+    after, parameters = at.simulated, at.fit.parameters[: len(twin.parameters)]
+    apart = disagreement(found)
+    covariance = at.covariance[: apart.size, : apart.size] + np.diag(apart**2)
+    since = since_reference(at, found.twin, apart)
     evidence = _evidence(found, after)
     sizes, differ = told_apart(found, days) if mismatch else ([], "")
     document = Discrepancy(
@@ -145,16 +149,6 @@ def _options_hash(options: Options) -> str:
 def finite_only(values: Mapping[str, float]) -> dict[str, float]:
     """Without those that are not known."""
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}
-
-
-def after_of(found: Search) -> tuple[Array, Array, Array | None]:
-    """Readings, free parameters and covariance of the chosen explanation."""
-    if found.kind == "law" and found.law is not None:
-        twin, values = found.law.on(found.twin)
-        simulated = twin.simulate(single(values, found.law.local))[0]
-        return simulated, found.law.parameters, found.null.covariance
-    at = found.best if found.best is not None and found.kind != "law" else found.null
-    return at.simulated, at.fit.parameters, at.covariance
 
 
 def _evidence(found: Search, after: Array) -> Array:

@@ -6,22 +6,24 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
-from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.learning.belief import HEALTH_AT
 
 
-def since_reference(at: Linearisation) -> tuple[Array, Array] | None:
+def since_reference(at: Linearisation, twin: Twin, apart: Array) -> tuple[Array, Array] | None:
     """Quotients (P,) of the health parameters to the reference's and their standard deviations; None without one.
 
     Of several recordings each has its own health parameters, one recording's behind the other's.
 
     Args:
         at: the chosen explanation, linearised with what is still open of the engine as its nuisances.
+        twin: without the explanation's own parameters, of which P are health.
+        apart: (P,) by how much explanations that can't be told apart disagree [unit].
     """
-    belief = belief_of(at.twin)
+    belief = belief_of(twin)
     if belief is None or at.loadings is None or at.nuisance_response is None:
         return None
-    known, count = len(at.jacobian), len(at.twin.parameters)
+    known, count = len(at.jacobian), len(twin.parameters)
     columns = at.metric.without_local(np.concatenate([at.jacobian, at.nuisance_response]))
     precision = np.concatenate([at.precision, np.ones(len(at.loadings))])
     covariance = np.linalg.inv(columns @ columns.T + np.diag(np.maximum(precision, 1e-30)))
@@ -36,6 +38,6 @@ def since_reference(at: Linearisation) -> tuple[Array, Array] | None:
         row = np.zeros(len(covariance))
         row[j] = 1.0 / then[j]
         row[known:] = -quotient[j] / then[j] * seen[:, j]
-        rest = max(float(unseen[j]), 0.0) * (quotient[j] / then[j]) ** 2
+        rest = max(float(unseen[j]), 0.0) * (quotient[j] / then[j]) ** 2 + (apart[j] / then[j]) ** 2
         std[j] = np.sqrt(float(row @ covariance @ row) + rest)
     return quotient, std

@@ -1,0 +1,180 @@
+"""One recording of a healthy engine as a likelihood over the coordinates of `learning.belief`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
+from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.nuisance import signal_responses
+from dieseltwin.discovery.likelihood.score import secant_sizes
+from dieseltwin.discovery.search.preparation import split_growing
+from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.interface import Array, Lanes, rows_of, single
+from dieseltwin.engine import MEASURED, EngineParameters
+from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
+from dieseltwin.engine.quantities import POINTS
+from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
+from dieseltwin.recordings.noise import estimate_noise
+from dieseltwin.recordings.reader import Recording
+
+_ROUGH_ROUNDS = 5
+_SETTLING_ROUNDS = 3
+_SETTLED = 1e-3  # of a state's scale
+_SHORTER = 0.4
+_SMALL = 1e-3  # of a coefficient, for its response
+_DRAWS = 2
+_CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of what is believed then
+_MOST_CROOKED = 1.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The readings near one point.
+
+    Attributes:
+        columns: (D, n, C) responses to one prior standard deviation of every coordinate.
+        metric: of the readings, initial states taken out.
+        projected: (D, rows) the columns in it.
+    """
+
+    columns: Array
+    metric: Metric
+    projected: Array
+
+
+class Part:
+    """A recording, bound to the base engine; points `x` (D,) are in prior standard deviations about the prior's mean.
+
+    Attributes:
+        health: (4,) of a fit of health alone, where learning starts.
+        local: (W, 1) initial states.
+        left_out: (W,) windows that are not used.
+    """
+
+    def __init__(self, recording: Recording, engine: EngineParameters, prior: Belief) -> None:
+        self.prior = prior
+        self.scale = np.sqrt(np.diag(prior.covariance))
+        self.twin = EngineTwin(recording, engine)
+        self.at = [MEASURED.index(name) for name in self.twin.channels]
+        twin = self.twin
+        whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
+        rough = fit_fully(twin, whitening, first_fit(twin), rounds=_ROUGH_ROUNDS)
+        start = split_growing(rough) or rough.fit
+        self.local = start.local
+        self.health = rough.fit.parameters
+        self.whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
+        self.left_out = np.zeros(twin.starts.size, dtype=bool)
+
+    @property
+    def readings(self) -> int:
+        """Number of readings used."""
+        return int(np.isfinite(self.twin.measured).sum())
+
+    def whiten_anew(self, explained: Array) -> None:
+        """Estimate the noise from what a model leaves; explained (n, C)."""
+        measured = self.twin.measured
+        self.whitening = Whitening.of(measured, estimate_noise(measured, explained=explained), self.twin.starts)
+
+    def leave_out(self, windows: np.ndarray) -> None:
+        """Use some windows (W,) no longer."""
+        self.left_out = self.left_out | windows
+        self.twin.measured[rows_of(self.twin, windows)] = np.nan
+
+    def shown(self, x: Array, local: Array) -> Array:
+        """Readings (n, C) at a point, errors of the sensors included."""
+        values = self._values(x)
+        twin = self.twin.with_coefficients(values[MAPS_AT])
+        clean = twin.simulate(single(values[HEALTH_AT], local))[0]
+        return clean * (1.0 + values[GAINS_AT][self.at]) + values[OFFSETS_AT][self.at]
+
+    def residual(self, x: Array, local: Array) -> Array:
+        """Readings less simulation (n, C), 0 where there is no reading."""
+        return np.nan_to_num(self.twin.measured - self.shown(x, local))
+
+    def linearised(self, x: Array) -> Linear:
+        """Responses to every coordinate about a point and the initial states as they are."""
+        values = self._values(x)
+        twin = self.twin.with_coefficients(values[MAPS_AT])
+        fit = replace(first_fit(twin), parameters=values[HEALTH_AT], local=self.local)
+        lanes, steps = parameter_lanes(twin, fit)
+        simulated = twin.simulate(lanes)
+        clean, factor = simulated[0], 1.0 + values[GAINS_AT][self.at]
+        differences = (simulated[1:] - clean) / steps[:, None, None]
+        points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps]
+        signals = _SMALL * basis_along(twin.variables(fit.lanes()))
+        columns = np.zeros((x.size, *clean.shape))
+        columns[HEALTH_AT] = differences[: len(twin.parameters)] * factor
+        columns[MAPS_AT] = signal_responses(twin, fit.lanes(), clean, points, signals) * (factor / _SMALL)
+        for j, channel in enumerate(self.at):
+            columns[GAINS_AT.start + channel, :, j] = clean[:, j]
+            columns[OFFSETS_AT.start + channel, :, j] = 1.0
+        columns *= self.scale[:, None, None]
+        local = differences[len(twin.parameters) :] * factor
+        metric = Metric(self.whitening, twin.starts, local, twin.state_scales)
+        return Linear(columns, metric, metric.without_local(columns))
+
+    def moved(self, here: Linear, x: Array, residual: Array, change: Array) -> tuple[Array, Array]:
+        """Initial states that go with a change (D,) of x, each window's at its minimum, and the residual there."""
+        rest = residual - np.tensordot(change, here.columns, 1)
+        return self.settled(here.metric, x + change, bounded(self.twin, self.local + here.metric.local_step(rest)))
+
+    def settled(self, metric: Metric, x: Array, local: Array) -> tuple[Array, Array]:
+        """Initial states at their minimum, each window by itself, and the residual there."""
+        residual = self.residual(x, local)
+        cost, shrink = metric.window_costs(residual), np.ones(len(local))
+        for _ in range(_SETTLING_ROUNDS):
+            step = metric.local_step(residual)
+            if not np.any(np.abs(step) > _SETTLED * self.twin.state_scales):
+                break
+            trial = bounded(self.twin, local + shrink[:, None] * step)
+            moved = self.residual(x, trial)
+            costs = metric.window_costs(moved)
+            better = costs < cost
+            local = np.where(better[:, None], trial, local)
+            residual = np.where(rows_of(self.twin, better)[:, None], moved, residual)
+            cost, shrink = np.where(better, costs, cost), np.where(better, 1.0, _SHORTER * shrink)
+        return local, residual
+
+    def crooked(self, here: Linear, x: Array, covariance: Array, rng: np.random.Generator) -> np.ndarray:
+        """(W,) windows in which draws of what is believed now, (D, D) about x, don't act linearly."""
+        values, vectors = np.linalg.eigh(covariance)
+        shown = self.shown(x, self.local)
+        worst = np.zeros(self.twin.starts.size)
+        for _ in range(_DRAWS):
+            change = vectors @ (rng.standard_normal(x.size) * np.sqrt(np.maximum(values, 0.0)))
+            bend = self.shown(x + change, self.local) - shown - np.tensordot(change, here.columns, 1)
+            projected = here.metric.without_local(bend[None])[0][: bend.size].reshape(bend.shape)
+            worst = np.maximum(worst, np.add.reduceat((projected**2).sum(axis=1), self.twin.starts))
+        return worst > max(_CROOKED, float(np.quantile(worst, 1.0 - _MOST_CROOKED)))
+
+    def scores(self, here: Linear, x: Array, projected: Array) -> dict[tuple[str, float], tuple[float, float, Array]]:
+        """Of every effect at the sizes at which it is tried: half the gradient, its own information, that which it
+        shares with the coordinates (D,).
+
+        Args:
+            here: about x; projected: (rows,) the residual there, in the metric.
+        """
+        values = self._values(x)
+        twin = self.twin.with_coefficients(values[MAPS_AT])
+        base = replace(first_fit(twin), parameters=values[HEALTH_AT], local=self.local).lanes()
+        wanted = secant_sizes(twin, list(twin.hypotheses))
+        magnitudes = {name: np.zeros(len(wanted)) for name, _ in wanted}
+        for k, (name, size) in enumerate(wanted):
+            magnitudes[name][k] = size
+        lanes = Lanes(
+            np.repeat(base.parameters, len(wanted), axis=0), np.repeat(base.local, len(wanted), axis=0), magnitudes
+        )
+        sizes = np.array([size for _, size in wanted])
+        factor = 1.0 + values[GAINS_AT][self.at]
+        responses = (twin.simulate(lanes) - twin.simulate(base)) * factor / sizes[:, None, None]
+        rows = here.metric.without_local(responses)
+        return {
+            key: (float(row @ projected), float(row @ row), here.projected @ row)
+            for key, row in zip(wanted, rows, strict=True)
+        }
+
+    def _values(self, x: Array) -> Array:
+        return self.prior.mean + self.scale * x

@@ -1,0 +1,54 @@
+"""What engines of one type say of the next one: their maps' errors are the type's and each engine's own.
+
+The error of engine i over the basis of `engine.map_corrections` is t + o_i, with t common to the type and o_i its own,
+both Gaussian and smooth alike; t has a declared share of the variance. What engine i was learned from is a
+Gaussian factor over t + o_i (its posterior divided by its prior, with health and sensors integrated out). Integrating
+o_i out leaves a factor over t; the factors multiply, so that the order of the engines doesn't matter (Gelman et al.,
+Bayesian Data Analysis, 3rd edition, section 5.4, with vectors in place of scalars).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dieseltwin.engine import EngineParameters
+from dieseltwin.learning.belief import MAPS_AT, Array, Belief, prior_belief
+
+
+def belief_from_siblings(
+    siblings: Sequence[tuple[Belief, Belief]], engine: EngineParameters, map_rms: float, type_share: float
+) -> Belief:
+    """What is believed of a new engine of a type of which some engines were learned.
+
+    Args:
+        siblings: of each, what was believed before anything was learned of it, and what is believed now.
+        engine: base of the new one, with the same published maps.
+        map_rms: size of the maps' smooth relative errors [-].
+        type_share: of their variance that is the type's, 0-1 [-].
+    """
+    prior = prior_belief(engine, map_rms)
+    own = (1.0 - type_share) * map_rms**2
+    count = MAPS_AT.stop - MAPS_AT.start
+    information, vector = np.eye(count) / max(type_share * map_rms**2, 1e-30), np.zeros(count)
+    for before, after in siblings:
+        seen, pushed = _factor(before, after)
+        kept = np.linalg.inv(np.eye(count) + own * seen)
+        some = kept @ seen
+        information += 0.5 * (some + some.T)
+        vector += kept @ pushed
+    of_type = np.linalg.inv(information)
+    mean, covariance = prior.mean.copy(), prior.covariance.copy()
+    mean[MAPS_AT] = of_type @ vector
+    covariance[MAPS_AT, MAPS_AT] = 0.5 * (of_type + of_type.T) + own * np.eye(count)
+    return Belief(mean, covariance)
+
+
+def _factor(before: Belief, after: Belief) -> tuple[Array, Array]:
+    """Information (K, K) and its vector (K,) of what was learned about the maps, health and sensors integrated out."""
+    precisions = [np.linalg.inv(belief.covariance[MAPS_AT, MAPS_AT]) for belief in (before, after)]
+    seen = precisions[1] - precisions[0]
+    values, vectors = np.linalg.eigh(0.5 * (seen + seen.T))
+    seen = (vectors * np.maximum(values, 0.0)) @ vectors.T  # rounding makes directions that nothing says negative
+    return seen, precisions[1] @ after.coefficients - precisions[0] @ before.coefficients
