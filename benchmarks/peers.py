@@ -4,7 +4,7 @@
 
 One minute of the benchmark driving, field parameters. n_e, u_delta and the actuators' positions run linearly between
 the samples. scipy's LSODA calls the equations over numpy scalars; x_r and T_1 are a fixed point there, warm from the
-call before. CasADi (`pip install casadi`) gets them as a system with two algebraic unknowns, compiled, for SUNDIALS'
+call before. CasADi (extra `bench`) gets them as a system with two algebraic unknowns, compiled, for SUNDIALS'
 IDAS. Each peer has the loosest relative tolerance of a list at which no pressure and no turbo speed at a sample is off
 by more than 0.01 % of its mean; where none does it the tightest one stands with its error. The reference is this
 simulator at steps of 0.5 ms. Seconds are CPU seconds of the thread, warm, the least of the repeats.
