@@ -19,6 +19,7 @@ from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit, fit_fu
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.errors import InputError
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import first_states, run_error
@@ -109,10 +110,14 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
     """
     options, began = options or Options(), time.perf_counter()
     settings = options.search
-    here, fit = before, fit_before = fitted(rig, recording)
+    try:
+        here, fit = before, fit_before = fitted(rig, recording)
+    except np.linalg.LinAlgError:
+        raise InputError(recording.path, f"no fit of {rig.name} that stays finite", "a recording of this machine",
+                         "check the columns' units, or shorten the file's window_s") from None
     errors = _foretold(here, recording, settings.checked_share)
     rounds: list[Round] = []
-    while len(here.terms) - len(rig.terms) < settings.most_effects:
+    while len(rounds) < settings.most_effects:
         found = _searched(here, fit.residual, recording, options)
         names = _named(found, settings.least_explained)
         law = None
