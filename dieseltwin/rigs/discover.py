@@ -15,7 +15,7 @@ import numpy as np
 
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
-from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit, fit_fully
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.twins.interface import Array
@@ -182,10 +182,10 @@ def _searched(rig: RigParameters, left: Array, recording: RigRecording, options:
 
 
 def _strongest_first(found: search.Search) -> None:
-    """Of pairs that can't be told apart those that hold the strongest single name, where any does.
+    """Of pairs that can't be told apart those that hold the strongest single name, where any does; the smallest first.
 
-    A sum of effects can be written in several ways (dry friction and a constant force are two one-sided forces); the
-    one whose part explains most by itself is the one to say.
+    A sum of effects can be written in several ways (dry friction and a constant force are two one-sided forces): said
+    is what explains most by itself, with sizes that add up to the fewest tolerances.
     """
     if found.kind != "pair" or found.best is None:
         return
@@ -196,8 +196,15 @@ def _strongest_first(found: search.Search) -> None:
     found.equivalent = kept
     weights = {key: p for key, p in found.probabilities.items() if lead in key.split(" + ")}
     found.probabilities = {key: p / sum(weights.values()) for key, p in weights.items()}
-    if lead not in found.best.fit.candidate.names:
-        found.best = recentred(found, next(fit for fit in found.pairs if fit.candidate.names in kept))
+    fits = [fit for fit in found.pairs if fit.candidate.names in kept]
+    least = min(fits, key=lambda fit: _tolerances(found, fit))
+    if least.candidate.names != found.best.fit.candidate.names:
+        found.best = recentred(found, least)
+
+
+def _tolerances(found: search.Search, fit: Fit) -> float:
+    names = fit.candidate.names
+    return sum(abs(m) / found.twin.hypotheses[n].tolerance for n, m in zip(names, fit.magnitudes, strict=True))
 
 
 def _named(found: search.Search, least_explained: float) -> tuple[str, ...]:
