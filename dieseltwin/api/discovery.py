@@ -112,9 +112,9 @@ def _check_together(recordings: Sequence[AnyRecording], machine: Engine, channel
     """
     if not recordings:
         raise InputError("RECORDING", "nothing", "a recording", "name the recording")
-    if isinstance(machine, PetrolParameters):
-        raise InputError("RECORDING", f"{len(recordings)}", "one of a petrol engine", "judge them one by one")
+    if isinstance(machine, PetrolParameters | RigParameters):
+        raise InputError("RECORDING", f"{len(recordings)}", "one of a petrol engine or a rig", "judge them one by one")
     for item in recordings:
-        if isinstance(item, SteadyPoints | PetrolRecording) or not timed(item, channels):
+        if isinstance(item, SteadyPoints | PetrolRecording | RigRecording) or not timed(item, channels):
             raise InputError("RECORDING", "settled points among several", "recordings over time of a diesel engine",
                              "judge settled points by themselves")  # fmt: skip

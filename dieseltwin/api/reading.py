@@ -57,12 +57,14 @@ def read(
     return settled_points(source, channels, machine, needed=INPUTS)
 
 
-def description(found: Recording | SteadyPoints | PetrolRecording) -> list[str]:
+def description(found: Recording | SteadyPoints | PetrolRecording | RigRecording) -> list[str]:
     """What was read, in sentences: size and rate, the quantities, and what reading did to the file."""
     if isinstance(found, SteadyPoints):
         return [f"{found.size} settled points with {', '.join(found.columns)}."]
     if isinstance(found, PetrolRecording):
         return [f"{found.signals.time_s[-1] / 60.0:.1f} minutes of a petrol engine with {', '.join(found.columns)}."]
+    if isinstance(found, RigRecording):
+        return [f"{len(found.time_s)} samples of a rig with {', '.join((*found.inputs, *found.readings))}."]
     rate = 1.0 / float(np.median(np.diff(found.time_s)))
     there = [name for name in found.channels if name != TIME]
     return [f"{found.duration_s / 60.0:.1f} minutes at {rate:.3g} Hz with {', '.join(there)}.", *found.notes]
