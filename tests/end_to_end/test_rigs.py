@@ -88,13 +88,12 @@ class Case:
         return load_rig(self.answer.folder / "engine.yaml")
 
 
-def _asked(rig: str, recording: pd.DataFrame, first: int, folder: Path, *options: str | Path) -> Case:
+def _asked(rig: str, recording: pd.DataFrame, first: int, folder: Path) -> Case:
     """`discover` and `identify` on the first rows, `simulate` with what both wrote on the others."""
     early, late, file = folder / "early.csv", folder / "late.csv", RIGS / f"{rig}.yaml"
     recording.iloc[:first].to_csv(early, index=False)
     recording.iloc[first:].to_csv(late, index=False)
-    asked = ["discover", str(early), "--engine", str(file), "--out", str(folder / "found"), *map(str, options)]
-    assert main(asked) == 0
+    assert main(["discover", str(early), "--engine", str(file), "--out", str(folder / "found")]) == 0
     assert main(["identify", str(early), "--engine", str(file), "--out", str(folder / "fitted")]) == 0
     errors = []
     for name in ("fitted", "found"):
@@ -109,15 +108,8 @@ def _asked(rig: str, recording: pd.DataFrame, first: int, folder: Path, *options
 
 
 @pytest.fixture(scope="module")
-def axis(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> Case:
-    """One round: the plant sticks at rest where the file's axis creeps, which more rounds look at for a minute."""
-    folder = tmp_path_factory.mktemp("axis")
-    text = (project_root / "params.yaml").read_text(encoding="utf-8")
-    text = text.replace("most_effects: 4           # a twin", "most_effects: 1  #")
-    (folder / "one.yaml").write_text(text, encoding="utf-8")
-    found = _asked("positioning_axis", axis_recording(9.0), 6000, folder, "--params", folder / "one.yaml")
-    assert len(found.answer.details["rounds"]) == 1
-    return found
+def axis(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    return _asked("positioning_axis", axis_recording(12.0), 8000, tmp_path_factory.mktemp("axis"))
 
 
 @pytest.fixture(scope="module")
