@@ -23,7 +23,7 @@ from dieseltwin.discovery.verdict.assemble import together_sha256
 from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
-from dieseltwin.discovery.verdict.explain import DETAILS, Known, details_of, load_details, plain
+from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers, details_of, plain
 from dieseltwin.discovery.verdict.implied import implied_frame
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
@@ -182,12 +182,8 @@ class DrivingQuestion(Question):
         return EFFECTS
 
     def answered_in(self, folder: Path) -> bool:
-        if not (folder / DETAILS).is_file() or not (folder / FILE_NAME).is_file():
-            return False
-        details = load_details(folder)
-        same = details["options"] == json.loads(json.dumps(self.asked))
         judged = [day.recording for day in self.days] or [self.recording]
-        return same and details["recording_sha256"] == together_sha256(judged)
+        return answers(folder, self.asked, together_sha256(judged))
 
     def answer(self) -> DrivingDiscovered:
         self._check_sensitivity()

@@ -28,7 +28,8 @@ from dieseltwin.challenge.sensors import SENSORS, SensorSet, read
 from dieseltwin.errors import InputError
 
 Kind = Literal["healthy", "withheld", "two", "partial", "single"]
-Tier = Literal["main", "one-percent", "own-engine", "own-engine-5"]
+Tier = Literal["main", "one-percent", "own-engine", "own-engine-5", "petrol"]
+PETROL: Tier = "petrol"
 
 MIX: Mapping[Kind, float] = {"healthy": 0.25, "withheld": 0.15, "two": 0.15, "partial": 0.15}  # the rest single
 MAP_RMS: Mapping[Tier, float] = {"main": 0.003, "one-percent": 0.01, "own-engine": 0.02, "own-engine-5": 0.05}

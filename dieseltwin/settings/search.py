@@ -103,9 +103,21 @@ class PointSettings(SearchSettings):
                                        "law [-]")
 
 
+class RigSettings(SearchSettings):
+    """Machines that are no engines: the search of each round, when the rounds end, and what a finding must foretell."""
+
+    least_explained: float = Field(ge=0, le=1, description="of the misfit that a name must explain where more is left")
+    most_effects: PositiveInt = Field(description="that are named")
+    checked_share: float = Field(gt=0, lt=1, description="of the recording, its end, that a finding must foretell "
+                                 "which was fitted to the rest [-]")
+    loss_of_name: PositiveFloat = Field(description="on the error there, up to which a name is kept [-]")
+    gain_of_law: PositiveFloat = Field(description="on the error there, up to which a law is kept [-]")
+
+
 class SearchConfig(StrictModel):
     """One set of thresholds; a kind of machine changes what differs for it, with its reason."""
 
     driving: SearchSettings = Field(description="recordings of the diesel engine")
     points: PointSettings = Field(description="its settled points")
     petrol: SearchSettings = Field(description="recordings of a petrol engine")
+    rigs: RigSettings = Field(description="recordings of machines that are no engines")
