@@ -315,10 +315,14 @@ class EngineTwin:
         other.measured = self.measured - self.moved + moved
         return other
 
-    def _integrate(self, lanes: Lanes) -> Observations:
+    def _integrate(
+        self, lanes: Lanes, constants: Mapping[str, Array] | None = None, actuation: list[Actuation] | None = None
+    ) -> Observations:
+        """Trajectories of all lanes; constants of the engine (B,) and actuators may be each lane's own."""
         size = lanes.size
         n = self.time_s.size
         columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
+        columns |= constants or {}
         batch = parameter_batch(self.engine, **columns)
         magnitudes = np.zeros((len(STATE_EFFECTS), size))
         combined, schedules = self._combined(lanes)
@@ -333,7 +337,7 @@ class EngineTwin:
             signals = np.zeros((len(POINTS), n))
             for name, values in lanes.signals.items():
                 signals[POINTS.index(name)] = values
-        actuation = self._actuations(combined, schedules)
+        actuation = actuation or self._actuations(combined, schedules)
         extension = Extension(
             magnitudes, None, signals, lanes.lane_points, lanes.lane_signals, self.starts, None,
             schedule, np.arange(size) if own else np.zeros(size, dtype=np.int64), self.corrections,
