@@ -315,14 +315,11 @@ class EngineTwin:
         other.measured = self.measured - self.moved + moved
         return other
 
-    def _integrate(
-        self, lanes: Lanes, constants: Mapping[str, Array] | None = None, actuation: list[Actuation] | None = None
-    ) -> Observations:
-        """Trajectories of all lanes; constants of the engine (B,) and actuators may be each lane's own."""
-        size = lanes.size
-        n = self.time_s.size
+    def _integrate(self, lanes: Lanes, constants: Mapping[str, Array] | None = None,
+                   actuation: list[Actuation] | None = None) -> Observations:  # fmt: skip
+        size, n = lanes.size, self.time_s.size
         columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
-        columns |= constants or {}
+        columns |= constants or {}  # each lane's own, (B,)
         batch = parameter_batch(self.engine, **columns)
         magnitudes = np.zeros((len(STATE_EFFECTS), size))
         combined, schedules = self._combined(lanes)
