@@ -319,8 +319,7 @@ class EngineTwin:
                    actuation: list[Actuation] | None = None) -> Observations:  # fmt: skip
         size, n = lanes.size, self.time_s.size
         columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
-        columns |= constants or {}  # each lane's own, (B,)
-        batch = parameter_batch(self.engine, **columns)
+        batch = parameter_batch(self.engine, **columns, **dict[str, Any](constants or {}))
         magnitudes = np.zeros((len(STATE_EFFECTS), size))
         combined, schedules = self._combined(lanes)
         own = any(values.ndim > 1 for values in schedules.values())  # a schedule per lane
