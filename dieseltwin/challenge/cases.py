@@ -189,7 +189,7 @@ def build_case(
     sensor_set = SensorSet.draw(rng)
     driving = draw_driving(plan.route, duration_s, laboratory, stream(_DRIVING))
     later = draw_driving("whtc" if plan.route == "random" else "random", duration_s, laboratory, stream(_HELD_OUT))
-    faults = tuple(_draw_fault(name, plan, driving, stream(_FAULTS), k) for k, name in enumerate(plan.effects))
+    faults = tuple(draw_fault(name, plan, driving, stream(_FAULTS), k) for k, name in enumerate(plan.effects))
     lasting = tuple(fault.lasting() for fault in faults)
     days = [weather(parameters, laboratory, rng) if own else parameters for _ in range(2)]
     run = run_plant(driving, days[0], faults, maps)
@@ -234,7 +234,8 @@ def maps_of(answers: Mapping[str, Any], laboratory: Mapping[str, Any]) -> MapErr
     return _draw_engine(laboratory, answers["tier"], np.random.default_rng([answers["seed"], number, _MACHINE]))[3]
 
 
-def _draw_fault(name: str, plan: Plan, driving: Driving, rng: np.random.Generator, k: int) -> Fault:
+def draw_fault(name: str, plan: Plan, driving: Driving, rng: np.random.Generator, k: int) -> Fault:
+    """The k-th fault of a machine: its size, when or where it acts."""
     family = FAMILIES[name]
     for _ in range(k):  # the second fault has draws of its own
         rng.random(8)
