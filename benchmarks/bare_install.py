@@ -21,6 +21,7 @@ import time
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,6 +30,8 @@ sys.path.insert(0, str(ROOT))
 from tests.calibration.simulated import GEOMETRY, made_points  # noqa: E402
 
 NOBODY = 65534
+NOISE = {"p_im_pa": 3e3, "p_em_pa": 4e3, "omega_t_rad_s": 50.0, "w_egr_kg_s": 0.001, "t_em_k": 8.0, "w_c_kg_s": 0.004}
+"""Noise of the readings that the reference trace gets [SI]: without any, `learn` and `discover` refuse it."""
 BUILD = "from setuptools import build_meta as b; import sys; print(b.{what}(sys.argv[1]))"
 
 
@@ -78,7 +81,11 @@ def commands(quick: bool) -> list[tuple[str, list[str]]]:
 
 def inputs(folder: Path) -> None:
     """Files that the commands read."""
-    pd.read_csv(ROOT / "tests" / "reference" / "field_random_300s.csv").to_csv(folder / "drive.csv", index=False)
+    drive = pd.read_csv(ROOT / "tests" / "reference" / "field_random_300s.csv")
+    rng = np.random.default_rng(1)
+    for column, sigma in NOISE.items():
+        drive[column] += sigma * rng.standard_normal(len(drive))
+    drive.to_csv(folder / "drive.csv", index=False)
     pd.DataFrame(dict(made_points(noise=0.005).columns)).to_csv(folder / "points.csv", index=False)
     lines = [f"{name}: {getattr(GEOMETRY, name)}\n" for name in ("V_d", "r_c", "R_c", "R_t")]
     (folder / "geometry.yaml").write_text("".join(lines))
