@@ -19,7 +19,7 @@ CHROMIUM = Path("/usr/bin/chromium")
 pytestmark = pytest.mark.skipif(not CHROMIUM.is_file(), reason=f"no browser at {CHROMIUM}")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
          "--disable-component-update", "--disable-sync"]  # fmt: skip
-SLOW_MS = 60_000
+SLOW_MS = 120_000
 
 
 def free_port() -> int:
@@ -108,6 +108,7 @@ def test_from_drop_to_verdict(server: Server, browser: playwright.Browser, logge
     page.wait_for_selector("#check .alert")
     page.select_option("[name=reading-p_im_pa]", "unit:kPa")
     page.click("text=Save the map and try it")
+    page.wait_for_selector("#check .tag.done")
 
     # the verdict comes by itself, also to somebody who closed the page
     page.check("[value=identify]")
