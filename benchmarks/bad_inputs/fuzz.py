@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, settings
@@ -29,7 +30,14 @@ class BadEnd(Exception):
     """A case that ended in neither an answer nor a proper refusal: command, ending of the file, content, outcome."""
 
 
-SLOW_S = 20.0  # longer than any refusal, and than any answer to files of this size
+class TimeIsUp(KeyboardInterrupt):
+    """Ends Hypothesis, which goes on drawing cases after anything less."""
+
+
+SHORT = {"drive.csv": 100, "points.csv": 15}
+"""Rows of the files that are damaged: too few for anything to be computed from what happens to stay whole."""
+
+SLOW_S = 20.0  # longer than any refusal
 Content = str | bytes
 
 NAMES = st.sampled_from(
@@ -131,7 +139,7 @@ def contents(folder: Path) -> st.SearchStrategy[Content]:
 def fault_of(outcome: Outcome) -> tuple[str, ...]:
     """What is wrong with how a command ended; an answer is no fault here, since a file may happen to be good."""
     faults = [fault for fault in outcome.faults if fault not in ("exit code 0", "exit code 3")]
-    return (*faults, "too slow") if outcome.seconds > SLOW_S else tuple(faults)
+    return (*faults, "too slow") if outcome.code == 2 and outcome.seconds > SLOW_S else tuple(faults)
 
 
 def check(content: Content, ending: str, command: str, folder: Path) -> Outcome:
@@ -157,6 +165,8 @@ def fuzz(seconds: float, seed: int, commands: tuple[str, ...] = tuple(COMMANDS),
     """
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     good_files(folder)
+    for name, rows in SHORT.items():
+        (folder / name).write_text("\n".join((folder / name).read_text().splitlines()[: rows + 1]) + "\n")
     seen: Counter[str] = Counter()
     until = time.monotonic() + seconds
 
@@ -166,14 +176,15 @@ def fuzz(seconds: float, seed: int, commands: tuple[str, ...] = tuple(COMMANDS),
     @given(contents(folder), ENDINGS, st.sampled_from(commands))
     def one(content: Content, ending: str, command: str) -> None:
         if time.monotonic() > until:
-            return
+            raise TimeIsUp
         outcome = check(content, ending, command, folder)
         seen[f"{command}: exit {outcome.code}"] += 1
         if fault_of(outcome):
             raise BadEnd(command, ending, content[:500], outcome)
 
     try:
-        one()
+        with suppress(TimeIsUp):
+            one()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return seen
