@@ -32,7 +32,9 @@ sys.meta_path.insert(0, Absent())
 atexit.register(lambda: open(os.environ["IMPORTED"], "w").write(" ".join(sys.modules)))
 """
 
-CORE = ("cli", "report", "discovery", "calibration", "petrol", "recordings", "duty_cycles", "engine", "settings")
+CORE = (
+    "cli", "report", "discovery", "calibration", "petrol", "rigs", "recordings", "duty_cycles", "engine", "settings",
+)  # fmt: skip
 IMPORT_ALL = f"""
 import importlib, pkgutil
 for room in {CORE!r}:

@@ -14,6 +14,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters, is_petrol
 from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.rigs.parameters import RigParameters, is_rig
 from dieseltwin.settings.names import refuse_options
 from dieseltwin.settings.strict import read_mapping, validate
 
@@ -54,14 +55,17 @@ def calibrate(
     return calibrate_points(points, first, geometry, channels, noise_pct, seed)
 
 
-def base_engine(base: Engine | str | Path) -> Engine:
+def base_engine(base: Engine | str | Path) -> EngineParameters | PetrolParameters:
     """The engine to begin with; one that isn't calibrated yet will do.
 
     Raises:
-        InputError: neither a name nor a file that can be used.
+        InputError: neither a name nor a file that can be used, or a rig.
     """
     if isinstance(base, EngineParameters | PetrolParameters):
         return base
+    if isinstance(base, RigParameters) or (os.path.isfile(base) and is_rig(base)):
+        name = base.name if isinstance(base, RigParameters) else base
+        raise InputError("--base", f"{name}, a rig", "an engine", "use `dieseltwin identify` on a recording of it")
     if str(base) in NAMED:
         return NAMED[str(base)]
     if os.path.isfile(base) and is_petrol(base):

@@ -13,15 +13,18 @@ from dieseltwin.api.engines import Engine
 from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.learning import known_engine
 from dieseltwin.api.reading import Channels, Source, as_engine, timed
+from dieseltwin.api.rigs import ask_rig
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.rigs.parameters import RigParameters
+from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.settings.names import refuse_options
 
-AnyRecording: TypeAlias = Source | Recording | SteadyPoints | PetrolRecording
-_ONE = (str, Path, pd.DataFrame, Recording, SteadyPoints, PetrolRecording)
+AnyRecording: TypeAlias = Source | Recording | SteadyPoints | PetrolRecording | RigRecording
+_ONE = (str, Path, pd.DataFrame, Recording, SteadyPoints, PetrolRecording, RigRecording)
 
 
 def discover(
@@ -76,6 +79,11 @@ def ask(
             _check_together(recording, machine, channels)
             return ask_driving(recording, engine, channels, asked, known_engine(engine, asked.reference, channels))
         recording = recording[0]
+    if isinstance(machine, RigParameters):
+        refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
+        return ask_rig(recording, machine, asked)
+    if isinstance(recording, RigRecording):
+        raise InputError("recording", "one of a rig", "one of an engine", "name the rig's file")
     if isinstance(machine, PetrolParameters):
         refuse_options(no_reference, "for a petrol engine")
         if isinstance(recording, Recording | SteadyPoints):
@@ -104,9 +112,9 @@ def _check_together(recordings: Sequence[AnyRecording], machine: Engine, channel
     """
     if not recordings:
         raise InputError("RECORDING", "nothing", "a recording", "name the recording")
-    if isinstance(machine, PetrolParameters):
-        raise InputError("RECORDING", f"{len(recordings)}", "one of a petrol engine", "judge them one by one")
+    if isinstance(machine, PetrolParameters | RigParameters):
+        raise InputError("RECORDING", f"{len(recordings)}", "one of a petrol engine or a rig", "judge them one by one")
     for item in recordings:
-        if isinstance(item, SteadyPoints | PetrolRecording) or not timed(item, channels):
+        if isinstance(item, SteadyPoints | PetrolRecording | RigRecording) or not timed(item, channels):
             raise InputError("RECORDING", "settled points among several", "recordings over time of a diesel engine",
                              "judge settled points by themselves")  # fmt: skip

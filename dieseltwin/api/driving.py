@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +22,7 @@ from dieseltwin.discovery.verdict.assemble import together_sha256
 from dieseltwin.discovery.verdict.checks import check_engine, check_fit, check_recording, check_sensitivity
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
-from dieseltwin.discovery.verdict.explain import DETAILS, Known, details_of, load_details, plain
+from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers, details_of, plain
 from dieseltwin.discovery.verdict.implied import implied_frame
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
@@ -31,11 +30,12 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, overlap
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.circumstances import put_right
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
-from dieseltwin.report.discovery_words import magnitude_words
+from dieseltwin.report.discovery_words import alike_words, circumstances_words, magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.sealed import sealed_json, sealed_text
 from dieseltwin.settings.names import listed, unknown_name
@@ -71,7 +71,7 @@ class DrivingDiscovered(Discovered):
         if document.out_of_time is not None:  # the search knows what was left for it
             told = document.out_of_time.model_copy(update={"limit_s": self.question.time_s})
             document = document.model_copy(update={"out_of_time": told})
-        return with_warnings(document, [*self.question.notes, *_time_notes(document)])
+        return with_warnings(document, [*self.question.notes, *circumstance_notes(document), *_time_notes(document)])
 
     @property
     def engine(self) -> EngineParameters:
@@ -102,7 +102,10 @@ class DrivingDiscovered(Discovered):
             sensors = self.question.options.sensors
             judged, whole = self.question.recording, self.question.whole
             starts, local = (self.found.starts, self.found.local) if whole is judged else (None, None)
-            implied = implied_frame(whole, self.engine, stds, sensors=sensors, starts=starts, local=local)
+            source, _ = put_right(whole, self.engine, {
+                item.name: item.value for item in self.document.circumstances if item.off or "time_shift" in item.name
+            })  # fmt: skip
+            implied = implied_frame(source, self.engine, stds, sensors=sensors, starts=starts, local=local)
             implied.to_parquet(folder / "implied.parquet", index=False, write_page_checksum=True)
             told = replace(self.found, document=self.document)
             discovery_page.build_discovery_report(told, folder / "report.html", figures_dir=folder / "figures")
@@ -182,12 +185,8 @@ class DrivingQuestion(Question):
         return EFFECTS
 
     def answered_in(self, folder: Path) -> bool:
-        if not (folder / DETAILS).is_file() or not (folder / FILE_NAME).is_file():
-            return False
-        details = load_details(folder)
-        same = details["options"] == json.loads(json.dumps(self.asked))
         judged = [day.recording for day in self.days] or [self.recording]
-        return same and details["recording_sha256"] == together_sha256(judged)
+        return answers(folder, self.asked, together_sha256(judged))
 
     def answer(self) -> DrivingDiscovered:
         self._check_sensitivity()
@@ -249,7 +248,8 @@ def ask_driving(
     if left := sorted({name for used in sensors for name in used} - set(common)):
         notes.append(Note(f"{listed(left)} is not in all recordings and isn't used", "reading", tuple(left)))
     options = Options(sensors=common, withhold=tuple(asked["withhold"]), map_tolerance=asked["map_tolerance"],
-                      seed=question.seed, search=question.settings.search.driving)
+                      seed=question.seed, search=question.settings.search.driving,
+                      circumstances=question.settings.search.circumstances)
     last = days[-1].recording if days else sources[0]
     whole = next(whole for source, whole in zip(sources, wholes, strict=True) if source is last)
     return DrivingQuestion(
@@ -276,6 +276,14 @@ def _date_notes(days: Sequence[Dated]) -> list[Note]:
     if ORDER in kinds:
         return [Note("the recordings have no dates; they are taken to be a day apart in the order given", "dates")]
     return []
+
+
+def circumstance_notes(document: Discrepancy) -> list[Note]:
+    """What the recording was made under and doesn't say, and what looks like an effect that was found."""
+    off = tuple(dict.fromkeys(item.name.rpartition(":")[2] for item in document.circumstances if item.off))
+    words = circumstances_words(document)
+    notes = [Note(f"{words}; judged as such, no fault of the engine", "circumstances", off)] if off else []
+    return [*notes, *(Note(text, "circumstances") for text in alike_words(document))]
 
 
 def _check_apart(learned: LearnedEngine, source: Recording) -> None:

@@ -12,15 +12,20 @@ from dieseltwin.engine import EngineParameters, load_engine, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError, shortened
-from dieseltwin.petrol.parameters import PetrolParameters, is_petrol, load_petrol
+from dieseltwin.petrol.parameters import KIND as PETROL
+from dieseltwin.petrol.parameters import PetrolParameters, load_petrol
+from dieseltwin.rigs.parameters import KIND as RIG
+from dieseltwin.rigs.parameters import RigParameters, load_rig
 from dieseltwin.settings.names import unknown_name
-from dieseltwin.settings.strict import validate
+from dieseltwin.settings.strict import read_mapping, validate
 
-Engine: TypeAlias = EngineParameters | PetrolParameters
-"""Parameters of an engine of either kind."""
+Engine: TypeAlias = EngineParameters | PetrolParameters | RigParameters
+"""Parameters of an engine of either kind, or of a machine that is none."""
 
 PUBLISHED = "we2011"
-NAMED: Mapping[str, Engine] = {PUBLISHED: we2011.PARAMETERS, "liu_petrol": PetrolParameters()}
+NAMED: Mapping[str, EngineParameters | PetrolParameters] = {
+    PUBLISHED: we2011.PARAMETERS, "liu_petrol": PetrolParameters(),
+}  # fmt: skip
 """Engines that have a name: the published diesel engine, and a petrol engine that is still to be calibrated."""
 
 
@@ -35,7 +40,7 @@ def engine(source: Engine | str | Path = PUBLISHED, /, **changes: Any) -> Engine
     Raises:
         InputError: an unknown name, a file that can't be used, a value out of range.
     """
-    if isinstance(source, EngineParameters | PetrolParameters):
+    if isinstance(source, Engine):
         found = source
     elif isinstance(source, str) and source in NAMED:
         found = NAMED[source]
@@ -45,13 +50,20 @@ def engine(source: Engine | str | Path = PUBLISHED, /, **changes: Any) -> Engine
         return found
     if isinstance(found, EngineParameters):
         return found.replace(**changes)
-    return validate(PetrolParameters, {**found.model_dump(), **changes}, "engine")
+    return validate(type(found), {**found.model_dump(), **changes}, "engine")
 
 
 def _read(path: str | Path) -> Engine:
     if isinstance(path, str) and not Path(path).suffix and not os.path.exists(path):
         raise unknown_name("engine", path, list(NAMED))
-    return load_petrol(path) if is_petrol(path) else load_engine(path)
+    kind = read_mapping(path).get("kind")
+    return load_petrol(path) if kind == PETROL else load_rig(path) if kind == RIG else load_engine(path)
+
+
+def rig_of(source: Engine | str | Path | None) -> RigParameters | None:
+    """The rig that is meant, None for an engine."""
+    found = None if source is None else engine(source)
+    return found if isinstance(found, RigParameters) else None
 
 
 def diesel_engine(source: Engine | str | Path | None) -> EngineParameters:
@@ -63,7 +75,8 @@ def diesel_engine(source: Engine | str | Path | None) -> EngineParameters:
     found = NAMED[PUBLISHED] if source is None else engine(source)
     if isinstance(found, EngineParameters):
         return found
-    raise InputError("engine", "a petrol engine", "a diesel engine", "use `discover` or `calibrate` with this one")
+    kind = "a petrol engine" if isinstance(found, PetrolParameters) else f"{found.name}, no engine"
+    raise InputError("engine", kind, "a diesel engine", "use `discover` or `simulate` with this one")
 
 
 def with_effects(parameters: EngineParameters, effects: Mapping[str, float | str] | None) -> EngineParameters:

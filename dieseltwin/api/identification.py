@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, diesel_engine
+from dieseltwin.api.engines import Engine, diesel_engine, rig_of
 from dieseltwin.api.figures import drawn
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result
+from dieseltwin.api.rigs import RigIdentified, identify_rig
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.fit_test import fit_notes
 from dieseltwin.engine import MEASURED, EngineParameters
@@ -30,9 +31,10 @@ from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_ra
 from dieseltwin.report import timeseries, violins
 from dieseltwin.report.identification import identification_figures
 from dieseltwin.report.inputs import results_of
+from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.methods import EXACT, Method, find
-from dieseltwin.settings.names import listed, unknown_name
+from dieseltwin.settings.names import listed, refuse_options, unknown_name
 from dieseltwin.settings.params import DEFAULT_PROFILE, Params, load_params
 from dieseltwin.surrogates.files import networks_for
 
@@ -189,7 +191,7 @@ class IdentificationQuestion:
 
 
 def identify(
-    recording: Source | Recording,
+    recording: Source | Recording | RigRecording,
     engine: Engine | str | Path | None = None,
     *,
     channels: Channels | None = None,
@@ -198,8 +200,8 @@ def identify(
     segment_s: float | None = None,
     seed: int | None = None,
     setup: Setup | None = None,
-) -> Identified:
-    """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty.
+) -> Identified | RigIdentified:
+    """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty; of a rig all its parameters.
 
     Args:
         recording: a file, a table or what `read` gave.
@@ -214,12 +216,17 @@ def identify(
     Raises:
         InputError: anything that can't be used.
     """
+    rig = rig_of(engine)
+    if rig is not None:
+        refuse_options({"channels": channels, "runs": runs, "segment_s": segment_s, "seed": seed, "setup": setup},
+                       f"for {rig.name}")  # fmt: skip
+        return identify_rig(recording, rig)
     return ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment_s, seed=seed,
                setup=setup).answer()  # fmt: skip
 
 
 def ask(
-    recording: Source | Recording,
+    recording: Source | Recording | RigRecording,
     engine: Engine | str | Path | None = None,
     *,
     channels: Channels | None = None,
@@ -240,6 +247,8 @@ def ask(
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
         raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
     parameters = diesel_engine(engine)
+    if isinstance(recording, RigRecording):
+        raise InputError("recording", "one of a rig", "one of a diesel engine", "name the rig's file")
     used = SENSORS if setup.sensors is None else _checked(setup.sensors, chosen)
     source = diesel_recording(recording, channels, parameters, sensors=used)
     if source.time_s.size > MOST_ROWS:

@@ -18,7 +18,9 @@ from dieseltwin.petrol.recording import PetrolRecording, read_petrol
 from dieseltwin.recordings.channels import INPUTS, TIME, ChannelMap, foreign_hint, read_channel_map
 from dieseltwin.recordings.reader import Recording, read_recording, recording
 from dieseltwin.recordings.steady_points import SteadyPoints, has_time, points, quasi_steady, read_points
-from dieseltwin.settings.names import listed
+from dieseltwin.rigs.parameters import RigParameters
+from dieseltwin.rigs.recording import RigRecording, read_rig
+from dieseltwin.settings.names import listed, refuse_options
 
 if TYPE_CHECKING:  # an extra
     import xarray as xr
@@ -32,19 +34,22 @@ Source: TypeAlias = Union[str, Path, pd.DataFrame, "xr.Dataset"]
 
 def read(
     source: Source, channels: Channels | None = None, engine: Engine | str | Path | None = None
-) -> Recording | SteadyPoints | PetrolRecording:
+) -> Recording | SteadyPoints | PetrolRecording | RigRecording:
     """Read and check a recording, or settled points where there is no column of time.
 
     Args:
         source: CSV, Parquet, Excel, MATLAB, MDF file or CAN trace, or a table or dataset of the same columns.
         channels: channel map for foreign names and units.
         engine: gives ambient values where the columns are absent and the size of a cylinder; a petrol engine reads
-            petrol recordings. The published engine without it.
+            petrol recordings, a rig its own columns. The published engine without it.
 
     Raises:
         InputError: one line saying what is wrong with the file.
     """
     machine = as_engine(engine)
+    if isinstance(machine, RigParameters):
+        refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
+        return read_rig(source, machine)
     if isinstance(machine, PetrolParameters):
         return petrol_recording(source, channels)
     if timed(source, channels):
@@ -52,12 +57,14 @@ def read(
     return settled_points(source, channels, machine, needed=INPUTS)
 
 
-def description(found: Recording | SteadyPoints | PetrolRecording) -> list[str]:
+def description(found: Recording | SteadyPoints | PetrolRecording | RigRecording) -> list[str]:
     """What was read, in sentences: size and rate, the quantities, and what reading did to the file."""
     if isinstance(found, SteadyPoints):
         return [f"{found.size} settled points with {', '.join(found.columns)}."]
     if isinstance(found, PetrolRecording):
         return [f"{found.signals.time_s[-1] / 60.0:.1f} minutes of a petrol engine with {', '.join(found.columns)}."]
+    if isinstance(found, RigRecording):
+        return [f"{len(found.time_s)} samples of a rig with {', '.join((*found.inputs, *found.readings))}."]
     rate = 1.0 / float(np.median(np.diff(found.time_s)))
     there = [name for name in found.channels if name != TIME]
     return [f"{found.duration_s / 60.0:.1f} minutes at {rate:.3g} Hz with {', '.join(there)}.", *found.notes]
@@ -131,6 +138,25 @@ def settled_points(
         return points(columns, engine, needed=needed)
     return points(quasi_steady(columns), engine, needed=needed,
                   origin="averaged quasi-steady windows of a transient recording")
+
+
+def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = False) -> RigRecording:
+    """A recording of a rig.
+
+    Args:
+        source: a file, a table or what `read` gave.
+        all_readings: every reading that the rig's file names must be there.
+
+    Raises:
+        InputError: what can't be used.
+    """
+    if not isinstance(source, str | Path | pd.DataFrame | RigRecording):
+        raise InputError("recording", "one of an engine", f"one of {rig.name}", "name its file")
+    found = source if isinstance(source, RigRecording) else read_rig(source, rig)
+    missing = [name for name in rig.readings if name not in found.readings]
+    if all_readings and missing:
+        raise InputError(f"{found.path}: column {missing[0]}", "none", f"every reading of {rig.name}", "add it")
+    return found
 
 
 def petrol_recording(source: Source | PetrolRecording, channels: Channels | None = None) -> PetrolRecording:

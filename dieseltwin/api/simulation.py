@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, with_effects
-from dieseltwin.api.reading import Channels, Source, as_engine, diesel_recording, petrol_recording
+from dieseltwin.api.reading import Channels, Source, as_engine, diesel_recording, petrol_recording, rig_recording
 from dieseltwin.api.results import Result
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine import simulate as simulate_inputs
@@ -22,6 +22,9 @@ from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.petrol.simulate import simulate_petrol
 from dieseltwin.recordings.channels import INPUTS, optional_inputs
 from dieseltwin.recordings.reader import Recording, write_recording
+from dieseltwin.rigs.parameters import RigParameters
+from dieseltwin.rigs.recording import RigRecording
+from dieseltwin.rigs.simulate import simulate_rig
 from dieseltwin.settings.names import refuse_options
 
 if TYPE_CHECKING:
@@ -48,8 +51,9 @@ class Simulation(Result):
     def sentence(self) -> str:
         terms = f" with {len(self.engine.terms)} terms" if self.engine.terms else ""
         time_s = self.frame["time_s"]
-        kind = "diesel" if isinstance(self.engine, EngineParameters) else "petrol"
-        return f"{len(time_s)} rows over {time_s.iloc[-1] - time_s.iloc[0]:.0f} s of a {kind} engine{terms}."
+        kind = "a diesel engine" if isinstance(self.engine, EngineParameters) else "a petrol engine"
+        kind = self.engine.name if isinstance(self.engine, RigParameters) else kind
+        return f"{len(time_s)} rows over {time_s.iloc[-1] - time_s.iloc[0]:.0f} s of {kind}{terms}."
 
     def table(self) -> pd.DataFrame:
         return self.frame
@@ -65,7 +69,7 @@ class Simulation(Result):
 
 
 def simulate(
-    inputs: Source | Recording | PetrolRecording,
+    inputs: Source | Recording | PetrolRecording | RigRecording,
     engine: Engine | str | Path | None = None,
     *,
     channels: Channels | None = None,
@@ -76,7 +80,7 @@ def simulate(
     Args:
         inputs: a file or a table with time_s, n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct at any rate, or a recording.
             The states start at the first row's p_im_pa, p_em_pa, omega_t_rad_s where it has them, else at rest. For a
-            petrol engine a recording of one.
+            petrol engine a recording of one; for a rig the columns of its file.
         engine: name, file or parameters; the published engine without it.
         channels: channel map of the inputs.
         effects: name in `dieseltwin effects` -> magnitude, added to the engine's terms.
@@ -85,6 +89,12 @@ def simulate(
         InputError: anything that can't be used, or values that are not finite.
     """
     machine = as_engine(engine)
+    if isinstance(machine, RigParameters):
+        refuse_options({"--effect": effects or None, "--channels": channels}, f"for {machine.name}")
+        found = rig_recording(inputs, machine)
+        return Simulation(simulate_rig(machine, found), machine, found.readings)
+    if isinstance(inputs, RigRecording):
+        raise InputError("inputs", "a rig's recording", "inputs of an engine", "name the rig's file")
     if isinstance(machine, PetrolParameters):
         refuse_options({"--effect": effects or None}, "for a petrol engine: write them as terms into its file")
         if isinstance(inputs, Recording):

@@ -42,7 +42,8 @@ STATUS_WORDS = {
     "waiting": "waits", "running": "runs", "done": "done", "failed": "failed", "stopped": "stopped",
     "interrupted": "interrupted",
 }  # fmt: skip
-KIND_WORDS = {"discover": "what is left out", "identify": "health parameters", "learn": "learned engine"}
+KIND_WORDS = {"discover": "what is left out", "identify": "health parameters", "learn": "learned engine",
+              "watch": "added to the history"}
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from starlette.responses import FileResponse, Response
 
 from dieseltwin.app.desk import SHIPPED, Desk, desk_of, engine_file, see
 from dieseltwin.app.history import Past, alarms_of, history_of, trends_of
-from dieseltwin.app.kept import BESIDE, DETAILS, KeptEngine
+from dieseltwin.app.kept import BESIDE, DETAILS, HISTORY_PAGE, WATCHED, KeptEngine
+from dieseltwin.app.security import REPORT_POLICY
 from dieseltwin.app.workplace import MEGABYTE, shown_name
 
 router = APIRouter()
@@ -85,9 +86,31 @@ def show(request: Request, key: str) -> Response:
     desk = desk_of(request)
     kept = None if key in SHIPPED else desk.engine(key)
     past = history_of(desk, key)
-    return desk.page("engine.html.j2", tab="engines", key=key, kept=kept, name=desk.engine_name(key),
-                     check=None if kept is None else desk.short(kept.check), details=_details(desk, kept),
-                     past=past, alarms=alarms_of(past), trends=trends_of(past))  # fmt: skip
+    return desk.page(
+        "engine.html.j2", tab="engines", key=key, kept=kept, name=desk.engine_name(key), past=past,
+        check=None if kept is None else desk.short(kept.check), details=_details(desk, kept),
+        alarms=alarms_of(past), trends=trends_of(past), watched=_watched(desk, kept),
+    )  # fmt: skip
+
+
+def _watched(desk: Desk, kept: KeptEngine | None) -> dict[str, Any] | None:
+    """What the history of an engine says, and whether it is an alarm; None without a history."""
+    try:
+        text = "" if kept is None else (desk.store.engine_folder(kept.id) / WATCHED).read_text(encoding="utf-8")
+        found = json.loads(text)
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+@router.get("/engines/{key}/history")
+def watched_page(request: Request, key: str) -> Response:
+    """The page of the history, without any right on this one."""
+    desk = desk_of(request)
+    path = desk.store.engine_folder(desk.engine(key).id) / HISTORY_PAGE
+    if not path.is_file():
+        return desk.refused(404, "This engine has no history yet.", f"/engines/{key}")
+    return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
 
 @router.get("/engines/{key}/part")

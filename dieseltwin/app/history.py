@@ -53,7 +53,7 @@ def history_of(desk: Desk, engine: str) -> list[Past]:
     found = []
     for analysis in reversed(desk.analyses()):
         job = analysis.job
-        if job.engine != engine or job.kind == "learn" or analysis.state.status != "done":
+        if job.engine != engine or job.kind not in ("discover", "identify") or analysis.state.status != "done":
             continue
         verdict = desk.verdict(job)
         kept = desk.store.recording(job.recordings[0])

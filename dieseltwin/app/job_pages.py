@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -9,11 +11,11 @@ from starlette.responses import FileResponse, Response
 
 from dieseltwin.api.saved import Difference, differences
 from dieseltwin.app.desk import REPAIRED, Analysis, Desk, desk_of, see
-from dieseltwin.app.kept import ARCHIVE, RESULT, Job
+from dieseltwin.app.kept import ARCHIVE, HISTORY_PAGE, RESULT, Job
 from dieseltwin.app.security import REPORT_POLICY
 
 router = APIRouter()
-REPORT = "report.html"
+REPORTS = ("report.html", HISTORY_PAGE)
 STAGE = "# "
 LAST_LINES = 60
 
@@ -34,12 +36,11 @@ def show(request: Request, key: str) -> Response:
     if not job.long:
         return desk.refused(404, "There is no such result here.")
     analysis = desk.analysis(job)
-    result = desk.store.job_folder(key) / RESULT
     recordings = [desk.store.recording(item) for item in job.recordings]
     return desk.page(
         "job.html.j2", tab="recordings", oob=False, **progress_values(desk, analysis), verdict=desk.verdict(job),
         recordings=[item for item in recordings if item is not None], engine_name=desk.engine_name,
-        report=(result / REPORT).is_file(), engine=_engine_of(desk, job) is not None,
+        report=_report_of(desk, job) is not None, engine=_engine_of(desk, job) is not None,
         archive=(desk.store.job_folder(key) / ARCHIVE).is_file(),
         kept_as=[item for item in desk.store.engines() if item.job == key],
     )  # fmt: skip
@@ -98,8 +99,8 @@ def keep_engine(request: Request, key: str) -> Response:
 def report(request: Request, key: str) -> Response:
     """The report as a page without any right on this one: what it embeds can't reach the server."""
     desk = desk_of(request)
-    path = desk.store.job_folder(desk.job(key).id) / RESULT / REPORT
-    if not path.is_file():
+    path = _report_of(desk, desk.job(key))
+    if path is None:
         return desk.refused(404, "This result has no report.", f"/jobs/{key}")
     return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
@@ -107,8 +108,8 @@ def report(request: Request, key: str) -> Response:
 @router.get("/jobs/{key}/report.html")
 def report_file(request: Request, key: str) -> Response:
     desk = desk_of(request)
-    path = desk.store.job_folder(desk.job(key).id) / RESULT / REPORT
-    return _download(desk, key, path.is_file(), path, "report.html")
+    path = _report_of(desk, desk.job(key))
+    return _download(desk, key, path is not None, path, "report.html")
 
 
 @router.get("/jobs/{key}/engine.yaml")
@@ -125,22 +126,32 @@ def archive(request: Request, key: str) -> Response:
     return _download(desk, key, path.is_file(), path, "dieseltwin-result.zip")
 
 
-def _download(desk: Desk, key: str, there: bool, path: object, name: str) -> Response:
+def _download(desk: Desk, key: str, there: bool, path: Path | None, name: str) -> Response:
     if not there:
         return desk.refused(404, f"This result has no {name}.", f"/jobs/{key}")
     return FileResponse(str(path), media_type="application/octet-stream", filename=name)
 
 
-def _engine_of(desk: Desk, job: Job) -> object | None:
+def _engine_of(desk: Desk, job: Job) -> Path | None:
+    return _first(desk, job, REPAIRED)
+
+
+def _report_of(desk: Desk, job: Job) -> Path | None:
+    return _first(desk, job, REPORTS)
+
+
+def _first(desk: Desk, job: Job, names: Sequence[str]) -> Path | None:
+    """The first of these files that a result holds."""
     result = desk.store.job_folder(job.id) / RESULT
-    return next((result / name for name in REPAIRED if (result / name).is_file()), None)
+    return next((result / name for name in names if (result / name).is_file()), None)
 
 
 @router.get("/compare")
 def compare(request: Request, one: str = "", other: str = "") -> Response:
     """Two results side by side; `one` and `other` are their ids."""
     desk = desk_of(request)
-    done = [item for item in desk.analyses() if item.state.status == "done" and item.job.kind != "learn"]
+    done = [item for item in desk.analyses()
+            if item.state.status == "done" and item.job.kind in ("discover", "identify")]
     by_id = {item.job.id: item for item in done}
     left, right = by_id.get(one), by_id.get(other)
     rows: tuple[Difference, ...] = ()

@@ -19,6 +19,7 @@ ABOUT, STATE, OUTCOME, PROGRESS, RESULT, ARCHIVE = (
 )  # fmt: skip
 CHANNELS, MAP, OVERVIEW = "channels.json", "map.yaml", "overview.png"
 ENGINE, UPLOADED, DETAILS = "engine.yaml", "uploaded.yaml", "details.json"
+HISTORY, HISTORY_PAGE, WATCHED = "history", "history.html", "watched.json"
 LEARNED_FILE = "engine.learned.parquet"
 BESIDE = {
     ".parquet": LEARNED_FILE, ".calibration.json": "engine.calibration.json", ".steady.json": "engine.steady.json",
@@ -29,9 +30,9 @@ BESIDE = {
 ENDINGS = (".csv", ".txt", ".tsv", ".parquet", ".pq", ".xlsx", ".mat", ".mf4", ".mdf", ".dat", ".asc", ".blf", ".trc",
            ".log", ".gz", ".zip", ".xls")  # fmt: skip
 
-Kind = Literal["channels", "check", "engine", "discover", "identify", "learn"]
+Kind = Literal["channels", "check", "engine", "discover", "identify", "learn", "watch"]
 Status = Literal["waiting", "running", "done", "failed", "stopped", "interrupted"]
-ANALYSES = ("discover", "identify", "learn")
+ANALYSES = ("discover", "identify", "learn", "watch")
 ACTIVE = ("waiting", "running")
 
 

@@ -171,11 +171,15 @@ async def ask(request: Request, key: str) -> Response:
     kept = desk.recording(key)
     form = await sent_form(request, 0)
     kind, engine = str(form.get("kind", "")), str(form.get("engine", ""))
-    if kind not in ("discover", "identify"):
+    if kind not in ("discover", "identify", "watch"):
         return _page(desk, kept, 422, "Choose what is to be found.")
     if engine not in dict(desk.engine_choices()):
         return _page(desk, kept, 422, "Choose an engine of the list.")
-    if kind == "discover":
+    if kind == "watch":
+        if desk.store.engine(engine) is None:
+            return _page(desk, kept, 422, "A history belongs to an engine that was learned: choose it.")
+        job = desk.store.new_job("watch", f"{kept.name} in the history", (key,), engine)
+    elif kind == "discover":
         job = desk.store.new_job("discover", f"What is left out of {kept.name}", (key,), engine)
     else:
         runs = str(form.get("runs", "1"))

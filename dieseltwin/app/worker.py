@@ -7,6 +7,7 @@ say goes into files of the job: lines of progress, and at the end the outcome.
 from __future__ import annotations
 
 import os
+import re
 import resource
 import sys
 import threading
@@ -21,6 +22,8 @@ from dieseltwin.app.kept import (
     CHANNELS,
     DETAILS,
     ENGINE,
+    HISTORY,
+    HISTORY_PAGE,
     LEARNED_FILE,
     MAP,
     OUTCOME,
@@ -28,6 +31,7 @@ from dieseltwin.app.kept import (
     PROGRESS,
     RESULT,
     UPLOADED,
+    WATCHED,
     Job,
     KeptRecording,
     Outcome,
@@ -39,6 +43,7 @@ from dieseltwin.atomic import atomic_path, write_json, write_text
 from dieseltwin.errors import DieselTwinError, InputError, one_line
 
 MOST_LINES = 200  # of progress
+_DATE = re.compile(r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?!\d)")
 
 
 class Worker:
@@ -180,6 +185,28 @@ def _learn(worker: Worker) -> str:
     return found.sentence
 
 
+def _watch(worker: Worker) -> str:
+    """Add a recording to the history of its engine, under the date that its name says, if any."""
+    from dieseltwin.api.watch import watch
+
+    kept = worker.recording()
+    source = worker.file_of(kept)
+    date = _DATE.search(kept.name)
+    named = worker.folder / f"{'-'.join(date.groups()) if date else 'recording'}{source.suffix}"
+    named.unlink(missing_ok=True)
+    named.symlink_to(source)
+    folder = worker.store.engine_folder(worker.job.engine)
+    worker.stage("Judging the recording")
+    found = watch([named], worker.engine(), folder / HISTORY, channels=worker.map_of(kept))
+    if found.refused:
+        raise DieselTwinError(found.refused[0][1].replace(str(named), kept.name))
+    worker.stage("Writing the history")
+    found.save(worker.result())
+    write_text(folder / HISTORY_PAGE, (worker.result() / HISTORY_PAGE).read_text(encoding="utf-8"))
+    write_json(folder / WATCHED, {"sentence": found.sentence, "alarm": found.course.alarm is not None})
+    return found.sentence
+
+
 def _engine(worker: Worker) -> str:
     """An uploaded engine, whose second file has another name here than its author gave it."""
     import yaml
@@ -202,7 +229,7 @@ def _engine(worker: Worker) -> str:
 
 _KINDS: dict[str, Callable[[Worker], str]] = {
     "channels": _look, "check": _check, "discover": _discover, "identify": _identify, "learn": _learn,
-    "engine": _engine,
+    "engine": _engine, "watch": _watch,
 }  # fmt: skip
 
 

@@ -28,7 +28,8 @@ from dieseltwin.challenge.sensors import SENSORS, SensorSet, read
 from dieseltwin.errors import InputError
 
 Kind = Literal["healthy", "withheld", "two", "partial", "single"]
-Tier = Literal["main", "one-percent", "own-engine", "own-engine-5"]
+Tier = Literal["main", "one-percent", "own-engine", "own-engine-5", "petrol"]
+PETROL: Tier = "petrol"
 
 MIX: Mapping[Kind, float] = {"healthy": 0.25, "withheld": 0.15, "two": 0.15, "partial": 0.15}  # the rest single
 MAP_RMS: Mapping[Tier, float] = {"main": 0.003, "one-percent": 0.01, "own-engine": 0.02, "own-engine-5": 0.05}
@@ -188,7 +189,7 @@ def build_case(
     sensor_set = SensorSet.draw(rng)
     driving = draw_driving(plan.route, duration_s, laboratory, stream(_DRIVING))
     later = draw_driving("whtc" if plan.route == "random" else "random", duration_s, laboratory, stream(_HELD_OUT))
-    faults = tuple(_draw_fault(name, plan, driving, stream(_FAULTS), k) for k, name in enumerate(plan.effects))
+    faults = tuple(draw_fault(name, plan, driving, stream(_FAULTS), k) for k, name in enumerate(plan.effects))
     lasting = tuple(fault.lasting() for fault in faults)
     days = [weather(parameters, laboratory, rng) if own else parameters for _ in range(2)]
     run = run_plant(driving, days[0], faults, maps)
@@ -233,7 +234,8 @@ def maps_of(answers: Mapping[str, Any], laboratory: Mapping[str, Any]) -> MapErr
     return _draw_engine(laboratory, answers["tier"], np.random.default_rng([answers["seed"], number, _MACHINE]))[3]
 
 
-def _draw_fault(name: str, plan: Plan, driving: Driving, rng: np.random.Generator, k: int) -> Fault:
+def draw_fault(name: str, plan: Plan, driving: Driving, rng: np.random.Generator, k: int) -> Fault:
+    """The k-th fault of a machine: its size, when or where it acts."""
     family = FAMILIES[name]
     for _ in range(k):  # the second fault has draws of its own
         rng.random(8)

@@ -62,11 +62,10 @@ def place_of(folder: Path) -> Place:
     references = manifest["cases"][0].get("references", [])
     seconds = [float(pd.read_csv(folder / item["recording"], usecols=["time_s"])["time_s"].iloc[-1])
                for item in references]  # fmt: skip
-    return Place(
-        sum(seconds) / 60.0, MAP_RMS[manifest["tier"]], int(score["cases"]),
-        *(Share(int(lines[key].get("hits", 0)), int(lines[key].get("of", 0))) for key in ("name_in_set", "false_none")),
-        float(np.median(errors)) if errors else None,
-    )  # fmt: skip
+    named, none = (Share(int(lines[key].get("hits", 0)), int(lines[key].get("of", 0)))
+                   for key in ("name_in_set", "false_none"))  # fmt: skip
+    health = float(np.median(errors)) if errors else None
+    return Place(sum(seconds) / 60.0, MAP_RMS[manifest["tier"]], int(score["cases"]), named, none, health)
 
 
 def write_curve(folders: Sequence[Path], out: Path) -> list[Place]:
@@ -91,8 +90,8 @@ def write_curve(folders: Sequence[Path], out: Path) -> list[Place]:
                           color=colour, label=label)  # fmt: skip
         off = [np.nan if place.health is None else 100 * place.health for place in some]
         health.plot(minutes, off, "o-", color=colour, label=label)
-        for place, value in zip(some, off, strict=True):
-            health.annotate(f"{place.cases}", (place.minutes, value), (4, 4), textcoords="offset points", fontsize=8)
+        for place, error in zip(some, off, strict=True):
+            health.annotate(f"{place.cases}", (place.minutes, error), (4, 4), textcoords="offset points", fontsize=8)
     for axes, title in ((names, "true name in the set [%]"), (nones, "false none of these [%]"),
                         (health, "health: median error [%]; cases beside")):  # fmt: skip
         axes.set(xlabel="minutes of reference", ylabel=title, ylim=(0.0, None))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,9 @@ from typing import Any
 import pandas as pd
 
 from dieseltwin.atomic import atomic_path, check_folder, check_writable, write_json
-from dieseltwin.challenge.cases import DURATION_S, MAP_RMS, Plan, Tier, build_case, make_plans
+from dieseltwin.challenge.cases import DURATION_S, MAP_RMS, PETROL, Plan, Tier, build_case, make_plans
 from dieseltwin.challenge.own_engine import REFERENCE_MIN
+from dieseltwin.challenge.petrol_cases import draw_healthy, draw_petrol
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import SEALED, file_sha256, new_salt, salted_sha256, write_answers, write_salt
 from dieseltwin.engine import we2011
@@ -22,6 +23,7 @@ from dieseltwin.version import __version__
 
 MANIFEST = "manifest.json"
 SCHEMA = 1
+HEALTHY = "healthy.csv"  # what petrol engines are calibrated on
 MOST_CASES = 10_000
 SHORTEST_S, LONGEST_S = 60.0, 36_000.0
 _DIGITS = "%.10g"
@@ -35,13 +37,14 @@ def make_challenge(
     """Make a benchmark of n cases in `out`; returns the manifest.
 
     `out`/case_0001/recording.csv is what the tool sees; `out`/sealed holds answers, salt, the second recording of each
-    machine and its clean signals. The seed stands in the sealed part only.
+    machine and its clean signals. The seed stands in the sealed part only. Cases of the tier `petrol` have drawn
+    lengths (5 to 60 min) and gaps, and `out`/healthy.csv to calibrate on.
 
     Raises:
         InputError: bad arguments, or a folder that holds a benchmark already.
     """
-    if tier not in MAP_RMS:
-        raise unknown_name("challenge: --tier", tier, list(MAP_RMS))
+    if tier not in (*MAP_RMS, PETROL):
+        raise unknown_name("challenge: --tier", tier, [*MAP_RMS, PETROL])
     if not 1 <= n <= MOST_CASES:
         raise InputError("challenge: --n", n, f"1 to {MOST_CASES}", "choose another number")
     if not SHORTEST_S <= duration_s <= LONGEST_S:
@@ -50,22 +53,30 @@ def make_challenge(
     check_folder(out)
     if (out / MANIFEST).exists() or (out / SEALED).exists():
         raise InputError(str(out), "a benchmark already", "a new folder", "choose another --out; nothing was written")
-    plans = make_plans(n, seed, sensors=sensors, healthy_only=healthy_only)
+    plans = () if tier == PETROL else make_plans(n, seed, sensors=sensors, healthy_only=healthy_only)
     (out / SEALED).mkdir(parents=True, exist_ok=True)
     check_writable(out / MANIFEST)
     salt = new_salt()
     write_salt(out / SEALED, salt)
-    write = partial(_write_case, out=out, seed=seed, tier=tier, sensors=sensors, duration_s=duration_s,
-                    reference_min=reference_min, salt=salt)  # fmt: skip
     made: dict[int, dict[str, Any]] = {}
-    for k, entry in in_processes(write, plans, jobs):
+    if tier == PETROL:
+        _write_csv(draw_healthy(seed), out / HEALTHY)
+        reference = [{"recording": HEALTHY, "sha256": file_sha256(out / HEALTHY)}]
+        of_petrol = partial(_write_petrol, out=out, seed=seed, healthy=healthy_only, salt=salt, references=reference)
+        entries_of = in_processes(of_petrol, range(1, n + 1), jobs)
+    else:
+        write = partial(_write_case, out=out, seed=seed, tier=tier, sensors=sensors, duration_s=duration_s,
+                        reference_min=reference_min, salt=salt)  # fmt: skip
+        entries_of = in_processes(write, plans, jobs)
+    for k, entry in entries_of:
         made[k] = entry
         if progress is not None:
             progress(len(made), n)
     entries = [made[k] for k in range(n)]
     manifest = {
-        "schema": SCHEMA, "code_version": __version__, "n": n, "tier": tier, "sensors": sensors,
-        "duration_s": duration_s, "healthy_only": healthy_only,
+        "schema": SCHEMA, "code_version": __version__, "n": n, "tier": tier,
+        "sensors": None if tier == PETROL else sensors, "duration_s": None if tier == PETROL else duration_s,
+        "healthy_only": healthy_only,
         "seed_sha256": salted_sha256(salt, str(seed).encode()), "cases": entries,
     }  # fmt: skip
     write_json(out / MANIFEST, sealed_json(manifest))
@@ -97,6 +108,20 @@ def _write_case(
         "recording_sha256": file_sha256(folder / "recording.csv"), "withhold": list(plan.withhold),
         "answers_salted_sha256": answers_hash,
         "held_out_salted_sha256": salted_sha256(salt, (sealed / f"{plan.name}_held_out.csv").read_bytes()),
+    }  # fmt: skip
+
+
+def _write_petrol(
+    number: int, *, out: Path, seed: int, healthy: bool, salt: bytes, references: Sequence[Mapping[str, str]]
+) -> dict[str, Any]:
+    frame, answers = draw_petrol(number, seed, healthy=healthy)
+    name = str(answers["case"])
+    (out / name).mkdir(exist_ok=True)
+    recording = f"{name}/recording.csv"
+    _write_csv(frame, out / recording)
+    return {
+        "case": name, "recording": recording, "recording_sha256": file_sha256(out / recording), "withhold": [],
+        "references": list(references), "answers_salted_sha256": write_answers(out / SEALED, name, answers, salt),
     }  # fmt: skip
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.atomic import write_json
+from dieseltwin.challenge import petrol_cases
 from dieseltwin.challenge.cases import MAP_RMS, Tier, maps_of
 from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.challenge.own_engine import TIERS
@@ -180,29 +181,47 @@ def engine_terms(faults: Sequence[Fault]) -> tuple[Any, ...]:
 
 def case_row(folder: Path, answers: Mapping[str, Any], scoring: Scoring) -> CaseRow:
     """Compare the result of one case with its answers."""
+    faults = [Fault.of(effect) for effect in answers["effects"]]
+    row = verdict_row(folder, answers, truth=lambda _: tuple(_true_effect(fault) for fault in faults))
+    row = replace(
+        row, health_true={k: float(v) for k, v in answers["health"].items()},
+        since_true={k: float(v) for k, v in answers.get("since_reference", {}).items()},
+    )  # fmt: skip
+    if row.problem is not None:
+        return row
+    computed = _computed(folder, folder / RESULTS / row.case, answers, faults, scoring)
+    near = computed.pop("nearest", None)
+    if near is not None:
+        row = replace(row, truth=tuple(replace(e, nearest=(str(near[0]), float(near[1]))) for e in row.truth))
+    return replace(row, **computed)
+
+
+def verdict_row(
+    folder: Path, answers: Mapping[str, Any], truth: Callable[[Mapping[str, Any]], tuple[TrueEffect, ...]]
+) -> CaseRow:
+    """What was true and what was said of one case, of any machine: nothing that needs its engine.
+
+    Args:
+        folder: of the benchmark; answers: of the case; truth: what the answers say was wrong.
+    """
     name = str(answers["case"])
     result = folder / RESULTS / name
-    faults = [Fault.of(effect) for effect in answers["effects"]]
-    known: dict[str, Any] = {
-        "case": name, "kind": answers["kind"], "partial": answers["partial"], "route": answers["route"],
-        "truth": tuple(_true_effect(fault) for fault in faults), "withhold": tuple(answers["withhold"]),
-        "health_true": {k: float(v) for k, v in answers["health"].items()},
-        "since_true": {k: float(v) for k, v in answers.get("since_reference", {}).items()},
-    }  # fmt: skip
+    row = CaseRow(name, answers["kind"], answers["partial"], answers["route"], truth(answers),
+                  tuple(answers["withhold"]))  # fmt: skip
     if not (result / FILE_NAME).is_file():
         problem = "not run"
         if (result / FAILED).is_file():
             problem = str(json.loads((result / FAILED).read_text())["error"])
-        return CaseRow(**known, problem=problem)
-    document = load_discrepancy(result)
+        return replace(row, problem=problem)
     runtime = json.loads((result / "runtime.json").read_text())
-    known |= said(document)
-    known |= {"seconds": runtime["seconds"], "peak_rss_mib": runtime["peak_rss_mib"]}
-    computed = _computed(folder, result, answers, faults, scoring)
-    near = computed.pop("nearest", None)
-    if near is not None:
-        known["truth"] = tuple(replace(effect, nearest=(str(near[0]), float(near[1]))) for effect in known["truth"])
-    return CaseRow(**known, **computed)
+    return replace(row, **said(load_discrepancy(result)), seconds=runtime["seconds"],
+                   peak_rss_mib=runtime["peak_rss_mib"])  # fmt: skip
+
+
+def petrol_truth(answers: Mapping[str, Any]) -> tuple[TrueEffect, ...]:
+    """What was wrong with a petrol engine."""
+    known = [(e["effect"], float(e["magnitude"]), petrol_cases.FAMILIES[e["effect"]]) for e in answers["effects"]]
+    return tuple(TrueEffect(name, f.site, size, abs(size) / f.tolerance, True) for name, size, f in known)
 
 
 def said(document: Discrepancy) -> dict[str, Any]:

@@ -16,13 +16,17 @@ import yaml
 from pydantic import BaseModel, Field
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
-from dieseltwin.challenge.cases import MAP_RMS, Tier
+from dieseltwin.challenge.cases import MAP_RMS, PETROL, Tier
 from dieseltwin.challenge.make import MANIFEST
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import check_file
-from dieseltwin.discovery.verdict.document import FILE_NAME
+from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.engine import EngineParameters, we2011
 from dieseltwin.errors import InputError
+from dieseltwin.petrol.calibrate import fit_maps
+from dieseltwin.petrol.discover import discover_petrol
+from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
+from dieseltwin.petrol.recording import read_petrol
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.sealed import opened_json
 from dieseltwin.settings.strict import unknown_name, validate
@@ -41,7 +45,7 @@ class ManifestCase(BaseModel):
     recording: str = Field(pattern=r"^[A-Za-z0-9_-]{1,100}(/[A-Za-z0-9_.-]{1,100})?$")
     recording_sha256: str
     answers_salted_sha256: str
-    held_out_salted_sha256: str
+    held_out_salted_sha256: str | None = None
     withhold: list[str]
 
 
@@ -50,8 +54,8 @@ class Manifest(BaseModel):
 
     n: int = Field(ge=1)
     tier: Tier
-    sensors: Literal[5, 6]
-    duration_s: float = Field(gt=0, allow_inf_nan=False)
+    sensors: Literal[5, 6] | None
+    duration_s: float | None = Field(gt=0, allow_inf_nan=False)
     cases: list[ManifestCase]
 
 
@@ -114,7 +118,10 @@ def run_challenge(
     pending = [entry for entry in wanted if not _finished(folder, entry["case"], retry_failed)]
     kept = len(wanted) - len(pending)
     now = pending[:limit] if limit is not None else pending
-    work = partial(run_case, folder, map_tolerance=MAP_RMS[manifest["tier"]], discover=discover)
+    if manifest["tier"] == PETROL:
+        work: Callable[[Mapping[str, Any]], str] = partial(run_petrol_case, folder)
+    else:
+        work = partial(run_case, folder, map_tolerance=MAP_RMS[manifest["tier"]], discover=discover)
     failed, done = 0, 0
 
     def count(name: str, note: str) -> None:
@@ -148,15 +155,7 @@ def run_case(folder: Path, entry: Mapping[str, Any], *, map_tolerance: float, di
             **({"references": references} if references else {}),
         )
     except Exception as error:  # one case must not end the run; it is listed as a failure by the scorer
-        seconds = time.perf_counter() - start
-        place = error.__traceback__
-        while place is not None and place.tb_next is not None:
-            place = place.tb_next
-        where = f"{Path(place.tb_frame.f_code.co_filename).name}:{place.tb_lineno}" if place is not None else ""
-        with atomic_folder(folder / RESULTS / entry["case"]) as result:
-            write_json(result / FAILED, {"error": f"{type(error).__name__}: {error}", "where": where,
-                                         "seconds": seconds})  # fmt: skip
-        return f"failed after {seconds:.1f} s: {type(error).__name__}: {error} ({where})"
+        return _failed(folder, entry, error, time.perf_counter() - start)
     seconds = time.perf_counter() - start
     with atomic_folder(folder / RESULTS / entry["case"]) as result:
         write_engine(found.engine, result / "engine.yaml")
@@ -164,14 +163,60 @@ def run_case(folder: Path, entry: Mapping[str, Any], *, map_tolerance: float, di
         write_json(result / "laws.json", plain(found.curves.laws))
         write_json(result / "candidates.json", plain(found.curves.candidates))
         write_json(result / "details.json", plain(found.details))
-        write_json(result / "runtime.json", {
-            "seconds": seconds, "peak_rss_mib": peak_rss_mib(), "duration_s": recording.duration_s,
-            "threads": os.environ.get("DIESELTWIN_THREADS", "all"), "steps": plain(found.runtime),
-        })  # fmt: skip
-        found.document.write(result / FILE_NAME)
+        _write_document(result, found.document, seconds, plain(found.runtime))
+    return _said(folder, entry, found.document, seconds)
+
+
+def run_petrol_case(folder: Path, entry: Mapping[str, Any]) -> str:
+    """As `run_case`, of the tier `petrol`: the engine is calibrated on the healthy recording first, once a folder."""
+    check_file(folder / entry["recording"], entry["recording_sha256"])
+    for reference in entry["references"]:
+        check_file(folder / reference["recording"], reference["sha256"])
+    _reset_peak()
+    start = time.perf_counter()
+    try:
+        engine = _calibrated(folder, folder / entry["references"][0]["recording"])
+        start = time.perf_counter()
+        found = discover_petrol(read_petrol(folder / entry["recording"]), engine)
+    except Exception as error:  # as in `run_case`
+        return _failed(folder, entry, error, time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    with atomic_folder(folder / RESULTS / entry["case"]) as result:
+        save_petrol(found.engine, result / "engine.yaml")
+        _write_document(result, found.document, seconds, {})
+    return _said(folder, entry, found.document, seconds)
+
+
+def _calibrated(folder: Path, healthy: Path) -> PetrolParameters:
+    """The engine of a petrol benchmark, kept in `results`: calibrating takes longer than a verdict."""
+    kept = folder / RESULTS / "petrol_engine.yaml"
+    if not kept.is_file():
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        save_petrol(fit_maps(read_petrol(healthy).signals, PetrolParameters())[0], kept)
+    return load_petrol(kept)
+
+
+def _failed(folder: Path, entry: Mapping[str, Any], error: Exception, seconds: float) -> str:
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    where = f"{Path(place.tb_frame.f_code.co_filename).name}:{place.tb_lineno}" if place is not None else ""
+    with atomic_folder(folder / RESULTS / entry["case"]) as result:
+        write_json(result / FAILED, {"error": f"{type(error).__name__}: {error}", "where": where, "seconds": seconds})
+    return f"failed after {seconds:.1f} s: {type(error).__name__}: {error} ({where})"
+
+
+def _write_document(result: Path, document: Discrepancy, seconds: float, steps: Any) -> None:
+    write_json(result / "runtime.json", {
+        "seconds": seconds, "peak_rss_mib": peak_rss_mib(), "duration_s": document.recording.duration_s,
+        "threads": os.environ.get("DIESELTWIN_THREADS", "all"), "steps": steps,
+    })  # fmt: skip
+    document.write(result / FILE_NAME)
+
+
+def _said(folder: Path, entry: Mapping[str, Any], document: Discrepancy, seconds: float) -> str:
     (folder / RESULTS / entry["case"] / FAILED).unlink(missing_ok=True)
-    names = ", ".join(effect.name for effect in found.document.effects) or "healthy"
-    return f"{seconds:.1f} s: {names}"
+    return f"{seconds:.1f} s: {', '.join(effect.name for effect in document.effects) or 'healthy'}"
 
 
 def write_engine(engine: EngineParameters, path: Path) -> None:

@@ -12,8 +12,9 @@ import pandas as pd
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.challenge import metrics
+from dieseltwin.challenge.cases import PETROL
 from dieseltwin.challenge.processes import in_processes
-from dieseltwin.challenge.records import CaseRow, Scoring, case_row, oracle_row
+from dieseltwin.challenge.records import CaseRow, Scoring, case_row, oracle_row, petrol_truth, verdict_row
 from dieseltwin.challenge.run import RESULTS, plain, read_manifest
 from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_salt
 from dieseltwin.challenge.table import extra, lines, markdown
@@ -52,9 +53,13 @@ def score_challenge(
         answers = [a for a in answers if any((folder / RESULTS / a["case"]).glob("*.json"))]
     if not answers:
         raise InputError(str(folder), "no results", "results of `challenge run`", "run the tool first")
-    scoring = Scoring.of_the_tool(manifest["tier"]) if scoring is None else scoring
+    if manifest["tier"] == PETROL:
+        compare: Callable[[Mapping[str, Any]], CaseRow] = partial(verdict_row, folder, truth=petrol_truth)
+    else:
+        scoring = Scoring.of_the_tool(manifest["tier"]) if scoring is None else scoring
+        compare = partial(case_row, folder, scoring=scoring)
     found_rows: dict[int, CaseRow] = {}
-    for k, row in in_processes(partial(case_row, folder, scoring=scoring), answers, jobs):
+    for k, row in in_processes(compare, answers, jobs):
         found_rows[k] = row
         if progress is not None:
             progress(len(found_rows), len(answers))
@@ -83,7 +88,8 @@ def verified_answers(folder: Path, manifest: Mapping[str, Any]) -> list[dict[str
     for entry in manifest["cases"]:
         answers = open_answers(sealed, entry["case"], entry["answers_salted_sha256"])
         check_file(folder / entry["recording"], entry["recording_sha256"])
-        check_file(sealed / f"{entry['case']}_held_out.csv", entry["held_out_salted_sha256"], salt)
+        if entry.get("held_out_salted_sha256") is not None:
+            check_file(sealed / f"{entry['case']}_held_out.csv", entry["held_out_salted_sha256"], salt)
         if answers["case"] != entry["case"] or answers["withhold"] != entry["withhold"]:
             raise InputError(f"{folder}: {entry['case']}", "answers of another case or another switch",
                              "the manifest that was published", "restore manifest.json")
@@ -96,8 +102,8 @@ def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:
     manifest = score.manifest
     out = folder / SCORE
     notes = [
-        f"{len(score.rows)} of {manifest['n']} cases, tier {manifest['tier']}, {manifest['sensors']} sensors, "
-        f"{manifest['duration_s']:g} s each. Seed, answers and second recordings fit the hashes published beforehand."
+        f"{len(score.rows)} of {manifest['n']} cases, tier {manifest['tier']}{_size(manifest)}. Seed, answers and "
+        "second recordings fit the hashes published beforehand."
     ]
     document = {
         "schema": 1, "cases": len(score.rows), "of": manifest["n"], "tier": manifest["tier"],
@@ -116,12 +122,18 @@ def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:
         write_text(temporary / "score.md", markdown("Concealed benchmark", score.rows, score.baselines, notes))
         table = pd.DataFrame(found, columns=columns)
         write_text(temporary / "failures.csv", table.to_csv(index=False, lineterminator="\n"))
-        if figures:
+        if figures and manifest["tier"] != PETROL:
             from dieseltwin.challenge.figures import write_figures
 
             (temporary / "figures").mkdir()
             write_figures(score.rows, temporary / "figures")
     return out
+
+
+def _size(manifest: Mapping[str, Any]) -> str:
+    if manifest["tier"] == PETROL:
+        return ", 5 to 60 min each"
+    return f", {manifest['sensors']} sensors, {manifest['duration_s']:g} s each"
 
 
 def _line(line: Any) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from dieseltwin.cli.options import (
     strictly,
 )
 from dieseltwin.settings import methods
-from dieseltwin.settings.names import unknown_name
+from dieseltwin.settings.names import refuse_options, unknown_name
 
 
 def identify_command(
@@ -69,8 +69,20 @@ def identify_command(
     if method not in methods.names():
         raise unknown_name("--method", method, methods.names())
     check_there(recording)
+    from dieseltwin.api.engines import rig_of
     from dieseltwin.api.identification import Setup, ask
     from dieseltwin.api.printing import check_printable, print_report
+    from dieseltwin.api.rigs import identify_rig
+
+    rig = rig_of(engine)
+    if rig is not None:
+        refuse_options({"--runs": runs, "--channels": channels, "--sensors": sensors, "--models": models,
+                        "--maps": maps, "--segment": segment, "--seed": seed}, f"for {rig.name}")  # fmt: skip
+        check_folder(out)
+        fitted = identify_rig(recording, rig)
+        fitted.save(out)
+        say([*fitted.lines(), f"results: {out}"])
+        return
 
     named = None if sensors is None else tuple(name.strip() for name in sensors.split(",") if name.strip())
     setup = Setup(models, maps, params, profile, named, fit_test)

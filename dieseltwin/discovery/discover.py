@@ -7,12 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
+from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import effect_responses, minimum_detectable, score, secant_sizes
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
 from dieseltwin.discovery.verdict.assemble import assemble
 from dieseltwin.discovery.verdict.checks import misfit_of
@@ -22,6 +24,7 @@ from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.notes import Note
+from dieseltwin.recordings.circumstances import put_right
 from dieseltwin.recordings.dates import ORDER, Dated
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
@@ -126,6 +129,22 @@ def _with_doubts(result: Discovery, engine: EngineParameters, recordings: Sequen
     return replace(result, document=with_warnings(result.document, doubts))
 
 
+def as_it_was(
+    recording: Recording, engine: EngineParameters, options: Options | None = None
+) -> tuple[Recording, EngineParameters, tuple[Estimate, ...]]:
+    """The recording with its clocks and its ambient put right, the engine with its charge temperature, and what was
+    found of all that the recording doesn't say; without a verdict.
+
+    Raises:
+        InputError: no usable sensor, or no stretch with the engine running.
+    """
+    options = options or Options()
+    twin = _twin(recording, engine, options, None)
+    found = search.looked_at(twin, options.settings())
+    values = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
+    return (*put_right(recording, engine, values), estimates(found.null))
+
+
 def several_twin(
     days: Sequence[Dated], engine: EngineParameters, options: Options, learned: LearnedEngine | None
 ) -> SeveralTwin:
@@ -139,9 +158,10 @@ def several_twin(
 
 def _twin(
     recording: Recording, engine: EngineParameters, options: Options, learned: LearnedEngine | None
-) -> EngineTwin:
+) -> LoggedTwin:
     belief = None if learned is None else learned.belief
-    return EngineTwin(recording, engine, options.sensors, map_tolerance=options.map_tolerance, belief=belief)
+    return LoggedTwin(recording, engine, options.sensors, map_tolerance=options.map_tolerance, belief=belief,
+                      beliefs=options.circumstances)  # fmt: skip
 
 
 def _reference(found: search.Search, learned: LearnedEngine | None) -> Reference | None:
@@ -154,4 +174,4 @@ def _reference(found: search.Search, learned: LearnedEngine | None) -> Reference
     )
 
 
-__all__ = ["Options", "Prepared", "discover", "prepare", "visible_sizes"]
+__all__ = ["Options", "Prepared", "as_it_was", "discover", "prepare", "visible_sizes"]

@@ -10,7 +10,6 @@ from types import MappingProxyType
 import numpy as np
 from scipy.stats import chi2
 
-from dieseltwin.discovery.likelihood.score import Scored
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.recording_faults import Suspicion, recording_faults, suspicions
 from dieseltwin.discovery.search.preparation import prepare
@@ -21,7 +20,6 @@ from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.identification.problem import NOISE_FLOOR
 from dieseltwin.notes import Note
-from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
 
 LONGEST_PART_S = 600.0
@@ -32,8 +30,9 @@ SHORTEST_S = 60.0
 
 FEWEST_SENSORS = 3
 BEST_SENSOR = 0.002
-"""Noise that every sensor has at least, as a share of its channel's level [-], and never below `NOISE_FLOOR`. What has
-less, as a simulation, is given it: nothing else would hide the errors of integration steps and of windows' starts."""
+"""Noise of the best sensor, as a share of its channel's level [-], and never below `NOISE_FLOOR`. It is added to every
+channel: nothing else would hide the errors of integration steps and of windows' starts in a simulation without noise,
+whose quick moves can't be told from noise. What an instrument really has is several times as much."""
 
 ALARM_GAIN = 16.0
 """Gain of a fault or an effect from which the twin doesn't fit. The largest of 24 clean recordings was 6.6."""
@@ -47,6 +46,15 @@ SLOW_ROWS = 10  # readings whose mean tells slow structure from white noise
 SLOW_SLACK = 0.3
 WINDOW_LEVEL = 1e-9  # probability of a window's chi-square by chance
 WINDOW_LEAST = 4.0  # chi-square a reading of a window that counts: next to an instability 3.6 was met without a fault
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """What a misfit looks like: in words, its gain, and the columns that it is about."""
+
+    words: str
+    gain: float
+    affects: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -79,7 +87,7 @@ def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[
         return [Note(f"whether the twin fits isn't tested: that takes {SHORTEST_S:g} s of running engine and "
                      f"{FEWEST_SENSORS} sensors", "untested")]
     bar = ALARM_GAIN + 2.0 * float(np.log(len(parts)))  # as many chances as parts
-    suspected: list[Scored | Suspicion] = []
+    suspected: list[Suspect] = []
     left: list[Excess] = []
     for part in parts:
         try:
@@ -93,9 +101,9 @@ def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[
     notes = []
     if suspected:
         first = max(suspected, key=lambda item: item.gain)
-        notes.append(Note(f"the twin doesn't fit this recording: as with {_words(first)} (misfit {first.gain:.3g}, "
+        notes.append(Note(f"the twin doesn't fit this recording: as with {first.words} (misfit {first.gain:.3g}, "
                           f"{bar:.0f} is the mark); its parameters may be wrong, see `dieseltwin discover`", "misfit",
-                          (first.fault.column,) if isinstance(first, Suspicion) else ()))  # fmt: skip
+                          first.affects))  # fmt: skip
     if left:
         worst = max(left, key=lambda item: item.times)
         names = tuple(dict.fromkeys(item.channel for item in left))
@@ -128,29 +136,23 @@ def _examined(part: Recording, engine: EngineParameters, sensors: Sequence[str])
 
 
 def _with_noise(values: Array, channel: int) -> Array:
-    """Readings (n,) of a channel of `MEASURED` with as much noise as the best sensor has."""
+    """Readings (n,) of a channel of `MEASURED` with the noise of the best sensor besides their own."""
     least = max(BEST_SENSOR * float(np.nanmean(np.abs(values))), NOISE_FLOOR[channel])
-    own = float(estimate_noise(values[:, None]).sigma[0])
-    missing = least**2 - (own**2 if np.isfinite(own) else 0.0)
-    if missing <= 0.0:
-        return values
-    return values + np.sqrt(missing) * np.random.default_rng(channel).standard_normal(values.size)
+    return values + least * np.random.default_rng(channel).standard_normal(values.size)
 
 
-def _beyond(found: Search, faults: Sequence[Suspicion], bar: float) -> Iterator[Scored | Suspicion]:
+def _beyond(found: Search, faults: Sequence[Suspicion], bar: float) -> Iterator[Suspect]:
     """Effects and faults that stand out by their gain, at a size that matters."""
     hypotheses = found.twin.hypotheses
     for item in found.scored:
-        if item.gain >= bar and abs(item.magnitude) >= LEAST_SIZE * hypotheses[item.name].tolerance:
-            yield item
+        hypothesis = hypotheses[item.name]
+        if item.gain >= bar and abs(item.magnitude) >= LEAST_SIZE * hypothesis.tolerance:
+            column = hypothesis.site.removeprefix("sensor:")
+            yield Suspect(f"the effect {item.name}", item.gain, (column,) if column != hypothesis.site else ())
     for fault in faults:
         lasting = fault.gain >= SURE_GAIN or fault.held >= LEAST_SPREAD * fault.gain
         if fault.gain >= bar and lasting and abs(fault.size) >= LEAST_SIZE * fault.fault.least:
-            yield fault
-
-
-def _words(item: Scored | Suspicion) -> str:
-    return item.fault.words(item.size) if isinstance(item, Suspicion) else item.name.replace("_", " ")
+            yield Suspect(fault.fault.words(fault.size), fault.gain, (fault.fault.column,))
 
 
 def _excess(found: Search) -> Iterator[Excess]:

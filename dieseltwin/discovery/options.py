@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE
 from dieseltwin.settings.params import default_search
-from dieseltwin.settings.search import SearchSettings
+from dieseltwin.settings.search import CircumstanceSettings, SearchSettings
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,7 @@ class Options:
         seed: of everything random.
         law_search: look for a law where no name fits.
         search: what is decided by.
+        circumstances: what is believed of all that a recording doesn't say.
     """
 
     sensors: tuple[str, ...] | None = None
@@ -28,6 +29,7 @@ class Options:
     seed: int = 0
     law_search: bool = True
     search: SearchSettings = field(default_factory=lambda: default_search().driving)
+    circumstances: CircumstanceSettings = field(default_factory=lambda: default_search().circumstances)
 
     def settings(self) -> SearchSettings:
         """For the search."""

@@ -18,7 +18,8 @@ _LOWEST = 0.3  # of the Nyquist frequency: below, the signal itself moves
 _SPECTRUM_ERROR = 0.25  # of the logarithm of one frequency's power, neighbours being correlated
 _USUAL_RHO = 0.35  # loggers smooth a little; strong correlation must show clearly
 _LOWEST_EXPLAINED = 0.1  # of the Nyquist frequency, where a model has explained the signal
-_ROWS_FOR_RHO = 512  # fewer rows can't tell correlation from chance; the noise is then taken as white
+_ROWS_FOR_RHO = 512  # fewer rows can't tell little correlation from none
+_RHO_ERROR_OF_FEW = 0.13  # standard deviation of the estimate from 350 rows, 40 draws at three rho
 _LONGEST_BRIDGE = 4  # samples
 _STEP_TO_STD = 12.0**-0.5  # of the error of rounding to a step, which is uniform
 _MAD_TO_STD = 1.482602218505602  # of a Gaussian
@@ -111,7 +112,9 @@ def estimate_noise(
     """Standard deviation and AR(1) correlation of each channel from the upper part of its spectrum.
 
     A channel that is read in every second row or less often is judged by its own readings, one after another; they are
-    taken as uncorrelated. No noise is believed smaller than what rounding to the channel's own step leaves.
+    taken as uncorrelated. Where rows are few, noise counts as white before a model explains the signal, and behind it
+    as more correlated than it shows by the error of that estimate: taken for white, it would make an offset of a sensor
+    out of chance. No noise is believed smaller than what rounding to the channel's own step leaves.
 
     Args:
         measured: (n, C) readings, NaN where missing.
@@ -131,13 +134,18 @@ def estimate_noise(
     for j, values in enumerate(rest.T):
         slow = rows_between_readings(values) > 1.0
         sigma[j] = _white_sigma(values[np.isfinite(values)] if slow else values)
-        if slow or values.size < _ROWS_FOR_RHO:
+        few = values.size < _ROWS_FOR_RHO
+        if slow or (few and explained is None):
             continue
         spectrum = _high_frequency_spectrum(_bridged(values), breaks, lowest)
-        if spectrum is None or not sigma[j] > 0.0:
-            continue
-        rho[j], innovation = _fit_spectrum(*spectrum, clean=explained is not None)
-        sigma[j] = np.sqrt(innovation / (1.0 - rho[j] ** 2))
+        if spectrum is not None and sigma[j] > 0.0:
+            rho[j], innovation = _fit_spectrum(*spectrum, clean=explained is not None)
+            sigma[j] = np.sqrt(innovation / (1.0 - rho[j] ** 2))
+            if few:
+                rho[j] = min(rho[j] + _RHO_ERROR_OF_FEW, _LARGEST_RHO)
+        elif few:  # second differences of correlated noise are smaller
+            rho[j] = _USUAL_RHO
+            sigma[j] *= np.sqrt(3.0 / (3.0 - 4.0 * _USUAL_RHO + _USUAL_RHO**2))
     sigma = np.fmax(sigma, [_STEP_TO_STD * number_step(values) or np.nan for values in measured.T])
     if floor is not None:
         sigma = np.fmax(sigma, floor)

@@ -5,11 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect, FoundRegion, HealthValue
+from dieseltwin.discovery.verdict.document import (
+    Discrepancy,
+    FoundCircumstance,
+    FoundEffect,
+    FoundRegion,
+    HealthValue,
+)
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.report import quantities
 
 SENSOR = "sensor:"
+
+ALIKE: Mapping[str, tuple[str, str]] = {
+    "egr_dead_time": ("time_shift:u_egr_pct", "u_egr_pct alone is recorded early by as much"),
+    "vgt_dead_time": ("time_shift:u_vgt_pct", "u_vgt_pct alone is recorded early by as much"),
+    "injector_drift": ("", "the fuel signal's scale or the fuel's heating value is off by as much"),
+}
+"""Effect -> circumstance that looks the same, and in words."""
 
 SITE_WORDS: Mapping[str, str] = {
     "intake_mass_balance": "the intake mass balance",
@@ -125,6 +138,47 @@ def effect_words(effect: FoundEffect) -> str:
     if entry is None:
         return f"{effect.name.replace('_', ' ')} of {size}"
     return entry.phrase.format(m=size)
+
+
+def circumstance_words(item: FoundCircumstance) -> str:
+    """What a recording was made under, "the ambient pressure is 93.1 ± 0.3 kPa, not 101.3"."""
+    kind, _, column = item.name.rpartition(":")
+    if kind == "time_shift":
+        late = "late" if item.value > 0.0 else "early"
+        return f"{column} is recorded {abs(item.value):.2f} ± {item.std:.2f} s {late}"
+    if kind == "drift":
+        way = "rises" if item.value > 0.0 else "falls"
+        return f"the ambient pressure {way} by {1e-3 * abs(item.value):.1f} ± {1e-3 * item.std:.1f} kPa"
+    if kind == "scale":
+        return f"the fuel that burns is {100.0 * item.value:.1f} ± {100.0 * item.std:.1f} % of what is recorded"
+    words = {"p_amb_pa": "the ambient pressure", "t_amb_k": "the ambient temperature",
+             "t_im_k": "the temperature behind the charge cooler"}[column]  # fmt: skip
+    factor, shift, unit = (1e-3, 0.0, "kPa") if item.unit == "Pa" else (1.0, -273.15, "°C")
+    value, assumed = factor * item.value + shift, factor * item.assumed + shift
+    return f"{words} is {value:.1f} ± {factor * item.std:.1f} {unit}, not {assumed:.1f}"
+
+
+def circumstances_words(document: Discrepancy) -> str:
+    """All circumstances that are plainly others than assumed, empty where there is none."""
+    off = [circumstance_words(item) for item in document.circumstances if item.off]
+    return _listing(off) if off else ""
+
+
+def _recorded_words(document: Discrepancy) -> list[str]:
+    """What was put right before anything was judged."""
+    words = circumstances_words(document)
+    return [f"as the recording shows and doesn't say, {words}, which is no fault of the engine"] if words else []
+
+
+def alike_words(document: Discrepancy) -> list[str]:
+    """Effects that the recording's own errors would look like, as sentences."""
+    opened = {item.name for item in document.circumstances}
+    said = []
+    for name in (name for effect in document.effects for name in effect.names):
+        alike = ALIKE.get(name)
+        if alike is not None and alike[0] not in opened:
+            said.append(f"{name} can't be told from this: {alike[1]}")
+    return said
 
 
 def least_words(name: str, smallest: float) -> str | None:
@@ -307,7 +361,7 @@ def _healthy(document: Discrepancy) -> str:
             "tolerances of the maps explain it")
     if shown:
         text += f"; {_listing(shown)} would have been seen, smaller ones cannot be ruled out"
-    return "; ".join([text, *_time_words(document)]) + "."
+    return "; ".join([text, *_recorded_words(document), *_time_words(document)]) + "."
 
 
 def sentence(document: Discrepancy) -> str:
@@ -322,6 +376,7 @@ def sentence(document: Discrepancy) -> str:
             _held_out_words(document),
             _apart_words(document),
             *_left_words(document),
+            *_recorded_words(document),
             *_time_words(document),
         ]
     ) + "."

@@ -17,13 +17,13 @@ SIMULATED = "#0072B2"
 
 @style.styled
 def beside_readings(simulated: pd.DataFrame, readings: Mapping[str, np.ndarray]) -> style.ReportFigure:
-    """One panel a quantity of `SHOWN`.
+    """One panel a quantity of `SHOWN`; of another machine one a reading.
 
     Args:
         simulated: columns [SI], time_s among them.
         readings: column -> (n,) [SI] at the same times.
     """
-    columns = [name for name in SHOWN if name in simulated]
+    columns = [name for name in SHOWN if name in simulated] or [name for name in readings if name in simulated]
     figure = Figure(figsize=(WIDTH_IN, PANEL_IN * len(columns) + 0.6))
     panels = np.atleast_1d(figure.subplots(len(columns), 1, sharex=True))
     time_min = simulated["time_s"].to_numpy() / 60.0

@@ -103,9 +103,40 @@ class PointSettings(SearchSettings):
                                        "law [-]")
 
 
+class RigSettings(SearchSettings):
+    """Machines that are no engines: the search of each round, when the rounds end, and what a finding must foretell."""
+
+    least_explained: float = Field(ge=0, le=1, description="of the misfit that a name must explain where more is left")
+    most_effects: PositiveInt = Field(description="that are named")
+    checked_share: float = Field(gt=0, lt=1, description="of the recording, its end, that a finding must foretell "
+                                 "which was fitted to the rest [-]")
+    loss_of_name: PositiveFloat = Field(description="on the error there, up to which a name is kept [-]")
+    gain_of_law: PositiveFloat = Field(description="on the error there, up to which a law is kept [-]")
+
+
+class CircumstanceSettings(StrictModel):
+    """What is believed of all that a recording doesn't say, one standard deviation each, and when it is put right."""
+
+    p_amb_pa: PositiveFloat = Field(description="ambient pressure without a column, about the engine file's [Pa]")
+    t_amb_k: PositiveFloat = Field(description="ambient temperature without a column, about the engine file's [K]")
+    p_amb_read_pa: PositiveFloat = Field(description="a reading of the ambient pressure [Pa]")
+    t_amb_read_k: PositiveFloat = Field(description="a reading of the ambient temperature [K]")
+    drift_pa: PositiveFloat = Field(description="change of the ambient pressure over a recording, no column [Pa]")
+    t_im_k: PositiveFloat = Field(description="temperature of the charge behind its cooler [K]")
+    fuel_scale: PositiveFloat = Field(description="scale of the fuel signal times the fuel's heating value [-]")
+    time_shift_s: PositiveFloat = Field(description="a channel's clock, where channels aren't in time [s]")
+    evidence: NonNegativeFloat = Field(description="for clocks that are off, from which they are put right")
+    ahead: NonNegativeFloat = Field(description="that they must be ahead of what an effect would add in their place")
+    several: PositiveInt = Field(description="clocks off, from which none is trusted")
+    jitter_rows: NonNegativeFloat = Field(description="of a channel that was put right, where its signal has kinks "
+                                          "between rows [rows]")
+
+
 class SearchConfig(StrictModel):
     """One set of thresholds; a kind of machine changes what differs for it, with its reason."""
 
     driving: SearchSettings = Field(description="recordings of the diesel engine")
     points: PointSettings = Field(description="its settled points")
     petrol: SearchSettings = Field(description="recordings of a petrol engine")
+    rigs: RigSettings = Field(description="recordings of machines that are no engines")
+    circumstances: CircumstanceSettings = Field(description="recordings of the diesel engine")

@@ -12,6 +12,7 @@ import dieseltwin as dt
 from dieseltwin.api.findings import COLUMNS
 from dieseltwin.api.points import PointsDiscovered
 from dieseltwin.calibration import calibrate as calibration
+from dieseltwin.challenge.petrol_plant import drive as drive_petrol
 from dieseltwin.cli.app import main
 from dieseltwin.engine import load_engine, we2011
 from dieseltwin.engine.terms import Term
@@ -21,7 +22,6 @@ from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import read_petrol
 from tests.api.simulated import drive
 from tests.calibration.simulated import FLAP, GEOMETRY, made_points
-from tests.petrol.plant import drive as drive_petrol
 
 
 def same_files(one: Path, other: Path, *, but: tuple[str, ...] = ("runtime.json", "report.html")) -> None:

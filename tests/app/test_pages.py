@@ -121,6 +121,8 @@ def test_what_is_no_recording_is_said_in_one_line(client: TestClient, wait_for: 
 def test_what_can_not_be_asked_is_refused(client: TestClient, recording: str) -> None:
     assert client.post(f"{recording}/ask", data={"kind": "delete", "engine": "we2011"}).status_code == 422
     assert client.post(f"{recording}/ask", data={"kind": "discover", "engine": "../../x"}).status_code == 422
+    history = client.post(f"{recording}/ask", data={"kind": "watch", "engine": "we2011"})
+    assert history.status_code == 422 and "belongs to an engine that was learned" in history.text
     assert client.post("/engines/learn", data={"name": "x", "engine": "we2011"}).status_code == 422
     assert client.get("/compare", params={"one": "x", "other": "y"}).status_code == 200
     assert client.get("/nothing").status_code == 404 and client.post("/").status_code == 405

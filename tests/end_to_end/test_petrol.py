@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from dieseltwin.challenge.petrol_plant import ONSET_S, drive
 from dieseltwin.cli.app import main
 from tests.end_to_end.conftest import Answer, Ask
-from tests.petrol.plant import ONSET_S, drive
 
 CALIBRATION_S, RECORDING_S = 900.0, 400.0
 FAULTS: dict[str, dict[str, float]] = {"leak": {"leak_m2": 1.5e-5}, "sensor": {"W_af_kg_s": 0.10}, "healthy": {}}

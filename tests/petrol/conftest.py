@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from dieseltwin.challenge.petrol_plant import drive
 from dieseltwin.petrol.calibrate import fit_maps
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
-from tests.petrol.plant import drive
 
 Recorder = Callable[..., PetrolRecording]
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from dieseltwin.challenge.petrol_plant import drive
 from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import load_discrepancy
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import calibrate
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
-from tests.petrol.plant import drive
 
 Recorder = Callable[..., PetrolRecording]
 

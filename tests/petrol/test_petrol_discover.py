@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dieseltwin.challenge.petrol_plant import ONSET_S
 from dieseltwin.discovery.twins.interface import Lanes
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Discrepancy
 from dieseltwin.petrol.calibrate import fit_maps, pieces
@@ -20,7 +21,6 @@ from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_pet
 from dieseltwin.petrol.recording import PetrolRecording, gaps, read_petrol
 from dieseltwin.petrol.simulate import errors, simulate_petrol
 from dieseltwin.petrol.twin import PetrolTwin
-from tests.petrol.plant import ONSET_S
 
 Recorder = Callable[..., PetrolRecording]
 CASES = [

@@ -9,6 +9,7 @@ from dieseltwin.recordings.held import between_readings, number_step, own_readin
 from dieseltwin.recordings.noise import estimate_noise
 
 N = 3000
+FEW = 350
 TIME_S = 0.2 * np.arange(N)
 SIGMA = 3.0
 
@@ -87,3 +88,20 @@ def test_no_noise_is_smaller_than_the_rounding() -> None:
     # What a conversion of units leaves behind the comma is no step.
     assert number_step(np.array([101.3, 101.4, 101.5]) * 1000.0) == pytest.approx(100.0)
     assert number_step(np.array([1.0, 2.0, 2.0 + 1e-12, 3.0])) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+def test_noise_of_few_rows_is_never_taken_for_whiter_than_usual(rho: float) -> None:
+    """A slow error counts by the noise's power at low frequencies, a factor of three off were it taken for white."""
+    rng = np.random.default_rng(5)
+    shares = []
+    for _ in range(20):
+        white = rng.standard_normal(FEW)
+        values = np.empty(FEW)
+        values[0] = white[0]
+        for i in range(1, FEW):
+            values[i] = rho * values[i - 1] + np.sqrt(1.0 - rho**2) * white[i]
+        noise = estimate_noise(values[:, None], explained=np.zeros((FEW, 1)))
+        power = noise.sigma[0] ** 2 * (1.0 + noise.rho[0]) / (1.0 - noise.rho[0])
+        shares.append(power * (1.0 - rho) / (1.0 + rho))
+    assert np.median(shares) > 0.9 and np.quantile(shares, 0.1) > 0.6 and np.median(shares) < 2.5

@@ -36,13 +36,15 @@ class Whitening:
     scale: Array
 
     @classmethod
-    def of(cls, measured: Array, noise: Noise, starts: np.ndarray) -> Whitening:
+    def of(cls, measured: Array, noise: Noise, starts: np.ndarray, more: Array | None = None) -> Whitening:
+        """Of readings (n, C) with their noise; `more`: further variance of each reading (n, C), uncorrelated."""
         present = np.isfinite(measured)
         linked = np.zeros_like(present)
         linked[1:] = present[1:] & present[:-1]
         linked[starts] = False
         previous = np.where(linked, noise.rho, 0.0)
-        scale = np.where(present, 1.0 / (noise.sigma * np.sqrt(1.0 - previous**2)), 0.0)
+        variance = noise.sigma**2 * (1.0 - previous**2) + (0.0 if more is None else more)
+        scale = np.where(present, 1.0 / np.sqrt(variance), 0.0)
         return cls(present, previous, scale)
 
     def apply(self, values: Array) -> Array:

@@ -198,7 +198,7 @@ class _Joint:
 
     def leave_crooked_out(self, rng: np.random.Generator) -> None:
         """Leave windows out in which what is believed now doesn't act linearly."""
-        covariance = np.linalg.inv(self._information())
+        covariance: Array = np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
         found = [part.crooked(at, self.x, covariance, rng) for part, at in zip(self.parts, self.at, strict=True)]
         for part, windows in zip(self.parts, found, strict=True):
             if windows.any():

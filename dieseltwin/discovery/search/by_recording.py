@@ -27,6 +27,7 @@ _TRIED = 5  # names, the best by the sum of what they gain in each recording
 _LEAST_GAIN = 9.0  # of that sum: by chance the best of some thirty names has as much in one recording
 _REFITTED = 8  # of each recording's names
 _ROUNDS = 8
+_LEADING = 3  # are refitted again where what is open of the maps is linearised anew
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Start:
         schedule: (n,) factor of its size.
         magnitude: its size [unit].
         parameters: (P,) free parameters of all recordings.
+        local: (W, S) initial states, None for those of the health-only fit.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Start:
     schedule: Array
     magnitude: float
     parameters: Array
+    local: Array | None = None
 
 
 def starts_by_recording(found: Search) -> list[Start]:
@@ -63,15 +66,23 @@ def starts_by_recording(found: Search) -> list[Start]:
     return [_start(twin, name, fits) for name in names]
 
 
-def refitted(found: Search, starts: Sequence[Start]) -> Search:
-    """The search with the refits of such guesses among its single effects and its variants."""
+def refitted(found: Search, starts: Sequence[Start]) -> tuple[Search, list[Start]]:
+    """The search with the refits of such guesses among its single effects and its variants; the leading ones from where
+    they ended, for the next time."""
+    ended = []
     for start in starts:
         schedules = {} if start.profile is None else {start.name: start.schedule}
         first = replace(
             found.null.fit, candidate=Candidate((start.name,), schedules), parameters=start.parameters,
-            magnitudes=np.array([start.magnitude]),
+            magnitudes=np.array([start.magnitude]), local=found.null.fit.local if start.local is None else start.local,
         )  # fmt: skip
-        fit = fit_fully(found.twin, found.whitening, first, rounds=_ROUNDS, frozen=found.null).fit
+        base = Linearisation(found.twin, found.whitening, first, found.null)
+        ended.append((start, refit_all(base, [first.candidate], [base.jacobian[-1:]])[0]))
+    ended.sort(key=lambda pair: pair[1].objective)
+    if ended:
+        start, fit = ended[0]
+        ended[0] = start, fit_fully(found.twin, found.whitening, fit, rounds=_ROUNDS, frozen=found.null).fit
+    for start, fit in ended:
         if start.profile is None:
             others = [other for other in found.singles if other.candidate.names != (start.name,)]
             same = [other for other in found.singles if other.candidate.names == (start.name,)]
@@ -82,7 +93,10 @@ def refitted(found: Search, starts: Sequence[Start]) -> Search:
             start.name, None, None, start.schedule, response, found.gain(fit), profile=start.profile
         )
         found.variants = sorted([*found.variants, (variant, fit)], key=lambda pair: pair[1].objective)
-    return found
+    return found, [
+        replace(start, parameters=fit.parameters, magnitude=float(fit.magnitudes[0]), local=fit.local)
+        for start, fit in ended[:_LEADING]
+    ]
 
 
 def gained_elsewhere(null: Linearisation, fit: Fit) -> float:

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from dieseltwin.discovery.likelihood.circumstances import circumstance_nuisances, clock_scatter
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import (
@@ -55,23 +56,26 @@ def prepare(twin: Twin, settings: SearchSettings) -> Search:
     if not isinstance(twin, KnownErrors):
         # correlation can only be told once the signal is explained; only the fast part of the misfit is used
         noise = estimate_noise(twin.measured, explained=rough.simulated)
-        whitening = _whitening(twin, noise)
+    scatter = clock_scatter(rough)
+    whitening = _whitening(twin, noise, scatter)
     nuisances = tolerances(twin, rough, settings)
     nuisance = nuisance_responses(twin, rough.fit.lanes(), rough.simulated, nuisances)
     crooked = crooked_windows(rough, whitening, nuisances, nuisance, settings.seed)
     if crooked.any():
         twin.measured[rows_of(twin, crooked)] = np.nan
-        whitening = _whitening(twin, noise)
+        whitening = _whitening(twin, noise, scatter)
     null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance, loadings=loadings_of(nuisances)))
     found = _scored(null, noise, settings)
-    found.left_out, found.nuisances = crooked, nuisances
+    found.left_out, found.nuisances, found.scatter = crooked, nuisances, scatter
     found.seconds["prepare"] = time.perf_counter() - clock
     return found
 
 
-def _whitening(twin: Twin, noise: Noise) -> Whitening:
-    """Whitening by what a calibration knows of each sample, else by stationary noise."""
-    return twin.whitening() if isinstance(twin, KnownErrors) else Whitening.of(twin.measured, noise, twin.starts)
+def _whitening(twin: Twin, noise: Noise, scatter: Array | None = None) -> Whitening:
+    """Whitening by what a calibration knows of each sample, else by stationary noise and further scatter (n, C)."""
+    if isinstance(twin, KnownErrors):
+        return twin.whitening()
+    return Whitening.of(twin.measured, noise, twin.starts, scatter)
 
 
 def _scored(null: Linearisation, noise: Noise, settings: SearchSettings) -> Search:
@@ -96,7 +100,7 @@ def prepared_about(found: Search, fit: Fit) -> Search:
     responses = nuisance_responses(twin, fit.lanes(), here.simulated, nuisances)
     at = fit_fully(twin, found.whitening, found.null.fit, responses, loadings=loadings_of(nuisances))
     renewed = _scored(settle_local(at), found.noise, found.settings)
-    renewed.left_out, renewed.nuisances = found.left_out, nuisances
+    renewed.left_out, renewed.nuisances, renewed.scatter = found.left_out, nuisances, found.scatter
     renewed.seconds["prepare"] = found.seconds["prepare"] + time.perf_counter() - clock
     return renewed
 
@@ -111,18 +115,22 @@ def split_growing(at: Linearisation) -> Fit | None:
 
 
 def tolerances(twin: Twin, at: Linearisation, settings: SearchSettings) -> list[Nuisance]:
-    """Directions in which maps and sensors may be off, one standard deviation each."""
+    """Directions in which maps, sensors and circumstances may be off, one standard deviation each."""
     if isinstance(twin, KnownErrors):
         return twin.nuisances(at.fit.lanes())
     channels = len(twin.channels)
     belief = belief_of(twin)
     if belief is not None:
-        return learned_nuisances(twin, belief, at.fit.lanes(), at.simulated, at.whitening)
+        return [
+            *learned_nuisances(twin, belief, at.fit.lanes(), at.simulated, at.whitening),
+            *circumstance_nuisances(twin, at.fit.lanes(), at.simulated, belief.mean.size),
+        ]
     return [
         *map_nuisances(twin, twin.variables(at.fit.lanes()), settings.tolerance_factor),
         *sensor_nuisances(
             twin, at.simulated, [settings.sensor_gain] * channels, [settings.sensor_offset] * channels
         ),
+        *circumstance_nuisances(twin, at.fit.lanes(), at.simulated),
     ]
 
 

@@ -14,6 +14,7 @@ from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search.by_recording import gained_elsewhere, refitted, starts_by_recording
+from dieseltwin.discovery.search.circumstances import ROUNDS, under_circumstances
 from dieseltwin.discovery.search.explanations import (
     VARIANTS,
     beyond_law,
@@ -75,16 +76,15 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: floa
 
 def _with_names(twin: Twin, settings: SearchSettings) -> Search:
     """Health-only fit and refits of single effects, about the leading one where what was learned of the maps bends."""
-    found = _with_singles(prepare(twin, settings))
+    found = looked_at(twin, settings)
     clock = time.perf_counter()
-    starts = starts_by_recording(found)
-    found = refitted(found, starts)
+    found, starts = refitted(found, starts_by_recording(found))
     found.seconds["by_recording"] = time.perf_counter() - clock
     for _ in range(_RENEWALS):
         lead = _lead(found)
         if belief_of(twin) is None or found.gain(lead) < _BENDS:
             break
-        found = refitted(_with_singles(prepared_about(found, lead)), starts)
+        found, starts = refitted(_with_singles(prepared_about(found, lead)), starts)
         if _lead(found).candidate.names == lead.candidate.names:
             break
     return found
@@ -133,6 +133,17 @@ def _explain(found: Search, laws: bool) -> None:
 def _lead(found: Search) -> Fit:
     """The leading explanation so far: of one size, or one that differs between recordings."""
     return min([found.singles[0], *(fit for _, fit in found.variants[:1])], key=lambda fit: fit.objective)
+
+
+def looked_at(twin: Twin, settings: SearchSettings) -> Search:
+    """Noise, health-only fit and single effects, under the circumstances that the recording shows."""
+    found = _with_singles(prepare(twin, settings))
+    for _ in range(ROUNDS):
+        other = under_circumstances(found)
+        if other is None:
+            break
+        found = _with_singles(prepare(other, settings))
+    return found
 
 
 def _with_singles(found: Search) -> Search:
@@ -207,5 +218,5 @@ def _alarm(found: Search, fit: Fit) -> bool:
 
 
 __all__ = [
-    "Search", "occam", "prepare", "rebased", "run", "split_growing", "tolerance_responses",
+    "Search", "looked_at", "occam", "prepare", "rebased", "run", "split_growing", "tolerance_responses",
 ]  # fmt: skip

@@ -315,11 +315,11 @@ class EngineTwin:
         other.measured = self.measured - self.moved + moved
         return other
 
-    def _integrate(self, lanes: Lanes) -> Observations:
-        size = lanes.size
-        n = self.time_s.size
+    def _integrate(self, lanes: Lanes, constants: Mapping[str, Array] | None = None,
+                   actuation: list[Actuation] | None = None) -> Observations:  # fmt: skip
+        size, n = lanes.size, self.time_s.size
         columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
-        batch = parameter_batch(self.engine, **columns)
+        batch = parameter_batch(self.engine, **columns, **dict[str, Any](constants or {}))
         magnitudes = np.zeros((len(STATE_EFFECTS), size))
         combined, schedules = self._combined(lanes)
         own = any(values.ndim > 1 for values in schedules.values())  # a schedule per lane
@@ -333,7 +333,7 @@ class EngineTwin:
             signals = np.zeros((len(POINTS), n))
             for name, values in lanes.signals.items():
                 signals[POINTS.index(name)] = values
-        actuation = self._actuations(combined, schedules)
+        actuation = actuation or self._actuations(combined, schedules)
         extension = Extension(
             magnitudes, None, signals, lanes.lane_points, lanes.lane_signals, self.starts, None,
             schedule, np.arange(size) if own else np.zeros(size, dtype=np.int64), self.corrections,

@@ -123,9 +123,9 @@ class SimpleTwin:
         self.channels, self.parameters, self.points = model.channels, model.parameters, model.points
         self.states = tuple(model.states)
         self.state_scales = np.array(list(model.states.values()))
-        self.hypotheses = {h.name: h for h in model.hypotheses}
+        self.hypotheses: Mapping[str, Hypothesis] = {h.name: h for h in model.hypotheses}
         self.units = dict(model.units)
-        self.conditions = dict(self._inputs)
+        self.conditions: Mapping[str, Array] = dict(self._inputs)
         self._points = {p.name: p for p in model.points}
         first_times = self.time_s[:1] if window_s is None else _edges(self.time_s, window_s)
         self.starts = np.unique(np.searchsorted(self.time_s, first_times))
@@ -148,7 +148,7 @@ class SimpleTwin:
 
     def replaced(self, measured: Array) -> SimpleTwin:
         """The same twin with other readings (n, C)."""
-        twin = object.__new__(SimpleTwin)
+        twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__)
         twin.measured = measured
         return twin

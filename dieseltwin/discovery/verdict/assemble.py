@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from dieseltwin.discovery.laws.terms import law_terms_of
+from dieseltwin.discovery.likelihood.circumstances import estimates
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
@@ -24,6 +25,7 @@ from dieseltwin.discovery.verdict.curves import Curves, Discovery, LawCurve
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Discrepancy,
+    FoundCircumstance,
     OutOfTime,
     Provenance,
     RecordingInfo,
@@ -91,6 +93,7 @@ def assemble(
         provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
         out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
         recordings=judged(found, days, (parameters, covariance), since, sizes),
+        circumstances=_circumstances(found, after),
     )  # fmt: skip
     before_engine = _engine(twin, null.fit.parameters, ())
     terms = _terms(found, twin) if mismatch else ()
@@ -133,6 +136,19 @@ def together_sha256(recordings: Sequence[Recording]) -> str:
     return hashlib.sha256("".join(sorted(item.sha256 for item in recordings)).encode()).hexdigest()
 
 
+def _circumstances(found: Search, after: Array) -> tuple[FoundCircumstance, ...]:
+    """What the recording says of its circumstances under the explanation that was chosen."""
+    chosen = found.best if found.best is not None and found.kind != "law" else None
+    said = estimates(chosen) if chosen is not None else estimates(found.null, found.twin.measured - after)
+    return tuple(
+        FoundCircumstance(
+            name=item.circumstance.name, value=item.value, std=item.std, assumed=item.circumstance.assumed,
+            unit=item.circumstance.unit, off=item.off, equivalent_names=item.circumstance.effects,
+        )
+        for item in said
+    )  # fmt: skip
+
+
 def _local(found: Search) -> Array:
     """Initial states (W, 1) of the chosen explanation."""
     if found.kind == "law" and found.law is not None:
@@ -142,7 +158,8 @@ def _local(found: Search) -> Array:
 
 
 def _options_hash(options: Options) -> str:
-    plain = {**asdict(options), "search": options.search.model_dump()}
+    plain = {**asdict(options), "search": options.search.model_dump(),
+             "circumstances": options.circumstances.model_dump()}  # fmt: skip
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 

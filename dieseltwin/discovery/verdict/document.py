@@ -200,6 +200,23 @@ class Fit(_Part):
     share_explained: Probability | None = None
 
 
+class FoundCircumstance(_Part):
+    """Something that the recording doesn't say, or says wrongly: its value, standard deviation and what was assumed
+    [unit], whether it is plainly another than assumed, and effects of the catalogue that would look the same.
+
+    Names are columns of the ambient and of the charge (`p_amb_pa`, `t_amb_k`, `t_im_k`), `drift:p_amb_pa` from the
+    first row to the last, `scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by it).
+    """
+
+    name: Name
+    value: float
+    std: NotNegative
+    assumed: float
+    unit: Name
+    off: bool
+    equivalent_names: tuple[Name, ...] = ()
+
+
 class Provenance(_Part):
     """What wrote the document."""
 
@@ -241,6 +258,7 @@ class Discrepancy(_Part):
     minimum_detectable: dict[Name, NotNegative]
     provenance: Provenance
     reference: Reference | None = None
+    circumstances: tuple[FoundCircumstance, ...] = ()
     recordings: tuple[JudgedRecording, ...] = ()
     warnings: tuple[Doubt, ...] = ()
     out_of_time: OutOfTime | None = None
@@ -263,6 +281,8 @@ class Discrepancy(_Part):
         for name in ("reference", "out_of_time"):
             if content[name] is None:
                 del content[name]
+        if not content["circumstances"]:  # of other machines
+            del content["circumstances"]
         for part in (content, *content["recordings"]):
             for value in part["health"].values():
                 if value["since_reference"] is None:

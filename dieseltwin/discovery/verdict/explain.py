@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from dieseltwin.discovery.verdict.curves import Discovery
-from dieseltwin.discovery.verdict.document import NONE_OF_THESE, load_discrepancy
+from dieseltwin.discovery.verdict.document import FILE_NAME, NONE_OF_THESE, load_discrepancy
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.sealed import opened_json
@@ -72,6 +72,15 @@ def load_details(folder: str | Path) -> dict[str, Any]:
     if not isinstance(content, dict) or not {"candidates", "options", "equivalent_gain"} <= set(content):
         raise InputError(str(path), "other content", "JSON that `dieseltwin discover` of this version wrote", do)
     return content
+
+
+def answers(folder: Path, asked: Mapping[str, Any], recording_sha256: str) -> bool:
+    """Whether a folder holds the answer to just this question about just this recording."""
+    if not (folder / DETAILS).is_file() or not (folder / FILE_NAME).is_file():
+        return False
+    details = load_details(folder)
+    same = details["options"] == json.loads(json.dumps(asked))
+    return bool(same and details["recording_sha256"] == recording_sha256)
 
 
 class Known(Protocol):

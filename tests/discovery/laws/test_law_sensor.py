@@ -18,17 +18,18 @@ from dieseltwin.discovery.laws.shapes import lagged, orifice
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation
-from dieseltwin.discovery.search.stepwise import metric_of
+from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.twins.interface import Twin, single
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
+from dieseltwin.recordings.noise import estimate_noise
 from tests.discovery.toy import Toy
 
 
 def _null(toy: Toy) -> Linearisation:
     twin = cast(Twin, toy)
-    return null_fit(twin, metric_of(twin))
+    return null_fit(twin, Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts))
 
 
 @pytest.mark.parametrize(("kind", "size"), [("gain", -0.12), ("offset", 0.25)])

@@ -1,13 +1,15 @@
-"""A made-up petrol engine: other maps than splines, own integration, drawn driving, noise; faults act in it."""
+"""A made-up petrol engine: other maps than splines, own integration, drawn driving, noise; faults act in it.
+
+It imports nothing of the twin that it proves.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
 
-from dieseltwin.petrol.components import CRITICAL
-
 RATE_HZ, R, V_D, V_IM, V_IC = 20.0, 287.0, 1.953e-3, 1.8e-3, 4.7e-3
+CRITICAL = (2.0 / 2.4) ** (1.4 / 0.4)  # pressure quotient of choking [-]
 ONSET_S = 200.0
 
 
@@ -28,9 +30,18 @@ def _eta(omega: float, p_im: float) -> float:
 
 
 def drive(
-    duration_s: float, seed: int, *, leak_m2: float = 0.0, onset_s: float = ONSET_S, **gains: float
-) -> pd.DataFrame:
-    """A recording with the columns and the jitter of a logger at 20 Hz; `gains`: column -> relative sensor error."""
+    duration_s: float, seed: int, *, leak_m2: float = 0.0, restriction: float = 0.0, filling: float = 0.0,
+    onset_s: float = ONSET_S, **gains: float,
+) -> pd.DataFrame:  # fmt: skip
+    """A recording with the columns and the jitter of a logger at 20 Hz.
+
+    Args:
+        duration_s: length [s]; seed: of driving and noise.
+        leak_m2: hole of the intake manifold [m2].
+        restriction, filling: relative changes of the throttle's area and of the cylinders' filling [-].
+        onset_s: since when all of them act [s].
+        gains: column -> relative error of its sensor.
+    """
     rng = np.random.default_rng(seed)
     n = int(duration_s * RATE_HZ)
     time = np.arange(n) / RATE_HZ + rng.uniform(-3e-4, 3e-4, n)
@@ -47,14 +58,16 @@ def drive(
     T, p_amb = 298.0, 1.0e5
     rows = np.empty((n, 5))
     for k in range(n):
-        leak = leak_m2 if time[k] >= onset_s else 0.0
+        since = time[k] >= onset_s
+        leak = leak_m2 if since else 0.0
+        open_area, filled = (1.0 + restriction, 1.0 + filling) if since else (1.0, 1.0)
         for _ in range(5):
             h = 0.2 / RATE_HZ
             a += (alpha[k] - a) * h / 0.15
             w += (omega[k] - w) * h / 1.5
-            flow = p_ic / np.sqrt(R * T) * _area(a) * _psi(p_im / p_ic)
+            flow = p_ic / np.sqrt(R * T) * open_area * _area(a) * _psi(p_im / p_ic)
             inward = leak / np.sqrt(R * T) * (p_amb * _psi(p_im / p_amb) - p_im * _psi(p_amb / p_im))
-            cylinder = _eta(w, p_im) * V_D * w / (4 * np.pi) * p_im / (R * T)
+            cylinder = filled * _eta(w, p_im) * V_D * w / (4 * np.pi) * p_im / (R * T)
             boost = 1e5 * (1.0 + 6.0 * max(flow - 0.004, 0.0))
             rise = (boost - p_ic) / 0.4
             p_ic += h * rise

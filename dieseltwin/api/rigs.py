@@ -1,0 +1,184 @@
+"""Machines that are no engines: simulated, fitted, searched for what is missing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from dieseltwin.api.figures import drawn
+from dieseltwin.api.findings import Asked, Discovered, Question, machine
+from dieseltwin.api.reading import Source, rig_recording
+from dieseltwin.api.results import Result
+from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers
+from dieseltwin.errors import InputError
+from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig, fitted
+from dieseltwin.rigs.parameters import RigParameters, save_rig
+from dieseltwin.rigs.recording import RigRecording
+from dieseltwin.rigs.simulate import simulate_rig
+from dieseltwin.rigs.twin import model_of
+from dieseltwin.rigs.verdict import details, document, sentence
+from dieseltwin.settings.names import refuse_options, unknown_name
+from dieseltwin.settings.params import params_sha256
+from dieseltwin.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+OWNED = ("engine.yaml", "runtime.json", DETAILS, FILE_NAME)
+
+
+@dataclass(frozen=True, repr=False)
+class RigDiscovered(Discovered):
+    """What a rig's file leaves out of a recording.
+
+    Attributes:
+        question: what was asked.
+        found: every round, and the machine with what was taken.
+    """
+
+    question: RigQuestion
+    found: RigDiscovery
+
+    @cached_property
+    def document(self) -> Discrepancy:
+        return document(self.found)
+
+    @property
+    def engine(self) -> RigParameters:
+        return self.found.repaired
+
+    @property
+    def sentence(self) -> str:
+        return sentence(self.found, self.document)
+
+    def plot(self, name: str | None = None) -> Figure:
+        """`readings`: the repaired machine in free runs beside what was recorded."""
+        from dieseltwin.report.simulated import beside_readings
+
+        frame = simulate_rig(self.engine, self.found.recording)
+        return drawn(self, {"readings": lambda s: beside_readings(frame, s.found.recording.readings)}, name)
+
+    def save(self, out: str | Path) -> Path:
+        """discrepancy.json, details.json, engine.yaml (repaired), runtime.json."""
+        with atomic_folder(out, owned=OWNED) as folder:
+            self.document.write(folder / FILE_NAME)
+            write_json(folder / DETAILS, details(self.found, self.question.asked))
+            save_rig(self.engine, folder / "engine.yaml")
+            write_json(folder / "runtime.json", {"seconds": self.found.seconds, **machine()})
+        return Path(out)
+
+
+@dataclass(frozen=True)
+class RigQuestion(Question):
+    """A recording of a rig, and the rig.
+
+    Attributes:
+        recording: what was recorded.
+        rig: what the twin believes.
+        options: of the search.
+        asked: the question as JSON types.
+    """
+
+    recording: RigRecording
+    rig: RigParameters
+    options: Options
+    asked: Mapping[str, Any]
+
+    @property
+    def kind(self) -> str:
+        return f"for {self.rig.name}"
+
+    @property
+    def about(self) -> str:
+        return f"{self.recording.path}: {len(self.recording.time_s)} samples of {self.rig.name} ..."
+
+    @property
+    def catalogue(self) -> Mapping[str, Known]:
+        return {h.name: h for h in model_of(self.rig).hypotheses}
+
+    def answered_in(self, folder: Path) -> bool:
+        return answers(folder, self.asked, self.recording.sha256)
+
+    def answer(self) -> RigDiscovered:
+        return RigDiscovered(self, discover_rig(self.recording, self.rig, self.options))
+
+
+def ask_rig(recording: object, rig: RigParameters, question: Asked | None = None) -> RigQuestion:
+    """Read a recording of a rig; see `discovery.discover`.
+
+    Raises:
+        InputError: a file or an option that can't be used, a recording without a reading.
+    """
+    question = question or Asked()
+    refuse_options({"--sensors": question.sensors, "--map-tolerance": question.map_tolerance,
+                    "--reference": tuple(question.reference) or None}, f"for {rig.name}")  # fmt: skip
+    search, withhold = question.settings.search.rigs, tuple(question.withhold or ())
+    for effect in withhold:
+        if effect not in rig.effects:
+            raise unknown_name("--withhold", effect, list(rig.effects))
+    if question.seed < 0:
+        raise InputError("--seed", question.seed, "0 or more", "choose another")
+    asked = {
+        "withhold": list(withhold), "seed": question.seed, "code_version": __version__,
+        "engine_sha256": sha256(rig.model_dump_json().encode()).hexdigest(),
+        "search_sha256": params_sha256(search.model_dump(mode="json")),
+    }  # fmt: skip
+    options = Options(withhold, question.seed, search=search)
+    return RigQuestion(rig_recording(recording, rig, all_readings=True), rig, options, asked)
+
+
+@dataclass(frozen=True, repr=False)
+class RigIdentified(Result):
+    """A rig's parameters, and the sizes of its terms, fitted to a recording.
+
+    Attributes:
+        engine: the rig with them.
+        seconds: wall time.
+    """
+
+    engine: RigParameters
+    seconds: float
+
+    @property
+    def sentence(self) -> str:
+        rows = self.table()
+        values = (f"{n} {m:.4g} ± {s:.2g}" for n, m, s in zip(rows.index, rows["mean"], rows["std"], strict=True))
+        return f"{self.engine.name}: {', '.join(values)}."
+
+    def table(self) -> pd.DataFrame:
+        """One row a parameter or term: mean, standard deviation in the size of the misfit, unit."""
+        rows = {name: {"mean": p.value, "std": p.std, "unit": p.unit} for name, p in self.engine.parameters.items()}
+        rows |= {t.effect: {"mean": t.magnitude, "std": t.std, "unit": self.engine.effects[t.effect].unit}
+                 for t in self.engine.terms}  # fmt: skip
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
+
+    def plot(self, name: str | None = None) -> Figure:
+        """None."""
+        return drawn(self, {}, name)
+
+    def save(self, out: str | Path) -> Path:
+        """engine.yaml with the fitted values, runtime.json."""
+        with atomic_folder(out, owned=("engine.yaml", "runtime.json")) as folder:
+            save_rig(self.engine, folder / "engine.yaml")
+            write_json(folder / "runtime.json", {"seconds": self.seconds, **machine()})
+        return Path(out)
+
+
+def identify_rig(recording: Source | RigRecording, rig: RigParameters) -> RigIdentified:
+    """Fit a rig's parameters to a recording.
+
+    Raises:
+        InputError: what can't be used.
+    """
+    began = time.perf_counter()
+    source = rig_recording(recording, rig, all_readings=True)
+    return RigIdentified(fitted(rig, source)[0], time.perf_counter() - began)

@@ -1,0 +1,139 @@
+"""Circumstances of a recording as tolerances: ambient, charge temperature, fuel's scale, clocks of the channels.
+
+What no column gives is open in every fit, with its prior. What is right as a rule (clocks, fuel's scale) is taken as
+assumed until a recording shows plainly that it isn't (`search.circumstances`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, cast, runtime_checkable
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.likelihood.nuisance import Nuisance
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.recordings.circumstances import TIME_SHIFT, Circumstance
+from dieseltwin.settings.search import CircumstanceSettings
+
+_LABEL = "circumstance"
+_PLAINLY = 4.0  # standard deviations of an estimate: errors of maps are Gaussian in the plant alone
+
+
+@runtime_checkable
+class WithCircumstances(Protocol):
+    """A twin of a recording that doesn't say all that it was made under.
+
+    Attributes:
+        circumstances: what may be off.
+        values: what is known of it by now, by name; as assumed where not named.
+        opened: names of those that were found to be off.
+        beliefs: the settings that say how far anything may be off.
+    """
+
+    circumstances: tuple[Circumstance, ...]
+    values: Mapping[str, float]
+    opened: frozenset[str]
+    beliefs: CircumstanceSettings
+
+    def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> Twin:
+        """The twin of the recording under other circumstances; `like`: with the same windows and holes."""
+        ...
+
+    def circumstance_responses(self, lanes: Lanes, simulated: Array, names: Sequence[str]) -> Array:
+        """Responses (K, n, C) of the readings per unit, next to one lane with readings (n, C)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a recording says of one circumstance: value and standard deviation [unit]."""
+
+    circumstance: Circumstance
+    value: float
+    std: float
+
+    @property
+    def off(self) -> bool:
+        """Whether it is plainly another than assumed."""
+        away = abs(self.value - self.circumstance.assumed)
+        return away > _PLAINLY * self.std and away > self.circumstance.notable
+
+
+def open_circumstances(twin: Twin) -> tuple[Circumstance, ...]:
+    """What is open in every fit: what no column gives and what was found to be off."""
+    if not isinstance(twin, WithCircumstances):
+        return ()
+    return tuple(item for item in twin.circumstances if item.unknown or item.name in twin.opened)
+
+
+def label_of(item: Circumstance) -> str:
+    """Label of its nuisance."""
+    return f"{_LABEL} {item.name}"
+
+
+def _covariance(at: Linearisation) -> Array:
+    """Of the nuisances (K, K) beside parameters, effects and local states, in standard deviations of their priors."""
+    columns = at.metric.without_local(np.concatenate([at.jacobian, cast(Array, at.nuisance_response)]))
+    precision = np.concatenate([np.maximum(at.precision, 1e-30), np.ones(len(columns) - len(at.jacobian))])
+    known = len(at.jacobian)
+    return np.asarray(np.linalg.inv(columns @ columns.T + np.diag(precision))[known:, known:])
+
+
+def circumstance_nuisances(twin: Twin, lanes: Lanes, simulated: Array, width: int | None = None) -> list[Nuisance]:
+    """Directions of what is open, one standard deviation each; `width`: of loadings, for engines that were learned."""
+    items = open_circumstances(twin)
+    if not items or not isinstance(twin, WithCircumstances):
+        return []
+    responses = twin.circumstance_responses(lanes, simulated, [item.name for item in items])
+    none = None if width is None else np.zeros(width)
+    of_maps = None if width is None else np.zeros_like(simulated)
+    return [
+        Nuisance(label_of(item), response=item.std * response, loading=none, of_maps=of_maps)
+        for item, response in zip(items, responses, strict=True)
+    ]
+
+
+def clock_scatter(at: Linearisation) -> Array | None:
+    """Variance (n, C) of the readings where clocks were put right; None where none was.
+
+    What a channel did between two rows isn't known. Where it has kinks, moving it misplaces them by a part of a row.
+    """
+    twin = at.twin
+    if not isinstance(twin, WithCircumstances):
+        return None
+    names = [item.name for item in open_circumstances(twin) if item.kind == TIME_SHIFT]
+    if not names:
+        return None
+    jitter_s = twin.beliefs.jitter_rows * float(np.median(np.diff(at.twin.time_s)))
+    responses = twin.circumstance_responses(at.fit.lanes(), at.simulated, names)
+    return np.asarray(((jitter_s * responses) ** 2).sum(axis=0))
+
+
+def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimate, ...]:
+    """What a fit says of the open circumstances, which are the last of its nuisances.
+
+    Where no clock is trusted, shifts count from the middle one: all clocks late together show nowhere.
+
+    Args:
+        at: the fit, linearised with them.
+        residual: (n, C) what an explanation leaves that isn't the fit's own; None for its own.
+    """
+    twin = at.twin
+    items = open_circumstances(twin)
+    if not items or at.nuisance_response is None or not isinstance(twin, WithCircumstances):
+        return ()
+    scale = np.array([item.std for item in items])
+    covariance = scale[:, None] * _covariance(at)[-len(items) :, -len(items) :] * scale
+    left = at.residual if residual is None else residual
+    share = at.metric.nuisance_estimate(np.nan_to_num(left))[-len(items) :]
+    values = np.array([twin.values.get(item.name, item.assumed) for item in items]) + scale * share
+    clocks = np.array([item.kind == TIME_SHIFT for item in items])
+    if clocks.sum() == sum(item.kind == TIME_SHIFT for item in twin.circumstances):  # none is the one that is right
+        contrast = np.eye(len(items)) - np.outer(clocks, clocks / clocks.sum())
+        covariance = contrast @ covariance @ contrast.T
+        values = np.where(clocks, values - np.median(values[clocks]), values)
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return tuple(Estimate(*row) for row in zip(items, values.tolist(), std.tolist(), strict=True))

@@ -1,0 +1,252 @@
+"""Which circumstances of a recording are plainly not as assumed: found before a name is thought of, and put right.
+
+A channel that is late, or a fuel signal that reads wrongly, bends every fit, and some effect of the catalogue always
+follows it a little. So what circumstances explain is weighed against the best single effect: by the marginal
+likelihood, each with its prior. Where an effect explains as much, the effect stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from dieseltwin.discovery.laws.features import generic_features, score_features
+from dieseltwin.discovery.likelihood.circumstances import (
+    WithCircumstances,
+    label_of,
+    open_circumstances,
+)
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.score import score, without_parameters
+from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.variants import scan
+from dieseltwin.discovery.twins.interface import Array, Twin
+from dieseltwin.recordings.circumstances import DRIFT, SCALE, Circumstance
+
+ROUNDS = 3  # of looking again under what was found
+
+_FIT_ROUNDS = 6
+_LARGEST_STEP = 0.8  # of a prior's standard deviation in one round: farther, responses are others
+_SETTLED = 0.1  # of a prior's standard deviation; the rest is linear
+_MOVED = 0.6  # the same of what is open anyway: it is taken linearly up to here
+_LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
+_CATALOGUE = 2  # effects at once that the catalogue explains by itself
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Circumstances fitted together with the health parameters.
+
+    Attributes:
+        values: name -> value [unit].
+        evidence: -2 log marginal likelihood, less the number of readings.
+        at: the fit, with the circumstances as its last nuisances and the readings as if all were as assumed.
+    """
+
+    values: dict[str, float]
+    evidence: float
+    at: Linearisation
+
+
+def under_circumstances(found: Search) -> Twin | None:
+    """The twin under circumstances that a prepared search shows to be others than its twin has; None where none are."""
+    twin = found.twin
+    if not isinstance(twin, WithCircumstances):
+        return None
+    rest = [item for item in twin.circumstances if not item.unknown and item.name not in twin.opened]
+    return (_plainly_off(found, twin, rest) if rest else None) or _moved(found, twin)
+
+
+def _leading(found: Search) -> Linearisation:
+    """The best single effect where it raises an alarm, else health alone; in the common metric."""
+    if not found.singles or found.gain(found.singles[0]) < found.settings.alarm_gain:
+        return found.null
+    return Linearisation(found.twin, found.whitening, found.singles[0], found.null)
+
+
+def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
+    """The twin about the estimates of what is open, where these are far from where it is."""
+    lead = _leading(found)
+    movable = [item for item in open_circumstances(found.twin) if item.kind not in (DRIFT, SCALE)]
+    shares = [_shares(found, at, movable) for at in (found.null, lead)]
+    if np.abs(shares).max(initial=0.0) < _MOVED:
+        return None
+    values = {
+        item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
+        for item, share in zip(movable, shares[1], strict=True)
+    }
+    if lead is not found.null and np.abs(shares[0]).max() >= _MOVED:  # they may be all that the effect says
+        alone = _settled(found, twin, found.null.fit, movable, {})
+        if alone.evidence < _evidence(lead) + found.settings.alarm_gain:
+            values = alone.values
+    other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
+    far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _MOVED * i.std for i in movable)
+    return cast(Twin, other) if far else None  # sensors' clocks go by whole rows
+
+
+def _shares(found: Search, at: Linearisation, items: Sequence[Circumstance]) -> Array:
+    """Estimates of open circumstances under a fit, from where the twin has them, in standard deviations of priors."""
+    estimate = found.null.metric.nuisance_estimate(np.nan_to_num(at.residual))
+    shares = dict(zip((nuisance.label for nuisance in found.nuisances), estimate, strict=True))
+    return np.array([shares[label_of(item)] for item in items])
+
+
+def _linear_gain(at: Linearisation, twin: WithCircumstances, items: Sequence[Circumstance]) -> float:
+    """What circumstances would explain beyond a fit, by their responses there."""
+    responses = twin.circumstance_responses(at.fit.lanes(), at.simulated, [item.name for item in items])
+    responses *= np.array([item.std for item in items])[:, None, None]
+    vectors = without_parameters(at, at.metric.project(responses))
+    push = vectors @ at.projected_residual
+    return float(push @ np.linalg.solve(vectors @ vectors.T + np.eye(len(items)), push))
+
+
+def _rival(found: Search, at: Linearisation, enough: float) -> float:
+    """What the catalogue, or a term without a name, would add to the best single effect; looked for up to `enough`."""
+    if at is found.null:
+        return 0.0
+    known = set(at.fit.candidate.names)
+    others = [item for item in found.scored if item.name not in known]
+    second = score(at, [(i.name, i.size) for i in others], np.stack([i.response for i in others])) if others else []
+    gain = max((item.gain for item in second), default=0.0)
+    if gain < enough:
+        timed = scan(found.null, found.scored, 1, found.settings.least_share)
+        gain = max(gain, *(item.gain - found.gain(at.fit) for item in timed), 0.0)
+    if gain < enough:
+        gain = max(gain, *(item.held for item in score_features(at, generic_features(found.twin, at.fit))))
+    return gain
+
+
+def _plainly_off(found: Search, twin: WithCircumstances, rest: Sequence[Circumstance]) -> Twin | None:
+    """The twin under the circumstances that add more to the best single effect than any other; None where none do."""
+    lead = _leading(found)
+    linear = _linear_gain(lead, twin, rest)
+    beliefs = twin.beliefs
+    if linear < beliefs.evidence:
+        return None
+    rival = _rival(found, lead, linear / _LINEAR)
+    needed = max(beliefs.evidence, rival + beliefs.ahead if rival > found.settings.alarm_gain else 0.0)
+    if linear / _LINEAR < needed:
+        return None
+    best = _chosen(found, twin, lead.fit, rest)
+    if best is None or _evidence(lead) - best[0].evidence < needed:
+        return None
+    settled, chosen = best
+    if lead is not found.null:  # the effect itself may be nothing but these circumstances
+        alone = _chosen(found, twin, found.null.fit, rest)
+        if alone is not None and alone[0].evidence < settled.evidence + found.settings.alarm_gain:
+            settled, chosen = alone
+    if _said_by_catalogue(chosen, settled.values):
+        return None
+    return twin.under({**twin.values, **settled.values}, twin.opened | {item.name for item in chosen})
+
+
+def _chosen(
+    found: Search, twin: WithCircumstances, start: Fit, rest: Sequence[Circumstance]
+) -> tuple[Settled, list[Circumstance]] | None:
+    """Fit with those circumstances that the marginal likelihood wants; None where it wants none.
+
+    Where it wants several clocks, none of the others is trusted to be in time either.
+    """
+    unknown = [item for item in open_circumstances(found.twin) if item.kind not in (DRIFT, SCALE)]
+    everything = _settled(found, twin, start, [*unknown, *rest], {})
+    chosen = _needed(everything, rest)
+    if not chosen:
+        return None
+    if len(chosen) >= twin.beliefs.several:
+        return everything, list(rest)
+    near = {item.name: everything.values[item.name] for item in unknown}
+    return _settled(found, twin, everything.at.fit, [*unknown, *chosen], near), chosen
+
+
+def _said_by_catalogue(chosen: Sequence[Circumstance], values: Mapping[str, float]) -> bool:
+    """Whether one or two effects do the same, so that it is theirs to be told."""
+    late = any(item.column.startswith("u_") and values[item.name] > item.assumed for item in chosen)
+    return len(chosen) <= _CATALOGUE and all(item.effects for item in chosen) and not late  # no dead time is negative
+
+
+def _evidence(at: Linearisation) -> float:
+    return at.fit.objective + at.metric.log_determinant - float(at.whitening.present.sum())
+
+
+def _settled(
+    found: Search, base: WithCircumstances, start: Fit, items: Sequence[Circumstance], near: Mapping[str, float]
+) -> Settled:
+    """Fit of health and circumstances: Gauss-Newton, the engine simulated anew under each estimate.
+
+    Args:
+        found: its noise and its nuisances of maps and sensors are kept.
+        base: its twin.
+        start: where to begin.
+        items: what is free; other circumstances stay as the twin has them.
+        near: name -> value to begin at.
+    """
+    maps = _other_responses(found, items)
+    names = [item.name for item in items]
+    std = np.array([item.std for item in items])
+    assumed = np.array([item.assumed for item in items])
+    values = np.array([near.get(item.name, base.values.get(item.name, item.assumed)) for item in items])
+    fit, best = start, None
+    for turn in range(_FIT_ROUNDS):
+        twin = base.under({**base.values, **dict(zip(names, values, strict=True))}, base.opened, like=True)
+        changed = cast(WithCircumstances, twin)
+        whitening = Whitening.of(twin.measured, found.noise, twin.starts, found.scatter)
+        simulated = twin.simulate(fit.lanes())[0]
+        responses = std[:, None, None] * changed.circumstance_responses(fit.lanes(), simulated, names)
+        applied = np.array([changed.values[name] for name in names])
+        twin.measured = twin.measured + np.tensordot((applied - assumed) / std, responses, 1)  # so the priors hold
+        both = np.concatenate([maps, responses])
+        at = fit_fully(twin, whitening, fit, rounds=1, frozen=Linearisation(twin, whitening, fit, None, both))
+        share = at.metric.nuisance_estimate(np.nan_to_num(at.residual))[len(maps) :]
+        settled = Settled(dict(zip(names, assumed + share * std, strict=True)), _evidence(at), at)
+        if best is None or settled.evidence < best.evidence:
+            best = settled
+        step = np.clip(assumed / std + share - values / std, -_LARGEST_STEP, _LARGEST_STEP)
+        if turn and np.abs(step).max() < _SETTLED:
+            break
+        values, fit = values + step * std, at.fit
+    return cast(Settled, best)
+
+
+def _other_responses(found: Search, items: Sequence[Circumstance]) -> Array:
+    """Responses (K, n, C) of the nuisances that are none of these circumstances."""
+    if found.null.nuisance_response is None:
+        return np.zeros((0, *found.twin.measured.shape))
+    labels = {label_of(item) for item in items}
+    kept = [nuisance.label not in labels for nuisance in found.nuisances]
+    return found.null.nuisance_response[np.array(kept, dtype=bool)]
+
+
+def _needed(settled: Settled, rest: Sequence[Circumstance]) -> list[Circumstance]:
+    """Those of the last nuisances that the marginal likelihood wants, by leaving out one after another.
+
+    Args:
+        settled: a fit with everything free.
+        rest: its last nuisances, which may be left out.
+    """
+    at = settled.at
+    if at.nuisance_response is None:
+        return []
+    columns = at.metric.without_local(np.concatenate([at.jacobian, at.nuisance_response]))
+    target = at.metric.without_local(np.nan_to_num(at.residual)[None])[0]
+    precision = np.concatenate([np.maximum(at.precision, 1e-30), np.ones(len(at.nuisance_response))])
+    gram, push = columns @ columns.T + np.diag(precision), columns @ target
+    first = len(gram) - len(rest)
+    kept = list(range(len(rest)))
+
+    def evidence(some: Sequence[int]) -> float:
+        index = [*range(first), *(first + k for k in some)]
+        part = gram[np.ix_(index, index)]
+        return float(push[index] @ np.linalg.solve(part, push[index]) - np.linalg.slogdet(part)[1])
+
+    here = evidence(kept)
+    while kept:
+        value, worst = max((evidence([k for k in kept if k != out]), out) for out in kept)
+        if value < here:
+            break
+        kept.remove(worst)
+        here = value
+    return [rest[k] for k in kept]

@@ -1,0 +1,170 @@
+"""The diesel engine's twin with what its recording doesn't say: ambient, charge temperature, fuel, clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
+from dieseltwin.discovery.twins.interface import Array, Lanes, some_lanes
+from dieseltwin.engine import EngineParameters
+from dieseltwin.engine.actuation import actuate_lanes
+from dieseltwin.engine.effects import ACTUATION_EFFECTS
+from dieseltwin.engine.inputs import INPUT_COLUMNS, Actuation
+from dieseltwin.engine.sensor_effects import apply_sensor_effects
+from dieseltwin.learning.belief import Belief
+from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance, applicable, put_right
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.params import default_search
+from dieseltwin.settings.search import CircumstanceSettings
+
+_STEPS = {"p_amb_pa": 50.0, "t_amb_k": 0.5, "t_im_k": 0.5, SCALE: 1e-3, TIME_SHIFT: 0.05}
+"""Differences for the responses [unit]; that of shifts is a good part of a row, as signals have kinks at every row."""
+
+_EVERYTHING = "time_shift:"  # of all inputs together: what a reading does when its own clock is moved the other way
+
+_CONSTANT = {"p_amb_pa": "p_amb", "t_amb_k": "T_amb", "t_im_k": "T_im"}
+_ALIKE = {
+    "scale:u_delta_mg": ("injector_drift",), "time_shift:u_egr_pct": ("egr_dead_time",),
+    "time_shift:u_vgt_pct": ("vgt_dead_time",), "time_shift:u_delta_mg": ("fuel_lag",),
+    "time_shift:t_em_k": ("thermocouple_lag",),
+}  # fmt: skip
+"""Effects of the catalogue that act nearly as a circumstance."""
+
+
+def circumstances_of(
+    recording: Recording, engine: EngineParameters, channels: Sequence[str], priors: CircumstanceSettings
+) -> tuple[Circumstance, ...]:
+    """What a recording doesn't say, or may say wrongly, and what is believed of it."""
+    def read(name: str) -> bool:
+        return name in recording.columns and bool(np.isfinite(recording.columns[name]).any())
+
+    pressure, temperature = read("p_amb_pa"), read("t_amb_k")
+    p_amb, t_amb = recording.p_amb_pa, recording.t_amb_k
+    found = [
+        Circumstance("p_amb_pa", p_amb, priors.p_amb_read_pa if pressure else priors.p_amb_pa, "Pa", 3000.0, True),
+        Circumstance("t_amb_k", t_amb, priors.t_amb_read_k if temperature else priors.t_amb_k, "K", 8.0, True),
+        Circumstance("t_im_k", engine.T_im, priors.t_im_k, "K", 8.0, True),
+        Circumstance("scale:u_delta_mg", 1.0, priors.fuel_scale, "-", 0.02, True),
+    ]
+    if not pressure:
+        found.insert(1, Circumstance("drift:p_amb_pa", 0.0, priors.drift_pa, "Pa", 2000.0, True))
+    elif (change := float(np.nanmax(recording.columns["p_amb_pa"]) - np.nanmin(recording.columns["p_amb_pa"]))) > 0.0:
+        found.insert(1, Circumstance("drift:p_amb_pa", 0.0, change, "Pa", np.inf, True))  # its course is the column's
+    found += [
+        Circumstance(f"time_shift:{column}", 0.0, priors.time_shift_s, "s", 0.02, False)
+        for column in (*INPUT_COLUMNS, *channels)
+    ]
+    return tuple(replace(item, effects=_ALIKE.get(item.name, ())) for item in found)
+
+
+def _course(time_s: Array, pressure: Array | None) -> Array:
+    """Course of a drift over the rows (n,), from its middle, 1 between its ends: a reading's own, else linear."""
+    if pressure is None or not np.isfinite(pressure).any() or not np.nanmax(pressure) > np.nanmin(pressure):
+        return np.asarray((time_s - time_s.mean()) / np.ptp(time_s))
+    known = np.isfinite(pressure)
+    values = np.interp(time_s, time_s[known], pressure[known])
+    return np.asarray((values - np.median(values)) / np.ptp(values))
+
+
+class LoggedTwin(EngineTwin):
+    """`EngineTwin` of a recording that doesn't say all that it was made under.
+
+    Attributes:
+        circumstances: what may be off, and how far.
+        beliefs: the settings that say so.
+        values: what is known of it by now; else it is as assumed.
+        opened: names of those that were found to be off, so that they are open as the unknown ones are.
+
+    Args:
+        recording, engine, sensors, map_tolerance, belief: as of `EngineTwin`.
+        beliefs: of the circumstances; values, opened: as the attributes.
+    """
+
+    def __init__(
+        self, recording: Recording, engine: EngineParameters, sensors: Sequence[str] | None = None, *,
+        map_tolerance: float = MAP_TOLERANCE, belief: Belief | None = None, beliefs: CircumstanceSettings | None = None,
+        values: Mapping[str, float] | None = None, opened: frozenset[str] = frozenset(),
+    ) -> None:  # fmt: skip
+        self.values = {name: applicable(recording, name, value) for name, value in (values or {}).items()}
+        right, under = put_right(recording, engine, self.values)
+        super().__init__(right, under, sensors, map_tolerance=map_tolerance, belief=belief)
+        self._read = recording, engine, sensors, map_tolerance, belief
+        self.beliefs = beliefs or default_search().circumstances
+        self.opened = opened
+        self.circumstances = circumstances_of(recording, engine, self.channels, self.beliefs)
+        pressure = recording.columns.get("p_amb_pa")
+        self._drift = _course(self.recording_time_s, None if pressure is None else pressure[self.rows])
+
+    def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> LoggedTwin:
+        """The twin of the recording under other circumstances; `like`: with the windows and holes of this one."""
+        recording, engine, sensors, map_tolerance, belief = self._read
+        other = LoggedTwin(recording, engine, sensors, map_tolerance=map_tolerance, belief=belief,
+                           beliefs=self.beliefs, values=values, opened=opened)  # fmt: skip
+        if like:
+            other.starts = self.starts
+            other._begin()
+            empty = ~np.isfinite(self.measured).any(axis=1)
+            other.measured[empty] = np.nan
+        return other
+
+    def circumstance_responses(self, lanes: Lanes, simulated: Array, names: Sequence[str]) -> Array:
+        """Responses (K, n, C) of the readings per unit of circumstances, next to one lane with readings (n, C)."""
+        out = np.zeros((len(names), *simulated.shape))
+        needed = [_EVERYTHING if self._is_reading(name) else name.removeprefix(f"{DRIFT}:") for name in names]
+        by_run = list(dict.fromkeys(needed))
+        responses = dict(zip(by_run, self._run_with(lanes, by_run), strict=True))
+        ramp = self._drift
+        for k, (name, run) in enumerate(zip(names, needed, strict=True)):
+            if run == _EVERYTHING:
+                j = self.channels.index(name.rpartition(":")[2])
+                out[k, :, j] = -responses[run][:, j]
+            else:  # the gas path answers within a second: a drift acts as its value of the moment
+                out[k] = responses[run] if run == name else ramp[:, None] * responses[run]
+        return out
+
+    def _is_reading(self, name: str) -> bool:
+        kind, _, column = name.rpartition(":")
+        return kind == TIME_SHIFT and column not in INPUT_COLUMNS
+
+    def _run_with(self, lanes: Lanes, names: Sequence[str]) -> Array:
+        """Responses to circumstances that act on the engine, a lane each behind one as it is."""
+        if self._laws:
+            lanes = self._with_own_laws(lanes)
+        many = some_lanes(lanes, np.zeros(1 + len(names), dtype=np.int64))
+        steps = np.array([_STEPS[kind or name] for name, kind in ((name, name.rpartition(":")[0]) for name in names)])
+        constants = {
+            key: getattr(self.engine, key) + np.array([0.0, *(steps * [name == column for name in names])])
+            for column, key in _CONSTANT.items()
+        }
+        combined, schedules = self._combined(lanes)
+        moves = [("", 0.0), *zip(names, steps, strict=True)]
+        actuations = [self._actuation_with(name, step, combined, schedules) for name, step in moves]
+        result = self._integrate(many, constants, actuations)
+        combined, schedules = self._combined(many)
+        seen = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
+        return np.asarray((seen[1:] - seen[0]) / steps[:, None, None])
+
+    def _actuation_with(
+        self, name: str, step: float, magnitudes: Mapping[str, Array], schedules: Mapping[str, Array]
+    ) -> Actuation:
+        """Actuators with one circumstance of an input moved by a step."""
+        kind, _, column = name.rpartition(":")
+        moving = {key: magnitudes[key] for key in ACTUATION_EFFECTS if key in magnitudes and np.any(magnitudes[key])}
+        if not kind and not moving:
+            return self._plain[0]
+        inputs = self.inputs
+        if kind == SCALE:
+            scaled: dict[str, Any] = {column: (1.0 + step) * inputs.columns[column]}
+            inputs = replace(inputs, **scaled)
+        elif kind == TIME_SHIFT:
+            earlier: dict[str, Any] = {
+                one: np.interp(self.time_s + step, self.time_s, inputs.columns[one])
+                for one in ([column] if column else INPUT_COLUMNS)
+            }
+            inputs = replace(inputs, **earlier)
+        own = {key: values for key, values in schedules.items() if key in moving}
+        return actuate_lanes(inputs, self.engine, moving, 1, own, self._step_s)[0]

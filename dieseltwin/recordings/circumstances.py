@@ -1,0 +1,99 @@
+"""What a recording was made under, where it says so wrongly or not at all: ambient, fuel, clocks of the channels.
+
+Names are `p_amb_pa`, `t_amb_k`, `t_im_k` (values), `drift:p_amb_pa` (change from the first row to the last),
+`scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by so much).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dieseltwin.engine import EngineParameters
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.reader import Recording
+
+DRIFT, SCALE, TIME_SHIFT = "drift", "scale", "time_shift"
+
+
+@dataclass(frozen=True)
+class Circumstance:
+    """One thing that a recording doesn't say, or may say wrongly.
+
+    Attributes:
+        name: as in the module's text.
+        assumed: what stands in [unit].
+        std: standard deviation of what is believed before the recording [unit].
+        unit: unit.
+        notable: distance from what is assumed that is worth a word [unit].
+        unknown: no column gives it, so that it is always open; else it is taken as assumed unless plainly off.
+        effects: effects of the catalogue that do the same.
+    """
+
+    name: str
+    assumed: float
+    std: float
+    unit: str
+    notable: float
+    unknown: bool
+    effects: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """`drift`, `scale`, `time_shift`, or empty for a value."""
+        return self.name.partition(":")[0] if ":" in self.name else ""
+
+    @property
+    def column(self) -> str:
+        """The column that it is about."""
+        return self.name.rpartition(":")[2]
+
+
+def applicable(recording: Recording, name: str, value: float) -> float:
+    """The value as `put_right` can apply it: shifts of sensors are whole rows, so that their noise stays as it is."""
+    kind, _, column = name.rpartition(":")
+    if kind == DRIFT:
+        return 0.0
+    if kind == TIME_SHIFT and column not in INPUTS:
+        step = float(np.median(np.diff(recording.time_s)))
+        return step * round(value / step)
+    return value
+
+
+def put_right(
+    recording: Recording, engine: EngineParameters, values: Mapping[str, float]
+) -> tuple[Recording, EngineParameters]:
+    """The recording as it would have been under known circumstances, and the engine with the charge's temperature.
+
+    Args:
+        recording: as it was read.
+        engine: as it was given.
+        values: name -> value; drifts are not applied.
+    """
+    time, columns = recording.time_s, dict(recording.columns)
+    for name, value in values.items():
+        kind, _, column = name.rpartition(":")
+        if kind == SCALE:
+            columns[column] = columns[column] * value
+        elif kind == TIME_SHIFT and value != 0.0 and column in columns:
+            columns[column] = (_earlier if column in INPUTS else _earlier_rows)(time, columns[column], value)
+    p_amb, t_amb = float(values.get("p_amb_pa", recording.p_amb_pa)), float(values.get("t_amb_k", recording.t_amb_k))
+    if "t_im_k" in values:
+        engine = engine.replace(T_im=float(values["t_im_k"]))
+    return replace(recording, columns=columns, p_amb_pa=p_amb, t_amb_k=t_amb), engine
+
+
+def _earlier(time: np.ndarray, values: np.ndarray, shift_s: float) -> np.ndarray:
+    """A channel that is recorded late, put right: linear between its rows, NaN where its rows are missing, (n,)."""
+    return np.interp(time + shift_s, time, values)
+
+
+def _earlier_rows(time: np.ndarray, values: np.ndarray, shift_s: float) -> np.ndarray:
+    """The same by whole rows, NaN where there is none within half a step, (n,)."""
+    wanted = time + shift_s
+    right = np.clip(np.searchsorted(time, wanted), 1, time.size - 1)
+    nearest = np.where(wanted - time[right - 1] <= time[right] - wanted, right - 1, right)
+    there = np.abs(time[nearest] - wanted) <= 0.55 * float(np.median(np.diff(time)))
+    return np.where(there, values[nearest], np.nan)

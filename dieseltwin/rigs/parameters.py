@@ -1,0 +1,179 @@
+"""The file of a rig: its equations as formulae, what may be missing in it, its parameters, and what was found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator, model_validator
+
+from dieseltwin.atomic import write_text
+from dieseltwin.discovery.laws.grammar import Factor, Form, Kind
+from dieseltwin.discovery.laws.twin import Placed
+from dieseltwin.rigs.expressions import names_in, usable
+from dieseltwin.settings.names import did_you_mean
+from dieseltwin.settings.strict import StrictModel, read_mapping, validate
+
+KIND = "rig"
+
+
+class State(StrictModel):
+    """A state: size of a typical change, where an unmeasured one starts, the reading that is nearly it."""
+
+    scale: PositiveFloat
+    unit: str = "-"
+    first: float = 0.0
+    nearest: str | None = None
+
+
+class RigParameter(StrictModel):
+    """A free parameter: value, what is believed beforehand (one standard deviation), size of a typical change."""
+
+    value: float
+    prior_std: PositiveFloat
+    unit: str = "-"
+    scale: PositiveFloat
+    std: NonNegativeFloat | None = Field(None, description="of the value, where a recording has told it")
+
+
+class Quantity(StrictModel):
+    """A named quantity; with a site it is a place where something may be missing."""
+
+    formula: str
+    unit: str = "-"
+    site: str | None = None
+    relative: bool = Field(True, description="what is missing multiplies it by (1 + x), else it adds in its unit")
+    ports: tuple[str, ...] = Field((), description="variables that a law here may depend on")
+    scale: PositiveFloat = Field(1.0, description="size of what may be missing [unit]; 1 for a relative one")
+
+
+class RigEffect(StrictModel):
+    """What may be missing, by name: the formulae use the name for its size, 0 where it is absent."""
+
+    site: str
+    law: str
+    unit: str
+    tolerance: PositiveFloat = Field(description="smallest size of interest")
+    limits: tuple[float, float]
+    sizes: tuple[float, ...] = Field((), description="where a fit begins that has no slope at zero")
+    sensor: bool = False
+
+
+class RigTerm(StrictModel):
+    """An effect that was found."""
+
+    effect: str
+    magnitude: float
+    std: NonNegativeFloat | None = None
+
+
+class LawFactor(StrictModel):
+    """A dimensionless factor of a law, see `discovery.laws.grammar.Factor`."""
+
+    kind: Kind
+    variables: tuple[str, ...]
+    references: tuple[float, ...]
+    shape: float = 1.0
+    units: tuple[str, ...] = ()
+
+
+class RigLaw(StrictModel):
+    """A law that was found where no name fits: a coefficient times factors, inserted at a quantity."""
+
+    at: str
+    coefficient: float
+    factors: tuple[LawFactor, ...] = ()
+    text: str = ""
+
+    @property
+    def placed(self) -> Placed:
+        """As the searches have it."""
+        factors = tuple(Factor(f.kind, f.variables, f.references, f.shape, f.units) for f in self.factors)
+        return Placed(Form(self.at, factors), self.coefficient)
+
+
+class RigParameters(StrictModel):
+    """One machine."""
+
+    kind: Literal["rig"] = "rig"
+    name: str
+    source: str = ""
+    states: dict[str, State]
+    inputs: dict[str, str] = Field(description="column -> unit")
+    parameters: dict[str, RigParameter]
+    quantities: dict[str, Quantity] = Field(description="evaluated in this order")
+    rates: dict[str, str] = Field(description="formula of the derivative of every state")
+    readings: dict[str, str] = Field(description="column -> formula of what the sensor shows")
+    effects: dict[str, RigEffect] = Field(default_factory=dict)
+    terms: tuple[RigTerm, ...] = ()
+    laws: tuple[RigLaw, ...] = ()
+    every: PositiveInt = Field(1, description="rows of a recording that one sample stands for: inputs are averaged")
+    hold: Literal["held", "linear"] = Field("linear", description="inputs between samples")
+    sub_steps: PositiveInt = Field(1, description="of the integration (Heun), per sample")
+    window_s: PositiveFloat | None = Field(None, description="of a fit: states start anew in each; null: one run")
+    run_s: PositiveFloat | None = Field(None, description="of a simulation and of what is judged; null: one run")
+    first_rows: PositiveInt | None = Field(None, description="of a run, that its first states are fitted to; null: all")
+    floors: dict[str, PositiveFloat] = Field(
+        default_factory=dict, description="least noise of a reading: its resolution [unit]"
+    )
+
+    @field_validator("states", "parameters", "readings")
+    @classmethod
+    def _some(cls, given: dict[str, object]) -> dict[str, object]:
+        if not given:
+            raise ValueError("none; a rig needs one at least")
+        return given
+
+    @model_validator(mode="after")
+    def _closed(self) -> RigParameters:
+        """Every name in a formula is known, before it where it is a quantity; every state has a rate."""
+        if set(self.rates) != set(self.states):
+            raise ValueError(f"rates of {', '.join(self.rates)}, states {', '.join(self.states)}: one rate a state")
+        known = [*self.states, *self.inputs, *self.parameters, *self.effects]
+        if len(set(known)) < len(known) or set(known) & set(self.quantities):
+            raise ValueError("a name stands for two things; every state, input, parameter, effect has its own")
+        for name in (*known, *self.quantities):
+            if not usable(name):
+                raise ValueError(f"{name!r} can't be a name: letters, digits and _ after a letter, and no function's")
+        for name, quantity in self.quantities.items():
+            self._check(name, quantity.formula, known)
+            known.append(name)
+        for name, formula in {**self.rates, **self.readings}.items():
+            self._check(name, formula, known)
+        for term in self.terms:
+            if term.effect not in self.effects:
+                raise ValueError(f"term {term.effect!r}: {did_you_mean(term.effect, list(self.effects))}")
+        for law in self.laws:
+            if law.at not in self.quantities:
+                raise ValueError(f"law at {law.at!r}: {did_you_mean(law.at, list(self.quantities))}")
+        for name, state in self.states.items():
+            if state.nearest is not None and state.nearest not in self.readings:
+                raise ValueError(f"{name}: nearest: {did_you_mean(state.nearest, list(self.readings))}")
+        return self
+
+    @staticmethod
+    def _check(name: str, formula: str, known: list[str]) -> None:
+        for used in names_in(formula):
+            if used not in known:
+                raise ValueError(f"{name}: unknown name {used!r}; {did_you_mean(used, known)}")
+
+
+def is_rig(path: str | Path) -> bool:
+    """Whether a file is of this kind (`kind: rig`)."""
+    return read_mapping(path).get("kind") == KIND
+
+
+def load_rig(path: str | Path) -> RigParameters:
+    """Read a rig's file.
+
+    Raises:
+        InputError: not readable, an unknown key or name, a formula that is more than arithmetic.
+    """
+    return validate(RigParameters, read_mapping(path), str(path))
+
+
+def save_rig(rig: RigParameters, path: str | Path) -> Path:
+    """Write a rig's file atomically."""
+    plain = rig.model_dump(mode="json", exclude_defaults=True)
+    return write_text(path, yaml.safe_dump({"kind": KIND, **plain}, sort_keys=False, allow_unicode=True, width=118))

@@ -1,0 +1,84 @@
+"""A recording of a rig: the columns that its file names, at the rate that it asks for."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import TIME
+from dieseltwin.rigs.parameters import RigParameters
+from dieseltwin.settings.names import listed
+
+Array = NDArray[np.float64]
+LEAST_ROWS = 20
+
+
+@dataclass(frozen=True)
+class RigRecording:
+    """Samples of a rig.
+
+    Attributes:
+        time_s: (n,) ascending [s].
+        inputs: column -> (n,), no gaps.
+        readings: column -> (n,), NaN where missing; columns that aren't there are left out.
+        path, sha256: where it comes from.
+    """
+
+    time_s: Array
+    inputs: Mapping[str, Array]
+    readings: Mapping[str, Array]
+    path: str
+    sha256: str
+
+    def part(self, rows: slice) -> RigRecording:
+        """Some of its rows."""
+        inputs = {name: values[rows] for name, values in self.inputs.items()}
+        readings = {name: values[rows] for name, values in self.readings.items()}
+        return RigRecording(self.time_s[rows], inputs, readings, self.path, self.sha256)
+
+
+def read_rig(source: str | Path | pd.DataFrame, rig: RigParameters) -> RigRecording:
+    """Read a recording of a rig, inputs averaged over the rows that one sample stands for.
+
+    Raises:
+        InputError: a file that can't be read, a column that is missing, times that don't increase, gaps in an input.
+    """
+    where = "the table" if isinstance(source, pd.DataFrame) else str(source)
+    table, digest = _table(source)
+    columns = {str(name): pd.to_numeric(table[name], errors="coerce").to_numpy(np.float64) for name in table}
+    for name in (TIME, *rig.inputs):
+        if name not in columns:
+            raise InputError(f"{where}: column {name}", f"none ({listed(list(columns))})", f"a column of {rig.name}",
+                             "name the columns as the rig's file does")
+    n = len(columns[TIME]) // rig.every * rig.every
+    time_s = np.asarray(columns[TIME][:n : rig.every], dtype=np.float64)
+    if len(time_s) < LEAST_ROWS or not np.isfinite(time_s).all() or np.any(np.diff(time_s) <= 0.0):
+        raise InputError(f"{where}: column {TIME}", f"{len(time_s)} samples that don't all increase",
+                         f"{LEAST_ROWS} or more increasing times", "sort the rows")
+    inputs = {name: columns[name][:n].reshape(-1, rig.every).mean(axis=1) for name in rig.inputs}
+    for name, values in inputs.items():
+        if not np.isfinite(values).all():
+            raise InputError(f"{where}: column {name}, sample {int(np.flatnonzero(~np.isfinite(values))[0]) + 1}",
+                             "no number", "a number in every row of an input", "fill in or drop this row")
+    readings = {name: columns[name][:n : rig.every].astype(np.float64) for name in rig.readings if name in columns}
+    return RigRecording(time_s, inputs, readings, where, digest)
+
+
+def _table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
+    """The table, and a hash of the file or of its values."""
+    if isinstance(source, pd.DataFrame):
+        return source, hashlib.sha256(pd.util.hash_pandas_object(source).to_numpy().tobytes()).hexdigest()
+    path = Path(source)
+    try:
+        content = path.read_bytes()
+        table = pd.read_parquet(path) if path.suffix in (".parquet", ".pq") else pd.read_csv(path)
+    except (OSError, ValueError) as error:  # what both readers raise for other content is a ValueError
+        raise InputError(str(path), error, "CSV or Parquet", "check the file") from None
+    return table, hashlib.sha256(content).hexdigest()

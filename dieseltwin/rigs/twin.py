@@ -1,0 +1,118 @@
+"""A rig's file bound to a recording: a twin for the shared search, which knows how large its own misfit is.
+
+No twin of a real machine explains a recording down to the noise of its sensors, and gains counted in that noise are
+huge for every name. So the size of the misfit that an explanation leaves counts as the noise, and as many readings as
+are independent in it: the likelihood of an unknown variance about that explanation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.nuisance import Nuisance
+from dieseltwin.discovery.likelihood.worth import independent
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point
+from dieseltwin.discovery.twins.simple import LawTerm, Model, SimpleTwin
+from dieseltwin.recordings.noise import Noise
+from dieseltwin.rigs.expressions import moment
+from dieseltwin.rigs.parameters import RigParameters
+from dieseltwin.rigs.recording import RigRecording
+
+WIDE = 3.0  # tolerances of an effect that was found: what is believed of its size when it is fitted again
+
+
+def model_of(rig: RigParameters) -> Model:
+    """The rig's formulae as a `Model`; sizes of effects that were found are free parameters of it."""
+    found = {term.effect: term for term in rig.terms}
+    held = {**dict.fromkeys(rig.effects, "e"), **dict.fromkeys((*rig.parameters, *found), "p"),
+            **dict.fromkeys(rig.states, "x"), **dict.fromkeys(rig.inputs, "u")}  # fmt: skip
+    formulae = {name: q.formula for name, q in rig.quantities.items()}
+    derivatives = moment(held, formulae, [rig.rates[name] for name in rig.states])
+    shown = moment(held, formulae, list(rig.readings.values()))
+    return Model(
+        states={name: state.scale for name, state in rig.states.items()},
+        parameters=(
+            *(Parameter(n, p.value, p.prior_std, p.unit, p.scale, bounded=p.value > 0.0)
+              for n, p in rig.parameters.items()),
+            *(_found(rig, name, term.magnitude) for name, term in found.items()),
+        ),
+        inputs=tuple(rig.inputs), channels=tuple(rig.readings), rates=derivatives, readings=shown,
+        points=tuple(Point(n, q.site, q.relative, "-" if q.relative else q.unit, q.ports, q.scale)
+                     for n, q in rig.quantities.items() if q.site is not None),
+        hypotheses=tuple(
+            Hypothesis(n, e.site, e.law, e.unit, e.tolerance, e.limits, not e.sizes, e.sizes or (e.tolerance,),
+                       "sensor" if e.sensor else "physics")
+            for n, e in rig.effects.items() if n not in found
+        ),
+        units={**{n: s.unit for n, s in rig.states.items()}, **rig.inputs,
+               **{n: q.unit for n, q in rig.quantities.items()}},
+        sub_steps=rig.sub_steps, hold=rig.hold,
+        nearest={s.nearest: n for n, s in rig.states.items() if s.nearest is not None},
+        first={n: s.first for n, s in rig.states.items()},
+    )  # fmt: skip
+
+
+def _found(rig: RigParameters, name: str, magnitude: float) -> Parameter:
+    effect = rig.effects[name]
+    size = WIDE * max(effect.tolerance, abs(magnitude))
+    return Parameter(name, magnitude, size, effect.unit, effect.tolerance)
+
+
+class RigTwin(SimpleTwin):
+    """A rig bound to a recording; satisfies `Twin` and `KnownErrors`.
+
+    Args:
+        rig: its laws are part of the twin, its terms free parameters.
+        recording: what was recorded; a reading that is absent counts as missing.
+        window_s: of a fit [s]; None for one run.
+    """
+
+    def __init__(self, rig: RigParameters, recording: RigRecording, window_s: float | None = None) -> None:
+        none = np.full(len(recording.time_s), np.nan)
+        measured = np.stack([recording.readings.get(name, none) for name in rig.readings], axis=1)
+        self._laws: dict[str, list[LawTerm]] = {}
+        super().__init__(model_of(rig), recording.time_s, recording.inputs, measured, window_s)
+        self.rig, self.recording, self.window_s = rig, recording, window_s
+        self.floors = np.array([rig.floors.get(name, 0.0) for name in rig.readings])
+        self.misfit = np.maximum(np.nanstd(np.diff(measured, axis=0), axis=0), self.floors)
+        for law in rig.laws:
+            placed = law.placed
+            self._laws.setdefault(law.at, []).append(
+                lambda at, placed=placed: placed.coefficient * placed.form.value(at)  # type: ignore[misc]
+            )
+
+    def about(self, residual: Array) -> RigTwin:
+        """The same twin with the size of its misfit as a fit left it: residual (n, C) [units of the readings]."""
+        twin = RigTwin(self.rig, self.recording, self.window_s)
+        share = np.isfinite(residual).sum() / independent(residual, self.starts, len(self.states))
+        size = np.sqrt(np.nanmean(residual**2, axis=0) * max(share, 1.0))
+        twin.misfit = np.maximum(size, self.floors)
+        return twin
+
+    def noise(self, floor: Array | None = None) -> Noise:
+        """As `KnownErrors.noise`: the size of the misfit, white."""
+        del floor
+        return Noise(self.misfit, np.zeros(len(self.channels)))
+
+    def whitening(self) -> Whitening:
+        """As `KnownErrors.whitening`."""
+        return Whitening.of(self.measured, self.noise(), self.starts)
+
+    def nuisances(self, lanes: Lanes) -> list[Nuisance]:
+        """As `KnownErrors.nuisances`: none; a rig has no maps of known tolerance."""
+        del lanes
+        return []
+
+    def simulate_with_laws(self, lanes: Lanes, laws: Mapping[str, list[LawTerm]]) -> Array:
+        """As `SimpleTwin.simulate_with_laws`, with the rig's own laws."""
+        return super().simulate_with_laws(lanes, self._with_own(laws))
+
+    def variables(self, lanes: Lanes, laws: Mapping[str, list[LawTerm]] | None = None) -> dict[str, Array]:
+        """As `SimpleTwin.variables`, with the rig's own laws."""
+        return super().variables(lanes, self._with_own(laws or {}))
+
+    def _with_own(self, laws: Mapping[str, list[LawTerm]]) -> dict[str, list[LawTerm]]:
+        return {name: [*self._laws.get(name, ()), *laws.get(name, ())] for name in {**self._laws, **laws}}

@@ -1,0 +1,158 @@
+"""What was found on a rig, as the documents that every machine has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.score import minimum_detectable
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.verdict.assemble import details_of_search, finite_only, p_value
+from dieseltwin.discovery.verdict.document import (
+    NONE_OF_THESE,
+    Alternative,
+    Discrepancy,
+    Fit,
+    FoundEffect,
+    HealthValue,
+    Location,
+    Provenance,
+    RecordingInfo,
+)
+from dieseltwin.discovery.verdict.explain import plain
+from dieseltwin.discovery.verdict.findings import effects, site_probabilities, valid_for
+from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.rigs.discover import RigDiscovery, Round
+from dieseltwin.version import __version__
+
+_LEAST_PROBABILITY = 1e-3  # of a site that is still worth a line
+
+
+def document(result: RigDiscovery) -> Discrepancy:
+    """`discrepancy.json` of a rig: what was found in the order of finding, without onset or region."""
+    recording, first = result.recording, result.rounds[0]
+    entries = _effects(result)
+    before, after = result.before.parameters, result.repaired.parameters
+    return Discrepancy(
+        schema=1,  # type: ignore[call-arg]  # the alias of schema_version
+        recording=RecordingInfo(path=recording.path, sha256=recording.sha256,
+                                duration_s=float(recording.time_s[-1] - recording.time_s[0]),
+                                channels=tuple(recording.readings)),
+        mismatch=bool(entries), p_value=p_value(first.found), location=_location(first) if entries else None,
+        effects=entries, more_is_missing=result.more_is_missing,
+        health={name: HealthValue(value=p.value, std=p.std, before=before[name].value) for name, p in after.items()},
+        fit=_fit(result),
+        minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
+        provenance=Provenance(code_version=__version__, params_sha256="-"),
+    )  # fmt: skip
+
+
+def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
+    sizes = {term.effect: term for term in result.repaired.terms}
+    entries: list[FoundEffect] = []
+    for item in result.taken:
+        if item.law is not None:
+            entries.append(_none_of_these(item.law.text, valid_for(item.found)))
+            continue
+        told = {e.name: e for e in effects(item.found)} if item.found.best is not None else {}
+        for name in item.names:
+            term, known = sizes[name], item.found.twin.hypotheses[name]
+            own = told.get(name)
+            entries.append(FoundEffect(
+                name=name, probability=1.0 if own is None else own.probability,
+                equivalent_names=() if own is None else own.equivalent_names, law=known.law, magnitude=term.magnitude,
+                std=term.std, unit=known.unit, valid_for=valid_for(item.found),
+                split_by=None if own is None else own.split_by,
+            ))  # fmt: skip
+    if result.more_is_missing and not any(e.name == NONE_OF_THESE for e in entries):
+        entries.append(_none_of_these("more is missing; no law foretells it", valid_for(result.rounds[-1].found)))
+    return tuple(entries)
+
+
+def _none_of_these(law: str, valid: str) -> FoundEffect:
+    return FoundEffect(name=NONE_OF_THESE, probability=1.0, law=law, magnitude=None, std=None, unit=None,
+                       valid_for=valid)  # fmt: skip
+
+
+def _location(first: Round) -> Location:
+    """Where the first finding sits, with its rivals."""
+    if first.law is not None:
+        return Location(site=first.law.site, probability=1.0)
+    if first.found.probabilities:
+        weights = site_probabilities(first.found)
+    elif first.names:
+        weights = {first.found.twin.hypotheses[first.names[0]].site: 1.0}
+    else:
+        weights = {first.found.structure[0].feature.site: 1.0}
+    ranked = sorted(weights.items(), key=lambda pair: -pair[1])
+    (site, probability), rest = ranked[0], ranked[1:6]
+    others = tuple(Alternative(site=s, probability=float(w)) for s, w in rest if w > _LEAST_PROBABILITY)
+    return Location(site=site, probability=float(min(probability, 1.0)), alternatives=others)
+
+
+def _fit(result: RigDiscovery) -> Fit:
+    """Errors in the windows of the fit, in the misfit of the repaired machine; the likelihood of free runs that no fit
+    has seen is that of an unknown variance, from the first round's to the last round's that was taken."""
+    scale = result.fit_after.twin.misfit  # type: ignore[attr-defined]
+
+    def rms(residual: Array) -> Array:
+        return np.asarray(np.sqrt(np.nanmean(residual**2, axis=0)))
+
+    before, after = rms(result.fit_before.residual), rms(result.fit_after.residual)
+    names = result.fit_before.twin.channels
+    judged = [item for item in result.taken if item.after.size]
+    return Fit(
+        held_out_nll_before=_nll(judged[0].before) if judged else None,
+        held_out_nll_after=_nll(judged[-1].after) if judged else None,
+        chi2_per_sample_before=float(np.mean((before / scale) ** 2)),
+        chi2_per_sample_after=float(np.mean((after / scale) ** 2)),
+        rmse_before=dict(zip(names, map(float, before), strict=True)),
+        rmse_after=dict(zip(names, map(float, after), strict=True)),
+    )  # fmt: skip
+
+
+def _nll(error: Array) -> float:
+    """Negative log-likelihood per sample of Gaussian errors whose root mean squares (C,) are those found."""
+    return float(np.sum(np.log(error) + 0.5 * np.log(2.0 * np.pi) + 0.5))
+
+
+def sentence(result: RigDiscovery, found: Discrepancy) -> str:
+    """The verdict in words."""
+    name = result.repaired.name
+    if not found.mismatch or found.location is None:
+        return f"No mismatch of {name} beyond what its recording can tell."
+    told = []
+    for e in found.effects:
+        if e.magnitude is None:
+            told.append(f"none of the known effects: {e.law}")
+            continue
+        apart = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
+        told.append(f"{e.name} {e.magnitude:.4g}{'' if e.std is None else f' ± {e.std:.2g}'} {e.unit} ({e.law}){apart}")
+    judged = [item for item in result.taken if item.after.size]
+    text = f"{name}, first at {found.location.site}: {'; '.join(told)}."
+    if judged:
+        errors = zip(result.fit_before.twin.channels, judged[0].before, judged[-1].after, strict=True)
+        text += " Free runs no fit has seen: " + ", ".join(f"{c} {b:.3g} -> {a:.3g}" for c, b, a in errors) + "."
+    return text
+
+
+def details(result: RigDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Content of `details.json`, from which `--explain` answers: the first round's candidates, and every round."""
+    first = result.rounds[0].found
+    rows = candidate_rows(first)
+    for row in rows:
+        for number, item in enumerate(result.rounds, 1):
+            if row["name"] in item.names:
+                fate = "foretells no worse" if item.taken else "left out again: free runs get worse with it"
+                row["reason"] = f"chosen in round {number}; {fate}"
+    return plain({  # type: ignore[no-any-return]
+        "recording_sha256": result.recording.sha256, "options": dict(asked), "notes": [], "laws": [],
+        **details_of_search(first, rows, first.best),
+        "rounds": [
+            {"names": list(item.names), "law": None if item.law is None else item.law.text, "taken": item.taken,
+             "run_error_before": item.before, "run_error_after": item.after, "kind": item.found.kind}
+            for item in result.rounds
+        ],
+    })  # fmt: skip

@@ -1,0 +1,82 @@
+"""What a recording doesn't say is found and put right, and is no fault of the engine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.discovery.discover import as_it_was, discover
+from dieseltwin.discovery.likelihood.fit import first_fit
+from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
+from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.engine import we2011
+from dieseltwin.engine.inputs import INPUT_COLUMNS
+from dieseltwin.recordings.reader import recording
+from dieseltwin.report.discovery_words import sentence
+
+LATE_S = 0.28
+
+
+def _driven(seconds: float = 200.0, **ambient: float) -> pd.DataFrame:
+    """A healthy engine with the published maps and perfect sensors."""
+    parameters = we2011.PARAMETERS.model_dump()
+    driving = draw_driving("random", seconds, parameters, np.random.default_rng(3))
+    run = run_plant(driving, parameters | ambient)
+    return read(run, driving, (), SensorSet.perfect(), 6, np.random.default_rng(4))
+
+
+def _judged(frame: pd.DataFrame) -> Discrepancy:
+    return discover(recording(frame), we2011.PARAMETERS, Options(law_search=False)).document
+
+
+def test_a_late_engine_speed_is_said_and_no_fault_is_named() -> None:
+    """It was called a dead time of the VGT."""
+    frame = _driven()
+    frame["n_e_rpm"] = np.interp(frame["time_s"] - LATE_S, frame["time_s"], frame["n_e_rpm"])
+    document = _judged(frame)
+    assert not document.mismatch
+    (late,) = (item for item in document.circumstances if item.off)
+    assert late.name == "time_shift:n_e_rpm" and late.value == pytest.approx(LATE_S, abs=0.02)
+    assert "n_e_rpm is recorded 0.2" in sentence(document) and "s late" in sentence(document)
+    right, _, said = as_it_was(recording(frame), we2011.PARAMETERS)
+    assert {item.circumstance.name for item in said if item.off} == {late.name}
+    off = np.abs(right.columns["n_e_rpm"] - _driven()["n_e_rpm"])[5:-5]
+    assert off.mean() < 0.3 * np.abs(frame["n_e_rpm"] - _driven()["n_e_rpm"])[5:-5].mean()
+
+
+def test_a_healthy_engine_on_a_hill_is_let_be() -> None:
+    """700 m and 12 degC, without ambient columns: an alarm in the flow into the cylinders before."""
+    document = _judged(_driven(p_amb=93_000.0, T_amb=285.15))
+    assert not document.mismatch
+    said = {item.name: item for item in document.circumstances}
+    assert said["p_amb_pa"].off and said["p_amb_pa"].value == pytest.approx(93_000.0, abs=1200.0)
+    assert said["t_amb_k"].off and said["t_amb_k"].value == pytest.approx(285.15, abs=4.0)
+    assert "the ambient pressure is 9" in sentence(document)
+
+
+def test_responses_are_those_of_the_recording_under_other_circumstances() -> None:
+    source = recording(_driven(60.0))
+    twin = LoggedTwin(source, we2011.PARAMETERS)
+    lanes = first_fit(twin).lanes()
+    simulated = twin.simulate(lanes)[0]
+    for name, step in (("p_amb_pa", 100.0), ("t_amb_k", 0.5), ("t_im_k", 0.5), ("time_shift:u_delta_mg", 0.05)):
+        assumed = {"p_amb_pa": source.p_amb_pa, "t_amb_k": source.t_amb_k, "t_im_k": we2011.PARAMETERS.T_im}
+        moved = twin.under({name: assumed.get(name, 0.0) + step}, frozenset(), like=True).simulate(lanes)[0]
+        (response,) = twin.circumstance_responses(lanes, simulated, [name])
+        off = np.abs(moved - simulated - step * response).max(axis=0) / np.abs(moved - simulated).max(axis=0)
+        assert (off < 0.1).all(), (name, off)
+
+
+def test_all_clocks_late_together_show_nowhere() -> None:
+    twin = LoggedTwin(recording(_driven(60.0)), we2011.PARAMETERS)
+    lanes = first_fit(twin).lanes()
+    simulated = twin.simulate(lanes)[0]
+    names = [f"time_shift:{column}" for column in (*INPUT_COLUMNS, *twin.channels)]
+    responses = twin.circumstance_responses(lanes, simulated, names)
+    whole = np.nanquantile(np.abs(responses.sum(axis=0)), 0.95, axis=0)
+    assert (whole < 0.15 * np.nanquantile(np.abs(responses[4:]).max(axis=0), 0.95, axis=0)).all()

@@ -1,0 +1,141 @@
+"""A rig's file: what it may say, that it runs no code, and that its simulation is that of its equations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+import dieseltwin as dt
+from dieseltwin.errors import InputError
+from dieseltwin.rigs.expressions import moment, names_in
+from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm, load_rig, save_rig
+from dieseltwin.rigs.recording import read_rig
+from dieseltwin.rigs.simulate import run_error, simulate_rig
+from dieseltwin.rigs.twin import RigTwin
+
+RIGS = Path(__file__).resolve().parents[2] / "examples" / "rigs"
+
+TANK: dict[str, Any] = {
+    "kind": "rig", "name": "tank", "states": {"h": {"scale": 1.0, "unit": "m", "nearest": "level"}},
+    "inputs": {"q": "m/s"},
+    "parameters": {"k": {"value": 0.5, "prior_std": 0.5, "scale": 0.05, "unit": "1/s"}},
+    "quantities": {"balance": {"formula": "q - (k + leak)*h", "unit": "m/s", "site": "tank", "relative": False,
+                               "ports": ["h"]}},
+    "rates": {"h": "balance"}, "readings": {"level": "h"}, "sub_steps": 4,
+    "effects": {"leak": {"site": "tank", "law": "c h lost", "unit": "1/s", "tolerance": 0.01, "limits": [0.0, 1.0]}},
+}  # fmt: skip
+
+
+@pytest.fixture
+def tank() -> RigParameters:
+    return RigParameters.model_validate(TANK)
+
+
+def emptying(rate: float, n: int = 60) -> pd.DataFrame:
+    """A tank without inflow: h = 2 exp(-rate t)."""
+    time = 0.1 * np.arange(n)
+    return pd.DataFrame({"time_s": time, "q": 0.0, "level": 2.0 * np.exp(-rate * time)})
+
+
+@pytest.mark.parametrize(
+    "formula",
+    ["__import__('os')", "h.__class__", "(lambda: 1)()", "[h for h in (1,)]", "'text'", "h if h else 1", "True",
+     "h = 1", "open(h)", "abs(x=1)", "h[0]", "1j", "h" * 501, "(" * 300 + "h" + ")" * 300, "f'{h}'", "h := 2"],
+)  # fmt: skip
+def test_a_formula_is_arithmetic_and_nothing_else(formula: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        names_in(formula)
+
+
+@pytest.mark.parametrize("name", ["__class__", "_x", "abs", "for", "h-2", "h; import os", "ℎ", ""])
+def test_a_name_is_a_plain_identifier(name: str, tank: RigParameters) -> None:
+    changed = {**TANK, "inputs": {"q": "m/s", name: "-"}}
+    with pytest.raises(ValueError, match="can't be a name"):
+        RigParameters.model_validate(changed)
+    with pytest.raises(ValueError, match="can't be a name"):
+        moment({name: "u"}, {}, ["1.0"])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"rates": {"h": "balanse"}}, "did you mean balance"),
+        ({"rates": {"x": "balance"}}, "one rate a state"),
+        ({"terms": [{"effect": "leek", "magnitude": 0.1}]}, "did you mean leak"),
+        ({"laws": [{"at": "balanc", "coefficient": 1.0}]}, "did you mean balance"),
+        ({"states": {"h": {"scale": 1.0, "nearest": "levle"}}}, "did you mean level"),
+        ({"readings": {}}, "at least"),
+        ({"parameters": {"h": {"value": 1.0, "prior_std": 1.0, "scale": 0.1}}}, "stands for two things"),
+        ({"substeps": 2}, "did you mean sub_steps"),
+    ],
+)
+def test_a_mistake_in_a_file_is_one_line(change: dict[str, Any], says: str, tmp_path: Path) -> None:
+    path = tmp_path / "tank.yaml"
+    path.write_text(yaml.safe_dump({**TANK, **change}), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        dt.engine(path)
+    assert says in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["cascaded_tanks", "positioning_axis"])
+def test_what_is_written_is_read_again(name: str, tmp_path: Path) -> None:
+    rig = load_rig(RIGS / f"{name}.yaml")
+    effect, point = next(iter(rig.effects)), next(iter(rig.quantities))
+    law = RigLaw(at=point, coefficient=-0.1, text="-0.1",
+                 factors=(LawFactor(kind="sign", variables=("h",), references=(1.0,)),))  # fmt: skip
+    found = rig.model_copy(update={"terms": (RigTerm(effect=effect, magnitude=0.1, std=0.01),), "laws": (law,)})
+    assert load_rig(save_rig(found, tmp_path / "found.yaml")) == found
+
+
+def test_the_simulation_is_that_of_the_equations(tank: RigParameters) -> None:
+    recording = read_rig(emptying(0.7), tank)
+    table = simulate_rig(tank.model_copy(update={"terms": (RigTerm(effect="leak", magnitude=0.2),)}), recording)
+    np.testing.assert_allclose(table["level"], recording.readings["level"], rtol=3e-4)  # Heun's
+    level = LawFactor(kind="power", variables=("h",), references=(1.0,))
+    law = RigLaw(at="balance", coefficient=-0.2, factors=(level,))
+    by_law = simulate_rig(tank.model_copy(update={"laws": (law,)}), recording)
+    np.testing.assert_allclose(by_law["level"], table["level"], rtol=1e-9)
+    assert list(table) == ["time_s", "h", "q", "balance", "level"]
+    (axes,) = dt.simulate(emptying(0.7), tank).plot().axes
+    assert axes.get_ylabel() == "level" and len(axes.lines) == 2
+
+
+def test_rows_are_averaged_and_runs_start_anew(tank: RigParameters) -> None:
+    rig = tank.model_copy(update={"every": 2, "run_s": 1.5, "first_rows": 4})
+    table = emptying(0.5, 121).assign(q=np.arange(121) % 2)
+    recording = read_rig(table, rig)
+    assert len(recording.time_s) == 60 and (recording.inputs["q"] == 0.5).all()
+    assert RigTwin(rig, recording, rig.run_s).starts.size == 8
+    quiet = read_rig(emptying(0.5, 120), rig)
+    assert run_error(rig, quiet)[0] < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t.drop(columns="q"), "column q"),
+        (lambda t: t.assign(q=t["q"].where(t.index != 5)), "sample 6"),
+        (lambda t: t.iloc[::-1], "increas"),
+        (lambda t: t.iloc[:10], "10 samples"),
+        (lambda t: t.drop(columns="level"), "column level"),
+    ],
+)
+def test_a_recording_that_does_not_fit_is_refused(change: Any, says: str, tank: RigParameters) -> None:
+    with pytest.raises(InputError, match=says):
+        dt.discover(change(emptying(0.5)), tank)
+
+
+def test_engines_and_rigs_are_told_apart(tank: RigParameters) -> None:
+    recording = dt.read(emptying(0.5), engine=tank)
+    for wrong in (lambda: dt.discover(recording), lambda: dt.simulate(recording), lambda: dt.identify(recording),
+                  lambda: dt.calibrate(emptying(0.5), tank), lambda: dt.discover(recording, tank, sensors=["level"]),
+                  lambda: dt.discover(recording, tank, withhold=["leek"])):  # fmt: skip
+        with pytest.raises(InputError):
+            wrong()
+    fitted = dt.identify(emptying(0.7), tank)
+    assert fitted.table().loc["k", "mean"] == pytest.approx(0.7, rel=1e-3)
