@@ -200,7 +200,7 @@ def test_the_protocols_rule_for_identifiable_stands_in_the_settings_too(project_
 
 def test_params_of_the_working_folder_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, project_root: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    assert default_params_path() == project_root / "params.yaml"
+    assert default_params_path().resolve() == project_root / "params.yaml"
     (tmp_path / "params.yaml").write_text("seed: 1\n", encoding="utf-8")
     assert default_params_path().resolve() == tmp_path / "params.yaml"
 
