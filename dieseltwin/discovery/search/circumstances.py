@@ -33,6 +33,7 @@ _FIT_ROUNDS = 6
 _LARGEST_STEP = 0.8  # of a prior's standard deviation in one round: farther, responses are others
 _SETTLED = 0.1  # of a prior's standard deviation; the rest is linear
 _MOVED = 0.6  # the same of what is open anyway: it is taken linearly up to here
+_MOVED_BESIDE = 1.2  # the same beside an effect: where it is the wrong one, it bends them
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _CATALOGUE = 2  # effects at once that the catalogue explains by itself
 
@@ -73,16 +74,18 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     lead = _leading(found)
     movable = [item for item in open_circumstances(found.twin) if item.kind not in (DRIFT, SCALE)]
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
-    if np.abs(shares).max(initial=0.0) < _MOVED:
-        return None
-    values = {
-        item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
-        for item, share in zip(movable, shares[1], strict=True)
-    }
+    values: dict[str, float] = {}
+    if np.abs(shares[1]).max() >= (_MOVED if lead is found.null else _MOVED_BESIDE):
+        values = {
+            item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
+            for item, share in zip(movable, shares[1], strict=True)
+        }
     if lead is not found.null and np.abs(shares[0]).max() >= _MOVED:  # they may be all that the effect says
         alone = _settled(found, twin, found.null.fit, movable, {})
         if alone.evidence < _evidence(lead) + found.settings.alarm_gain:
             values = alone.values
+    if not values:
+        return None
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
     far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _MOVED * i.std for i in movable)
     return cast(Twin, other) if far else None  # sensors' clocks go by whole rows
