@@ -65,7 +65,7 @@ def _health_off(document: Discrepancy, before: bool = False) -> dict[str, float]
 @pytest.mark.parametrize(
     ("name", "effect", "site", "magnitude", "std", "p_value"),
     [
-        ("leak", "boost_leak", "intake_mass_balance", 4.133e-5, 1.54e-6, 1e-20),
+        ("leak", "boost_leak", "intake_mass_balance", 4.228e-5, 1.89e-6, 1e-20),
         ("sensor", "p_em_gain", "sensor:p_em_pa", 0.0401, 0.0059, 1e-6),
     ],
 )
@@ -87,12 +87,12 @@ def test_a_fault_is_named_and_sized(
 def test_a_leak_explains_what_the_health_parameters_hid(answer: Callable[[str], Answer]) -> None:
     document = answer("leak").document
     before, after = _health_off(document, before=True), _health_off(document)
-    assert before["h_tot"] == pytest.approx(0.072, abs=0.01)
-    assert before["eta_sc"] == pytest.approx(-0.0114, abs=0.002)
-    assert all(abs(error) < 0.008 for error in after.values()), after
+    assert before["h_tot"] == pytest.approx(0.097, abs=0.01)  # the ambient, which no column gives, takes a part
+    assert before["eta_sc"] == pytest.approx(-0.0023, abs=0.002)
+    assert all(abs(error) < 0.01 for error in after.values()), after
     fit = document.fit
     assert fit.held_out_nll_before is not None and fit.held_out_nll_after is not None
-    assert fit.held_out_nll_before - fit.held_out_nll_after == pytest.approx(0.200, abs=0.02)
+    assert fit.held_out_nll_before - fit.held_out_nll_after == pytest.approx(0.208, abs=0.02)
     assert fit.chi2_per_sample_after == pytest.approx(1.0, abs=0.05)
 
 
@@ -121,7 +121,7 @@ def test_a_law_takes_the_place_of_a_name_that_is_withheld(answer: Callable[[str]
     assert law.coefficient == pytest.approx(-0.0187, rel=0.06)
     fit = document.fit
     assert fit.held_out_nll_before is not None and fit.held_out_nll_after is not None
-    assert fit.held_out_nll_before - fit.held_out_nll_after == pytest.approx(0.365, abs=0.03)
+    assert fit.held_out_nll_before - fit.held_out_nll_after == pytest.approx(0.306, abs=0.03)
     assert all(abs(error) < 0.01 for error in _health_off(document).values())
 
 
@@ -145,8 +145,8 @@ def test_held_and_rounded_channels_count_at_their_own_readings(name: str, effect
     assert all(abs(error) < 0.015 for error in _health_off(document).values())
     assert document.fit.chi2_per_sample_after == pytest.approx(1.03, abs=0.08)
     if effect:
-        assert document.effects[0].magnitude == pytest.approx(4.05e-5, abs=0.5 * 1.6e-6)
-        assert document.effects[0].std == pytest.approx(1.6e-6, rel=0.2)
+        assert document.effects[0].magnitude == pytest.approx(4.28e-5, abs=0.5 * 2.2e-6)
+        assert document.effects[0].std == pytest.approx(2.2e-6, rel=0.2)
 
 
 def test_a_manifold_may_be_slow() -> None:
