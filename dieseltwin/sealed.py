@@ -13,7 +13,7 @@ from typing import Any
 
 from dieseltwin.errors import InputError
 
-KEY = "sha256"
+KEY = "content_sha256"  # files have a "sha256" of their own: that of the recording
 MARK = f"# {KEY}: "
 REMARK = " of all lines above; remove this line when you edit the file"
 _DIGITS = 64
@@ -40,7 +40,7 @@ def check_text(text: str, where: str) -> None:
 
 
 def sealed_json(content: Mapping[str, Any]) -> dict[str, Any]:
-    """An object with one more key, `sha256`, over all others; their order and the file's layout don't count."""
+    """An object with one more key, `content_sha256`, over all others; their order and the file's layout don't count."""
     return {**content, KEY: _of_json(content)}
 
 

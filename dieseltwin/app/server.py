@@ -21,7 +21,7 @@ from dieseltwin.app.workplace import MEGABYTE, Workplace
 from dieseltwin.errors import InputError
 from dieseltwin.version import __version__
 
-STATIC = Path(__file__).with_name("static")
+STATIC = Path(__file__).parent / "static"
 CLOSING_S = 5
 
 

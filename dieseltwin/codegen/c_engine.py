@@ -127,20 +127,21 @@ def c_source(engine: EngineParameters, name: str, command_line: bool = True) -> 
     parts = [
         _heading(engine, name),
         "".join(_struct(kind, fields) for kind, fields in structs.items()),
-        _text("primitives.c"),
+        source_text("primitives.c"),
         _numbers(engine, terms, len(laws), translation.constants),
         *translation.texts,
         of_constants,
         _inputs(engine),
         *of_terms,
-        _text("driver.c").replace(*_split_outputs(engine, terms)),
-        *([_text("main.c")] if command_line else []),
+        source_text("driver.c").replace(*_split_outputs(engine, terms)),
+        *([source_text("main.c")] if command_line else []),
     ]
     return "\n".join(parts)
 
 
-def _text(name: str) -> str:
-    return (files("dieseltwin.codegen") / "c" / name).read_text(encoding="utf-8")
+def source_text(name: str) -> str:
+    """One of the files of C that no engine changes."""
+    return files("dieseltwin.codegen").joinpath(f"c/{name}").read_text(encoding="utf-8")
 
 
 def _split_outputs(engine: EngineParameters, terms: TermsInC) -> tuple[str, str]:

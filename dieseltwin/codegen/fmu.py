@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
 
-from dieseltwin.codegen.c_engine import c_source, input_columns, output_columns
+from dieseltwin.codegen.c_engine import c_source, input_columns, output_columns, source_text
 from dieseltwin.codegen.transpile import number
 from dieseltwin.engine.model_constants import PUBLISHED
 from dieseltwin.engine.parameters import EngineParameters, constants, described
@@ -111,7 +111,7 @@ def write_fmu(engine: EngineParameters, name: str, out: Path, version: Version =
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)
     identifier = plain if plain[:1].isalpha() else f"engine_{plain}"
     source = fmu_source(engine, name, version)
-    headers = {header: _text("fmi", header) for header in _HEADERS[version]}
+    headers = {header: _header(header) for header in _HEADERS[version]}
     members = {"modelDescription.xml": description(engine, name, identifier, source, version)}
     members |= {f"sources/{file}": text.encode() for file, text in headers.items()}
     members[f"sources/{identifier}.c"] = source.encode()
@@ -132,16 +132,16 @@ def fmu_source(engine: EngineParameters, name: str, version: Version) -> str:
     """The one C file of an FMU: engine, component, functions of FMI."""
     plain = c_source(engine, name, command_line=False)
     starts = ", ".join(number(INPUT_STARTS[column]) for column in input_columns(engine))
-    offered = _text("c", f"fmi{version}.c")
+    offered = source_text(f"fmi{version}.c")
     return "\n".join([
-        plain, f'#define INPUT_STARTS {starts}\n#define IDENTITY "{_identity(plain)}"\n', _text("c", "fmu.c"), offered,
+        plain, f'#define INPUT_STARTS {starts}\n#define IDENTITY "{_identity(plain)}"\n', source_text("fmu.c"), offered,
         "/* Not offered. */\n", *_stubs(version, offered),
     ])  # fmt: skip
 
 
 def _stubs(version: Version, offered: str) -> Iterator[str]:
     """Functions that the standard's header declares and `offered` doesn't define: they return an error."""
-    header = re.sub(r"/\*.*?\*/", "", _text("fmi", f"fmi{version}FunctionTypes.h"), flags=re.DOTALL)
+    header = re.sub(r"/\*.*?\*/", "", _header(f"fmi{version}FunctionTypes.h"), flags=re.DOTALL)
     for name, arguments in re.findall(rf"typedef\s+fmi{version}Status\s+(\w+)TYPE\s*\(([^;]*)\);", header):
         if f" {name}(" not in offered:
             yield f"fmi{version}Status {name}({' '.join(arguments.split())})\n{{\n    return fmi{version}Error;\n}}\n"
@@ -152,8 +152,8 @@ def _identity(source: str) -> str:
     return "{" + "-".join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32])) + "}"
 
 
-def _text(folder: str, name: str) -> str:
-    return (files("dieseltwin.codegen") / folder / name).read_text(encoding="utf-8")
+def _header(name: str) -> str:
+    return files("dieseltwin.codegen").joinpath(f"fmi/{name}").read_text(encoding="utf-8")
 
 
 def description(engine: EngineParameters, name: str, identifier: str, source: str, version: Version) -> bytes:

@@ -25,8 +25,8 @@ from dieseltwin.report.segment_axis import WIDTH_IN
 MOST_ROWS = 5000  # of a panel on the page: seven panels of four lines stay below a megabyte
 DIGITS = 5
 MEASURED, BEFORE, AFTER = "#8a8a8a", "#D55E00", "#0072B2"
-_VENDOR = Path(__file__).with_name("vendor")
-_SCRIPT = Path(__file__).with_name("templates") / "interactive.js"
+_VENDOR = Path(__file__).parent / "vendor"
+_SCRIPT = Path(__file__).parent / "templates" / "interactive.js"
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -110,6 +111,8 @@ def test_a_damaged_file_of_networks_is_named_and_a_full_machine_is_not_taken_for
         validate()
     import torch
 
+    with zipfile.ZipFile(networks / "operators.pt", "w") as archive:  # a whole archive: its content is torch's to read
+        archive.writestr("data.pkl", b"no network")
     for error in (OSError(28, "No space left on device"), MemoryError()):
         monkeypatch.setattr(torch, "load", lambda *_, error=error, **__: (_ for _ in ()).throw(error))
         with pytest.raises(Exception) as raised:
