@@ -19,13 +19,6 @@ from tasks.workspace import PROJECT, Workspace, quiet_settings
 FAKES = Path(__file__).parent / "fakes"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Flow tests share a server and a finished chain: with xdist they run on one worker."""
-    for item in items:
-        if item.get_closest_marker("flow"):
-            item.add_marker(pytest.mark.xdist_group("flows"))
-
-
 @pytest.fixture
 def context(tmp_path: Path) -> Iterator[RunContext]:
     """A fresh workspace with the toy library, in use."""
