@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, PUBLISHED, Constants, derived
 from dieseltwin.engine.terms import AnyTerm
 from dieseltwin.errors import InputError
-from dieseltwin.settings.strict import holds_boolean
+from dieseltwin.settings.strict import NO_YES_FOR_A_NUMBER, holds_boolean
 
 HEALTH = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")
 """The four health parameters, in the order of every array that holds them."""
@@ -106,7 +106,7 @@ class EngineParameters(BaseModel):
     def _no_yes_for_a_number(cls, value: Any) -> Any:
         entries = value if isinstance(value, list | tuple) else (value,)
         if any(holds_boolean(entry) for entry in entries):
-            raise ValueError("no number but yes or no; YAML reads true, yes and on so")
+            raise ValueError(NO_YES_FOR_A_NUMBER)
         return value
 
     @field_validator("n_e_range", "u_delta_range", "u_egr_range", "u_vgt_range")

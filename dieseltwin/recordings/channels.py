@@ -25,15 +25,7 @@ from pydantic import Field, field_validator
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.derived import DERIVATIONS, DIESEL_KG_L, Constants, Derivation
-from dieseltwin.settings.strict import (
-    StrictModel,
-    did_you_mean,
-    holds_boolean,
-    listed,
-    read_mapping,
-    unknown_name,
-    validate,
-)
+from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
 from dieseltwin.symbols import MEASURED
 
 TIME = "time_s"
@@ -126,13 +118,6 @@ class ChannelEntry(StrictModel):
     cylinders: int | None = Field(default=None, ge=1, le=32)
     density_kg_l: float = Field(default=DIESEL_KG_L, gt=0.5, lt=1.2)
     ambient_pa: float | None = Field(default=None, gt=3e4, lt=2e5)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _no_yes_for_a_number(cls, value: Any) -> Any:
-        if holds_boolean(value):
-            raise ValueError("no number but yes or no; YAML reads true, yes and on so")
-        return value
 
     @field_validator("scale", "offset")
     @classmethod

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
 from dieseltwin.errors import InputError
 from dieseltwin.paths import refuse_unreadable
@@ -17,15 +17,29 @@ from dieseltwin.settings.names import LISTED_NAMES, did_you_mean, listed, refuse
 from dieseltwin.settings.plain_yaml import plain_yaml
 
 __all__ = [
-    "LISTED_NAMES", "StrictModel", "did_you_mean", "holds_boolean", "listed", "overridden", "read_mapping",
-    "read_profile", "refuse_options", "unknown_name", "validate",
+    "FrozenModel", "LISTED_NAMES", "StrictModel", "did_you_mean", "holds_boolean", "listed", "overridden",
+    "read_mapping", "read_profile", "refuse_options", "unknown_name", "validate",
 ]  # fmt: skip
 
 
-class StrictModel(BaseModel):
-    """Base of all settings: frozen, no unknown keys, no NaN or infinity."""
+class FrozenModel(BaseModel):
+    """Base of documents that are read in pydantic's strict mode: frozen, no unknown keys, no NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, protected_namespaces=())
+
+
+class StrictModel(FrozenModel):
+    """Base of all settings: no yes or no for a number either.
+
+    The strict mode refuses that by itself, and it doesn't take a JSON array for a tuple behind a validator in Python.
+    """
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_yes_for_a_number(cls, value: Any, info: ValidationInfo) -> Any:
+        if holds_boolean(value) and not _takes_boolean(cls.model_fields[info.field_name or ""].annotation):
+            raise ValueError(NO_YES_FOR_A_NUMBER)
+        return value
 
 
 def holds_boolean(value: Any) -> bool:
@@ -35,7 +49,17 @@ def holds_boolean(value: Any) -> bool:
     return isinstance(value, bool) or (isinstance(value, list | tuple) and any(isinstance(v, bool) for v in value))
 
 
+def _takes_boolean(annotation: Any) -> bool:
+    """Whether a field's type has a place for a boolean, directly or in a model of its own."""
+    if annotation in (bool, Any, object):
+        return True
+    if isinstance(annotation, type) and not typing.get_args(annotation):
+        return issubclass(annotation, BaseModel)
+    return any(_takes_boolean(part) for part in typing.get_args(annotation))
+
+
 Model = TypeVar("Model", bound=BaseModel)
+NO_YES_FOR_A_NUMBER = "no number but yes or no; YAML reads true, yes and on so"
 
 
 def read_mapping(path: str | Path) -> dict[str, Any]:

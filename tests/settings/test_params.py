@@ -81,7 +81,7 @@ def test_missing_key(tmp_path: Path, text: str) -> None:
     assert "identify.segment_s" in refusal(changed(tmp_path, text, "  segment_s: 60.0", "  # segment_s: 60.0"))
 
 
-@pytest.mark.parametrize("value", ["-1.0", "0.0", "fast", ".nan", ".inf", "[1, 2]"])
+@pytest.mark.parametrize("value", ["-1.0", "0.0", "fast", "true", ".nan", ".inf", "[1, 2]"])
 def test_value_out_of_range(tmp_path: Path, text: str, value: str) -> None:
     message = refusal(changed(tmp_path, text, "segment_s: 60.0", f"segment_s: {value}"))
     assert "identify.segment_s" in message

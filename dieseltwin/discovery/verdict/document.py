@@ -19,7 +19,7 @@ from dieseltwin.atomic import write_json
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
 from dieseltwin.sealed import opened_json, sealed_json
-from dieseltwin.settings.strict import StrictModel
+from dieseltwin.settings.strict import FrozenModel
 
 SCHEMA = 1
 NOTED_CHI2 = 4.0  # per sample of the repaired fit, twice the noise: worth a warning
@@ -33,11 +33,7 @@ Name = Annotated[str, Field(min_length=1)]
 Range = tuple[float, float]
 
 
-class _Part(StrictModel):
-    """Frozen, no other keys, no NaN."""
-
-
-class RecordingInfo(_Part):
+class RecordingInfo(FrozenModel):
     """The recording that was judged: where it lies, its SHA-256, its length [s], the sensor columns that were used."""
 
     path: str
@@ -46,14 +42,14 @@ class RecordingInfo(_Part):
     channels: tuple[Name, ...]
 
 
-class Alternative(_Part):
+class Alternative(FrozenModel):
     """Another place where the mismatch may sit, with its probability."""
 
     site: Name
     probability: Probability
 
 
-class FoundRegion(_Part):
+class FoundRegion(FrozenModel):
     """A box of operating conditions [rpm, mg/cycle, %, %] with its share of the evidence [-]."""
 
     n_e_rpm: Range
@@ -71,7 +67,7 @@ class FoundRegion(_Part):
         return self
 
 
-class Location(_Part):
+class Location(FrozenModel):
     """Where the mismatch enters the model, in which driving, and since when [s on the recording's clock].
 
     Of several recordings: the date of the first that shows it, and of the last one before, where that is known.
@@ -95,7 +91,7 @@ class Location(_Part):
         return self
 
 
-class FoundEffect(_Part):
+class FoundEffect(FrozenModel):
     """One thing that the twin left out: a name of the catalogue, or `none_of_these` with the law found for it, if any.
 
     `magnitude` and `std` are in `unit`; a catalogue effect has all of them (`std` null where it can't be told),
@@ -138,14 +134,14 @@ class FoundEffect(_Part):
         return (self.name, *self.equivalent_names)
 
 
-class SinceReference(_Part):
+class SinceReference(FrozenModel):
     """A health parameter now over what it was when the reference was recorded [-], and its standard deviation."""
 
     value: float
     std: NotNegative
 
 
-class HealthValue(_Part):
+class HealthValue(FrozenModel):
     """A health parameter of the repaired twin, its standard deviation, and its value in the health-only fit; what
     became of it since the reference, where there is one."""
 
@@ -155,7 +151,7 @@ class HealthValue(_Part):
     since_reference: SinceReference | None = None
 
 
-class Reference(_Part):
+class Reference(FrozenModel):
     """What the engine was learned from: number of recordings, their minutes, and the share of the judged recording's
     samples in which every map is known from them."""
 
@@ -164,14 +160,14 @@ class Reference(_Part):
     domain_share: Probability
 
 
-class SizeValue(_Part):
+class SizeValue(FrozenModel):
     """Size of an effect in one recording, in the effect's unit."""
 
     value: float
     std: NotNegative | None
 
 
-class JudgedRecording(_Part):
+class JudgedRecording(FrozenModel):
     """One of several recordings that were judged together: where it lies, when it was made and how that is known, its
     ambient, the health parameters in it, and the size of every effect that was found."""
 
@@ -186,7 +182,7 @@ class JudgedRecording(_Part):
     magnitudes: dict[Name, SizeValue] = Field(default_factory=dict)
 
 
-class Fit(_Part):
+class Fit(FrozenModel):
     """How well readings are met before and after: negative log-likelihood per sample on the held-out part, chi-square
     per sample, root mean square of the residuals per channel [unit of the column], and the share of the misfit beyond
     noise and tolerances that the explanation takes away [-]. Null where not known."""
@@ -200,7 +196,7 @@ class Fit(_Part):
     share_explained: Probability | None = None
 
 
-class FoundCircumstance(_Part):
+class FoundCircumstance(FrozenModel):
     """Something that the recording doesn't say, or says wrongly: its value, standard deviation and what was assumed
     [unit], whether it is plainly another than assumed, and effects of the catalogue that would look the same.
 
@@ -217,14 +213,14 @@ class FoundCircumstance(_Part):
     equivalent_names: tuple[Name, ...] = ()
 
 
-class Provenance(_Part):
+class Provenance(FrozenModel):
     """What wrote the document."""
 
     code_version: str
     params_sha256: str
 
 
-class Doubt(_Part):
+class Doubt(FrozenModel):
     """Something doubtful about the recording or the answer: a stable word, a sentence, and the columns it is about."""
 
     code: Name
@@ -232,14 +228,14 @@ class Doubt(_Part):
     affects: tuple[Name, ...] = ()
 
 
-class OutOfTime(_Part):
+class OutOfTime(FrozenModel):
     """A discovery that its time limit [s] ended, and what the search hadn't finished."""
 
     limit_s: NotNegative
     unfinished: tuple[Name, ...]
 
 
-class Discrepancy(_Part):
+class Discrepancy(FrozenModel):
     """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first.
 
     `out_of_time`: the search was ended before it was through; None where it was. `more_is_missing`: what the effects
