@@ -29,10 +29,11 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, overlap
 from dieseltwin.notes import Note
+from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import SENSORS
-from dieseltwin.recordings.circumstances import put_right
+from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
-from dieseltwin.recordings.liveliest import liveliest, minutes_of
+from dieseltwin.recordings.liveliest import liveliest
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report import discovery_figures, discovery_page
 from dieseltwin.report.discovery_words import alike_words, circumstances_words, magnitude_words
@@ -102,9 +103,8 @@ class DrivingDiscovered(Discovered):
             sensors = self.question.options.sensors
             judged, whole = self.question.recording, self.question.whole
             starts, local = (self.found.starts, self.found.local) if whole is judged else (None, None)
-            source, _ = put_right(whole, self.engine, {
-                item.name: item.value for item in self.document.circumstances if item.off or "time_shift" in item.name
-            })  # fmt: skip
+            apart = [c for c in self.document.circumstances if c.off or kind_of(c.name) == TIME_SHIFT]
+            source, _ = put_right(whole, self.engine, {item.name: item.value for item in apart})
             implied = implied_frame(source, self.engine, stds, sensors=sensors, starts=starts, local=local)
             implied.to_parquet(folder / "implied.parquet", index=False, write_page_checksum=True)
             told = replace(self.found, document=self.document)
@@ -160,15 +160,12 @@ class DrivingQuestion(Question):
 
     @cached_property
     def prepared(self) -> core.Prepared:
-        """What this recording could show."""
-        return core.prepare(self.recording, self.parameters, self.options, self.known)
+        """What the recordings could show."""
+        return core.prepare(self.days or self.recording, self.parameters, self.options, self.known)
 
     @property
     def smallest(self) -> Mapping[str, float]:
-        """Effect -> smallest magnitude that this recording could show [unit of the effect]."""
-        if self.days:
-            twin = core.several_twin(self.days, self.parameters, self.options, self.known)
-            return core.visible_sizes(twin, self.options.settings())
+        """Effect -> smallest magnitude that the recordings could show [unit of the effect]."""
         return self.prepared.minimum_detectable
 
     def _check_sensitivity(self) -> None:
@@ -193,10 +190,8 @@ class DrivingQuestion(Question):
         left = None
         if self.time_s is not None:
             left = max(0.0, self.time_s - _REPORT_S - (time.perf_counter() - self.began))
-        if self.days:
-            found = core.discover_together(self.days, self.parameters, self.options, self.known, left)
-        else:
-            found = core.discover(self.recording, self.parameters, self.options, self.known, self.prepared, left)
+        judged = self.days or self.recording
+        found = core.discover(judged, self.parameters, self.options, self.known, self.prepared, left)
         check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
 
@@ -261,7 +256,7 @@ def _length_notes(where: str, judged: Recording, whole: Recording) -> list[Note]
     """That a part of a long recording is judged, where it is."""
     if judged is whole:
         return []
-    of_all = f"{minutes_of(judged):.0f} of {minutes_of(whole):.0f} minutes with the engine running"
+    of_all = f"{judged.running_s / 60.0:.0f} of {whole.running_s / 60.0:.0f} minutes with the engine running"
     return [Note(f"{where}judged by {of_all}, the liveliest stretches, spread over the recording;"
                  " `discover.minutes_max` of params.yaml says how many", "long")]  # fmt: skip
 
@@ -316,7 +311,8 @@ def _asked(engine: Engine | str | Path | None, channels: Channels | None, questi
         "map_tolerance": map_tolerance, "seed": seed, "time_s": time_s,
         "minutes_max": settings.minutes_max, "engine_sha256": _engine_sha256(engine),
         "channels_sha256": _sha256(channels) if isinstance(channels, str | Path) else None,
-        "search_sha256": params_sha256(settings.search.driving.model_dump(mode="json")), "code_version": __version__,
+        "search_sha256": params_sha256(settings.search.model_dump(mode="json", include={"driving", "circumstances"})),
+        "code_version": __version__,
     }  # fmt: skip
 
 
@@ -333,7 +329,7 @@ def _engine_sha256(engine: Engine | str | Path | None) -> str | None:
 
 def _sha256(path: str | Path) -> str | None:
     """Hash of a file that may be missing; the reader complains about that better."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest() if Path(path).is_file() else None
+    return file_sha256(path) if Path(path).is_file() else None
 
 
 def _read(recording: Source | Recording, channels: Channels | None, parameters: EngineParameters) -> Recording:

@@ -33,32 +33,32 @@ from dieseltwin.settings.search import SearchSettings
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a recording could show at all, from its inputs and its noise, before any fit.
+    """What recordings could show at all, from their inputs and their noise, before any fit.
 
     Attributes:
         minimum_detectable: effect -> smallest magnitude that would raise an alarm [unit of the effect].
-        twin: bound to the recording, for `discover`.
+        twin: bound to the recordings, for `discover`.
     """
 
     minimum_detectable: Mapping[str, float]
-    twin: EngineTwin
+    twin: EngineTwin | SeveralTwin
 
 
 def prepare(
-    recording: Recording, engine: EngineParameters, options: Options | None = None, learned: LearnedEngine | None = None
-) -> Prepared:
+    recordings: Recording | Sequence[Dated], engine: EngineParameters, options: Options | None = None,
+    learned: LearnedEngine | None = None,
+) -> Prepared:  # fmt: skip
     """Smallest visible size of each effect on this driving, at the nominal engine, without a fit.
 
     Raises:
-        InputError: no usable sensor, or no stretch with the engine running.
+        InputError: as `discover`.
     """
     options = options or Options()
-    twin = _twin(recording, engine, options, learned)
-    return Prepared(visible_sizes(twin, options.settings()), twin)
+    twin = _twin_over(_dated(recordings), engine, options, learned)
+    return Prepared(_visible_sizes(twin, options.settings()), twin)
 
 
-def visible_sizes(twin: EngineTwin | SeveralTwin, settings: SearchSettings) -> dict[str, float]:
-    """`Prepared.minimum_detectable` of a twin."""
+def _visible_sizes(twin: EngineTwin | SeveralTwin, settings: SearchSettings) -> dict[str, float]:
     start = first_fit(twin)
     whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
     bare = Linearisation(twin, whitening, start)
@@ -68,51 +68,29 @@ def visible_sizes(twin: EngineTwin | SeveralTwin, settings: SearchSettings) -> d
 
 
 def discover(
-    recording: Recording, engine: EngineParameters, options: Options | None = None,
+    recordings: Recording | Sequence[Dated], engine: EngineParameters, options: Options | None = None,
     learned: LearnedEngine | None = None, prepared: Prepared | None = None, time_s: float | None = None,
 ) -> Discovery:  # fmt: skip
     """Detect, locate, name, model, prove.
 
+    Of several recordings of one engine: one verdict, with the health of each. Maps and sensors are the same in all of
+    them. What was left out may be of one size in all, begin between two, grow, or come with cold weather.
+
     Args:
-        recording: in the recording format.
+        recordings: one, or several in time order.
         engine: what the twin believes; its terms are part of it.
         options: None for the defaults.
         learned: what is known of the engine from recordings of when it was well; `engine` is then its own.
-        prepared: of the same recording and engine, where that was asked before: its twin is used again.
+        prepared: of the same recordings and engine, where that was asked before: its twin is used again.
         time_s: of the search, after which the best answer so far is given; None: no limit.
 
     Raises:
-        InputError: no usable sensor, or no stretch with the engine running.
+        InputError: no usable sensor, no stretch with the engine running, or recordings without a common set of sensors.
     """
     options = options or Options()
     clock = time.perf_counter()
-    twin = _twin(recording, engine, options, learned) if prepared is None else prepared.twin.fresh()
-    found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
-    day = Dated(recording, datetime.fromtimestamp(0.0, UTC), ORDER)
-    result = assemble([day], found, options, _reference(found, learned), time_s)
-    runtime = {**found.seconds, "total": time.perf_counter() - clock}
-    return replace(_with_doubts(result, engine, [recording]), runtime=runtime)
-
-
-def discover_together(
-    days: Sequence[Dated], engine: EngineParameters, options: Options | None = None,
-    learned: LearnedEngine | None = None, time_s: float | None = None,
-) -> Discovery:  # fmt: skip
-    """As `discover`, of several recordings of one engine: one verdict, with the health of each.
-
-    Maps and sensors are the same in all recordings, health is each one's own. What was left out may be of one size in
-    all of them, begin between two, grow, or come with cold weather.
-
-    Args:
-        days: two recordings or more, in time order.
-        engine, options, learned, time_s: as of `discover`.
-
-    Raises:
-        InputError: as `discover`, or recordings without a common set of sensors.
-    """
-    options = options or Options()
-    clock = time.perf_counter()
-    twin = several_twin(days, engine, options, learned)
+    days = _dated(recordings)
+    twin = _twin_over(days, engine, options, learned) if prepared is None else prepared.twin.fresh()
     found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
     result = assemble(days, found, options, _reference(found, learned), time_s)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
@@ -145,15 +123,22 @@ def as_it_was(
     return (*put_right(recording, engine, values), estimates(found.null))
 
 
-def several_twin(
+def _dated(recordings: Recording | Sequence[Dated]) -> Sequence[Dated]:
+    """Several recordings as they are; the date of a single one counts for nothing."""
+    if isinstance(recordings, Recording):
+        return [Dated(recordings, datetime.fromtimestamp(0.0, UTC), ORDER)]
+    return recordings
+
+
+def _twin_over(
     days: Sequence[Dated], engine: EngineParameters, options: Options, learned: LearnedEngine | None
-) -> SeveralTwin:
-    """The twin over several recordings, in time order."""
+) -> LoggedTwin | SeveralTwin:
+    """The twin over one recording or over several, in time order."""
     parts = [_twin(day.recording, engine, options, learned) for day in days]
-    occasions = [
-        Occasion((day.date - days[0].date).total_seconds() / 86400.0, day.recording.t_amb_k) for day in days
-    ]
-    return SeveralTwin(parts, occasions)
+    if len(parts) == 1:
+        return parts[0]
+    since = [(day.date - days[0].date).total_seconds() / 86400.0 for day in days]
+    return SeveralTwin(parts, [Occasion(at, day.recording.t_amb_k) for at, day in zip(since, days, strict=True)])
 
 
 def _twin(
@@ -174,4 +159,4 @@ def _reference(found: search.Search, learned: LearnedEngine | None) -> Reference
     )
 
 
-__all__ = ["Options", "Prepared", "as_it_was", "discover", "prepare", "visible_sizes"]
+__all__ = ["Options", "Prepared", "as_it_was", "discover", "prepare"]

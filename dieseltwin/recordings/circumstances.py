@@ -42,13 +42,18 @@ class Circumstance:
 
     @property
     def kind(self) -> str:
-        """`drift`, `scale`, `time_shift`, or empty for a value."""
-        return self.name.partition(":")[0] if ":" in self.name else ""
+        """As `kind_of` its name."""
+        return kind_of(self.name)
 
     @property
     def column(self) -> str:
         """The column that it is about."""
         return self.name.rpartition(":")[2]
+
+
+def kind_of(name: str) -> str:
+    """`drift`, `scale`, `time_shift`, or empty for a value."""
+    return name.rpartition(":")[0]
 
 
 def applicable(recording: Recording, name: str, value: float) -> float:
@@ -86,7 +91,7 @@ def put_right(
 
 
 def _earlier(time: np.ndarray, values: np.ndarray, shift_s: float) -> np.ndarray:
-    """A channel that is recorded late, put right: linear between its rows, NaN where its rows are missing, (n,)."""
+    """A channel that is recorded late, put right: linear between its rows, (n,)."""
     return np.interp(time + shift_s, time, values)
 
 
