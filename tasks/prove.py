@@ -51,7 +51,7 @@ def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list
 
     from dieseltwin.challenge.cases import MAP_RMS
     from dieseltwin.challenge.run import FAILED, RESULTS, run_case
-    from dieseltwin.challenge.seal import file_sha256
+    from dieseltwin.paths import file_sha256
 
     entry = {
         "case": kind,

@@ -24,6 +24,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dieseltwin.paths import file_sha256
+
 MANIFEST = "manifest.json"
 
 # A file that a step writes under this name holds times, dates or host: kept, checked, but no part of the result's hash.
@@ -167,7 +169,7 @@ def content_hash(path: Path) -> str:
     """sha256 of a file's bytes, or of a folder's (relative name, sha256) pairs; manifests and run times don't count."""
     if path.is_dir():
         return _digest(_hashes(path))
-    return _file_hash(path)
+    return file_sha256(path)
 
 
 def replace_folder(target: Path, files: Mapping[str, Path]) -> None:
@@ -198,7 +200,7 @@ def replace_folder(target: Path, files: Mapping[str, Path]) -> None:
 
 def _hashes(folder: Path, *, runtime: bool = False) -> dict[str, str]:
     return {
-        path.relative_to(folder).as_posix(): _file_hash(path)
+        path.relative_to(folder).as_posix(): file_sha256(path)
         for path in sorted(folder.rglob("*"))
         if path.is_file() and path.name != MANIFEST and (path.name == RUNTIME) is runtime
     }
@@ -207,11 +209,6 @@ def _hashes(folder: Path, *, runtime: bool = False) -> dict[str, str]:
 def _digest(hashes: Mapping[str, str]) -> str:
     text = "\n".join(f"{digest} {name}" for name, digest in sorted(hashes.items()))
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _file_hash(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _temporary_name(key: str) -> str:

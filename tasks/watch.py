@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from dieseltwin.paths import file_sha256
 from tasks.failures import StepFailed
 from tasks.run_context import current, step
 from tasks.store import Artifact
@@ -95,7 +95,7 @@ def new_recordings(folder: str, engine: str, history: str) -> dict[str, Path]:
     for path in sorted(Path(folder).iterdir()):
         if path.suffix.lower() not in _ENDINGS or not path.is_file() or now - path.stat().st_mtime < _SETTLED_S:
             continue
-        if not store.holds(hashlib.sha256(path.read_bytes()).hexdigest()):
+        if not store.holds(file_sha256(path)):
             found[path.name] = path.resolve()
     return found
 

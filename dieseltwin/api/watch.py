@@ -20,6 +20,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Course, course
 from dieseltwin.learning.files import LearnedEngine, load_learned
 from dieseltwin.learning.history import Entry, History
+from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.dates import Dated, dated
 from dieseltwin.report import history as pages
 from dieseltwin.settings.params import load_params
@@ -109,7 +110,7 @@ def watch(
     refused: list[tuple[str, str]] = []
     for path in map(Path, recordings):
         try:
-            if path.is_file() and store.holds(hashlib.sha256(path.read_bytes()).hexdigest()):
+            if path.is_file() and store.holds(file_sha256(path)):
                 known.append(str(path))
                 continue
             (added if store.add(_judged(path, engine, learned, channels, sensors)) else known).append(str(path))
@@ -186,7 +187,7 @@ def _entry(found: DrivingDiscovered, day: Dated) -> Entry:
     return Entry(
         sha256=recording.sha256, path=str(recording.path.name if recording.path else "recording"),
         date=day.date.isoformat(), date_from=day.date_from,
-        hours=sum(float(recording.time_s[p.stop - 1] - recording.time_s[p.start]) for p in recording.pieces()) / 3600.0,
+        hours=recording.running_s / 3600.0,
         p_amb_pa=recording.p_amb_pa, t_amb_k=recording.t_amb_k, health=seen.health,
         health_covariance=seen.health_covariance, since=seen.since, since_std=seen.since_std, scores=seen.scores,
         verdict=" + ".join(effect.name for effect in document.effects) or "healthy", sentence=found.sentence,

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from dieseltwin.calibration.calibrate import Calibration, Fit, fit_of
 from dieseltwin.calibration.coefficients import (
@@ -26,7 +25,7 @@ from dieseltwin.calibration.coefficients import (
     with_scalars,
 )
 from dieseltwin.calibration.likelihood import Estimate, estimate
-from dieseltwin.calibration.scatter import DEGREES, Scatter, scatter_of
+from dieseltwin.calibration.scatter import DEGREES, Scatter, log_student, scatter_of
 from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel, term_values
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
@@ -335,9 +334,7 @@ def _scales(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float
 def _log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], scale: Array) -> Array:
     """Log-density of the residuals of each point, (n,)."""
     r = model.relations(points, points.states(), values).residual[0][:, : len(ROWS)]
-    constant = gammaln((DEGREES + 1) / 2) - gammaln(DEGREES / 2) - 0.5 * np.log(DEGREES * np.pi)
-    density = constant - np.log(scale) - 0.5 * (DEGREES + 1) * np.log1p((r / scale) ** 2 / DEGREES)
-    return np.asarray(np.nansum(density, axis=1))
+    return np.asarray(np.nansum(log_student(r / scale) - np.log(scale), axis=1))
 
 
 def _chi2(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], scale: Array) -> float:

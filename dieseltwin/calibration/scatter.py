@@ -87,7 +87,7 @@ def scatter_of(
         def likelihood(tau: float) -> float:
             """Of Student's t: a valve that is nearly shut must not outvote all other points."""
             wide = np.sqrt(1.0 + tau**2 * own[told])
-            return float(np.sum(_log_student(size / wide) - np.log(wide)))
+            return float(np.sum(log_student(size / wide) - np.log(wide)))
 
         best = minimize_scalar(lambda log_tau: -likelihood(np.exp(log_tau)), bounds=_LOG_TAU, method="bounded")
         return 2.0 * (-float(best.fun) - likelihood(0.0)), float(np.exp(best.x))
@@ -109,7 +109,7 @@ def scatter_of(
 __all__ = ["NEIGHBOURS", "Scatter", "scatter_of"]
 
 
-def _log_student(x: Array) -> Array:
+def log_student(x: Array) -> Array:
     """Logarithm of Student's density with `DEGREES` degrees of freedom (scipy.stats takes half a second to import)."""
     level = gammaln(0.5 * (DEGREES + 1.0)) - gammaln(0.5 * DEGREES) - 0.5 * np.log(np.pi * DEGREES)
     return np.asarray(level - 0.5 * (DEGREES + 1.0) * np.log1p(x**2 / DEGREES))

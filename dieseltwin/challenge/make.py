@@ -14,9 +14,10 @@ from dieseltwin.challenge.cases import DURATION_S, MAP_RMS, PETROL, Plan, Tier, 
 from dieseltwin.challenge.own_engine import REFERENCE_MIN
 from dieseltwin.challenge.petrol_cases import draw_healthy, draw_petrol
 from dieseltwin.challenge.processes import in_processes
-from dieseltwin.challenge.seal import SEALED, file_sha256, new_salt, salted_sha256, write_answers, write_salt
+from dieseltwin.challenge.seal import SEALED, new_salt, salted_sha256, write_answers, write_salt
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
+from dieseltwin.paths import file_sha256
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.strict import unknown_name
 from dieseltwin.version import __version__

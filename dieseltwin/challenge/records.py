@@ -19,12 +19,13 @@ from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.challenge.own_engine import TIERS
 from dieseltwin.challenge.plant_effects import FAMILIES, Fault
 from dieseltwin.challenge.run import FAILED, RESULTS
-from dieseltwin.challenge.seal import SEALED, file_sha256
+from dieseltwin.challenge.seal import SEALED
 from dieseltwin.discovery.verdict.document import FILE_NAME, NONE_OF_THESE, Discrepancy, load_discrepancy
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
+from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.sealed import opened_json, sealed_json
 

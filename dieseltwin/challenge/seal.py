@@ -28,11 +28,6 @@ def salted_sha256(salt: bytes, content: bytes) -> str:
     return hashlib.sha256(salt + content).hexdigest()
 
 
-def file_sha256(path: Path) -> str:
-    """Hex digest of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def write_salt(folder: Path, salt: bytes) -> None:
     """Keep the salt with the answers."""
     write_text(folder / SALT_FILE, salt.hex() + "\n")

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
+from dieseltwin.cli.options import names
 from dieseltwin.errors import InputError
 
 challenge_app = typer.Typer(help="Concealed benchmark: recordings with sealed answers, run the tool, open and score.")
@@ -71,7 +72,7 @@ def run(
     from dieseltwin.challenge.run import RESULTS, run_challenge
 
     counts = run_challenge(
-        folder, only=_names(only), limit=limit, jobs=jobs or _cores(), progress=_progress
+        folder, only=names(only) or (), limit=limit, jobs=jobs or _cores(), progress=_progress
     )
     typer.echo(f"{folder / RESULTS}: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
 
@@ -121,9 +122,5 @@ def baselines(
     """Run the baselines (health only, Kalman, neural) on a fixed part of the cases, for `score` to set beside."""
     from dieseltwin.challenge.baselines import run_baselines
 
-    done = run_baselines(folder, only=_names(only), limit=limit, jobs=jobs or _cores(), progress=_progress)
+    done = run_baselines(folder, only=names(only) or (), limit=limit, jobs=jobs or _cores(), progress=_progress)
     typer.echo(f"{folder / 'baselines'}: {done} cases")
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())

@@ -16,6 +16,7 @@ from dieseltwin.cli.options import (
     Pdf,
     Profile,
     Strict,
+    names,
     progress,
     say,
     strictly,
@@ -80,7 +81,7 @@ def discover_command(
         say(explain(name, out))
         return
     settings = load_params(params, profile).discover
-    asked = Asked(_names(sensors), _names(withhold), map_tolerance, seed, tuple(reference or ()), settings,
+    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings,
                   time_s)
     question = ask(tuple(recordings), engine, channels, asked)
     if name is not None:
@@ -104,9 +105,3 @@ def discover_command(
     if name is not None:
         say(["", *explain(name, out, question.catalogue)])
     strictly(strict, found.warnings)
-
-
-def _names(text: str | None) -> tuple[str, ...] | None:
-    if text is None:
-        return None
-    return tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))

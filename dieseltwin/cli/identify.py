@@ -16,6 +16,7 @@ from dieseltwin.cli.options import (
     Pdf,
     Profile,
     Strict,
+    names,
     progress,
     say,
     strictly,
@@ -84,8 +85,7 @@ def identify_command(
         say([*fitted.lines(), f"results: {out}"])
         return
 
-    named = None if sensors is None else tuple(name.strip() for name in sensors.split(",") if name.strip())
-    setup = Setup(models, maps, params, profile, named, fit_test)
+    setup = Setup(models, maps, params, profile, names(sensors), fit_test)
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
     if pdf:

@@ -37,6 +37,13 @@ def say(lines: Iterable[str]) -> None:
         typer.echo(line)
 
 
+def names(text: str | None) -> tuple[str, ...] | None:
+    """Names of a comma list, each once; None where the option isn't given."""
+    if text is None:
+        return None
+    return tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+
+
 def strictly(strict: bool, warnings: Sequence[object]) -> None:
     """End with `STRICT_CODE` where that was asked for and there is a warning."""
     if strict and warnings:

@@ -9,7 +9,7 @@ import typer
 
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
-from dieseltwin.cli.options import ChannelsFile, ParamsFile, Profile, help_without_command, progress, say
+from dieseltwin.cli.options import ChannelsFile, ParamsFile, Profile, help_without_command, names, progress, say
 from dieseltwin.errors import InputError
 from dieseltwin.settings.params import load_params
 from dieseltwin.settings.watch import WatchConfig
@@ -47,9 +47,8 @@ def add_command(
     progress(f"{len(recordings)} recording(s) ...")
     from dieseltwin.api.watch import watch
 
-    named = None if sensors is None else tuple(name.strip() for name in sensors.split(",") if name.strip())
     settings = _settings(params, profile, alarms_per_year)
-    found = watch(recordings, engine, history, channels=channels, sensors=named, settings=settings)
+    found = watch(recordings, engine, history, channels=channels, sensors=names(sensors), settings=settings)
     say(found.lines())
     if found.refused:
         raise typer.Exit(InputError.exit_code)

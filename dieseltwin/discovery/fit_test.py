@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri  # of scipy.stats, whose import takes half a second, only this is wanted
 
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.recording_faults import Suspicion, recording_faults, suspicions
@@ -123,8 +123,7 @@ def _parts(recording: Recording) -> Iterator[Recording]:
         columns = {name: values[rows] for name, values in recording.columns.items()}
         part = replace(recording, time_s=recording.time_s[rows], columns=MappingProxyType(columns))
         step = float(np.median(np.diff(part.time_s)))
-        running = sum(float(part.time_s[p.stop - 1] - part.time_s[p.start]) for p in part.pieces())
-        if running + step >= SHORTEST_S:
+        if part.running_s + step >= SHORTEST_S:
             yield part
 
 
@@ -173,7 +172,7 @@ def _excess(found: Search) -> Iterator[Excess]:
                 yield Excess(whole[0], float(np.sqrt(chi)), *whole[1:])
         squares = np.add.reduceat(np.where(there, residual[:, j] ** 2, 0.0), twin.starts)
         counts = np.add.reduceat(there.astype(np.int64), twin.starts)
-        allowed = np.maximum((1.0 + CHI2_SLACK) * chi2.isf(WINDOW_LEVEL, np.maximum(counts, 1)), WINDOW_LEAST * counts)
+        allowed = np.maximum((1.0 + CHI2_SLACK) * chdtri(np.maximum(counts, 1), WINDOW_LEVEL), WINDOW_LEAST * counts)
         for w in np.flatnonzero(squares > allowed):
             since, until = float(time[edges[w]]), float(time[edges[w + 1] - 1])
             yield Excess(name, float(np.sqrt(squares[w] / counts[w])), since, until)

@@ -28,7 +28,7 @@ def liveliest(recording: Recording, minutes: float) -> Recording:
     """
     pieces = recording.pieces()
     time = recording.time_s
-    running = sum(float(time[piece.stop - 1] - time[piece.start]) for piece in pieces)
+    running = recording.running_s
     if running <= _WORTH_IT * 60.0 * minutes:
         return recording
     count = max(1, round(60.0 * minutes / STRETCH_S))
@@ -54,9 +54,3 @@ def liveliest(recording: Recording, minutes: float) -> Recording:
         if best is not None:
             kept[best[1]] = True
     return replace(recording, time_s=time[kept], columns={name: v[kept] for name, v in recording.columns.items()})
-
-
-def minutes_of(recording: Recording) -> float:
-    """With the engine running [min]."""
-    time = recording.time_s
-    return sum(float(time[piece.stop - 1] - time[piece.start]) for piece in recording.pieces()) / 60.0

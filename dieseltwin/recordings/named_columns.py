@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -94,3 +95,12 @@ def numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndarr
             "mend or empty this cell",
         ) from None
     return np.where(np.isfinite(found), found, np.nan) if needed else found
+
+
+def columns_sha256(columns: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of columns (n,) with their names, in their order, as hex digits."""
+    digest = hashlib.sha256()
+    for name in columns:
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(columns[name]).tobytes())
+    return digest.hexdigest()

@@ -8,7 +8,6 @@ mirror (DIESELTWIN_DATA_URL, a folder that holds the same tree) is needed to fet
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
 import urllib.error
@@ -20,6 +19,7 @@ from pathlib import Path
 
 from dieseltwin.atomic import atomic_path
 from dieseltwin.errors import InputError
+from dieseltwin.paths import file_sha256
 from dieseltwin.settings.names import unknown_name
 
 LOCAL, MIRROR, CACHE = "DIESELTWIN_DATA", "DIESELTWIN_DATA_URL", "DIESELTWIN_CACHE"
@@ -138,15 +138,12 @@ def checked(path: Path, file: DataFile) -> Path:
     Raises:
         InputError: another SHA-256, or a file that can't be read.
     """
-    digest = hashlib.sha256()
     try:
-        with path.open("rb") as stream:
-            while block := stream.read(CHUNK):
-                digest.update(block)
+        digest = file_sha256(path)
     except OSError as error:
         raise InputError(str(path), error.strerror or error, "a file you may read", "check it") from None
-    if digest.hexdigest() != file.sha256:
-        raise InputError(f"{path}: SHA-256", digest.hexdigest(), file.sha256,
+    if digest != file.sha256:
+        raise InputError(f"{path}: SHA-256", digest, file.sha256,
                          "this is not the file that results rest on: take it away or replace it")  # fmt: skip
     return path
 
@@ -266,7 +263,7 @@ def checked_download(path: Path, address: str, file: DataFile) -> None:
     Raises:
         InputError: another SHA-256.
     """
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = file_sha256(path)
     if digest != file.sha256:
         raise InputError(f"{address}: SHA-256", digest, file.sha256,
                          "the file there is another one or was damaged on the way: nothing was kept")  # fmt: skip

@@ -8,7 +8,6 @@ bridged over at most 1 s, a longer hole splits.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -21,6 +20,7 @@ import pandas as pd
 from dieseltwin.atomic import atomic_path
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
 from dieseltwin.errors import InputError
+from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import (
     AMBIENT,
     INPUTS,
@@ -32,7 +32,7 @@ from dieseltwin.recordings.channels import (
     optional_inputs,
 )
 from dieseltwin.recordings.held import own_readings
-from dieseltwin.recordings.named_columns import import_columns, numbers
+from dieseltwin.recordings.named_columns import columns_sha256, import_columns, numbers
 from dieseltwin.recordings.plausibility import check_plausible, mask_wild
 from dieseltwin.settings.strict import listed
 
@@ -106,6 +106,11 @@ class Recording:
     def duration_s(self) -> float:
         """From the first to the last time stamp [s]."""
         return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def running_s(self) -> float:
+        """With the engine running and no hole over 1 s [s]."""
+        return sum(self._length(piece) for piece in self.pieces())
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -264,7 +269,7 @@ def recording(
         p_amb_pa=_median_or(columns.get("p_amb_pa"), engine.p_amb),
         t_amb_k=t_amb,
         path=path,
-        sha256=_digest(columns) if sha256 is None else sha256,
+        sha256=columns_sha256(columns) if sha256 is None else sha256,
         notes=tuple(notes),
     )
 
@@ -323,14 +328,6 @@ def _check_running(n_e: np.ndarray, where: str) -> None:
         )
 
 
-def _digest(columns: Mapping[str, np.ndarray]) -> str:
-    digest = hashlib.sha256()
-    for name in columns:
-        digest.update(name.encode())
-        digest.update(np.ascontiguousarray(columns[name]).tobytes())
-    return digest.hexdigest()
-
-
 def read_recording(
     path: str | Path,
     channels: ChannelMap | str | Path | None = None,
@@ -353,7 +350,7 @@ def read_recording(
     """
     path = Path(path)
     imported = import_columns(path, channels)
-    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    sha256 = file_sha256(path)
     made = recording(imported.columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors,
                      any_rate=any_rate)
     return replace(made, notes=(*imported.notes, *made.notes), began=imported.began)

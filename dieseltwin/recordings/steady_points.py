@@ -7,7 +7,6 @@ says how many it found.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ import pandas as pd
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint, read_channel_map
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.named_columns import import_columns
@@ -147,7 +147,7 @@ def read_points(
     """
     path = Path(path)
     columns = dict(import_columns(path, channels).columns)
-    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    sha256 = file_sha256(path)
     origin = "points"
     if TIME in columns:
         columns = quasi_steady(columns, str(path))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dieseltwin.recordings.liveliest import STRETCH_S, liveliest, minutes_of
+from dieseltwin.recordings.liveliest import STRETCH_S, liveliest
 from dieseltwin.recordings.reader import Recording
 
 
@@ -23,7 +23,7 @@ def _long(hours: float, idle_s: slice) -> Recording:
 def test_lively_stretches_of_the_whole_length_are_kept() -> None:
     whole = _long(3.0, slice(0, 900))
     kept = liveliest(whole, 20.0)
-    assert abs(minutes_of(kept) - 20.0) < 1.0 and len(kept.columns["n_e_rpm"]) == kept.time_s.size
+    assert abs(kept.running_s / 60.0 - 20.0) < 1.0 and len(kept.columns["n_e_rpm"]) == kept.time_s.size
     pieces = kept.pieces()
     assert 8 <= len(pieces) <= 10  # neighbours may meet
     assert all(kept.time_s[p.stop - 1] - kept.time_s[p.start] >= STRETCH_S - 2.0 for p in pieces)

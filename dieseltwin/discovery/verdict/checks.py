@@ -127,18 +127,13 @@ def _running(recording: Recording) -> np.ndarray:
     return np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
 
 
-def running_seconds(recording: Recording) -> float:
-    """Time with the engine running and no hole over a second [s]."""
-    return float(sum(recording.time_s[p.stop - 1] - recording.time_s[p.start] for p in recording.pieces()))
-
-
 def check_length(recording: Recording) -> None:
     """Refuse a recording that is too short for any verdict.
 
     Raises:
         InputError: less than a minute of running engine.
     """
-    seconds = running_seconds(recording)
+    seconds = recording.running_s
     step = float(np.median(np.diff(recording.time_s)))
     if seconds + step < MINIMUM_S:
         raise InputError(
@@ -304,7 +299,7 @@ def check_recording(
     check_excitation(recording, engine)
     factor = check_engine(recording, engine)
     notes = []
-    seconds = running_seconds(recording)
+    seconds = recording.running_s
     if seconds < COMFORTABLE_S:
         notes.append(Note(f"{seconds:.0f} s of driving; with 600 s every limit would be "
                           f"{math.sqrt(600.0 / seconds):.1f} times lower", "short"))  # fmt: skip
