@@ -98,7 +98,7 @@ def ask(
                          "name the engine that it belongs to")
     if timed(recording, channels):
         return ask_driving([recording], engine, channels, asked, known_engine(engine, asked.reference, channels))
-    refuse_options({"--map-tolerance": asked.map_tolerance, **no_reference}, "for settled points")
+    refuse_options({"--map-tolerance": asked.map_tolerance, "--time": asked.time_s}, "for settled points")
     from dieseltwin.api.points import ask_points
 
     return ask_points(recording, engine, channels, asked)

@@ -39,7 +39,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, doubts_among, warnings_of
 from dieseltwin.recordings.channels import INPUTS, SENSORS
 from dieseltwin.recordings.reader import Recording, write_recording
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
 from dieseltwin.report import calibration as pages
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import unknown_name
@@ -178,7 +178,7 @@ class PointsDiscovered(Discovered):
         """`before_after`: errors of the submodels with and without what was found; `submodels_repaired`, `implied`."""
         drawings = {
             "before_after": pages.before_after_figure, "submodels_repaired": pages.repaired_figure,
-            "implied": lambda found: pages.implied_figure(dict(found.calibration.points.columns),
+            "implied": lambda found: pages.implied_figure(dict(found.calibration.points.judged.columns),
                                                           _implied(found), "implied"),
         }  # fmt: skip
         return drawn(self.found, drawings, name)
@@ -187,7 +187,7 @@ class PointsDiscovered(Discovered):
         """discrepancy.json, details.json, report.html with figures, implied.parquet, repaired.yaml with its sidecar,
         runtime.json."""
         began = time.perf_counter()
-        used = self.found.calibration.points
+        used = self.found.calibration.points.judged
         with atomic_folder(out, owned=OWNED) as folder:
             implied = _implied(self.found)
             self.document.write(folder / FILE_NAME)
@@ -214,7 +214,7 @@ class PointsQuestion(Question):
     """Settled points, and what their engine was calibrated from.
 
     Attributes:
-        points: inputs and all readings.
+        points: inputs and all readings; those of a reference among them.
         base: engine whose coefficients are believed before.
         geometry: engine with the size of this one.
         seed: of the held-out third.
@@ -231,9 +231,12 @@ class PointsQuestion(Question):
     def asked(self) -> dict[str, object]:
         """The question as JSON types."""
         options = self.options
-        return {"sensors": list(options.sensors) if options.sensors else None, "withhold": list(options.withhold),
-                "seed": self.seed, "search_sha256": params_sha256(options.search.model_dump(mode="json")),
-                "code_version": __version__}  # fmt: skip
+        count = self.points.size - self.points.judged.size
+        return {
+            "reference_points": count, "sensors": list(options.sensors) if options.sensors else None,
+            "withhold": list(options.withhold), "seed": self.seed,
+            "search_sha256": params_sha256(options.search.model_dump(mode="json")), "code_version": __version__,
+        }  # fmt: skip
 
     @property
     def kind(self) -> str:
@@ -241,7 +244,9 @@ class PointsQuestion(Question):
 
     @property
     def about(self) -> str:
-        return f"{self.points.path or 'points'}: {self.points.size} points ..."
+        judged = self.points.judged.size
+        beside = f", {self.points.size - judged} of the reference" if judged < self.points.size else ""
+        return f"{self.points.path or 'points'}: {judged} points{beside} ..."
 
     def answer(self) -> PointsDiscovered:
         began = time.perf_counter()
@@ -270,11 +275,14 @@ def ask_points(
             if name not in known:
                 raise unknown_name(flag, name, list(known))
     options = Options(sensors or None, tuple(asked.withhold or ()), asked.seed, search=search)
-    return PointsQuestion(settled_points(points, channels, geometry, NEEDED), base, geometry, asked.seed, options)
+    source = settled_points(points, channels, geometry, NEEDED)
+    well = [settled_points(reference, channels, geometry, NEEDED) for reference in asked.reference]
+    used = beside_reference(source, well) if well else source
+    return PointsQuestion(used, base, geometry, asked.seed, options)
 
 
 def _implied(found: PointsDiscovery) -> pd.DataFrame:
-    return answers_of(found)(found.calibration.points)
+    return answers_of(found)(found.calibration.points.judged)
 
 
 # --- imply

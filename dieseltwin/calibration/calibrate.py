@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut
-from dieseltwin.calibration.coefficients import Coefficient, engine_coefficients, with_scalars
+from dieseltwin.calibration.coefficients import Coefficient, engine_coefficients, wear_coefficients, with_scalars
 from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.steady_model import EXTRA_ROWS, ROWS, SteadyModel, term_values
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints
 from dieseltwin.settings.strict import read_mapping, unknown_name
 
 Array = NDArray[np.float64]
@@ -240,6 +240,8 @@ def _free(points: SteadyPoints, base: EngineParameters, engine: EngineParameters
         dropped |= {"c_f2", "c_vgt1", "c_vgt2"}
         notes.append(Note("not identifiable: u_vgt_pct doesn't move; A_vgtmax is the area at that position, the shape "
                           "of f_vgt the base engine's; vary the VGT", "not_identifiable", ("u_vgt_pct",)))
+    if JUDGED in points:
+        free += [c for c in wear_coefficients() if not (c.submodel == "egr_flow" and egr_shut(points.judged))]
     fixed = {c.name: c.mean for c in free if c.name in dropped}
     return [c for c in free if c.name not in dropped], fixed
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.parameters import EngineParameters
+from dieseltwin.engine.parameters import HEALTH, EngineParameters
 
 VECTORS: Mapping[str, tuple[str, int]] = {
     **{f"c_vol{i + 1}": ("c_vol", i) for i in range(3)},
@@ -132,6 +132,26 @@ def effect_coefficients(name: str, hypothesis: Hypothesis, flap_spread: float) -
         found += [Coefficient(column, row, nominal[key], flap_spread, -8.0, 20.0, "-", "found")
                   for column, key in FLAP_COEFFICIENTS.items()]
     return tuple(found)
+
+
+WEAR: Mapping[str, str] = {name: f"{name}:since" for name in HEALTH}
+"""Health parameter -> name of its relative change since the reference."""
+
+_WEAR_STD, _MOST_WEAR = 0.15, 0.6
+
+
+def wear_coefficients() -> tuple[Coefficient, ...]:
+    """What the health parameters may have changed by since a reference."""
+    return tuple(
+        Coefficient(wear, _ENGINE[name][0], 0.0, _WEAR_STD, -_MOST_WEAR, _MOST_WEAR, "-", "wear")
+        for name, wear in WEAR.items()
+    )
+
+
+def worn(engine: EngineParameters, values: Mapping[str, float]) -> EngineParameters:
+    """The engine with its health as it is now."""
+    return engine.replace(**{name: getattr(engine, name) * (1.0 + values.get(wear, 0.0))
+                             for name, wear in WEAR.items()})  # fmt: skip
 
 
 def engine_coefficients(base: EngineParameters, engine: EngineParameters) -> tuple[Coefficient, ...]:

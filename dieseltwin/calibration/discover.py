@@ -23,6 +23,7 @@ from dieseltwin.calibration.coefficients import (
     effect_coefficients,
     engine_coefficients,
     with_scalars,
+    worn,
 )
 from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.scatter import DEGREES, Scatter, log_student, scatter_of
@@ -140,7 +141,8 @@ class PointsDiscovery:
 
     def engine(self) -> EngineParameters:
         """The repaired machine: fitted coefficients and the found terms, beside those that the engine had."""
-        return self.repaired.engine.replace(terms=(*self.calibration.engine.terms, *self.terms()))
+        now = worn(self.repaired.engine, self.repaired.start)
+        return now.replace(terms=(*self.calibration.engine.terms, *self.terms()))
 
 
 def _term(name: str, magnitude: float, std: float, values: Mapping[str, float]) -> OneTerm:
@@ -312,7 +314,7 @@ def _formulations(
     out = {}
     for name, (active, without) in FORMULATIONS.items():
         beliefs = [c for c in BELIEFS if c.name not in known | without]
-        model = replace(here.model, active=active)
+        model = replace(here.model, active=active, lasting=frozenset(c.name for c in beliefs))
         every = [*free, *beliefs]
         floors = {row: errors.error(row) for row in model.rows}
         start = {**{c.name: c.mean for c in beliefs}, **here.start}

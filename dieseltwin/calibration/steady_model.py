@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS
+from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import EFFECTS, effects_at
 from dieseltwin.engine.parameters import CONSTANT_NAMES, EngineParameters, parameter_batch
-from dieseltwin.engine.terms import Term, effect_terms, law_terms, sensor_slot
-from dieseltwin.recordings.steady_points import LEAST, STATES, SteadyPoints
+from dieseltwin.engine.terms import SENSOR_SLOTS, Term, effect_terms, law_terms, sensor_slot
+from dieseltwin.recordings.steady_points import JUDGED, LEAST, STATES, SteadyPoints
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,9 @@ SWEEPS = 4  # of the cylinder's fixed point
 LEAST_FLOW = 1e-5  # kg/s, limiter: keeps trial flows positive
 COOLED_CHARGE, COOLED_EGR = "cooled_charge", "cooled_egr"
 """Beliefs of `imply` that say how the charge gets its temperature, in `SteadyModel.active`."""
+
+_SINCE = frozenset({*EFFECTS, *SENSOR_SLOTS, *WEAR.values()})
+"""What may have come since a reference; coefficients and beliefs were there before."""
 
 _eq = bind("numpy")
 
@@ -68,12 +71,15 @@ class SteadyModel:
         engine: every coefficient that `values` does not name.
         active: names of the beliefs that are switched on.
         extra: optional measured columns that add a relation (`EXTRA_ROWS`).
+        signals: insertion point -> what enters there, (n,) or (B, n).
+        lasting: names among the values that act in the points of a reference too (beliefs; the engine's own terms do).
     """
 
     engine: EngineParameters
     active: frozenset[str] = frozenset()
     extra: tuple[str, ...] = ()
     signals: Mapping[str, Array] = field(default_factory=dict)
+    lasting: frozenset[str] = frozenset()
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -97,7 +103,9 @@ class SteadyModel:
         if "c_m1" in engine_values and self.engine.c_m[0] > 0:  # the straight part of c_m follows, or the curve jumps
             engine_values["c_mlin"] = self.engine.c_mlin * engine_values["c_m1"] / self.engine.c_m[0]
         c = parameter_batch(self.engine, size=lanes, **engine_values).constants()
-        t = _Terms({k: np.reshape(v, (-1, 1)) for k, v in values.items() if k not in CONSTANT_NAMES}, self.active)
+        t = _Terms({k: np.reshape(v, (-1, 1)) for k, v in values.items() if k not in CONSTANT_NAMES}, self.active,
+                   points.columns.get(JUDGED), {**dict.fromkeys(self.lasting), **term_values(self.engine)})
+        c = c._replace(**{name: getattr(c, name) * (1.0 + t(wear)) for name, wear in WEAR.items() if wear in values})
         signal, added = self._signal, self._added
         p_im, p_em, omega, W_c, W_egr, T_em = (t.true(name, x[..., i]) for i, name in enumerate(STATES))
         n_e, T_0, p_0 = points["n_e_rpm"], points["t_amb_k"], points["p_amb_pa"]
@@ -245,13 +253,23 @@ def term_values(engine: EngineParameters) -> dict[str, float]:
 
 
 class _Terms:
-    """Effects, faults of sensors and beliefs; numbers (B, 1), neutral where one is absent."""
+    """Effects, faults of sensors, wear and beliefs; numbers (B, 1), neutral where one is absent.
 
-    def __init__(self, values: Mapping[str, Array], active: frozenset[str]) -> None:
-        self.values, self.active = values, active
+    Args:
+        judged: (n,) 1 in the points that are judged, None for all.
+        before: name -> what was there at the time of the reference already; None: all of it.
+    """
+
+    def __init__(self, values: Mapping[str, Array], active: frozenset[str], judged: Array | None,
+                 before: Mapping[str, float | None]) -> None:  # fmt: skip
+        self.values, self.active, self.judged, self.before = values, active, judged, before
 
     def __call__(self, name: str, neutral: float = 0.0) -> Any:
-        return self.values.get(name, neutral)
+        value = self.values.get(name, neutral)
+        if self.judged is None or name not in self.values or name not in _SINCE:
+            return value
+        before = self.before.get(name, 0.0)
+        return value if before is None else before + self.judged * (value - before)
 
     def true(self, column: str, reading: Any) -> Any:
         """What a sensor would read without its offset and gain (reading = true (1 + g) + b)."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dieseltwin.calibration.coefficients import WEAR, worn
 from dieseltwin.calibration.discover import PointsDiscovery, Round
 from dieseltwin.calibration.scatter import Scatter
 from dieseltwin.calibration.steady_model import ROWS
@@ -23,6 +24,8 @@ from dieseltwin.discovery.verdict.document import (
     Location,
     Provenance,
     RecordingInfo,
+    Reference,
+    SinceReference,
     fit_doubts,
     with_warnings,
 )
@@ -30,10 +33,10 @@ from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.discovery.verdict.findings import finite, valid_for
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.engine.terms import Term
 from dieseltwin.notes import doubts_among
-from dieseltwin.recordings.steady_points import STATES
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.steady_points import JUDGED, STATES
 from dieseltwin.version import __version__
 
 _LEAST_PROBABILITY = 1e-3  # of a site that is still worth a line
@@ -128,10 +131,8 @@ def _location(result: PointsDiscovery) -> Location:
 
 def document(result: PointsDiscovery) -> Discrepancy:
     """`discrepancy.json` of settled points: duration 0, no onset; names not of the catalogue are laws."""
-    points = result.calibration.points
+    points = result.calibration.points.judged
     first = result.rounds[0].found
-    std = result.repaired.estimate.std()
-    engine, before = result.engine(), result.calibration.engine
     made = Discrepancy(
         schema=1,  # type: ignore[call-arg]  # the alias of schema_version
         recording=RecordingInfo(path=str(points.path.name if points.path else "points"), sha256=points.sha256,
@@ -141,8 +142,8 @@ def document(result: PointsDiscovery) -> Discrepancy:
         location=_location(result) if result.mismatch else None,
         effects=_effects(result) if result.mismatch else (),
         more_is_missing=result.more_is_missing,
-        health={name: HealthValue(value=float(getattr(engine, name)), std=std.get(name),
-                                  before=float(getattr(before, name))) for name in HEALTH},
+        reference=_reference(result),
+        health=_health(result),
         fit=Fit(held_out_nll_before=result.nll_before, held_out_nll_after=result.nll_after,
                 chi2_per_sample_before=result.chi2_before, chi2_per_sample_after=result.chi2_after,
                 rmse_before=_rmse(result, before=True), rmse_after=_rmse(result, before=False)),
@@ -152,6 +153,37 @@ def document(result: PointsDiscovery) -> Discrepancy:
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
     return with_warnings(made, [*doubts_among(result.calibration.notes), *fit_doubts(made)])
+
+
+def _health(result: PointsDiscovery) -> dict[str, HealthValue]:
+    """Health as it is now, and against the reference where there is one."""
+    engine, before = result.engine(), worn(result.calibration.engine, result.calibration.start)
+    found = result.repaired.estimate
+    place = {c.name: i for i, c in enumerate(found.coefficients)}
+    health = {}
+    for name, wear in WEAR.items():
+        slope, since = np.zeros(len(place)), None
+        if wear in place:
+            factor = 1.0 + float(found.theta[place[wear]])
+            slope[place[wear]] = getattr(result.repaired.engine, name)
+            since = SinceReference(value=factor, std=float(np.sqrt(found.covariance[place[wear], place[wear]])))
+        if name in place:
+            slope[place[name]] = 1.0 if since is None else since.value
+        std = float(np.sqrt(slope @ found.covariance @ slope)) if name in place else None
+        health[name] = HealthValue(value=float(getattr(engine, name)), std=std, before=float(getattr(before, name)),
+                                   since_reference=since)
+    return health
+
+
+def _reference(result: PointsDiscovery) -> Reference | None:
+    """How many of the judged points lie within the reference's range of every input."""
+    points = result.calibration.points
+    if JUDGED not in points:
+        return None
+    known = points.take(points[JUDGED] < 0.5)
+    judged = points.judged
+    inside = [(judged[name] >= known[name].min()) & (judged[name] <= known[name].max()) for name in INPUTS]
+    return Reference(recordings=1, minutes=0.0, domain_share=float(np.all(inside, axis=0).mean()))
 
 
 def details(result: PointsDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -187,7 +219,7 @@ def _round_of(result: PointsDiscovery, name: str) -> int:
 
 
 def _rmse(result: PointsDiscovery, before: bool) -> dict[str, float]:
-    points = result.calibration.points
+    points = result.calibration.points.judged
     here = result.calibration if before else result.repaired
     relations = here.model.relations(points, points.states(), here.start)
     return {_COLUMN[row]: float(np.sqrt(np.nanmean((relations.measured[row] - relations.predicted[row]) ** 2)))
@@ -196,7 +228,7 @@ def _rmse(result: PointsDiscovery, before: bool) -> dict[str, float]:
 
 def _region(result: PointsDiscovery) -> FoundRegion:
     """The box of the points that hold most of the evidence (upper half of the gain)."""
-    points = result.calibration.points
+    points = result.calibration.points.judged
     states = points.states()
     r_0 = result.calibration.model.relations(points, states, result.calibration.start).residual[0]
     r_1 = result.repaired.model.relations(points, states, result.repaired.start).residual[0]

@@ -28,6 +28,9 @@ from dieseltwin.settings.strict import listed
 STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em_k")
 """Measured quantities of a point that the balances join, in the order of every array that holds them."""
 
+JUDGED = "judged"
+"""Column of 1 for points that are judged and 0 for those of the reference; without it all are judged."""
+
 LEAST = 1e-6  # kg/s (and any other unit): the flow through a shut valve, so that logarithms exist
 WINDOW_S = 10.0  # a quasi-steady window lasts this long,
 SPEED_RIPPLE = 0.01  # and its speed [-], fuel [-] and positions [%] vary by no more (standard deviation)
@@ -76,6 +79,11 @@ class SteadyPoints:
         """The points of a mask or index array."""
         columns = {name: values[chosen] for name, values in self.columns.items()}
         return replace(self, columns=MappingProxyType(columns), row=self.row[chosen])
+
+    @property
+    def judged(self) -> SteadyPoints:
+        """Without the points of a reference."""
+        return self.take(self.columns[JUDGED] > 0.5) if JUDGED in self else self
 
     def with_columns(self, **columns: np.ndarray) -> SteadyPoints:
         """The same points with columns added or replaced."""
@@ -132,6 +140,31 @@ def points(
     if not whole.all():
         notes.append(f"{int(np.count_nonzero(~whole))} of {size} rows are left out: an input is missing")
     return SteadyPoints(MappingProxyType(columns), np.flatnonzero(whole) + 1, path, sha256, origin, tuple(notes))
+
+
+def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -> SteadyPoints:
+    """Points with those of the same engine when it was well; columns that only some have are left out.
+
+    Raises:
+        InputError: points that are in a reference as well.
+    """
+    known = {row.tobytes() for reference in references for row in _by_inputs(reference)}
+    shared = sum(row.tobytes() in known for row in _by_inputs(judged))
+    if shared:
+        raise InputError(str(judged.path or "points"), f"{shared} of {judged.size} points that are in a reference too",
+                         "other points than the reference's", "judge points that the engine isn't learned from")
+    parts = [*references, judged]
+    common = [name for name in judged.columns if all(name in part for part in parts)]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in common}
+    columns[JUDGED] = np.concatenate([np.full(part.size, float(part is judged)) for part in parts])
+    notes = tuple(note for part in parts for note in part.notes)
+    return replace(judged, columns=MappingProxyType(columns), row=np.concatenate([part.row for part in parts]),
+                   notes=notes)  # fmt: skip
+
+
+def _by_inputs(points: SteadyPoints) -> np.ndarray:
+    """Inputs and readings of each point, (n, 10)."""
+    return np.column_stack([*(points[name] for name in INPUTS), points.states()])
 
 
 def read_points(

@@ -136,7 +136,7 @@ def calibration_report(calibration: Calibration, path: Path) -> list[Path]:
 
 def sentence(result: PointsDiscovery) -> str:
     """Where, what, how large, how much the held-out fit improved, and what could not be told apart."""
-    points = result.calibration.points
+    points = result.calibration.points.judged
     if not result.mismatch:
         return (f"The {points.size} points call for nothing beyond the mean-value model "
                 f"(held-out negative log-likelihood {result.nll_before:.2f} per point).")
@@ -163,7 +163,7 @@ def sentence(result: PointsDiscovery) -> str:
 
 def before_after_figure(result: PointsDiscovery) -> ReportFigure:
     """Errors of the submodels without and with what was found."""
-    points = result.calibration.points
+    points = result.calibration.points.judged
     before, after = (here.model.relations(points, points.states(), here.start)
                      for here in (result.calibration, result.repaired))  # fmt: skip
     return residuals(before, after, dict(points.columns), "before_after")
@@ -180,7 +180,7 @@ def repaired_figure(result: PointsDiscovery) -> ReportFigure:
 
 def discovery_report(result: PointsDiscovery, implied: pd.DataFrame, words: str, path: Path) -> list[Path]:
     """Report of `dieseltwin discover` on points."""
-    columns = dict(result.calibration.points.columns)
+    columns = dict(result.calibration.points.judged.columns)
     figures = [before_after_figure(result), repaired_figure(result), implied_figure(columns, implied, "implied")]
     fits = _table(
         ("submodel", "held out before [%]", "held out after [%]", "median after [%]"),
