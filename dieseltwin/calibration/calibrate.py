@@ -181,7 +181,7 @@ def calibrate(
     extra = tuple(name for name in EXTRA_ROWS if name in points and np.isfinite(points[name]).mean() > 0.5)
     model = SteadyModel(engine, extra=extra)
     free, fixed = _free(points, base, engine, valves, notes)
-    start = {**fixed, **{c.name: c.mean for c in free}, **term_values(engine)}
+    start = {**fixed, **{c.name: c.mean for c in free}, **term_values(engine.terms)}
     mask = split(points, seed)
     trained, _ = _fit(model, points.take(~mask), free, start, noise, seed)
     whole, final = _fit(model, points, free, {**start, **trained.values()}, noise, seed, staged=False)

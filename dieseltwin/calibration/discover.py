@@ -286,8 +286,9 @@ def _proved_law(found: search.Search, here: Calibration, free: list[Coefficient]
     terms = law_terms_of(law, found.twin.points) if law is not None else ()
     if law is None or not terms:
         return None
-    model = replace(here.model, engine=here.model.engine.replace(terms=(*here.model.engine.terms, *terms)))
-    own = term_values(here.engine.replace(terms=terms))
+    engine = here.model.engine
+    model = replace(here.model, engine=engine.replace(terms=(*engine.terms, *terms)), added=len(terms))
+    own = term_values(terms)
     start = {name: here.start.get(name, 0.0) + value for name, value in own.items()}
     candidate = _refitted(replace(here, model=model), free, start)
     foretold, trained = _held_out(candidate, free)

@@ -7,7 +7,7 @@ have the names, laws and units of the engine's catalogue; one that is not among 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import EFFECTS, effects_at
 from dieseltwin.engine.parameters import CONSTANT_NAMES, EngineParameters, parameter_batch
-from dieseltwin.engine.terms import SENSOR_SLOTS, Term, effect_terms, law_terms, sensor_slot
+from dieseltwin.engine.terms import SENSOR_SLOTS, OneTerm, Term, effect_terms, law_terms, sensor_slot
 from dieseltwin.recordings.steady_points import JUDGED, LEAST, STATES, SteadyPoints
 
 Array = NDArray[np.float64]
@@ -73,6 +73,7 @@ class SteadyModel:
         extra: optional measured columns that add a relation (`EXTRA_ROWS`).
         signals: insertion point -> what enters there, (n,) or (B, n).
         lasting: names among the values that act in the points of a reference too (beliefs; the engine's own terms do).
+        added: how many of the engine's terms, its last ones, have come since the reference.
     """
 
     engine: EngineParameters
@@ -80,6 +81,12 @@ class SteadyModel:
     extra: tuple[str, ...] = ()
     signals: Mapping[str, Array] = field(default_factory=dict)
     lasting: frozenset[str] = frozenset()
+    added: int = 0
+
+    @property
+    def before(self) -> tuple[OneTerm, ...]:
+        """The engine's terms at the time of the reference."""
+        return self.engine.terms[: len(self.engine.terms) - self.added]
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -104,7 +111,7 @@ class SteadyModel:
             engine_values["c_mlin"] = self.engine.c_mlin * engine_values["c_m1"] / self.engine.c_m[0]
         c = parameter_batch(self.engine, size=lanes, **engine_values).constants()
         t = _Terms({k: np.reshape(v, (-1, 1)) for k, v in values.items() if k not in CONSTANT_NAMES}, self.active,
-                   points.columns.get(JUDGED), {**dict.fromkeys(self.lasting), **term_values(self.engine)})
+                   points.columns.get(JUDGED), {**dict.fromkeys(self.lasting), **term_values(self.before)})
         c = c._replace(**{name: getattr(c, name) * (1.0 + t(wear)) for name, wear in WEAR.items() if wear in values})
         signal, added = self._signal, self._added
         p_im, p_em, omega, W_c, W_egr, T_em = (t.true(name, x[..., i]) for i, name in enumerate(STATES))
@@ -203,11 +210,14 @@ class SteadyModel:
 
     def _with_laws(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
         """Found laws of the engine as signals, of the quantities without them."""
-        bare = replace(self, engine=self.engine.replace(terms=effect_terms(self.engine.terms)))
+        since = self.engine.terms[len(self.before) :]
+        bare = replace(self, engine=self.engine.replace(terms=effect_terms(self.engine.terms)),
+                       added=len(effect_terms(since)))
         variables = law_variables(points, bare.relations(points, x, values).quantities)
         entered = dict(self.signals)
         for law in law_terms(self.engine.terms):
             acts = law.factor(np.zeros(points.size), 0.0, dict(points.columns))
+            acts = acts * points.columns.get(JUDGED, 1.0) if law in since else acts
             entered[law.point] = entered.get(law.point, 0.0) + np.nan_to_num(acts * law.signal(variables))
         return replace(bare, signals=entered).relations(points, x, values)
 
@@ -241,10 +251,10 @@ def law_variables(points: SteadyPoints, q: Mapping[str, Array]) -> dict[str, Arr
     }  # fmt: skip
 
 
-def term_values(engine: EngineParameters) -> dict[str, float]:
+def term_values(terms: Sequence[OneTerm]) -> dict[str, float]:
     """Magnitudes of an engine's terms by slot, and coefficients of their laws: what `SteadyModel` takes as values."""
     found: dict[str, float] = {}
-    for term in effect_terms(engine.terms):
+    for term in effect_terms(terms):
         found[term.slot] = found.get(term.slot, 0.0) + term.magnitude
         if isinstance(term, Term):
             names = {key: name for name, key in FLAP_COEFFICIENTS.items()}

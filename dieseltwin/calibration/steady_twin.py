@@ -10,6 +10,7 @@ little as it knows. Smooth errors of maps and errors of sensors are the directio
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -30,7 +31,7 @@ from dieseltwin.engine.quantities import ADDED_AT
 from dieseltwin.engine.terms import LAW_VARIABLES, SENSOR_SLOTS, SENSOR_UNITS
 from dieseltwin.recordings.channels import OPTIONAL_INPUTS
 from dieseltwin.recordings.noise import Noise
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import JUDGED, STATES, SteadyPoints
 from dieseltwin.settings.search import PointSettings
 
 MOVING_ONLY = (
@@ -85,6 +86,9 @@ class SteadyTwin:
             name: h for name, h in hypotheses_of(self.data, self.used).items() if name not in self._fixed
         }  # fmt: skip
         errors = settings.submodels
+        judged = self.data.columns.get(JUDGED)
+        self._acts: Array = np.ones(self.data.size) if judged is None else np.asarray(judged)
+        known = 0.0 if judged is None else settings.map_beside_reference
         self.parameters: tuple[Parameter, ...] = tuple(
             Parameter(c.name, float(v), c.std, c.unit, 0.3 * c.std)
             for c, v in zip(self._coefficients, calibration.estimate.theta, strict=True) if c.name in HEALTH
@@ -100,7 +104,8 @@ class SteadyTwin:
             Point(
                 name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"),
                 (*facts.ports, *(flap if name == "p_es" else ())), facts.scale,
-                errors.smooth_error(SUBMODEL_OF[name]) if name in SUBMODEL_OF else 0.0, facts.over, facts.also,
+                max(errors.smooth_error(SUBMODEL_OF[name]), known) if name in SUBMODEL_OF else 0.0,
+                facts.over, facts.also,
             )
             for name, facts in POINT_FACTS.items() if name not in _WITHOUT_SIGNAL
         )  # fmt: skip
@@ -149,9 +154,11 @@ class SteadyTwin:
         """As `KnownErrors.nuisances`: coefficients and smooth errors of the maps, gain and offset of every sensor."""
         maps = map_nuisances(self, self.variables(lanes))
         simulated = self.simulate(lanes)[0]
+        lasting = copy(self)  # errors of maps were there before
+        lasting._acts = np.ones(self.data.size)
         found = [
             Nuisance(nuisance.label, response=response)
-            for nuisance, response in zip(maps, nuisance_responses(self, lanes, simulated, maps), strict=True)
+            for nuisance, response in zip(maps, nuisance_responses(lasting, lanes, simulated, maps), strict=True)
         ]
         free = {p.name for p in self.parameters}
         for c in self._coefficients:
@@ -194,11 +201,11 @@ class SteadyTwin:
 
     def _signals(self, lanes: Lanes) -> dict[str, Array]:
         shape = (lanes.size, self.data.size)
-        entered = {name: np.broadcast_to(signal, shape) for name, signal in lanes.signals.items()}
+        entered = {name: np.broadcast_to(self._acts * signal, shape) for name, signal in lanes.signals.items()}
         if lanes.lane_points is not None and lanes.lane_signals is not None:
             for index in np.unique(lanes.lane_points[lanes.lane_points >= 0]):
                 name = self.points[int(index)].name
-                own = np.where((lanes.lane_points == index)[:, None], lanes.lane_signals, 0.0)
+                own = np.where((lanes.lane_points == index)[:, None], self._acts * lanes.lane_signals, 0.0)
                 entered[name] = entered.get(name, 0.0) + own
         return entered
 

@@ -28,8 +28,12 @@ from dieseltwin.challenge.sensors import SENSORS, SensorSet, read
 from dieseltwin.errors import InputError
 
 Kind = Literal["healthy", "withheld", "two", "partial", "single"]
-Tier = Literal["main", "one-percent", "own-engine", "own-engine-5", "petrol"]
+Tier = Literal["main", "one-percent", "own-engine", "own-engine-5", "petrol", "points"]
 PETROL: Tier = "petrol"
+POINTS: Tier = "points"
+DRAWN: tuple[Tier, ...] = (PETROL, POINTS)
+"""Tiers whose cases have drawn sizes and are told by nothing but their verdict."""
+
 
 MIX: Mapping[Kind, float] = {"healthy": 0.25, "withheld": 0.15, "two": 0.15, "partial": 0.15}  # the rest single
 MAP_RMS: Mapping[Tier, float] = {"main": 0.003, "one-percent": 0.01, "own-engine": 0.02, "own-engine-5": 0.05}

@@ -16,6 +16,7 @@ class Driving:
     Attributes:
         time_s: [s]; n_e_rpm: [rpm]; u_delta_mg: [mg/cycle]; u_egr_pct, u_vgt_pct: commands [%].
         kind: what was driven, in words.
+        u_flap_pct: position of an exhaust flap [%], where there is one.
     """
 
     time_s: np.ndarray
@@ -24,6 +25,7 @@ class Driving:
     u_egr_pct: np.ndarray
     u_vgt_pct: np.ndarray
     kind: str = ""
+    u_flap_pct: np.ndarray | None = None
 
     def columns(self) -> dict[str, np.ndarray]:
         """Columns of a recording: time and inputs."""

@@ -10,9 +10,10 @@ from typing import Any
 import pandas as pd
 
 from dieseltwin.atomic import atomic_path, check_folder, check_writable, write_json
-from dieseltwin.challenge.cases import DURATION_S, MAP_RMS, PETROL, Plan, Tier, build_case, make_plans
+from dieseltwin.challenge.cases import DRAWN, DURATION_S, MAP_RMS, PETROL, POINTS, Plan, Tier, build_case, make_plans
 from dieseltwin.challenge.own_engine import REFERENCE_MIN
 from dieseltwin.challenge.petrol_cases import draw_healthy, draw_petrol
+from dieseltwin.challenge.points_cases import draw_points
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import SEALED, new_salt, salted_sha256, write_answers, write_salt
 from dieseltwin.engine import we2011
@@ -39,13 +40,14 @@ def make_challenge(
 
     `out`/case_0001/recording.csv is what the tool sees; `out`/sealed holds answers, salt, the second recording of each
     machine and its clean signals. The seed stands in the sealed part only. Cases of the tier `petrol` have drawn
-    lengths (5 to 60 min) and gaps, and `out`/healthy.csv to calibrate on.
+    lengths (5 to 60 min) and gaps, and `out`/healthy.csv to calibrate on; those of the tier `points` are 60 to 150
+    settled points, most beside points of the healthy engine.
 
     Raises:
         InputError: bad arguments, or a folder that holds a benchmark already.
     """
-    if tier not in (*MAP_RMS, PETROL):
-        raise unknown_name("challenge: --tier", tier, [*MAP_RMS, PETROL])
+    if tier not in (*MAP_RMS, *DRAWN):
+        raise unknown_name("challenge: --tier", tier, [*MAP_RMS, *DRAWN])
     if not 1 <= n <= MOST_CASES:
         raise InputError("challenge: --n", n, f"1 to {MOST_CASES}", "choose another number")
     if not SHORTEST_S <= duration_s <= LONGEST_S:
@@ -54,7 +56,7 @@ def make_challenge(
     check_folder(out)
     if (out / MANIFEST).exists() or (out / SEALED).exists():
         raise InputError(str(out), "a benchmark already", "a new folder", "choose another --out; nothing was written")
-    plans = () if tier == PETROL else make_plans(n, seed, sensors=sensors, healthy_only=healthy_only)
+    plans = () if tier in DRAWN else make_plans(n, seed, sensors=sensors, healthy_only=healthy_only)
     (out / SEALED).mkdir(parents=True, exist_ok=True)
     check_writable(out / MANIFEST)
     salt = new_salt()
@@ -65,6 +67,9 @@ def make_challenge(
         reference = [{"recording": HEALTHY, "sha256": file_sha256(out / HEALTHY)}]
         of_petrol = partial(_write_petrol, out=out, seed=seed, healthy=healthy_only, salt=salt, references=reference)
         entries_of = in_processes(of_petrol, range(1, n + 1), jobs)
+    elif tier == POINTS:
+        of_points = partial(_write_points, out=out, seed=seed, healthy=healthy_only, salt=salt)
+        entries_of = in_processes(of_points, range(1, n + 1), jobs)
     else:
         write = partial(_write_case, out=out, seed=seed, tier=tier, sensors=sensors, duration_s=duration_s,
                         reference_min=reference_min, salt=salt)  # fmt: skip
@@ -76,7 +81,7 @@ def make_challenge(
     entries = [made[k] for k in range(n)]
     manifest = {
         "schema": SCHEMA, "code_version": __version__, "n": n, "tier": tier,
-        "sensors": None if tier == PETROL else sensors, "duration_s": None if tier == PETROL else duration_s,
+        "sensors": None if tier in DRAWN else sensors, "duration_s": None if tier in DRAWN else duration_s,
         "healthy_only": healthy_only,
         "seed_sha256": salted_sha256(salt, str(seed).encode()), "cases": entries,
     }  # fmt: skip
@@ -116,6 +121,23 @@ def _write_petrol(
     number: int, *, out: Path, seed: int, healthy: bool, salt: bytes, references: Sequence[Mapping[str, str]]
 ) -> dict[str, Any]:
     frame, answers = draw_petrol(number, seed, healthy=healthy)
+    return _write_drawn(frame, answers, out, salt, references)
+
+
+def _write_points(number: int, *, out: Path, seed: int, healthy: bool, salt: bytes) -> dict[str, Any]:
+    frame, reference, answers = draw_points(number, seed, healthy=healthy)
+    if reference is None:
+        return _write_drawn(frame, answers, out, salt, [])
+    name = f"{answers['case']}/reference.csv"
+    (out / name).parent.mkdir(exist_ok=True)
+    _write_csv(reference, out / name)
+    return _write_drawn(frame, answers, out, salt, [{"recording": name, "sha256": file_sha256(out / name)}])
+
+
+def _write_drawn(
+    frame: pd.DataFrame, answers: Mapping[str, Any], out: Path, salt: bytes, references: Sequence[Mapping[str, str]]
+) -> dict[str, Any]:
+    """A case that is told by its verdict alone: no second recording."""
     name = str(answers["case"])
     (out / name).mkdir(exist_ok=True)
     recording = f"{name}/recording.csv"

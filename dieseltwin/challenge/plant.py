@@ -19,7 +19,7 @@ from dieseltwin.challenge.actuators import fine_command, fine_fuel, lag
 from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.challenge.plant_constants import plant_constants
-from dieseltwin.challenge.plant_effects import KERNEL_EFFECTS, Fault, schedule
+from dieseltwin.challenge.plant_effects import KERNEL_EFFECTS, KERNEL_SLOT, Fault, schedule
 
 STEP_S = 0.005
 """Integration step [s]: half the fastest time constant (p_em, 11 ms)."""
@@ -331,10 +331,11 @@ def run_plant(
         egr, step_s, float(parameters["tau_egr2"])
     )
     inputs[3] = lag(vgt, step_s, float(parameters["tau_vgt"]))
-    inside = [fault for fault in faults if fault.effect in KERNEL_EFFECTS]
-    factors = np.array([schedule(fault, fine_s, driving) for fault in inside]).reshape(len(inside), fine_s.size)
-    which = np.array([_E[fault.effect] for fault in inside], dtype=np.int64)
-    sizes = np.array([fault.magnitude for fault in inside], dtype=np.float64)
+    slots = [KERNEL_SLOT.get(fault.effect, fault.effect) for fault in faults]
+    inside = [(slot, fault) for slot, fault in zip(slots, faults, strict=True) if slot in KERNEL_EFFECTS]
+    factors = np.array([schedule(fault, fine_s, driving) for _, fault in inside]).reshape(len(inside), fine_s.size)
+    which = np.array([_E[slot] for slot, _ in inside], dtype=np.int64)
+    sizes = np.array([fault.magnitude for _, fault in inside], dtype=np.float64)
     start = np.array([1.2e5, 1.3e5, 3000.0]) if initial is None else np.asarray(initial, dtype=np.float64)
     out = np.empty((driving.time_s.size, len(OUTPUTS)))
     _integrate(inputs, step_s, every, before, plant_constants(parameters), which, sizes, factors, maps.tables, maps.low,

@@ -23,6 +23,13 @@ KERNEL_EFFECTS = (
 """Effects inside the right-hand side, in the order of the kernel's magnitudes."""
 
 
+FLAP = "exhaust_flap"
+KERNEL_SLOT = {FLAP: "back_pressure"}
+"""Families that act in the kernel as another one whose magnitude follows something."""
+
+_FLAP_SHUT = 0.08  # share of the open flap's area that a shut one leaves [-]
+
+
 @dataclass(frozen=True)
 class Family:
     """One family of faults of the plant.
@@ -91,6 +98,7 @@ FAMILIES: Mapping[str, Family] = {
         Family("vgt_dead_time", "vgt_actuator", "s", 0.05, 0.5),
         Family("intake_heat_pickup", "intake_temperature", "W/K", 4.0, 40.0, dealt=False),
         Family("fuel_lag", "fuel_injection", "s", 0.1, 1.0, dealt=False),
+        Family(FLAP, "turbine_flow", "Pa/(kg/s)^2", 2e4, 2e5, onset=False, dealt=False),
         # in no catalogue: P_f = k omega_t^3; eta_vol (1 - k (1 - n_e/2000 rpm)); T_em + k q_HV W_f/(c_pe W_eo)
         Family("disc_windage", "shaft_power", "N m s2", 3.2e-10, 3.2e-9, catalogued=False),
         Family("port_heating", "cylinder_flow", "-", 0.03, 0.3, catalogued=False),
@@ -146,6 +154,10 @@ class Fault:
 def schedule(fault: Fault, time_s: np.ndarray, driving: Driving) -> np.ndarray:
     """Factor of the magnitude at the given times (n,): 0 before the onset and outside the region; a drift grows."""
     factor = np.ones(time_s.size)
+    if fault.effect == FLAP:
+        if driving.u_flap_pct is None:
+            raise InputError(FLAP, "driving without u_flap_pct", "positions of the flap", "give them")
+        factor = (_flap_area(50.0) / _flap_area(np.interp(time_s, driving.time_s, driving.u_flap_pct))) ** 2
     if fault.effect == "egr_clogging":
         factor = np.maximum(time_s - driving.time_s[0], 0.0)
     if fault.onset_s is not None:
@@ -154,3 +166,8 @@ def schedule(fault: Fault, time_s: np.ndarray, driving: Driving) -> np.ndarray:
         values = np.interp(time_s, driving.time_s, getattr(driving, column))
         factor = np.where((values >= low) & (values <= high), factor, 0.0)
     return factor
+
+
+def _flap_area(position: Any) -> Any:
+    """Area of a plate that turns in a pipe over the open one [-], at a position [%]: a restriction goes with 1/A^2."""
+    return _FLAP_SHUT + (1.0 - _FLAP_SHUT) * (1.0 - np.cos(0.5 * np.pi * np.asarray(position) / 100.0))

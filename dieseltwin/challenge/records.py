@@ -183,11 +183,7 @@ def engine_terms(faults: Sequence[Fault]) -> tuple[Any, ...]:
 def case_row(folder: Path, answers: Mapping[str, Any], scoring: Scoring) -> CaseRow:
     """Compare the result of one case with its answers."""
     faults = [Fault.of(effect) for effect in answers["effects"]]
-    row = verdict_row(folder, answers, truth=lambda _: tuple(_true_effect(fault) for fault in faults))
-    row = replace(
-        row, health_true={k: float(v) for k, v in answers["health"].items()},
-        since_true={k: float(v) for k, v in answers.get("since_reference", {}).items()},
-    )  # fmt: skip
+    row = diesel_row(folder, answers)
     if row.problem is not None:
         return row
     computed = _computed(folder, folder / RESULTS / row.case, answers, faults, scoring)
@@ -195,6 +191,15 @@ def case_row(folder: Path, answers: Mapping[str, Any], scoring: Scoring) -> Case
     if near is not None:
         row = replace(row, truth=tuple(replace(e, nearest=(str(near[0]), float(near[1]))) for e in row.truth))
     return replace(row, **computed)
+
+
+def diesel_row(folder: Path, answers: Mapping[str, Any]) -> CaseRow:
+    """What was true and what was said of one diesel engine, its health too; enough for settled points."""
+    row = verdict_row(folder, answers, truth=lambda _: tuple(_true_effect(Fault.of(e)) for e in answers["effects"]))
+    return replace(
+        row, health_true={k: float(v) for k, v in answers["health"].items()},
+        since_true={k: float(v) for k, v in answers.get("since_reference", {}).items()},
+    )  # fmt: skip
 
 
 def verdict_row(

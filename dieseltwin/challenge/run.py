@@ -16,7 +16,10 @@ import yaml
 from pydantic import BaseModel, Field
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
-from dieseltwin.challenge.cases import MAP_RMS, PETROL, Tier
+from dieseltwin.calibration.calibrate import calibrate
+from dieseltwin.calibration.discover import discover_points
+from dieseltwin.calibration.verdict import document
+from dieseltwin.challenge.cases import MAP_RMS, PETROL, POINTS, Tier
 from dieseltwin.challenge.make import MANIFEST
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import check_file
@@ -28,6 +31,7 @@ from dieseltwin.petrol.discover import discover_petrol
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
 from dieseltwin.petrol.recording import read_petrol
 from dieseltwin.recordings.reader import Recording, read_recording
+from dieseltwin.recordings.steady_points import beside_reference, read_points
 from dieseltwin.sealed import opened_json
 from dieseltwin.settings.strict import unknown_name, validate
 
@@ -120,6 +124,8 @@ def run_challenge(
     now = pending[:limit] if limit is not None else pending
     if manifest["tier"] == PETROL:
         work: Callable[[Mapping[str, Any]], str] = partial(run_petrol_case, folder)
+    elif manifest["tier"] == POINTS:
+        work = partial(run_points_case, folder)
     else:
         work = partial(run_case, folder, map_tolerance=MAP_RMS[manifest["tier"]], discover=discover)
     failed, done = 0, 0
@@ -185,6 +191,29 @@ def run_petrol_case(folder: Path, entry: Mapping[str, Any]) -> str:
         save_petrol(found.engine, result / "engine.yaml")
         _write_document(result, found.document, seconds, {})
     return _said(folder, entry, found.document, seconds)
+
+
+def run_points_case(folder: Path, entry: Mapping[str, Any]) -> str:
+    """As `run_case`, of the tier `points`: what `discover POINTS --reference HEALTHY` does."""
+    path = folder / entry["recording"]
+    check_file(path, entry["recording_sha256"])
+    for reference in entry["references"]:
+        check_file(folder / reference["recording"], reference["sha256"])
+    _reset_peak()
+    start = time.perf_counter()
+    try:
+        references = [read_points(folder / item["recording"]) for item in entry["references"]]
+        points = read_points(path)
+        used = beside_reference(points, references) if references else points
+        found = discover_points(calibrate(used, we2011.PARAMETERS))
+        made = document(found)
+    except Exception as error:  # as in `run_case`
+        return _failed(folder, entry, error, time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    with atomic_folder(folder / RESULTS / entry["case"]) as result:
+        write_engine(found.engine(), result / "engine.yaml")
+        _write_document(result, made, seconds, {})
+    return _said(folder, entry, made, seconds)
 
 
 def _calibrated(folder: Path, healthy: Path) -> PetrolParameters:

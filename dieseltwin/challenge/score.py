@@ -12,9 +12,9 @@ import pandas as pd
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.challenge import metrics
-from dieseltwin.challenge.cases import PETROL
+from dieseltwin.challenge.cases import DRAWN, PETROL, POINTS
 from dieseltwin.challenge.processes import in_processes
-from dieseltwin.challenge.records import CaseRow, Scoring, case_row, oracle_row, petrol_truth, verdict_row
+from dieseltwin.challenge.records import CaseRow, Scoring, case_row, diesel_row, oracle_row, petrol_truth, verdict_row
 from dieseltwin.challenge.run import RESULTS, plain, read_manifest
 from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_salt
 from dieseltwin.challenge.table import extra, lines, markdown
@@ -55,6 +55,8 @@ def score_challenge(
         raise InputError(str(folder), "no results", "results of `challenge run`", "run the tool first")
     if manifest["tier"] == PETROL:
         compare: Callable[[Mapping[str, Any]], CaseRow] = partial(verdict_row, folder, truth=petrol_truth)
+    elif manifest["tier"] == POINTS:
+        compare = partial(diesel_row, folder)
     else:
         scoring = Scoring.of_the_tool(manifest["tier"]) if scoring is None else scoring
         compare = partial(case_row, folder, scoring=scoring)
@@ -122,7 +124,7 @@ def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:
         write_text(temporary / "score.md", markdown("Concealed benchmark", score.rows, score.baselines, notes))
         table = pd.DataFrame(found, columns=columns)
         write_text(temporary / "failures.csv", table.to_csv(index=False, lineterminator="\n"))
-        if figures and manifest["tier"] != PETROL:
+        if figures and manifest["tier"] not in DRAWN:
             from dieseltwin.challenge.figures import write_figures
 
             (temporary / "figures").mkdir()
@@ -133,6 +135,8 @@ def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:
 def _size(manifest: Mapping[str, Any]) -> str:
     if manifest["tier"] == PETROL:
         return ", 5 to 60 min each"
+    if manifest["tier"] == POINTS:
+        return ", 60 to 150 settled points each"
     return f", {manifest['sensors']} sensors, {manifest['duration_s']:g} s each"
 
 

@@ -97,6 +97,8 @@ class PointSettings(SearchSettings):
     """Settled points: the search of each round, when the rounds end, and what is believed of the submodels."""
 
     submodels: SubmodelErrors
+    map_beside_reference: PositiveFloat = Field(description="smooth error of every map that a reference is there to "
+                                                "tell, one standard deviation, at least that of the submodel [-]")
     least_explained: float = Field(ge=0, le=1, description="of the misfit that a name must explain where more is left")
     most_effects: PositiveInt = Field(description="that are named")
     flap_spread: PositiveFloat = Field(description="prior standard deviation of the exponents of the exhaust flap's "
