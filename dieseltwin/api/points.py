@@ -206,7 +206,11 @@ class PointsDiscovered(Discovered):
             for k, item in enumerate(self.found.rounds, 1) for fit in item.found.singles[:SHOWN]
             for name in fit.candidate.names
         ]  # fmt: skip
-        return [*tried, "", self.sentence, *(f"note: {doubt.text}" for doubt in self.document.warnings)]
+        said = self.document
+        since = [f"{name} {100.0 * (now.since_reference.value - 1.0):+.1f} ± {100.0 * now.since_reference.std:.1f} %"
+                 for name, now in said.health.items() if now.since_reference is not None]
+        health = [f"since the reference: {', '.join(since)}"] if since else []
+        return [*tried, "", self.sentence, *health, *(f"note: {doubt.text}" for doubt in said.warnings)]
 
 
 @dataclass(frozen=True)
@@ -251,7 +255,8 @@ class PointsQuestion(Question):
     def answer(self) -> PointsDiscovered:
         began = time.perf_counter()
         where = str(self.points.path or "points")
-        first = calibrated(self.points, self.base, self.geometry, seed=self.seed, where=where)
+        first = calibrated(self.points, self.base, self.geometry, seed=self.seed, where=where,
+                           believed=self.options.search)
         found = discover_points(first, self.options)
         return PointsDiscovered(found, self.asked, time.perf_counter() - began)
 

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut
 from dieseltwin.calibration.coefficients import Coefficient, engine_coefficients, wear_coefficients, with_scalars
+from dieseltwin.calibration.lasting_errors import with_lasting_errors
 from dieseltwin.calibration.likelihood import Estimate, estimate
-from dieseltwin.calibration.steady_model import EXTRA_ROWS, ROWS, SteadyModel, term_values
+from dieseltwin.calibration.steady_model import EXTRA_ROWS, MAP_MODE, ROWS, SENSOR_ERROR, SteadyModel, term_values
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints
+from dieseltwin.settings.search import PointSettings
 from dieseltwin.settings.strict import read_mapping, unknown_name
 
 Array = NDArray[np.float64]
@@ -156,6 +158,7 @@ def calibrate(
     noise: Mapping[str, float] | None = None,
     seed: int = 0,
     where: str = "points",
+    believed: PointSettings | None = None,
 ) -> Calibration:
     """Calibrate the submodels of an engine to settled points.
 
@@ -166,6 +169,7 @@ def calibrate(
         noise: relative standard deviation of each reading [-].
         seed: of the held-out third and the starts.
         where: name for messages.
+        believed: of maps and sensors, whose errors a reference among the points is there to tell; None: none.
 
     Raises:
         InputError: too few points or swapped columns.
@@ -184,6 +188,11 @@ def calibrate(
     start = {**fixed, **{c.name: c.mean for c in free}, **term_values(engine.terms)}
     mask = split(points, seed)
     trained, _ = _fit(model, points.take(~mask), free, start, noise, seed)
+    if JUDGED in points and believed is not None:
+        points, errors = with_lasting_errors(points, model, {**start, **trained.values()}, believed)
+        free = [*free, *errors]
+        start |= dict.fromkeys((c.name for c in errors), 0.0)
+        trained, _ = _fit(model, points.take(~mask), free, {**start, **trained.values()}, noise, seed, staged=False)
     whole, final = _fit(model, points, free, {**start, **trained.values()}, noise, seed, staged=False)
     if not whole.converged:
         notes.append(Note("the joint fit was still moving when it ended: coefficients that trade against each other",
@@ -309,6 +318,8 @@ def _identified(found: Estimate) -> tuple[Identified, ...]:
     std = found.std()
     rows = []
     for c, value in zip(found.coefficients, found.theta, strict=True):
+        if c.name.startswith((MAP_MODE, SENSOR_ERROR)):
+            continue
         share = std[c.name] / c.std
         verdict = "identified" if share < 0.5 else "partly" if share < 0.9 else "prior only"
         near = min(value - c.low, c.high - value) < 1e-3 * (c.high - c.low)

@@ -9,7 +9,7 @@ first no longer bends.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from dieseltwin.calibration.coefficients import (
     with_scalars,
     worn,
 )
-from dieseltwin.calibration.likelihood import Estimate, estimate
+from dieseltwin.calibration.likelihood import NOISE, UNKNOWN, Estimate, estimate, reading_covariance
 from dieseltwin.calibration.scatter import DEGREES, Scatter, log_student, scatter_of
 from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel, term_values
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 
 FULL_ITERATIONS, TRAIN_ITERATIONS = 20, 4
 _SIGNIFICANT = 2.0  # standard deviations
+_FAR = 3.0  # of a balance's logarithm, as the fit cuts it
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,12 @@ class PointsDiscovery:
         """Whether the last round still sees something that no name explains."""
         return bool(self.rounds) and self.rounds[-1].found.kind != "healthy" and not self.rounds[-1].taken
 
+    @property
+    def first(self) -> Round:
+        """The first round that gave a name that is left; the very first one where none did."""
+        named = (item for item in self.rounds if item.taken and not self.effects.keys().isdisjoint(item.names))
+        return next(named, self.rounds[0])
+
     def terms(self) -> tuple[OneTerm, ...]:
         """What was found, by name or as a law, as terms of an engine file."""
         values = self.repaired.start
@@ -193,6 +200,12 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         here, nll, trained = candidate, foretold, coefficients
         free += more
         names += added
+        superseded = _vanished(here, names, found)
+        if superseded:  # what came later explains what an earlier name had stood for
+            names = [name for name in names if name not in superseded]
+            free = [c for c in free if c.name not in superseded]
+            here = _refitted(here, free, dict.fromkeys(superseded, 0.0))
+            nll, trained = _held_out(here, free)
     last = rounds[-1]
     more_is_missing = last.found.kind != "healthy" and not last.taken
     law: Law | None = None
@@ -229,10 +242,11 @@ def _named(found: search.Search, least_explained: float) -> tuple[str, ...]:
     return lead.candidate.names if strong and found.of_interest(lead) else ()
 
 
-def _vanished(candidate: Calibration, added: tuple[str, ...], found: search.Search) -> set[str]:
+def _vanished(candidate: Calibration, added: Sequence[str], found: search.Search) -> set[str]:
     """Names that the joint fit makes smaller than what is of interest, or than twice their deviation."""
     values, std = candidate.estimate.values(), candidate.estimate.std()
-    least = {name: found.settings.alarm_size * found.twin.hypotheses[name].tolerance for name in added}
+    known = hypotheses_of(candidate.points, STATES)
+    least = {name: found.settings.alarm_size * known[name].tolerance for name in added}
     return {name for name in added if abs(values[name]) < max(least[name], _SIGNIFICANT * std[name])}
 
 
@@ -261,13 +275,13 @@ def _refitted(here: Calibration, free: list[Coefficient], start: Mapping[str, fl
 
 
 def _held_out(here: Calibration, free: list[Coefficient]) -> tuple[float, dict[str, float]]:
-    """Negative log-likelihood per held-out point with coefficients and scales of the others, and those coefficients."""
+    """Negative log-likelihood per held-out point that is judged, with coefficients and errors of the balances of the
+    others, and those coefficients."""
     points, mask = here.points, here.held_out
     found = estimate(here.model, points.take(~mask), free, here.start, iterations=TRAIN_ITERATIONS,
                      rows=_rows(here.model, free))
     trained = {**here.start, **found.values()}
-    scale = _scales(here.model, points.take(~mask), trained)
-    return float(-_log_density(here.model, points.take(mask), trained, scale).mean()), trained
+    return float(-_log_density(here.model, points.take(mask).judged, trained, found.discrepancy).mean()), trained
 
 
 _Proved = tuple[Law, tuple[OneTerm, ...], Calibration, float, dict[str, float]]
@@ -334,10 +348,23 @@ def _scales(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float
     return np.asarray(np.sqrt(s2))
 
 
-def _log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], scale: Array) -> Array:
-    """Log-density of the residuals of each point, (n,)."""
-    r = model.relations(points, points.states(), values).residual[0][:, : len(ROWS)]
-    return np.asarray(np.nansum(log_student(r / scale) - np.log(scale), axis=1))
+def _log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], errors: Array) -> Array:
+    """Log-density of the balances of each point, (n,).
+
+    The noise of one reading is in several balances, and what is added to a model changes by how much: residuals are
+    whitened by what readings and balances are off by before they are judged.
+
+    Args:
+        errors: (R,) of the balances themselves, one standard deviation [-].
+    """
+    x = points.states()
+    known = np.isfinite(x)
+    x = np.where(known, x, np.nanmedian(x, axis=0))
+    r = np.clip(np.nan_to_num(model.relations(points, x, values).residual[0]), -_FAR, _FAR)
+    sigma = np.where(known, np.array([NOISE[name] for name in STATES]), UNKNOWN)
+    root = np.linalg.cholesky(reading_covariance(model, points, x, values, sigma) + np.diag(errors**2))
+    white = np.linalg.solve(root, r[..., None])[..., 0]
+    return np.asarray(np.sum(log_student(white) - np.log(np.einsum("nii->ni", root)), axis=1))
 
 
 def _chi2(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], scale: Array) -> float:

@@ -38,6 +38,12 @@ ELLIPSE_MIN = 1e-4  # limiter of the implicit compressor map: keeps the logarith
 T_ES_MIN = 200.0  # K, limiter: keeps trial states physical
 SWEEPS = 4  # of the cylinder's fixed point
 LEAST_FLOW = 1e-5  # kg/s, limiter: keeps trial flows positive
+MAP_MODE = "map:"
+"""Begin of the names of a map's modes, "map:<insertion point>:<number>": columns of the points and values."""
+
+SENSOR_ERROR = "reading:"
+"""Begin of the names of errors that a sensor had at the time of the reference already, "reading:<column>:gain"."""
+
 COOLED_CHARGE, COOLED_EGR = "cooled_charge", "cooled_egr"
 """Beliefs of `imply` that say how the charge gets its temperature, in `SteadyModel.active`."""
 
@@ -105,6 +111,8 @@ class SteadyModel:
         """
         if law_terms(self.engine.terms):
             return self._with_laws(points, x, values)
+        if any(name.startswith(MAP_MODE) for name in values):
+            return self._with_map_modes(points, x, values)
         lanes = max([np.size(v) for v in values.values()] or [1])
         engine_values = {k: np.broadcast_to(v, (lanes,)) for k, v in values.items() if k in CONSTANT_NAMES}
         if "c_m1" in engine_values and self.engine.c_m[0] > 0:  # the straight part of c_m follows, or the curve jumps
@@ -208,6 +216,21 @@ class SteadyModel:
         return Relations(residual, measured, predicted,
                          {k: np.broadcast_to(v, shape) for k, v in quantities.items()})
 
+    def _with_map_modes(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
+        """Smooth errors of maps as signals; points that don't have their columns are elsewhere and have none."""
+        modes: dict[str, list[str]] = {}
+        for name in values:
+            if name.startswith(MAP_MODE) and name in points:
+                modes.setdefault(name.split(":")[1], []).append(name)
+        lanes = max(np.size(v) for v in values.values())
+        entered = dict(self.signals)
+        for point, names in modes.items():
+            sizes = np.stack([np.broadcast_to(values[name], (lanes,)) for name in names], axis=1)
+            entered[point] = entered.get(point, 0.0) + sizes @ np.stack([points[name] for name in names])
+        plain = {name: value for name, value in values.items() if not name.startswith(MAP_MODE)}
+        plain["lanes"] = np.zeros(lanes)  # else the lanes of the modes would be lost
+        return replace(self, signals=entered).relations(points, x, plain)
+
     def _with_laws(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
         """Found laws of the engine as signals, of the quantities without them."""
         since = self.engine.terms[len(self.before) :]
@@ -283,7 +306,8 @@ class _Terms:
 
     def true(self, column: str, reading: Any) -> Any:
         """What a sensor would read without its offset and gain (reading = true (1 + g) + b)."""
-        gain, offset = (self(sensor_slot(column, fault)) for fault in ("gain", "offset"))
+        gain, offset = (self(sensor_slot(column, fault)) + self(f"{SENSOR_ERROR}{column}:{fault}")
+                        for fault in ("gain", "offset"))  # fmt: skip
         return np.maximum((reading - offset) / (1.0 + gain), LEAST)
 
     def changed(self, name: str, quantity: Any, known: Mapping[str, Any], points: SteadyPoints) -> Any:

@@ -18,8 +18,9 @@ import numpy as np
 
 from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS
+from dieseltwin.calibration.lasting_errors import SUBMODEL_OF
 from dieseltwin.calibration.likelihood import NOISE, reading_covariance
-from dieseltwin.calibration.steady_model import SteadyModel, law_variables
+from dieseltwin.calibration.steady_model import MAP_MODE, SteadyModel, law_variables
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
@@ -38,12 +39,6 @@ MOVING_ONLY = (
     *ACTUATION_EFFECTS, GAS_LAG, *(n for n, e in EFFECTS.items() if e.drifts or e.enters.operator == "lag"),
 )  # fmt: skip
 """Effects that a settled point can't show: they need time."""
-
-SUBMODEL_OF: Mapping[str, str] = {
-    "eta_vol": "cylinder_flow", "W_t": "turbine_flow", "eta_tm": "turbo_power", "eta_c": "turbo_power",
-    "W_c": "compressor_flow", "f_egr": "egr_flow", "T_em": "exhaust_temperature",
-}  # fmt: skip
-"""Insertion point of a map -> submodel whose tolerance it has."""
 
 _WITHOUT_SIGNAL = ("T_e",)
 _COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
@@ -88,7 +83,7 @@ class SteadyTwin:
         errors = settings.submodels
         judged = self.data.columns.get(JUDGED)
         self._acts: Array = np.ones(self.data.size) if judged is None else np.asarray(judged)
-        known = 0.0 if judged is None else settings.map_beside_reference
+        told = self._told = any(c.name.startswith(MAP_MODE) for c in self._coefficients)
         self.parameters: tuple[Parameter, ...] = tuple(
             Parameter(c.name, float(v), c.std, c.unit, 0.3 * c.std)
             for c, v in zip(self._coefficients, calibration.estimate.theta, strict=True) if c.name in HEALTH
@@ -104,7 +99,7 @@ class SteadyTwin:
             Point(
                 name, facts.site, name not in ADDED_AT, ADDED_AT.get(name, "-"),
                 (*facts.ports, *(flap if name == "p_es" else ())), facts.scale,
-                max(errors.smooth_error(SUBMODEL_OF[name]), known) if name in SUBMODEL_OF else 0.0,
+                errors.smooth_error(SUBMODEL_OF[name]) if name in SUBMODEL_OF and not told else 0.0,
                 facts.over, facts.also,
             )
             for name, facts in POINT_FACTS.items() if name not in _WITHOUT_SIGNAL
@@ -167,7 +162,7 @@ class SteadyTwin:
                 step = -step if self._fixed[c.name] + step > c.high else step
                 moved = self._balances(lanes, {}, {c.name: self._fixed[c.name] + step})
                 found.append(Nuisance(c.name, response=(moved[0] - simulated) * c.std / step))
-        for column in self.used:
+        for column in () if self._told else self.used:  # else they are among the coefficients
             level = float(np.nanmedian(self.data[column]))
             for fault, size in (("gain", self.settings.sensor_gain), ("offset", self.settings.sensor_offset * level)):
                 moved = self._balances(lanes, {f"reading of {column}:{fault}": np.full(lanes.size, size)})

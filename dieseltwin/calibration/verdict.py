@@ -70,7 +70,7 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
     entries: list[FoundEffect] = []
     laws: list[str] = []
     for item in result.rounds:
-        for name in item.names if item.taken else ():
+        for name in (n for n in item.names if item.taken and n in result.effects):
             magnitude, std = result.effects[name]
             hypothesis = item.found.twin.hypotheses[name]
             if name not in EFFECTS:
@@ -106,14 +106,14 @@ def scatter_words(scatter: Scatter) -> str:
 
 
 def _location(result: PointsDiscovery) -> Location:
-    first = result.rounds[0]
+    first = result.first
     found = first.found
     weights: dict[str, float] = {}
     for name, probability in _probabilities(found).items():
         site = found.twin.hypotheses[name].site
         weights[site] = weights.get(site, 0.0) + probability
     if first.taken:
-        site = found.twin.hypotheses[first.names[0]].site
+        site = found.twin.hypotheses[next(name for name in first.names if name in result.effects)].site
     elif result.law is not None and (result.scatter is None or result.law.gain > result.scatter.gain):
         site = result.law.site
     elif result.scatter is not None:

@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field
 
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.calibration.calibrate import calibrate
-from dieseltwin.calibration.discover import discover_points
+from dieseltwin.calibration.discover import Options, discover_points
 from dieseltwin.calibration.verdict import document
 from dieseltwin.challenge.cases import MAP_RMS, PETROL, POINTS, Tier
 from dieseltwin.challenge.make import MANIFEST
@@ -205,7 +205,9 @@ def run_points_case(folder: Path, entry: Mapping[str, Any]) -> str:
         references = [read_points(folder / item["recording"]) for item in entry["references"]]
         points = read_points(path)
         used = beside_reference(points, references) if references else points
-        found = discover_points(calibrate(used, we2011.PARAMETERS))
+        options = Options()
+        first = calibrate(used, we2011.PARAMETERS, believed=options.search)
+        found = discover_points(first, options)
         made = document(found)
     except Exception as error:  # as in `run_case`
         return _failed(folder, entry, error, time.perf_counter() - start)
