@@ -63,7 +63,7 @@ class Fault:
 
 NOTHING = Fault("", "", 0.0, "healthy")
 SENSORS = {"p_im": "p_im_gain", "p_ic": "p_ic_gain", "W_af": "w_af_gain", "T_ic": "t_ic_offset",
-           "alpha": "throttle_gain", "p_amb": "p_amb_gain", "omega_e": "omega_e_gain", "T_amb": "t_amb_offset"}
+           "alpha": "throttle_gain", "p_amb": "p_amb_gain", "omega_e": "", "T_amb": "t_amb_offset"}
 PLANTED: tuple[Fault, ...] = (
     *(Fault(name, column, sign * GAIN) for column, name in SENSORS.items() for sign in (1.0, -1.0)),
     *(Fault("intake_leak", "intake", 1e-6 * size, "leak") for size in LEAKS_MM2),

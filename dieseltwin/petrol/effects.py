@@ -72,8 +72,6 @@ _ALL = (
     _effect("t_ic_offset", "sensor", "sensor:t_ic_k", "reading = T_ic + b", (8.0, "K"), (-60.0, 80.0), _offset("T_ic")),
     _effect("t_amb_offset", "sensor", "sensor:t_amb_k", "reading = T_amb + b", (8.0, "K"), (-60.0, 80.0),
             _offset("T_amb")),
-    _effect("omega_e_gain", "sensor", "sensor:omega_e_rad_s", "reading = omega_e (1 + g)", (0.03, "-"), (-0.3, 0.3),
-            _gain("omega_e")),
     _effect("p_amb_gain", "sensor", "sensor:p_amb_pa", "reading = p_amb (1 + g)", (0.01, "-"), (-0.3, 0.3),
             _gain("p_amb")),
     _effect("throttle_offset", "actuator", "throttle_actuator", "alpha + b", (0.3, "%"), (-5.0, 5.0), _offset("alpha")),
@@ -93,10 +91,9 @@ EFFECTS: Mapping[str, PetrolEffect] = {e.hypothesis.name: e for e in _ALL}
 HYPOTHESES: Mapping[str, Hypothesis] = {name: e.hypothesis for name, e in EFFECTS.items()}
 
 
-LOG_PRIOR: Mapping[str, float] = dict.fromkeys(
-    ("p_im_offset", "p_ic_offset", "w_af_offset", "t_ic_offset", "omega_e_gain"), -3.0)
+LOG_PRIOR: Mapping[str, float] = dict.fromkeys(("p_im_offset", "p_ic_offset", "w_af_offset", "t_ic_offset"), -3.0)
 """Log-probability of names that a recording can't tell apart: the recordings' documentation names gains of sensors and
-a leak as what happens (Jung, Frisk, Krysander 2024), and a speed sensor counts teeth; the others 0."""
+a leak as what happens (Jung, Frisk, Krysander 2024); the others 0."""
 AIR_FLOW = ("w_af_gain", "w_af_offset")
 """Faults of the air-flow sensor: the balances foretell what it reads."""
 

@@ -108,7 +108,7 @@ def test_what_stands_still_is_not_judged(engine: PetrolParameters, record: Recor
     table.to_csv(tmp_path / "stuck.csv", index=False)
     stuck = read_petrol(tmp_path / "stuck.csv")
     assert not discover_petrol(stuck, engine).document.mismatch
-    assert "p_im_pa stands still for 300 s from 200 s on" in recording_notes(stuck)[0].text
+    assert "p_im_pa stands still for 300 s from 200 s on" in recording_notes(stuck)[0]
 
 
 def test_time_shift_changes_nothing(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
