@@ -1,6 +1,6 @@
 """The petrol engine's real recordings (LiU-ICE): documented faults, planted faults, and false alarms, at every length.
 
-    python benchmarks/liu.py OUT.jsonl [--part documented|healthy|planted] [--seconds 600] [--table TABLE.md]
+    python benchmarks/liu.py OUT.jsonl [--part documented|healthy|planted] [--seconds 600] [--table FILE]
 
 Maps are learned on the fault-free run alone, and a piece of it is judged by maps that did not see that half. Thirty
 minutes that no map saw are the faulty runs with their documented fault taken back. One line a judgement is appended;
