@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from dieseltwin.api.engines import NAMED, PUBLISHED, Engine
+from dieseltwin.api.engines import NAMED, PUBLISHED, Engine, diesel_engine
 from dieseltwin.api.petrol import PetrolCalibrated, calibrate_petrol
 from dieseltwin.api.points import Calibrated, calibrate_points
 from dieseltwin.api.reading import Channels, Source
@@ -61,15 +61,30 @@ def base_engine(base: Engine | str | Path) -> EngineParameters | PetrolParameter
     Raises:
         InputError: neither a name nor a file that can be used, or a rig.
     """
-    if isinstance(base, EngineParameters | PetrolParameters):
+    if isinstance(base, EngineParameters):
         return base
     if isinstance(base, RigParameters) or (os.path.isfile(base) and is_rig(base)):
         name = base.name if isinstance(base, RigParameters) else base
         raise InputError("--base", f"{name}, a rig", "an engine", "use `dieseltwin identify` on a recording of it")
-    if str(base) in NAMED:
-        return NAMED[str(base)]
-    if os.path.isfile(base) and is_petrol(base):
-        return validate(PetrolParameters, read_mapping(base), str(base))
+    petrol = petrol_base(base)
+    if petrol is not None:
+        return petrol
+    if str(base) == PUBLISHED:
+        return diesel_engine(PUBLISHED)
     if Path(base).suffix in (".yaml", ".yml"):
         return load_engine(base)
     raise InputError("--base", repr(str(base)), f"{', '.join(NAMED)} or an engine file", "name one of these")
+
+
+def petrol_base(base: Engine | str | Path) -> PetrolParameters | None:
+    """The petrol engine that is meant, calibrated or not; None for any other machine."""
+    if isinstance(base, PetrolParameters):
+        return base
+    if isinstance(base, EngineParameters | RigParameters):
+        return None
+    named = NAMED.get(str(base))
+    if isinstance(named, PetrolParameters):
+        return named
+    if os.path.isfile(base) and is_petrol(base):
+        return validate(PetrolParameters, read_mapping(base), str(base))
+    return None

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import pandas as pd
 
+from dieseltwin.api.calibration import petrol_base
 from dieseltwin.api.engines import Engine, diesel_engine
 from dieseltwin.api.figures import drawn
+from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
@@ -25,9 +27,11 @@ from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note
+from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
+from dieseltwin.settings.names import refuse_options
 from dieseltwin.settings.params import default_learn
 
 if TYPE_CHECKING:
@@ -85,14 +89,16 @@ class LearnedResult(Result):
 
 
 def learn(
-    recordings: Sequence[Source | Recording],
+    recordings: Sequence[Source | Recording | PetrolRecording],
     engine: Engine | str | Path | None = None,
     *,
     channels: Channels | None = None,
     map_error: float | None = None,
     siblings: Sequence[str | Path] = (),
-) -> LearnedResult:
+) -> LearnedResult | PetrolCalibrated:
     """Learn an engine's own maps, health and sensors from ordinary driving.
+
+    A petrol engine's maps are all of its own: it is calibrated on all recordings together.
 
     Args:
         recordings: of the engine when it was known to be well, files or tables; one that comes twice counts once.
@@ -107,6 +113,29 @@ def learn(
     """
     if not recordings:
         raise InputError("HEALTHY", "no recording", "one or more of the engine when it was well", "name them")
+    petrol = None if engine is None else petrol_base(engine)
+    if petrol is not None:
+        refuse_options({"--map-error": map_error, "--siblings": siblings or None}, "for a petrol engine")
+        return learn_petrol(_all_of(recordings, Recording, "a petrol engine"), petrol, channels)
+    return _learn_diesel(_all_of(recordings, PetrolRecording, "a diesel engine"), engine, channels, map_error, siblings)
+
+
+_A, _B = TypeVar("_A"), TypeVar("_B")
+
+
+def _all_of(recordings: Sequence[_A | _B], other: type[_A], wanted: str) -> list[_B]:
+    """The recordings, none of which may be of the `other` kind."""
+    kept = [item for item in recordings if not isinstance(item, other)]
+    if len(kept) < len(recordings):
+        raise InputError("HEALTHY", "a recording of another kind of engine", f"one of {wanted}, as the engine is",
+                         "read it for this engine")
+    return kept
+
+
+def _learn_diesel(
+    recordings: Sequence[Source | Recording], engine: Engine | str | Path | None, channels: Channels | None,
+    map_error: float | None = None, siblings: Sequence[str | Path] = (),
+) -> LearnedResult:  # fmt: skip
     low, high = MAP_ERRORS
     if map_error is not None and not low <= map_error <= high:
         raise InputError("--map-error", f"{map_error:g}", f"{low:g} to {high:g}", "choose another")
@@ -141,7 +170,7 @@ def known_engine(
         InputError: as `learn`, or a learned engine's second file that is missing or changed.
     """
     if reference:
-        result = learn(reference, engine, channels=channels)
+        result = _learn_diesel(reference, engine, channels)
         return result.known, [Note(note.removeprefix("note: "), "reference") for note in result.notes]
     return _known(engine), ()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -25,7 +25,7 @@ from dieseltwin.petrol.calibrate import calibrate as calibrated
 from dieseltwin.petrol.discover import PetrolDiscovery, PetrolOptions, details, discover_petrol
 from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
-from dieseltwin.petrol.recording import COLUMNS, PetrolRecording
+from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled
 from dieseltwin.recordings.channel_checks import series_notes
 from dieseltwin.report import petrol as pages
 from dieseltwin.sealed import sealed_json
@@ -232,9 +232,25 @@ def calibrate_petrol(recording: Source | PetrolRecording, base: PetrolParameters
     Raises:
         InputError: a recording that is too short, has no idling or lacks columns.
     """
-    source = petrol_recording(recording)
-    engine, fits = calibrated(source.signals, base, source.sha256)
-    return PetrolCalibrated(engine, tuple(fits), tuple(recording_notes(source)))
+    return learn_petrol([recording], base.model_copy(update={"cylinder": None, "throttle": None}))
+
+
+def learn_petrol(
+    recordings: Sequence[Source | PetrolRecording], base: PetrolParameters, channels: Channels | None = None
+) -> PetrolCalibrated:
+    """See `learning.learn`: what the recordings say together, as if they were one with gaps.
+
+    Raises:
+        InputError: an engine that was learned before, recordings that are too short together, have no idling or lack
+            columns.
+    """
+    if base.calibrated:
+        raise InputError("--engine", f"{base.name}, which has its maps", "a petrol engine's geometry",
+                         "name liu_petrol or the file of volumes, and all recordings at once")
+    sources = [petrol_recording(item, channels) for item in recordings]
+    together = pooled(sources)
+    engine, fits = calibrated(together.signals, base, together.sha256)
+    return PetrolCalibrated(engine, tuple(fits), tuple(note for item in sources for note in recording_notes(item)))
 
 
 def recording_notes(recording: PetrolRecording) -> list[Note]:

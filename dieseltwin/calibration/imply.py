@@ -38,6 +38,8 @@ ETA_C_SHARE = 0.03
 POINT_ERROR = 1.5  # a map's error at one point is smooth: readings there tell less than the scatter suggests
 # Heat that the turbine's housing gives the compressed air, h (T_em - T_c): most at little flow (heavy-duty practice)
 SOAK_W_K, SOAK_STD_W_K = 0.8, 0.6
+# Heat that the exhaust loses in the turbine's housing, h (T_em - T_amb): 1 to 4 kW at full load (heavy-duty practice)
+LOSS_W_K, LOSS_STD_W_K = 5.0, 4.0
 T_C_STD_K = 1.0  # of the temperature before the compressor, taken as ambient
 SHARE = 0.02  # of a standard deviation, for the slopes in the coefficients
 ITERATIONS = 25
@@ -148,6 +150,9 @@ class Answerer:
         rise = (x[:, STATES.index("t_em_k")] - out["t_c_k"]) / (x[:, STATES.index("w_c_kg_s")] * model.engine.c_pa)
         out["t_c_k"] = out["t_c_k"] + SOAK_W_K * rise
         out["t_c_k_std"] = np.sqrt(out["t_c_k_std"] ** 2 + (SOAK_STD_W_K * rise) ** 2 + T_C_STD_K**2)
+        colder = (x[:, STATES.index("t_em_k")] - points["t_amb_k"]) / (out["w_t_kg_s"] * model.engine.c_pe)
+        out["t_es_k"] = out["t_es_k"] - LOSS_W_K * colder
+        out["t_es_k_std"] = np.sqrt(out["t_es_k_std"] ** 2 + (LOSS_STD_W_K * colder) ** 2)
         return pd.DataFrame(out)
 
     def _correlation(self) -> Array:

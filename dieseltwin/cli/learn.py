@@ -31,7 +31,10 @@ def learn_command(
         typer.Option("--siblings", metavar="FILE", help="Learned engine of the same type; repeatable."),
     ] = None,
 ) -> None:
-    """Learn an engine's own maps, health and sensors from ordinary driving; learning more later adds to the file."""
+    """Learn an engine's own maps, health and sensors from ordinary driving; learning more later adds to the file.
+
+    A petrol engine (--engine liu_petrol, or a file of its volumes) is learned from all of its recordings at once.
+    """
     if out.suffix not in (".yaml", ".yml"):
         raise InputError("--out", str(out), "a name that ends in .yaml", "choose another")
     for path in (*recordings, *(siblings or ())):
@@ -43,4 +46,5 @@ def learn_command(
 
     found = learn(recordings, engine, channels=channels, map_error=map_error, siblings=siblings or ())
     found.save(out)
-    say([*found.lines(), f"{out}: --engine takes it, with the file beside it"])
+    beside = ", with the file beside it" if out.with_suffix(".learned.parquet").is_file() else ""
+    say([*found.lines(), f"{out}: --engine takes it{beside}"])

@@ -70,6 +70,8 @@ _ALL = (
     _effect("w_af_offset", "sensor", "sensor:w_af_kg_s", "reading = W_af + b", (1e-4, "kg/s"), (-1.2e-3, 5e-3),
             _offset("W_af", LEAST_FLOW)),
     _effect("t_ic_offset", "sensor", "sensor:t_ic_k", "reading = T_ic + b", (8.0, "K"), (-60.0, 80.0), _offset("T_ic")),
+    _effect("t_amb_offset", "sensor", "sensor:t_amb_k", "reading = T_amb + b", (8.0, "K"), (-60.0, 80.0),
+            _offset("T_amb")),
     _effect("p_amb_gain", "sensor", "sensor:p_amb_pa", "reading = p_amb (1 + g)", (0.01, "-"), (-0.3, 0.3),
             _gain("p_amb")),
     _effect("throttle_offset", "actuator", "throttle_actuator", "alpha + b", (0.3, "%"), (-5.0, 5.0), _offset("alpha")),

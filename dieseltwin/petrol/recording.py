@@ -7,8 +7,8 @@ pressures at the block's ends over its length. So time stamps are used as they a
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ BLOCK_S = 1.0
 EDGE_ROWS = 7  # rows averaged for a block's end pressure: the manifold pulsates by 5 % at idle
 FULLEST_HOLE = 0.5  # blocks with fewer than this part of the usual rows are left out
 GAP_S = 0.9  # a longer step of the time stamps ends one piece and begins another: no block is without rows then
+APART_S = 10.0  # between recordings that are pooled: a gap
 COARSEST_STEP_S = 0.25  # of the rows: the filling of the volumes is read from pressures at a block's ends
 FEWEST_BLOCKS = 60
 LEAST_FACTOR = 0.05  # that a signal at a map may leave of it [-]
@@ -141,6 +142,24 @@ def read_petrol(path: str | Path, channels: str | Path | None = None) -> PetrolR
                       values["omega_e_rad_s"], values["alpha_th_pct"], values["p_amb_pa"], values["t_amb_k"])
     return PetrolRecording(signals, float(time[0]), str(path), hashlib.sha256(content).hexdigest(),
                            tuple(table.columns))
+
+
+def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
+    """Several recordings of one engine as one with gaps, in an order of its own; one that comes twice counts once.
+
+    Args:
+        recordings: one at least.
+    """
+    once = sorted({r.sha256: r for r in recordings}.values(), key=lambda r: r.sha256)
+    if len(once) == 1:
+        return once[0]
+    names = [f.name for f in fields(Signals) if getattr(once[0].signals, f.name) is not None]
+    values = {name: np.concatenate([getattr(r.signals, name) for r in once]) for name in names}
+    ends = np.cumsum([0.0, *(r.signals.time_s[-1] + APART_S for r in once[:-1])])
+    values["time_s"] = np.concatenate([r.signals.time_s + end for r, end in zip(once, ends, strict=True)])
+    sha256 = hashlib.sha256("".join(r.sha256 for r in once).encode()).hexdigest()
+    columns = tuple(c for c in once[0].columns if all(c in r.columns for r in once))
+    return PetrolRecording(Signals(**values), 0.0, ", ".join(r.path for r in once), sha256, columns)
 
 
 @dataclass(frozen=True)

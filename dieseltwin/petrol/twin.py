@@ -34,6 +34,7 @@ from dieseltwin.petrol.model import (
 )
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import Blocks, Signals, blocks_of, make_grid
+from dieseltwin.recordings.channel_checks import standstills
 from dieseltwin.recordings.noise import Noise
 
 WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning
@@ -93,13 +94,22 @@ class PetrolTwin:
             "boost": np.where(at_rest(blocks, grid), engine.boost_spread.base, np.inf),
             "cooler": np.full(size, engine.cooler_spread.base),
         }
-        out = np.stack([np.where(grid.kept, scales[name], np.inf) for name in self.channels], axis=1)
+        stuck = self._stuck()
+        out = np.stack([np.where(grid.kept & ~stuck[name], scales[name], np.inf) for name in self.channels], axis=1)
         for j in range(out.shape[1]):
             known = np.flatnonzero(np.isfinite(out[:, j]))
             values = self.plain[known, j]
             lone = _off_both_sides(values) > OUTLIER * out[known, j]
             out[known, j] = np.where(lone, np.inf, np.fmax(out[known, j], _local_spread(values)))
         return np.asarray(KEPT_SPREAD * out)
+
+    def _stuck(self) -> dict[str, NDArray[np.bool_]]:
+        """Balance -> (n,) whether a reading that it is made of stands still there: it says nothing of the engine."""
+        s, grid = self.signals, self.grid
+        still = {column: grid.mean(standstills(s.time_s, values, s.omega_e)) > 0.0
+                 for column, values in (("p_im_pa", s.p_im), ("p_ic_pa", s.p_ic), ("w_af_kg_s", s.W_af))}  # fmt: skip
+        none = np.zeros(len(grid.mid_s), dtype=np.bool_)
+        return {name: np.any([none, *(still[c] for c in NEEDS[name] if c in still)], axis=0) for name in self.channels}
 
     def _maps_at(self, b: Blocks) -> dict[str, Array]:
         """Logarithms of the volumetric efficiency and of the throttle's area by the calibrated maps, each (n,)."""

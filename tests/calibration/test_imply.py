@@ -10,6 +10,7 @@ import pytest
 
 from dieseltwin.api.points import imply
 from dieseltwin.calibration import calibrate as module
+from dieseltwin.calibration.believable import unbelievable
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
 from dieseltwin.calibration.saved import answers_of, load_answers, write_repaired
@@ -38,6 +39,16 @@ def mended(data: SteadyPoints) -> PointsDiscovery:
         one = default_search().points.model_copy(update={"most_effects": 1})
         options = Options(law_search=False, search=one)
         return discover_points(calibrate(data, we2011.PARAMETERS, GEOMETRY), options)
+
+
+def test_no_law_takes_an_unmeasured_place_beyond_what_is_believed(data: SteadyPoints) -> None:
+    quantities = SteadyModel(GEOMETRY).relations(data, data.states(), {}).quantities
+    told = {name: value[0] for name, value in quantities.items()}
+    p_0, T_0, places = data["p_amb_pa"], data["t_amb_k"], frozenset(("p_bc", "p_es", "T_im", "W_c"))
+    likely = {**told, "p_bc": p_0 - 1.8e4 * told["W_c"] ** 2, "T_im": T_0 + 30.0}
+    assert unbelievable(places, data, likely) == frozenset()
+    for wrong in ({"p_bc": 1.1 * p_0}, {"p_es": 0.95 * p_0}, {"T_im": T_0 + 130.0}, {"T_im": T_0 - 30.0}):
+        assert unbelievable(places, data, {**likely, **wrong}) == frozenset(wrong)
 
 
 def test_the_flap_is_found(mended: PointsDiscovery) -> None:

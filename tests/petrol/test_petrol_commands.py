@@ -57,6 +57,21 @@ def test_holes_are_bridged(table: pd.DataFrame, tmp_path: Path) -> None:
     assert len(read_petrol(_written(holed, tmp_path)).signals.time_s) == len(table) - 31
 
 
+def test_learned_from_two_recordings_in_any_order(
+    record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = (record(seed, 400.0) for seed in (21, 22))
+    files = []
+    for k, order in enumerate([(first, second), (second, first, second)]):
+        files.append(tmp_path / f"mine_{k}.yaml")
+        options = ["--engine", "liu_petrol", "--out", str(files[-1])]
+        assert main(["learn", *(r.path for r in order), *options]) == 0
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert load_petrol(files[0]).calibrated and "takes it\n" in capsys.readouterr().out
+    assert main(["learn", first.path, "--engine", str(files[0]), "--out", str(tmp_path / "more.yaml")]) == 2
+    assert "all recordings at once" in capsys.readouterr().err
+
+
 def test_too_short_to_calibrate(record: Recorder) -> None:
     with pytest.raises(InputError, match="at least 600 s"):
         calibrate(record(9, 120.0).signals, PetrolParameters(), "")

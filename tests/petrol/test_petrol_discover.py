@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dieseltwin.api.petrol import recording_notes
 from dieseltwin.challenge.petrol_plant import ONSET_S
 from dieseltwin.discovery.twins.interface import Lanes
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Discrepancy
@@ -30,6 +31,7 @@ CASES = [
     ({"W_af_kg_s": -0.08}, "w_af_gain", -0.08),
     ({"leak_m2": 1.5e-6}, "intake_leak", 1.5e-6),
     ({"leak_m2": 1.5e-5}, "intake_leak", 1.5e-5),
+    ({"T_amb_K": 0.05}, "t_amb_offset", 14.9),
 ]
 
 
@@ -98,6 +100,15 @@ def test_repaired_engine_is_quiet_and_simulates_the_readings(engine: PetrolParam
         before, after = (errors(simulate_petrol(e, recording), recording.signals) for e in (engine, repaired))
         assert after["p_im_pa"] < 0.5 * before["p_im_pa"]
         assert after["w_af_kg_s"] == pytest.approx(before["w_af_kg_s"], rel=0.01)
+
+
+def test_what_stands_still_is_not_judged(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
+    table = pd.read_csv(record(15, 500.0).path)
+    table.loc[table.time_s >= ONSET_S, "p_im_Pa"] = table.p_im_Pa[table.time_s >= ONSET_S].iloc[0]
+    table.to_csv(tmp_path / "stuck.csv", index=False)
+    stuck = read_petrol(tmp_path / "stuck.csv")
+    assert not discover_petrol(stuck, engine).document.mismatch
+    assert "p_im_pa stands still for 300 s from 200 s on" in recording_notes(stuck)[0]
 
 
 def test_time_shift_changes_nothing(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
