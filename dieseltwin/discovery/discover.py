@@ -94,13 +94,19 @@ def discover(
     found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
     result = assemble(days, found, options, _reference(found, learned), time_s)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
-    return replace(_with_doubts(result, engine, [day.recording for day in days]), runtime=runtime)
+    return replace(_with_doubts(result, found, engine, [day.recording for day in days]), runtime=runtime)
 
 
-def _with_doubts(result: Discovery, engine: EngineParameters, recordings: Sequence[Recording]) -> Discovery:
+def _with_doubts(
+    result: Discovery, found: search.Search, engine: EngineParameters, recordings: Sequence[Recording]
+) -> Discovery:
     """What was done to the recordings on reading, and what is doubtful about the fit, in the document."""
     doubts = [Note(note, "reading") for recording in recordings for note in recording.notes]
     doubts += fit_doubts(result.document)
+    if found.unsettled and result.document.mismatch:
+        leads = " and ".join(" + ".join(names) for names in dict.fromkeys(found.unsettled))
+        doubts.append(Note(f"more than one explanation: {leads} lead in turns, each with the likelihood about the "
+                           "other, so that neither name is given alone", "not_converged"))  # fmt: skip
     problem = misfit_of(engine, result.engine, result.document.fit.chi2_per_sample_after)
     if problem is not None:
         doubts.append(Note(f"{problem[0]} ({problem[1]} is allowed): no twin of what was recorded", "misfit"))
