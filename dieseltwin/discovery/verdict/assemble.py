@@ -142,8 +142,9 @@ def _circumstances(found: Search, after: Array) -> tuple[FoundCircumstance, ...]
     said = estimates(chosen) if chosen is not None else estimates(found.null, found.twin.measured - after)
     return tuple(
         FoundCircumstance(
-            name=item.circumstance.name, value=item.value, std=item.std, assumed=item.circumstance.assumed,
+            name=item.circumstance.plain, value=item.value, std=item.std, assumed=item.circumstance.assumed,
             unit=item.circumstance.unit, off=item.off, equivalent_names=item.circumstance.effects,
+            recording=None if item.circumstance.recording is None else 1 + item.circumstance.recording,
         )
         for item in said
     )  # fmt: skip
