@@ -26,8 +26,10 @@ from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.notes import Note
 from dieseltwin.recordings.circumstances import put_right
 from dieseltwin.recordings.dates import ORDER, Dated
+from dieseltwin.recordings.liveliest import liveliest
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.params import load_params
 from dieseltwin.settings.search import SearchSettings
 
 
@@ -117,13 +119,14 @@ def as_it_was(
     recording: Recording, engine: EngineParameters, options: Options | None = None
 ) -> tuple[Recording, EngineParameters, tuple[Estimate, ...]]:
     """The recording with its clocks and its ambient put right, the engine with its charge temperature, and what was
-    found of all that the recording doesn't say; without a verdict.
+    found of all that the recording doesn't say; without a verdict. Of a long recording the liveliest stretches tell.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     options = options or Options()
-    twin = _twin(recording, engine, options, None)
+    most = load_params().discover.minutes_max
+    twin = _twin(recording if most is None else liveliest(recording, most), engine, options, None)
     found = search.looked_at(twin, options.settings())
     values = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
     return (*put_right(recording, engine, values), estimates(found.null))

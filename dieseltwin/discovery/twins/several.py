@@ -246,11 +246,11 @@ class SeveralTwin:
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> SeveralTwin:
         """The twin under other circumstances, as `LoggedTwin.under`; recordings in which nothing changes stay."""
         before, free = dict(self.values), dict.fromkeys(opened, 1.0)
-        parts = []
+        parts = list(self.parts)
         for r, part in enumerate(self.parts):
             own, open_now = of_recording(values, r), frozenset(of_recording(free, r))
-            same = not isinstance(part, LoggedTwin) or (own, open_now) == (of_recording(before, r), part.opened)
-            parts.append(part if same else part.under(own, open_now, like))
+            if isinstance(part, LoggedTwin) and (own, open_now) != (of_recording(before, r), part.opened):
+                parts[r] = part.under(own, open_now, like)
         other = SeveralTwin(parts, self.occasions)
         if like:
             other.measured[~np.isfinite(self.measured).any(axis=1)] = np.nan

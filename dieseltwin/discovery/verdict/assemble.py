@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from dieseltwin.discovery.laws.terms import law_terms_of
-from dieseltwin.discovery.likelihood.circumstances import estimates
+from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
@@ -140,13 +140,15 @@ def _circumstances(found: Search, after: Array) -> tuple[FoundCircumstance, ...]
     """What the recording says of its circumstances under the explanation that was chosen."""
     chosen = found.best if found.best is not None and found.kind != "law" else None
     said = estimates(chosen) if chosen is not None else estimates(found.null, found.twin.measured - after)
-    return tuple(
-        FoundCircumstance(
-            name=item.circumstance.plain, value=item.value, std=item.std, assumed=item.circumstance.assumed,
-            unit=item.circumstance.unit, off=item.off, equivalent_names=item.circumstance.effects,
-            recording=None if item.circumstance.recording is None else 1 + item.circumstance.recording,
-        )
-        for item in said
+    return tuple(found_circumstance(item) for item in said)
+
+
+def found_circumstance(estimate: Estimate) -> FoundCircumstance:
+    """What a recording says of a circumstance, as the document has it."""
+    item = estimate.circumstance
+    return FoundCircumstance(
+        name=item.plain, value=estimate.value, std=estimate.std, assumed=item.assumed, unit=item.unit, off=estimate.off,
+        equivalent_names=item.effects, recording=None if item.recording is None else 1 + item.recording,
     )  # fmt: skip
 
 
