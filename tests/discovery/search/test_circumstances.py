@@ -11,7 +11,7 @@ import pytest
 from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
-from dieseltwin.discovery.discover import as_it_was, discover, discover_together
+from dieseltwin.discovery.discover import as_it_was, discover
 from dieseltwin.discovery.likelihood.fit import first_fit
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
@@ -68,7 +68,7 @@ def test_each_of_several_recordings_has_a_weather_and_clocks_of_its_own() -> Non
     first = datetime(2026, 1, 15, tzinfo=UTC)
     frames = (_driven(120.0), hill, late)
     days = [Dated(recording(f), first + timedelta(days=k), MODIFIED) for k, f in enumerate(frames)]
-    document = discover_together(days, we2011.PARAMETERS, Options(law_search=False)).document
+    document = discover(days, we2011.PARAMETERS, Options(law_search=False)).document
     assert not document.mismatch
     off = {(item.recording, item.name): item.value for item in document.circumstances if item.off}
     assert off.keys() == {(2, "p_amb_pa"), (2, "t_amb_k"), (3, "time_shift:n_e_rpm")}
