@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -21,10 +21,6 @@ SENSOR_GAIN, SENSOR_OFFSET = 0.005, 0.003
 
 USUAL_READINGS = (1.5e5, 2.0e5, 5000.0, 0.05, 700.0, 0.2)
 """Of the columns of `MEASURED` [SI]: an offset is a property of the sensor, not of what was driven."""
-
-LEVEL_SHARE = 0.2
-"""Of the variance of a map's error that is its level, the same everywhere: how far errors reach isn't known, and the
-functions of `basis()` alone, of one length, believe levels over what is driven that are up to a tenth too small [-]."""
 
 
 def coordinate_names() -> tuple[str, ...]:
@@ -103,25 +99,7 @@ def prior_belief(engine: EngineParameters, map_rms: float) -> Belief:
     mean = np.zeros(OFFSETS_AT.stop)
     mean[HEALTH_AT] = health
     std = np.concatenate([
-        HEALTH_PRIOR * health, np.zeros(len(basis().names)), np.full(len(MEASURED), SENSOR_GAIN),
+        HEALTH_PRIOR * health, np.full(len(basis().names), map_rms), np.full(len(MEASURED), SENSOR_GAIN),
         SENSOR_OFFSET * np.array(USUAL_READINGS),
     ])  # fmt: skip
-    covariance = np.diag(std**2)
-    covariance[MAPS_AT, MAPS_AT] = map_rms**2 * covariance_of_errors()
-    return Belief(mean, covariance)
-
-
-@lru_cache(maxsize=1)
-def covariance_of_errors() -> Array:
-    """Covariance (K, K) of the corrections' coefficients for maps that are off by 100 % rms [-].
-
-    A share `LEVEL_SHARE` of it is one number for a whole map, the rest independent coefficients.
-    """
-    functions = basis()
-    covariance = (1.0 - LEVEL_SHARE) * np.eye(functions.maps.size)
-    for m in np.unique(functions.maps):
-        at = np.flatnonzero(functions.maps == m)
-        tables = functions.tables[at].reshape(at.size, -1)
-        level = np.linalg.solve(tables @ tables.T, tables.sum(axis=1))  # nearest to 1 everywhere
-        covariance[np.ix_(at, at)] += LEVEL_SHARE * np.outer(level, level)
-    return covariance
+    return Belief(mean, np.diag(std**2))

@@ -34,7 +34,7 @@ from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.strict import read_mapping
 from dieseltwin.version import __version__
 
-SCHEMA = 2  # 1: a map's level was not believed by itself
+SCHEMA = 1
 _KEY = b"dieseltwin.learned"
 
 

@@ -29,19 +29,19 @@ def belief_from_siblings(
         type_share: of their variance that is the type's, 0-1 [-].
     """
     prior = prior_belief(engine, map_rms)
-    errors = prior.covariance[MAPS_AT, MAPS_AT]
-    own, count = (1.0 - type_share) * errors, len(errors)
-    information, vector = np.linalg.inv(max(type_share, 1e-30) * errors), np.zeros(count)
+    own = (1.0 - type_share) * map_rms**2
+    count = MAPS_AT.stop - MAPS_AT.start
+    information, vector = np.eye(count) / max(type_share * map_rms**2, 1e-30), np.zeros(count)
     for before, after in siblings:
         seen, pushed = _factor(before, after)
-        kept = np.linalg.inv(np.eye(count) + seen @ own)
+        kept = np.linalg.inv(np.eye(count) + own * seen)
         some = kept @ seen
         information += 0.5 * (some + some.T)
         vector += kept @ pushed
     of_type = np.linalg.inv(information)
     mean, covariance = prior.mean.copy(), prior.covariance.copy()
     mean[MAPS_AT] = of_type @ vector
-    covariance[MAPS_AT, MAPS_AT] = 0.5 * (of_type + of_type.T) + own
+    covariance[MAPS_AT, MAPS_AT] = 0.5 * (of_type + of_type.T) + own * np.eye(count)
     return Belief(mean, covariance)
 
 

@@ -17,11 +17,10 @@ def _fleet(number: int, seed: int) -> tuple[list[np.ndarray], list[tuple[Belief,
     """True corrections (K,) of some engines of a type, and what was learned of each along half of the directions."""
     rng = np.random.default_rng(seed)
     prior = prior_belief(ENGINE, MAP_RMS)
-    errors = np.linalg.cholesky(prior.covariance[MAPS_AT, MAPS_AT])
-    of_type = np.sqrt(TYPE_SHARE) * errors @ rng.standard_normal(COUNT)
+    of_type = np.sqrt(TYPE_SHARE) * MAP_RMS * rng.standard_normal(COUNT)
     true, learned = [], []
     for _ in range(number):
-        own = of_type + np.sqrt(1.0 - TYPE_SHARE) * errors @ rng.standard_normal(COUNT)
+        own = of_type + np.sqrt(1.0 - TYPE_SHARE) * MAP_RMS * rng.standard_normal(COUNT)
         seen = np.linalg.qr(rng.standard_normal((COUNT, COUNT)))[0][: COUNT // 2]  # each drove elsewhere
         noise = 0.1 * MAP_RMS
         readings = seen @ own + noise * rng.standard_normal(len(seen))
