@@ -46,7 +46,7 @@ from dieseltwin.discovery.verdict.over_recordings import (
     with_words,
 )
 from dieseltwin.discovery.verdict.reasons import candidate_rows
-from dieseltwin.discovery.verdict.since_reference import since_reference
+from dieseltwin.discovery.verdict.since_reference import no_better_than_then, since_reference
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import OneTerm, Term
@@ -75,7 +75,8 @@ def assemble(
     at = explained_at(found)
     after, parameters = at.simulated, at.fit.parameters[: len(twin.parameters)]
     apart = disagreement(found)
-    covariance = at.covariance[: apart.size, : apart.size] + np.diag(apart**2)
+    own = at.covariance[: apart.size, : apart.size] + np.diag(apart**2)
+    covariance = no_better_than_then(own, parameters, found.twin)
     since = since_reference(at, found.twin, apart)
     evidence = _evidence(found, after)
     sizes, differ = told_apart(found, days) if mismatch else ([], "")
