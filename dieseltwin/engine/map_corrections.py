@@ -2,10 +2,8 @@
 
 A correction is a sum of fixed smooth functions, the leading ones of a Gaussian process with a squared-exponential
 kernel (Rasmussen & Williams, 2006, sections 4.2 and 4.3) over fixed ranges of the map's arguments. They are the same
-for every recording and every engine, so that a coefficient learned on one keeps its meaning on the next. Beside them
-each map has a level of its own: with the process alone, the shape of a correction would tell how large its mean is, by
-nothing but the assumed length of correlation. A coefficient of one is one standard deviation of a correction of 100 %
-rms.
+for every recording and every engine, so that a coefficient learned on one keeps its meaning on the next. A coefficient
+of one is one standard deviation of a correction of 100 % rms.
 """
 
 from __future__ import annotations
@@ -34,10 +32,6 @@ RANGES: dict[str, tuple[float, float]] = {
 CORRELATION_LENGTH = 0.25
 """Of the ranges: of a third of what is usually driven, which is some three quarters of them [-]."""
 
-LEVEL_VARIANCE = 0.6
-"""Of a map's level, beside that of its shape: over what is driven, the mean of an error whose correlation length is a
-third of the range has half to seven tenths of the error's variance [-]."""
-
 NODES = 41
 _KEPT_VARIANCE = 0.998  # of a correction; the rest of 2 % rms is 0.09 %
 
@@ -47,9 +41,9 @@ class Basis:
     """The functions that corrections are sums of.
 
     Attributes:
-        tables: (K, NODES, NODES) each on the grid of its map's arguments; those of a map's shape have unit variance.
+        tables: (K, NODES, NODES) each on the grid of its map's arguments, of unit prior variance.
         maps: (K,) index of each one's map in `CORRECTED_POINTS`.
-        names: (K,) "W_t 1", "W_t 2", ..., "W_t level".
+        names: (K,) "W_t 1", "W_t 2", ...
     """
 
     tables: np.ndarray
@@ -59,7 +53,7 @@ class Basis:
 
 @lru_cache(maxsize=1)
 def basis() -> Basis:
-    """The fixed basis, most important functions of each map first, its level last."""
+    """The fixed basis, most important functions of each map first."""
     at = np.linspace(0.0, 1.0, NODES)
     values, vectors = np.linalg.eigh(np.exp(-0.5 * (np.subtract.outer(at, at) / CORRELATION_LENGTH) ** 2))
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
@@ -81,9 +75,6 @@ def basis() -> Basis:
             tables.append(np.outer(along[i], along[j] if j >= 0 else np.ones(NODES)))
             maps.append(m)
             names.append(f"{point} {number + 1}")
-        tables.append(np.full((NODES, NODES), np.sqrt(LEVEL_VARIANCE)))
-        maps.append(m)
-        names.append(f"{point} level")
     return Basis(np.array(tables), np.array(maps), tuple(names))
 
 
