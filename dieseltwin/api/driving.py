@@ -103,7 +103,8 @@ class DrivingDiscovered(Discovered):
             sensors = self.question.options.sensors
             judged, whole = self.question.recording, self.question.whole
             starts, local = (self.found.starts, self.found.local) if whole is judged else (None, None)
-            apart = [c for c in self.document.circumstances if c.off or kind_of(c.name) == TIME_SHIFT]
+            last = [c for c in self.document.circumstances if c.recording in (None, len(self.document.recordings))]
+            apart = [c for c in last if c.off or kind_of(c.name) == TIME_SHIFT]
             source, _ = put_right(whole, self.engine, {item.name: item.value for item in apart})
             implied = implied_frame(source, self.engine, stds, sensors=sensors, starts=starts, local=local)
             implied.to_parquet(folder / "implied.parquet", index=False, write_page_checksum=True)

@@ -16,7 +16,8 @@ from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result
 from dieseltwin.api.rigs import RigIdentified, identify_rig
 from dieseltwin.atomic import atomic_folder, write_json
-from dieseltwin.discovery.fit_test import fit_notes
+from dieseltwin.discovery.fit_test import tested
+from dieseltwin.discovery.verdict.assemble import found_circumstance
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.identification.curves import curves_table
@@ -29,6 +30,7 @@ from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report import timeseries, violins
+from dieseltwin.report.discovery_words import circumstance_words
 from dieseltwin.report.identification import identification_figures
 from dieseltwin.report.inputs import results_of
 from dieseltwin.rigs.recording import RigRecording
@@ -164,7 +166,7 @@ class IdentificationQuestion:
         settings: of the run.
         networks: that the method needs.
         notes: what is doubtful or left out, one sentence each.
-        recording: what was read.
+        recording: what was read; segment_s, sensors: as asked.
         tested: engine and sensors that the fit is tested with; None without a test.
         recording_name: for people, "" for one made in memory.
     """
@@ -177,17 +179,28 @@ class IdentificationQuestion:
     networks: Mapping[str, Any]
     notes: tuple[str, ...]
     recording: Recording
+    segment_s: float | None
+    sensors: tuple[str, ...] | None
     tested: tuple[EngineParameters, tuple[str, ...]] | None
     recording_name: str = ""
 
     def answer(self) -> Identified:
-        """Identify every segment, and test whether the twin fits the recording."""
-        config = self.settings.identify
-        found = identify_segments(self.problems, self.method, self.runs, self.seed, config=config, **self.networks)
-        doubts = [] if self.tested is None else fit_notes(self.recording, *self.tested)
+        """Test whether the twin fits the recording, under the circumstances that it shows; identify every segment."""
+        config, problems = self.settings.identify, self.problems
+        doubts: list[Note] = []
+        if self.tested is not None:
+            fit = tested(self.recording, *self.tested)
+            doubts = list(fit.notes)
+            if fit.shown:
+                words = " and ".join(circumstance_words(found_circumstance(item)) for item in fit.shown)
+                doubts.append(Note(f"{words}; identified as such", "circumstances",
+                                   tuple(dict.fromkeys(item.circumstance.column for item in fit.shown))))  # fmt: skip
+                cut = problems_of(fit.recording, fit.engine, self.settings, self.segment_s, self.sensors)
+                problems = tuple(_usable(cut, fit.recording)[0])
+        found = identify_segments(problems, self.method, self.runs, self.seed, config=config, **self.networks)
         provenance = {"params_sha256": self.settings.sha256, "recording_sha256": self.recording.sha256,
                       **({"recording": self.recording_name} if self.recording_name else {})}  # fmt: skip
-        return Identified(found, self.problems, (*doubts, *self.notes), provenance)
+        return Identified(found, problems, (*doubts, *self.notes), provenance)
 
 
 def identify(
@@ -261,9 +274,9 @@ def ask(
                for name in SENSORS if name not in used]
     notes = (*_notes(source, parameters), *channel_notes(source, used), *without, *left_out)
     seed = settings.seed if seed is None else seed
-    tested = (_intake(source, parameters), tuple(used)) if setup.fit_test and chosen.needs.maps == EXACT else None
-    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source, tested,
-                                  source.path.name if source.path else "")  # fmt: skip
+    fit_with = (_intake(source, parameters), tuple(used)) if setup.fit_test and chosen.needs.maps == EXACT else None
+    return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source,
+                                  segment_s, masked, fit_with, source.path.name if source.path else "")  # fmt: skip
 
 
 def sensors_of(source: Recording) -> tuple[str, ...] | None:

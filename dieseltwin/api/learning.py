@@ -37,6 +37,7 @@ from dieseltwin.settings.params import default_learn
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_FAR_OFF = 3.0  # times what is believed of a map, of a correction: by chance one map in some hundred engines
 MAP_ERRORS = (0.001, 0.1)
 
 
@@ -158,7 +159,7 @@ def _learn_diesel(
         _check_misfit(known, source, settings.misfit_max)
     if not found.converged:
         notes.append("note: the fit stopped before it converged; the intervals may be too narrow")
-    return LearnedResult(known, found, (*notes, *_doubts(found)))
+    return LearnedResult(known, found, (*notes, *_far_off(known), *_doubts(found)))
 
 
 def known_engine(
@@ -276,6 +277,18 @@ def _check_misfit(known: LearnedEngine, source: Recording, most: float) -> None:
             f"up to {most:g} for a healthy engine of this kind",
             "check that it is this engine, that it was well, and that its columns and units are right",
         )  # fmt: skip
+
+
+def _far_off(known: LearnedEngine) -> list[str]:
+    """That maps had to be corrected by far more than what is believed of them, the worst one."""
+    off = max(corrected_maps(known), key=lambda row: row.corrected / known.map_rms, default=None)
+    if off is None or off.corrected <= _FAR_OFF * known.map_rms:
+        return []
+    return [
+        f"note: the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.map_rms:g} %"
+        " is believed: another engine than the base, a sensor that reads wrongly or a fault in the reference; where "
+        f"the maps may be off by so much, --map-error {min(off.corrected, MAP_ERRORS[1]):.2f} says so"
+    ]
 
 
 def _doubts(found: Learned) -> list[str]:

@@ -26,8 +26,10 @@ from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.notes import Note
 from dieseltwin.recordings.circumstances import put_right
 from dieseltwin.recordings.dates import ORDER, Dated
+from dieseltwin.recordings.liveliest import liveliest
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.params import load_params
 from dieseltwin.settings.search import SearchSettings
 
 
@@ -94,13 +96,19 @@ def discover(
     found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
     result = assemble(days, found, options, _reference(found, learned), time_s)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
-    return replace(_with_doubts(result, engine, [day.recording for day in days]), runtime=runtime)
+    return replace(_with_doubts(result, found, engine, [day.recording for day in days]), runtime=runtime)
 
 
-def _with_doubts(result: Discovery, engine: EngineParameters, recordings: Sequence[Recording]) -> Discovery:
+def _with_doubts(
+    result: Discovery, found: search.Search, engine: EngineParameters, recordings: Sequence[Recording]
+) -> Discovery:
     """What was done to the recordings on reading, and what is doubtful about the fit, in the document."""
     doubts = [Note(note, "reading") for recording in recordings for note in recording.notes]
     doubts += fit_doubts(result.document)
+    if found.unsettled and result.document.mismatch:
+        leads = " and ".join(" + ".join(names) for names in dict.fromkeys(found.unsettled))
+        doubts.append(Note(f"more than one explanation: {leads} lead in turns, each with the likelihood about the "
+                           "other, so that neither name is given alone", "not_converged"))  # fmt: skip
     problem = misfit_of(engine, result.engine, result.document.fit.chi2_per_sample_after)
     if problem is not None:
         doubts.append(Note(f"{problem[0]} ({problem[1]} is allowed): no twin of what was recorded", "misfit"))
@@ -111,13 +119,14 @@ def as_it_was(
     recording: Recording, engine: EngineParameters, options: Options | None = None
 ) -> tuple[Recording, EngineParameters, tuple[Estimate, ...]]:
     """The recording with its clocks and its ambient put right, the engine with its charge temperature, and what was
-    found of all that the recording doesn't say; without a verdict.
+    found of all that the recording doesn't say; without a verdict. Of a long recording the liveliest stretches tell.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     options = options or Options()
-    twin = _twin(recording, engine, options, None)
+    most = load_params().discover.minutes_max
+    twin = _twin(recording if most is None else liveliest(recording, most), engine, options, None)
     found = search.looked_at(twin, options.settings())
     values = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
     return (*put_right(recording, engine, values), estimates(found.null))

@@ -10,6 +10,8 @@ from types import MappingProxyType
 import numpy as np
 from scipy.special import chdtri  # of scipy.stats, whose import takes half a second, only this is wanted
 
+from dieseltwin.discovery.discover import as_it_was
+from dieseltwin.discovery.likelihood.circumstances import Estimate
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.recording_faults import Suspicion, recording_faults, suspicions
 from dieseltwin.discovery.search.preparation import prepare
@@ -111,6 +113,39 @@ def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[
                           f"{worst.channel} from {worst.since_s:.5g} to {worst.until_s:.5g} s; its parameters may be "
                           "wrong, see `dieseltwin discover`", "residuals", names))  # fmt: skip
     return notes
+
+
+@dataclass(frozen=True)
+class Tested:
+    """A recording and an engine after the test.
+
+    Attributes:
+        recording, engine: as they were given, or put right where the recording shows that it was made under other
+            circumstances and the twin doesn't fit without them.
+        shown: these circumstances, none where nothing was put right.
+        notes: what doesn't fit even so.
+    """
+
+    recording: Recording
+    engine: EngineParameters
+    shown: tuple[Estimate, ...]
+    notes: tuple[Note, ...]
+
+
+def tested(recording: Recording, engine: EngineParameters, sensors: Sequence[str]) -> Tested:
+    """Test whether the twin fits; where it doesn't, under the circumstances that the recording shows (`as_it_was`).
+
+    Args:
+        recording, engine, sensors: as of `fit_notes`.
+    """
+    notes = tuple(fit_notes(recording, engine, sensors))
+    if any(note.code in ("misfit", "residuals") for note in notes):
+        there = tuple(name for name in sensors if name in recording.columns)
+        right, under, said = as_it_was(recording, engine, Options(sensors=there))
+        shown = tuple(item for item in said if item.off)
+        if shown:
+            return Tested(right, under, shown, tuple(fit_notes(right, under, sensors)))
+    return Tested(recording, engine, (), notes)
 
 
 def _parts(recording: Recording) -> Iterator[Recording]:

@@ -19,6 +19,9 @@ from dieseltwin.errors import InputError
 LEARNED, SHA256 = "learned", "learned_sha256"
 """Keys of an engine file that name the second file and its hash."""
 
+WITHOUT_THREADS: Mapping[str, Any] = {"use_threads": False, "pre_buffer": False}
+"""For small Parquet files: pools of threads take longer to start than to read, and may still run when Python ends."""
+
 LEARN_AGAIN = "put the file back, or learn the engine again with `dieseltwin learn`"
 
 
@@ -56,7 +59,7 @@ def mean_coefficients(path: Path, document: Mapping[str, Any]) -> tuple[float, .
 
     content = learned_bytes(path, document)
     try:
-        table = pq.read_table(io.BytesIO(content), columns=["name", "mean"])
+        table = pq.read_table(io.BytesIO(content), columns=["name", "mean"], **WITHOUT_THREADS)
         found = dict(zip(table["name"].to_pylist(), np.array(table["mean"], dtype=np.float64), strict=True))
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError):
         raise InputError(str(document[LEARNED]), "not readable", "what `dieseltwin learn` wrote", LEARN_AGAIN) from None

@@ -24,7 +24,7 @@ import yaml
 
 from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
-from dieseltwin.engine.learned_file import LEARN_AGAIN, LEARNED, SHA256, learned_bytes
+from dieseltwin.engine.learned_file import LEARN_AGAIN, LEARNED, SHA256, WITHOUT_THREADS, learned_bytes
 from dieseltwin.engine.terms import CorrectionTerm
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief
@@ -149,7 +149,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(io.BytesIO(content))
+        table = pq.read_table(io.BytesIO(content), **WITHOUT_THREADS)
         metadata = table.schema.metadata or {}
         about = json.loads(metadata[_KEY])
     except (pa.ArrowException, OSError, KeyError, ValueError):
@@ -171,7 +171,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
 
 
 def _recording(row: dict[str, Any], data: bytes, base: EngineParameters) -> Recording:
-    frame = pd.read_parquet(io.BytesIO(base64.b64decode(data)))
+    frame = pd.read_parquet(io.BytesIO(base64.b64decode(data)), **WITHOUT_THREADS)
     columns = {name: frame[name].to_numpy() for name in frame}
     began = None if row.get("began") is None else datetime.fromisoformat(row["began"])
     return Recording(columns["time_s"], columns, row["p_amb_pa"], row["t_amb_k"], None, row["sha256"], began=began)

@@ -1,7 +1,8 @@
 """What a recording was made under, where it says so wrongly or not at all: ambient, fuel, clocks of the channels.
 
 Names are `p_amb_pa`, `t_amb_k`, `t_im_k` (values), `drift:p_amb_pa` (change from the first row to the last),
-`scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by so much).
+`scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by so much). Of several recordings that
+are judged together the number of the recording follows, counted from 0: `p_amb_pa@2`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
 
 DRIFT, SCALE, TIME_SHIFT = "drift", "scale", "time_shift"
+
+_OF = "@"
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,29 @@ class Circumstance:
     @property
     def column(self) -> str:
         """The column that it is about."""
-        return self.name.rpartition(":")[2]
+        return self.name.rpartition(":")[2].partition(_OF)[0]
+
+    @property
+    def plain(self) -> str:
+        """Its name in its own recording."""
+        return self.name.partition(_OF)[0]
+
+    @property
+    def recording(self) -> int | None:
+        """Number of its recording among several, from 0; None where there is one."""
+        number = self.name.partition(_OF)[2]
+        return int(number) if number else None
+
+
+def among_several(name: str, recording: int) -> str:
+    """Name of a circumstance of one of several recordings, counted from 0."""
+    return f"{name}{_OF}{recording}"
+
+
+def of_recording(values: Mapping[str, float], recording: int) -> dict[str, float]:
+    """Those of some values that are of one of several recordings, under the names that they have in it."""
+    end = among_several("", recording)
+    return {name.removesuffix(end): value for name, value in values.items() if name.endswith(end)}
 
 
 def kind_of(name: str) -> str:

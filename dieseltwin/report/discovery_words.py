@@ -160,7 +160,11 @@ def circumstance_words(item: FoundCircumstance) -> str:
 
 def circumstances_words(document: Discrepancy) -> str:
     """All circumstances that are plainly others than assumed, empty where there is none."""
-    off = [circumstance_words(item) for item in document.circumstances if item.off]
+    off = [
+        circumstance_words(item) if item.recording is None
+        else f"on {document.recordings[item.recording - 1].date[:10]} {circumstance_words(item)}"
+        for item in document.circumstances if item.off
+    ]  # fmt: skip
     return _listing(off) if off else ""
 
 

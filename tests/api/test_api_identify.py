@@ -11,6 +11,7 @@ import dieseltwin as dt
 from dieseltwin.cli.app import main
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note
 from tests.api.simulated import drive
 
 
@@ -42,6 +43,16 @@ def test_function_and_command_find_and_write_the_same(
         assert (tmp_path / "function" / name).read_bytes() == (tmp_path / "command" / name).read_bytes()
     from_table = dt.identify(pd.read_csv(worn), runs=2, seed=3)
     assert from_table.found.to_json() == found.found.to_json()
+
+
+def test_a_hill_that_no_column_tells_is_found_and_identified_as_such() -> None:
+    there = drive(180.0, we2011.PARAMETERS.replace(A_egrmax=3e-4, p_amb=93e3, T_amb=285.0))
+    found = dt.identify(there, runs=1, seed=3)
+    (note,) = (note for note in found.notes if isinstance(note, Note) and note.code == "circumstances")
+    assert "the ambient pressure is 9" in note and not any(item["code"] == "misfit" for item in found.warnings)
+    mean, std = found.table().loc["A_egrmax", ["mean", "std"]]
+    assert abs(mean - 3e-4) < 4.0 * std
+    assert found.problems[0].parameters.p_amb == pytest.approx(93e3, abs=1500.0)
 
 
 def test_what_can_not_be_identified_is_one_line(worn: Path) -> None:

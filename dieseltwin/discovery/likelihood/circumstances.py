@@ -130,10 +130,12 @@ def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimat
     left = at.residual if residual is None else residual
     share = at.metric.nuisance_estimate(np.nan_to_num(left))[-len(items) :]
     values = np.array([twin.values.get(item.name, item.assumed) for item in items]) + scale * share
-    clocks = np.array([item.kind == TIME_SHIFT for item in items])
-    if clocks.sum() == sum(item.kind == TIME_SHIFT for item in twin.circumstances):  # none is the one that is right
-        contrast = np.eye(len(items)) - np.outer(clocks, clocks / clocks.sum())
-        covariance = contrast @ covariance @ contrast.T
-        values = np.where(clocks, values - np.median(values[clocks]), values)
+    for recording in {item.recording for item in items}:
+        clocks = np.array([item.kind == TIME_SHIFT and item.recording == recording for item in items])
+        there = sum(item.kind == TIME_SHIFT and item.recording == recording for item in twin.circumstances)
+        if clocks.any() and clocks.sum() == there:  # none is the one that is right
+            contrast = np.eye(len(items)) - np.outer(clocks, clocks / clocks.sum())
+            covariance = contrast @ covariance @ contrast.T
+            values = np.where(clocks, values - np.median(values[clocks]), values)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return tuple(Estimate(*row) for row in zip(items, values.tolist(), std.tolist(), strict=True))

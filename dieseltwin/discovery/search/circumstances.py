@@ -56,7 +56,7 @@ class Settled:
 def under_circumstances(found: Search) -> Twin | None:
     """The twin under circumstances that a prepared search shows to be others than its twin has; None where none are."""
     twin = found.twin
-    if not isinstance(twin, WithCircumstances):
+    if not isinstance(twin, WithCircumstances) or not twin.circumstances:
         return None
     rest = [item for item in twin.circumstances if not item.unknown and item.name not in twin.opened]
     return (_plainly_off(found, twin, rest) if rest else None) or _moved(found, twin)

@@ -20,6 +20,7 @@ from dieseltwin.discovery.search.explanations import (
     beyond_law,
     choose,
     choose_so_far,
+    led_once_more,
     pair_beats_single,
     polish,
     try_more_pairs,
@@ -35,7 +36,7 @@ from dieseltwin.discovery.search.preparation import (
     tolerance_responses,
     verify,
 )
-from dieseltwin.discovery.search.state import Search, occam
+from dieseltwin.discovery.search.state import Search, occam, set_probabilities
 from dieseltwin.discovery.search.variants import Variant, edge_cost, scan
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import Twin
@@ -80,13 +81,18 @@ def _with_names(twin: Twin, settings: SearchSettings) -> Search:
     clock = time.perf_counter()
     found, starts = refitted(found, starts_by_recording(found))
     found.seconds["by_recording"] = time.perf_counter() - clock
-    for _ in range(_RENEWALS):
+    for renewal in range(_RENEWALS):
         lead = _lead(found)
         if belief_of(twin) is None or found.gain(lead) < _BENDS:
             break
+        unsettled = found.unsettled
         found, starts = refitted(_with_singles(prepared_about(found, lead)), starts)
-        if _lead(found).candidate.names == lead.candidate.names:
+        found.unsettled = unsettled
+        both = [lead.candidate.names, _lead(found).candidate.names]
+        if both[0] == both[1]:
             break
+        if renewal == _RENEWALS - 1:
+            found.unsettled = both
     return found
 
 
@@ -128,6 +134,10 @@ def _explain(found: Search, laws: bool) -> None:
     found.seconds["pairs"] = time.perf_counter() - clock
     if found.kind == "law":
         _law(found, laws)
+    elif found.kind != "single" and belief_of(twin) is not None and found.explained() >= _BENDS:
+        found.stage = STAGES[-1]
+        found.unsettled = [*found.unsettled, *led_once_more(found)]
+        set_probabilities(found, found.kind)
 
 
 def _lead(found: Search) -> Fit:
@@ -138,11 +148,15 @@ def _lead(found: Search) -> Fit:
 def looked_at(twin: Twin, settings: SearchSettings) -> Search:
     """Noise, health-only fit and single effects, under the circumstances that the recording shows."""
     found = _with_singles(prepare(twin, settings))
+    before = found
     for _ in range(ROUNDS):
         other = under_circumstances(found)
         if other is None:
-            break
-        found = _with_singles(prepare(other, settings))
+            return found
+        before, found = found, _with_singles(prepare(other, settings))
+    both = [_lead(each) for each in (before, found)]
+    if both[0].candidate.names != both[1].candidate.names and under_circumstances(found) is not None:
+        found.unsettled = [fit.candidate.names for fit in both]
     return found
 
 

@@ -26,7 +26,8 @@ class Search:
 
     `null` is the health-only fit, `best` the explanation; `second_effect_gain` is what the best second effect would
     gain beside the best single one, `spreads` which share of it each second effect keeps without its best window.
-    `stage` is what is looked at, `unfinished` the stages that no time was left for.
+    `stage` is what is looked at, `unfinished` the stages that no time was left for. `unsettled` are the explanations
+    that led in turns when the likelihood was renewed about the leading one; none where it stayed the same.
     """
 
     twin: Twin
@@ -59,6 +60,7 @@ class Search:
     seconds: dict[str, float] = field(default_factory=dict)
     stage: str = ""
     unfinished: tuple[str, ...] = ()
+    unsettled: list[tuple[str, ...]] = field(default_factory=list)
 
     def gain(self, fit: Fit) -> float:
         """Gain of a fit over the health-only fit."""
@@ -165,4 +167,4 @@ def set_probabilities(found: Search, kind: str) -> None:
     for fit in pool:
         if fit.objective - best < reach and fit.candidate.names not in seen:
             seen.append(fit.candidate.names)
-    found.equivalent = seen
+    found.equivalent = [*seen, *(names for names in found.unsettled if names not in seen)]

@@ -2,7 +2,7 @@
 
 The windows of all recordings stand one after another. So the likelihood, the search and the laws see one long
 recording: tolerances of maps and sensors are directions that act on all of it at once, and the health parameters of a
-recording act on its own rows.
+recording act on its own rows. What a recording doesn't say (ambient, fuel, clocks) is its own too.
 """
 
 from __future__ import annotations
@@ -15,9 +15,12 @@ from itertools import pairwise
 import numpy as np
 
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Point, some_lanes
 from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.circumstances import Circumstance, among_several, of_recording
+from dieseltwin.settings.params import default_search
 
 _COLD_SPAN_K = 5.0
 """Spread of the recordings' ambient temperatures from which cold weather can be told from chance [K]: its change over a
@@ -112,6 +115,15 @@ class SeveralTwin:
             name: np.concatenate([part.conditions[name] for part in parts]) for name in first.conditions
         }
         self.deviation = first.deviation
+        logged = {r: part for r, part in enumerate(self.parts) if isinstance(part, LoggedTwin)}
+        self.beliefs = next((part.beliefs for part in logged.values()), default_search().circumstances)
+        self.circumstances: tuple[Circumstance, ...] = tuple(
+            replace(item, name=among_several(item.name, r)) for r, part in logged.items() for item in part.circumstances
+        )
+        self.values: Mapping[str, float] = {
+            among_several(name, r): value for r, part in logged.items() for name, value in part.values.items()
+        }
+        self.opened = frozenset(among_several(name, r) for r, part in logged.items() for name in part.opened)
         self._begin()
 
     def _begin(self) -> None:
@@ -229,6 +241,30 @@ class SeveralTwin:
         other.deviation, other.moved = deviation, moved
         other.measured = self.measured - self.moved + moved
         return other
+
+
+    def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> SeveralTwin:
+        """The twin under other circumstances, as `LoggedTwin.under`; recordings in which nothing changes stay."""
+        before, free = dict(self.values), dict.fromkeys(opened, 1.0)
+        parts = list(self.parts)
+        for r, part in enumerate(self.parts):
+            own, open_now = of_recording(values, r), frozenset(of_recording(free, r))
+            if isinstance(part, LoggedTwin) and (own, open_now) != (of_recording(before, r), part.opened):
+                parts[r] = part.under(own, open_now, like)
+        other = SeveralTwin(parts, self.occasions)
+        if like:
+            other.measured[~np.isfinite(self.measured).any(axis=1)] = np.nan
+        return other
+
+    def circumstance_responses(self, lanes: Lanes, simulated: Array, names: Sequence[str]) -> Array:
+        """Responses (K, n, C) of the readings per unit of circumstances, each in the rows of its own recording."""
+        out = np.zeros((len(names), *simulated.shape))
+        for r, (part, rows) in enumerate(zip(self.parts, self.rows, strict=True)):
+            own = of_recording({name: float(k) for k, name in enumerate(names)}, r)
+            if own and isinstance(part, LoggedTwin):
+                at = np.array([int(k) for k in own.values()])
+                out[at, rows] = part.circumstance_responses(self._lanes_of(r, lanes), simulated[rows], list(own))
+        return out
 
 
 def _one_after_another(times: Sequence[Array]) -> Array:

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from dieseltwin.discovery.laws.terms import law_terms_of
-from dieseltwin.discovery.likelihood.circumstances import estimates
+from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
@@ -46,7 +46,7 @@ from dieseltwin.discovery.verdict.over_recordings import (
     with_words,
 )
 from dieseltwin.discovery.verdict.reasons import candidate_rows
-from dieseltwin.discovery.verdict.since_reference import since_reference
+from dieseltwin.discovery.verdict.since_reference import no_better_than_then, since_reference
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import OneTerm, Term
@@ -75,7 +75,8 @@ def assemble(
     at = explained_at(found)
     after, parameters = at.simulated, at.fit.parameters[: len(twin.parameters)]
     apart = disagreement(found)
-    covariance = at.covariance[: apart.size, : apart.size] + np.diag(apart**2)
+    own = at.covariance[: apart.size, : apart.size] + np.diag(apart**2)
+    covariance = no_better_than_then(own, parameters, found.twin)
     since = since_reference(at, found.twin, apart)
     evidence = _evidence(found, after)
     sizes, differ = told_apart(found, days) if mismatch else ([], "")
@@ -140,12 +141,15 @@ def _circumstances(found: Search, after: Array) -> tuple[FoundCircumstance, ...]
     """What the recording says of its circumstances under the explanation that was chosen."""
     chosen = found.best if found.best is not None and found.kind != "law" else None
     said = estimates(chosen) if chosen is not None else estimates(found.null, found.twin.measured - after)
-    return tuple(
-        FoundCircumstance(
-            name=item.circumstance.name, value=item.value, std=item.std, assumed=item.circumstance.assumed,
-            unit=item.circumstance.unit, off=item.off, equivalent_names=item.circumstance.effects,
-        )
-        for item in said
+    return tuple(found_circumstance(item) for item in said)
+
+
+def found_circumstance(estimate: Estimate) -> FoundCircumstance:
+    """What a recording says of a circumstance, as the document has it."""
+    item = estimate.circumstance
+    return FoundCircumstance(
+        name=item.plain, value=estimate.value, std=estimate.std, assumed=item.assumed, unit=item.unit, off=estimate.off,
+        equivalent_names=item.effects, recording=None if item.recording is None else 1 + item.recording,
     )  # fmt: skip
 
 

@@ -202,6 +202,7 @@ class FoundCircumstance(FrozenModel):
 
     Names are columns of the ambient and of the charge (`p_amb_pa`, `t_amb_k`, `t_im_k`), `drift:p_amb_pa` from the
     first row to the last, `scale:u_delta_mg` (true over recorded) and `time_shift:<column>` (recorded late by it).
+    Of several recordings, `recording` is the number of its own.
     """
 
     name: Name
@@ -211,6 +212,7 @@ class FoundCircumstance(FrozenModel):
     unit: Name
     off: bool
     equivalent_names: tuple[Name, ...] = ()
+    recording: int | None = Field(default=None, ge=1)
 
 
 class Provenance(FrozenModel):
@@ -285,6 +287,8 @@ class Discrepancy(FrozenModel):
                     del value["since_reference"]
         if not content["recordings"]:
             del content["recordings"]
+            for item in content.get("circumstances", ()):
+                del item["recording"]
             for part in (*content["effects"], *([content["location"]] if content["location"] else [])):
                 for key in ("over_recordings", "onset_date", "onset_after"):
                     part.pop(key, None)

@@ -122,6 +122,9 @@ def effects(found: Search) -> tuple[FoundEffect, ...]:
             rest = [n for n in other if n not in partners]
             if len(rest) == 1 and rest[0] not in names and rest[0] not in equivalents:
                 equivalents.append(rest[0])
+        for other in found.unsettled:
+            if name not in other:
+                equivalents += [n for n in other if n not in names and n not in equivalents]
         probability = sum(
             value for key, value in found.probabilities.items() if name in key.split(" + ")
         )

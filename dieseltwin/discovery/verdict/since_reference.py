@@ -41,3 +41,17 @@ def since_reference(at: Linearisation, twin: Twin, apart: Array) -> tuple[Array,
         rest = max(float(unseen[j]), 0.0) * (quotient[j] / then[j]) ** 2 + (apart[j] / then[j]) ** 2
         std[j] = np.sqrt(float(row @ covariance @ row) + rest)
     return quotient, std
+
+
+def no_better_than_then(covariance: Array, parameters: Array, twin: Twin) -> Array:
+    """The covariance (P, P) of the health parameters (P,), none known better than when the reference was recorded.
+
+    A health parameter and the level of a map are one product, now as then, and a later recording can't tell them apart.
+    Linear responses to the two that are taken at points a little apart seem to.
+    """
+    belief = belief_of(twin)
+    if belief is None:
+        return covariance
+    then = np.sqrt(np.diag(belief.covariance)[HEALTH_AT]) / belief.health
+    least = (np.tile(then, parameters.size // then.size) * parameters) ** 2
+    return np.asarray(covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0)))

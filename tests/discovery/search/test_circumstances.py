@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,6 +18,7 @@ from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine import we2011
 from dieseltwin.engine.inputs import INPUT_COLUMNS
+from dieseltwin.recordings.dates import MODIFIED, Dated
 from dieseltwin.recordings.reader import recording
 from dieseltwin.report.discovery_words import sentence
 
@@ -57,6 +60,21 @@ def test_a_healthy_engine_on_a_hill_is_let_be() -> None:
     assert said["p_amb_pa"].off and said["p_amb_pa"].value == pytest.approx(93_000.0, abs=1200.0)
     assert said["t_amb_k"].off and said["t_amb_k"].value == pytest.approx(285.15, abs=4.0)
     assert "the ambient pressure is 9" in sentence(document)
+
+
+def test_each_of_several_recordings_has_a_weather_and_clocks_of_its_own() -> None:
+    hill, late = _driven(120.0, p_amb=93_000.0, T_amb=285.15), _driven(120.0)
+    late["n_e_rpm"] = np.interp(late["time_s"] - LATE_S, late["time_s"], late["n_e_rpm"])
+    first = datetime(2026, 1, 15, tzinfo=UTC)
+    frames = (_driven(120.0), hill, late)
+    days = [Dated(recording(f), first + timedelta(days=k), MODIFIED) for k, f in enumerate(frames)]
+    document = discover(days, we2011.PARAMETERS, Options(law_search=False)).document
+    assert not document.mismatch
+    off = {(item.recording, item.name): item.value for item in document.circumstances if item.off}
+    assert off.keys() == {(2, "p_amb_pa"), (2, "t_amb_k"), (3, "time_shift:n_e_rpm")}
+    assert off[2, "p_amb_pa"] == pytest.approx(93_000.0, abs=1500.0)
+    assert off[3, "time_shift:n_e_rpm"] == pytest.approx(LATE_S, abs=0.03)
+    assert "on 2026-01-17 n_e_rpm is recorded 0.2" in sentence(document)
 
 
 def test_responses_are_those_of_the_recording_under_other_circumstances() -> None:

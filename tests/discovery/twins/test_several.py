@@ -9,6 +9,7 @@ import pytest
 
 from dieseltwin.discovery.likelihood.fit import first_fit, parameter_lanes
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import OverRecordings, single
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin, profiles_of
 from dieseltwin.engine import we2011
@@ -58,6 +59,20 @@ def test_profiles_of_a_year():
     assert np.allclose(found["grows:0"], [0.0, 1 / 3, 2 / 3, 1.0])
     assert np.allclose(found["cold"], [10 / 22, 0.0, 1.0, 9 / 22])
     assert set(profiles_of(year[:2])) == {"begins:1", "cold"}  # that grew is the same as that it began
+
+
+def test_circumstances_are_those_of_each_recording():
+    parts = [LoggedTwin(recording(drive(40.0, seed=k)), we2011.PARAMETERS) for k in (1, 2)]
+    twin = SeveralTwin(parts, [Occasion(0.0, 298.0), Occasion(30.0, 283.0)])
+    assert {item.recording for item in twin.circumstances} == {0, 1}
+    lanes = first_fit(twin).lanes()
+    simulated = twin.simulate(lanes)[0]
+    (response,) = twin.circumstance_responses(lanes, simulated, ["t_im_k@1"])
+    moved = twin.under({"t_im_k@1": we2011.PARAMETERS.T_im + 0.5}, frozenset(), like=True)
+    assert moved.values == {"t_im_k@1": we2011.PARAMETERS.T_im + 0.5} and moved.parts[0] is parts[0]
+    change = moved.simulate(lanes)[0] - simulated
+    assert not change[twin.rows[0]].any() and not response[twin.rows[0]].any()
+    assert np.abs(change - 0.5 * response).max() < 0.05 * np.abs(change).max()
 
 
 def test_one_recording_or_other_sensors_are_refused(twin: SeveralTwin):
