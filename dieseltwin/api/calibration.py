@@ -61,7 +61,7 @@ def base_engine(base: Engine | str | Path) -> EngineParameters | PetrolParameter
     Raises:
         InputError: neither a name nor a file that can be used, or a rig.
     """
-    if isinstance(base, EngineParameters):
+    if isinstance(base, EngineParameters | PetrolParameters):
         return base
     if isinstance(base, RigParameters) or (os.path.isfile(base) and is_rig(base)):
         name = base.name if isinstance(base, RigParameters) else base

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 import pandas as pd
@@ -121,7 +121,8 @@ def learn(
     return _learn_diesel(_all_of(recordings, PetrolRecording, "a diesel engine"), engine, channels, map_error, siblings)
 
 
-_A, _B = TypeVar("_A"), TypeVar("_B")
+_A = TypeVar("_A")
+_B = TypeVar("_B")
 
 
 def _all_of(recordings: Sequence[_A | _B], other: type[_A], wanted: str) -> list[_B]:
@@ -130,7 +131,7 @@ def _all_of(recordings: Sequence[_A | _B], other: type[_A], wanted: str) -> list
     if len(kept) < len(recordings):
         raise InputError("HEALTHY", "a recording of another kind of engine", f"one of {wanted}, as the engine is",
                          "read it for this engine")
-    return kept
+    return cast("list[_B]", kept)
 
 
 def _learn_diesel(

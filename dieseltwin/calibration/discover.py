@@ -26,8 +26,8 @@ from dieseltwin.calibration.coefficients import (
     with_scalars,
     worn,
 )
-from dieseltwin.calibration.likelihood import NOISE, UNKNOWN, Estimate, estimate, reading_covariance
-from dieseltwin.calibration.scatter import DEGREES, Scatter, log_student, scatter_of
+from dieseltwin.calibration.likelihood import DEGREES, Estimate, estimate, log_density
+from dieseltwin.calibration.scatter import Scatter, scatter_of
 from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel, term_values
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
 from dieseltwin.discovery.laws.search import Law
@@ -45,7 +45,6 @@ Array = NDArray[np.float64]
 
 FULL_ITERATIONS, TRAIN_ITERATIONS = 20, 4
 _SIGNIFICANT = 2.0  # standard deviations
-_FAR = 3.0  # of a balance's logarithm, as the fit cuts it
 
 
 @dataclass(frozen=True)
@@ -282,7 +281,7 @@ def _held_out(here: Calibration, free: list[Coefficient]) -> tuple[float, dict[s
     found = estimate(here.model, points.take(~mask), free, here.start, iterations=TRAIN_ITERATIONS,
                      rows=_rows(here.model, free))
     trained = {**here.start, **found.values()}
-    return float(-_log_density(here.model, points.take(mask).judged, trained, found.discrepancy).mean()), trained
+    return float(-log_density(here.model, points.take(mask).judged, trained, found.discrepancy).mean()), trained
 
 
 _Proved = tuple[Law, tuple[OneTerm, ...], Calibration, float, dict[str, float]]
@@ -301,7 +300,7 @@ def _proved_law(found: search.Search, here: Calibration, free: list[Coefficient]
     while True:
         points = found.twin.points
         unnamed = [item for item in found.everything_unnamed()
-                   if item.feature.channel is not None or points[item.feature.point].name not in refused]
+                   if item.feature.point is None or points[item.feature.point].name not in refused]
         law = best_law(found.twin, found.null, unnamed,
                        lambda there: search.tolerance_responses(there.twin, there, found.settings))
         terms = law_terms_of(law, points) if law is not None else ()
@@ -364,25 +363,6 @@ def _scales(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float
         weight = (DEGREES + 1.0) / (DEGREES + r**2 / s2)
         s2 = np.nanmean(weight * r**2, axis=0) + 1e-6
     return np.asarray(np.sqrt(s2))
-
-
-def _log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], errors: Array) -> Array:
-    """Log-density of the balances of each point, (n,).
-
-    The noise of one reading is in several balances, and what is added to a model changes by how much: residuals are
-    whitened by what readings and balances are off by before they are judged.
-
-    Args:
-        errors: (R,) of the balances themselves, one standard deviation [-].
-    """
-    x = points.states()
-    known = np.isfinite(x)
-    x = np.where(known, x, np.nanmedian(x, axis=0))
-    r = np.clip(np.nan_to_num(model.relations(points, x, values).residual[0]), -_FAR, _FAR)
-    sigma = np.where(known, np.array([NOISE[name] for name in STATES]), UNKNOWN)
-    root = np.linalg.cholesky(reading_covariance(model, points, x, values, sigma) + np.diag(errors**2))
-    white = np.linalg.solve(root, r[..., None])[..., 0]
-    return np.asarray(np.sum(log_student(white) - np.log(np.einsum("nii->ni", root)), axis=1))
 
 
 def _chi2(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], scale: Array) -> float:

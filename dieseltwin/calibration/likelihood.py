@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.special import gammaln
 
 from dieseltwin.calibration.coefficients import Coefficient
 from dieseltwin.calibration.steady_model import SteadyModel
-from dieseltwin.recordings.steady_points import SteadyPoints
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,8 @@ LARGEST_SHIFT = 0.3  # of ln x in one iteration
 ROBUST = 2.0  # whitened residuals beyond this count ever less
 FLOOR = 0.003  # a submodel is never believed better than this [-]; `floors` of a call can say more
 FIRST_STEPS, MORE_STEPS = 14, 8  # of the inner minimiser
+DEGREES = 4.0  # of Student's t
+FAR = 3.0  # of a balance's logarithm, where it is cut
 UNKNOWN = 1.0  # relative prior spread of a state that was not measured
 
 
@@ -163,7 +166,7 @@ def estimate(
                      x: Array = x) -> Array:
             r = model.relations(points, x, {**values, **columns}).residual
             r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
-            return (linear.whiten @ np.clip(r, -3.0, 3.0)[..., None])[..., 0] * scale
+            return (linear.whiten @ np.clip(r, -FAR, FAR)[..., None])[..., 0] * scale
 
         def residuals(z: Array, whitened=whitened) -> Array:  # type: ignore[no-untyped-def]
             columns = {c.name: float(v) for c, v in zip(coefficients, z * std + mean, strict=True)}
@@ -259,3 +262,28 @@ def correlation_inflation(points: SteadyPoints, residual: Array) -> float:
 def _unit(values: Array) -> Array:
     spread = float(np.std(values))
     return (values - np.mean(values)) / spread if spread > 0 else np.zeros_like(values)
+
+
+def log_student(x: Array) -> Array:
+    """Logarithm of Student's density with `DEGREES` degrees of freedom (scipy.stats takes half a second to import)."""
+    level = gammaln(0.5 * (DEGREES + 1.0)) - gammaln(0.5 * DEGREES) - 0.5 * np.log(np.pi * DEGREES)
+    return np.asarray(level - 0.5 * (DEGREES + 1.0) * np.log1p(x**2 / DEGREES))
+
+
+def log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], errors: Array) -> Array:
+    """Log-density of the balances of each point, (n,).
+
+    The noise of one reading is in several balances, and what is added to a model changes by how much: residuals are
+    whitened by what readings and balances are off by before they are judged.
+
+    Args:
+        errors: (R,) of the balances themselves, one standard deviation [-].
+    """
+    x = points.states()
+    known = np.isfinite(x)
+    x = np.where(known, x, np.nanmedian(x, axis=0))
+    r = np.clip(np.nan_to_num(model.relations(points, x, values).residual[0]), -FAR, FAR)
+    sigma = np.where(known, np.array([NOISE[name] for name in STATES]), UNKNOWN)
+    root = np.linalg.cholesky(reading_covariance(model, points, x, values, sigma) + np.diag(errors**2))
+    white = np.linalg.solve(root, r[..., None])[..., 0]
+    return np.asarray(np.sum(log_student(white) - np.log(np.einsum("nii->ni", root)), axis=1))

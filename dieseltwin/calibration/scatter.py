@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.special import gammaln
 
-from dieseltwin.calibration.likelihood import NOISE, reading_covariance
+from dieseltwin.calibration.likelihood import NOISE, log_student, reading_covariance
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
 from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.settings.search import SubmodelErrors
@@ -26,7 +25,6 @@ Array = NDArray[np.float64]
 NEIGHBOURS: Mapping[str, str] = {"p_es": "turbine_flow", "p_bc": "compressor_flow", "T_im": "cylinder_flow"}
 """Quantity of a place that nobody measured -> the balance that it moves most."""
 
-DEGREES = 4.0  # of Student's t
 _STEP = 1e-3  # relative change of a quantity, for its slopes
 _LOG_TAU = (-9.0, 0.0)  # sought range of ln tau
 _CLOSE = 0.7  # of the best place's gain: the points hardly tell two such places apart
@@ -107,9 +105,3 @@ def scatter_of(
 
 
 __all__ = ["NEIGHBOURS", "Scatter", "scatter_of"]
-
-
-def log_student(x: Array) -> Array:
-    """Logarithm of Student's density with `DEGREES` degrees of freedom (scipy.stats takes half a second to import)."""
-    level = gammaln(0.5 * (DEGREES + 1.0)) - gammaln(0.5 * DEGREES) - 0.5 * np.log(np.pi * DEGREES)
-    return np.asarray(level - 0.5 * (DEGREES + 1.0) * np.log1p(x**2 / DEGREES))
