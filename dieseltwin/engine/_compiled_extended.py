@@ -229,9 +229,9 @@ def lag_weights(work, width, gain, kept):  # type: ignore[no-untyped-def]
 
 def _integrate_extended(  # type: ignore[no-untyped-def]
     grids, grid_of_lane, steps, time, start, constants, magnitudes, schedules, schedule_of_lane, signals, lane_point,
-    lane_signal, restarts, initial, late, tables, low_end, per_unit, out,
+    lane_signal, restarts, initial, late, tables, low_end, per_unit, part, out,
 ):  # fmt: skip
-    """Integrate one block of LANES lanes.
+    """Integrate one block of LANES lanes over a part of the samples, which starts at a restart.
 
     The last stage starts from `late` of the third stage's rate and the rest of the second's. With 1 that is RK4; with
     less it is of third order, and stable up to longer steps.
@@ -240,7 +240,8 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
     magnitudes (N_EFFECTS, LANES), schedules (G', N_EFFECTS, n), schedule_of_lane (LANES,), signals (N_POINTS, n),
     lane_point (LANES,), lane_signal (LANES, n), restarts (W,), initial (LANES, W, 3), late [-],
     tables (0 or N_CORRECTED, nodes, nodes) [-] over grids from low_end (N_CORRECTED, 2) with per_unit (N_CORRECTED, 2)
-    nodes a unit -> out (LANES, n, N_OUT).
+    nodes a unit, part (4,): first sample, the one behind the last, the first's place in `grids` and its restart
+    -> out (LANES, n, N_OUT), the part's rows.
     """
     work = np.zeros((CONSTANT + constants.shape[0]) * LANES)
     for j in range(constants.shape[0]):
@@ -264,9 +265,8 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
         low[k], high[k] = P_IM_LOW * p_amb, P_IM_HIGH * p_amb
         low[LANES + k], high[LANES + k] = P_EM_LOW * p_amb, P_EM_HIGH * p_amb
         low[2 * LANES + k], high[2 * LANES + k] = OMEGA_LOW, OMEGA_HIGH
-    at = 0
-    window = 0
-    for i in range(time.shape[0]):
+    begin, end, at, window = part
+    for i in range(begin, end):
         if window < restarts.shape[0] and restarts[window] == i:
             for k in range(LANES):
                 for j in range(3):
@@ -277,14 +277,14 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
         )
         load_inputs(work, grids, grid_of_lane, at)
         hold_gas(work, carried)
-        if i == 0:  # at rest: the gas, too
+        if i == begin:  # at rest: the gas, too
             for k in range(LANES):
                 work[GAIN * LANES + k] = 1.0
                 work[CARRY * LANES + k] = 0.0
-        for _sweep in range(SAMPLE_SWEEPS if i > 0 else START_SWEEPS):
+        for _sweep in range(START_SWEEPS if i == begin else SAMPLE_SWEEPS):
             correct_maps(work, 0.0, tables, low_end, per_unit)
             evaluate(work, 0.0)
-        if i == 0:
+        if i == begin:
             for k in range(LANES):
                 carried[k] = work[T_EM * LANES + k]
         for k in range(LANES):
@@ -300,17 +300,18 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
             out[k, i, 7] = work[T_EM * LANES + k]
             out[k, i, 8] = work[W_C * LANES + k]
             carried[k] = work[T_EM * LANES + k]
-        if i + 1 == time.shape[0]:
+        if i + 1 == end:
             break
         h = (time[i + 1] - time[i]) / steps[i]
         lag_weights(work, 0.5 * h, half_gain, half_kept)
         lag_weights(work, h, full_gain, full_kept)
         for step in range(steps[i]):
             base[:] = work[: 3 * LANES]
-            load_inputs(work, grids, grid_of_lane, at)
-            hold_gas(work, carried)
-            correct_maps(work, step / steps[i], tables, low_end, per_unit)
-            evaluate(work, step / steps[i])
+            if step > 0:  # the first step's first stage is the sample's own evaluation
+                load_inputs(work, grids, grid_of_lane, at)
+                hold_gas(work, carried)
+                correct_maps(work, step / steps[i], tables, low_end, per_unit)
+                evaluate(work, step / steps[i])
             static[:] = work[STATIC * LANES : (STATIC + 1) * LANES]
             load_inputs(work, grids, grid_of_lane, at + 1)
             relax_gas(work, carried, static, half_gain, half_kept)

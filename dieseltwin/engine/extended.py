@@ -9,7 +9,7 @@ import numpy as np
 
 from dieseltwin.engine._compiled import LANES
 from dieseltwin.engine._compiled_extended import N_OUT, integrate_free, integrate_restricted
-from dieseltwin.engine.effects import IMPLICIT, STATE_EFFECTS
+from dieseltwin.engine.effects import GAS_LAG, IMPLICIT, STATE_EFFECTS
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.map_corrections import NO_CORRECTIONS, MapCorrections
 from dieseltwin.engine.observations import Observations, pool, thread_count
@@ -21,6 +21,12 @@ EXTENDED_STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k", "t_gas
 """Order of the states of `simulate_extended`; the last is the gas temperature that heats the EGR or lags."""
 
 _MEASURED_AT = (0, 1, 2, 6, 7, 8)
+
+PARTS = 4
+"""Parts into which a recording with restarts is cut, however many threads there are: results don't depend on that."""
+
+SPLIT_FROM = 400
+"""Intervals of a recording from which its parts are worth a thread each."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +99,17 @@ def _schedules(extension: Extension, lanes: int, n: int) -> tuple[np.ndarray, np
     return schedules, of_lane
 
 
+def _parts(restarts: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Parts of a recording for several threads, as `_integrate_extended` takes them, (at most PARTS, 4)."""
+    done = np.concatenate([[0], np.cumsum(steps)])  # steps before each sample
+    shares = done[-1] * np.arange(PARTS if steps.size >= SPLIT_FROM else 1) / PARTS
+    windows = np.unique(np.searchsorted(done[restarts], shares))
+    windows = windows[windows < restarts.size]
+    begins = restarts[windows]
+    ends = np.append(begins[1:], steps.size + 1)
+    return np.stack([begins, ends, 2 * done[begins], windows], axis=1).astype(np.int64)
+
+
 def simulate_extended(
     actuation: Actuation | Sequence[Actuation],
     batch: ParameterBatch,
@@ -148,25 +165,30 @@ def simulate_extended(
     implicit = magnitudes[[STATE_EFFECTS.index(name) for name in IMPLICIT]]
     restricted = (implicit != 0.0).any(axis=0)  # lanes with implicit laws run in a kernel of their own, half as fast
 
-    def run(block: tuple[Callable[..., None], np.ndarray]) -> None:
-        integrate, rows = block
+    whole = np.array([[0, n, 0, 0]], dtype=np.int64)
+    lagging = magnitudes[STATE_EFFECTS.index(GAS_LAG)].any()  # gas that lags carries its temperature over restarts
+    parts = whole if lagging else _parts(restarts, first.steps)
+
+    def run(block: tuple[Callable[..., None], np.ndarray, np.ndarray]) -> None:
+        integrate, rows, part = block
         target = np.empty((LANES, n, N_OUT))
         filled = np.append(rows, np.full(LANES - rows.size, rows[-1]))  # with copies of the last lane
         integrate(
             grids, grid_of_lane[filled], first.steps, time, start, np.ascontiguousarray(batch.values[:, filled]),
             np.ascontiguousarray(magnitudes[:, filled]), schedules, schedule_of_lane[filled], signals,
             lane_point[filled], lane_signal[filled], restarts, np.ascontiguousarray(starts[filled]), late,
-            corrections.tables, corrections.low, corrections.per_unit, target,
+            corrections.tables, corrections.low, corrections.per_unit, part, target,
         )  # fmt: skip
-        out[rows] = target[: rows.size]
+        out[rows, part[0] : part[1]] = target[: rows.size, part[0] : part[1]]
 
     blocks = [
-        (integrate, rows[begin : begin + LANES])
+        (integrate, rows[begin : begin + LANES], part)
         for integrate, rows in (
             (integrate_free, np.flatnonzero(~restricted)),
             (integrate_restricted, np.flatnonzero(restricted)),
         )
         for begin in range(0, rows.size, LANES)
+        for part in parts
     ]
     threads = thread_count() if threads is None else threads
     if threads > 1 and len(blocks) > 1:
