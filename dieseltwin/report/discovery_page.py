@@ -14,6 +14,7 @@ from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.report import discovery_figures, discovery_residuals, over_recordings, quantities, style
 from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words, unit_of
+from dieseltwin.report.encoding import encode_all
 from dieseltwin.report.interactive import discovery_series, still
 from dieseltwin.report.law_cards import law_cards
 from dieseltwin.report.style import ReportFigure
@@ -259,7 +260,7 @@ def build_discovery_report(
     out = Path(out_html)
     sections = discovery_sections(found)
     figures = [figure for section in sections for figure in section.figures]
-    encoded = {figure.name: figure.encode() for figure in figures}  # the dear part: once for both
+    encoded = encode_all(figures)  # the dear part: once for both
     out.parent.mkdir(parents=True, exist_ok=True)
     if figures_dir is not None:
         Path(figures_dir).mkdir(parents=True, exist_ok=True)

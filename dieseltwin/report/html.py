@@ -13,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
+from dieseltwin.report.encoding import encode_all
 from dieseltwin.report.interactive import results_series, still
 from dieseltwin.report.results import PARAMETERS, Results, load_results
 from dieseltwin.report.style import ReportFigure
@@ -332,15 +333,11 @@ def identification_page(results: Results, out_html: str | Path, figures_dir: str
     The paper's printed run times stay out: they belong to the comparison of methods.
     """
     sections = [section for section in _sections(results) if section.id != "times"]
-    paths: list[Path] = []
-
-    def encode(figure: ReportFigure) -> bytes:
-        content = figure.encode()
-        Path(figures_dir).mkdir(parents=True, exist_ok=True)
-        paths.append(write_bytes(Path(figures_dir) / f"{figure.name}.{figure.kind}", content))
-        return content
-
-    write_text(Path(out_html), _page(results, sections, encode))
+    figures = [figure for section in sections for figure in section.figures]
+    encoded = encode_all(figures)
+    Path(figures_dir).mkdir(parents=True, exist_ok=True)
+    paths = [write_bytes(Path(figures_dir) / f"{f.name}.{f.kind}", encoded[f.name]) for f in figures]
+    write_text(Path(out_html), _page(results, sections, lambda figure: encoded[figure.name]))
     return paths
 
 
