@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,8 +11,9 @@ from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
 from dieseltwin.cli.options import ChannelsFile, ParamsFile, Profile, help_without_command, names, progress, say
 from dieseltwin.errors import InputError
-from dieseltwin.settings.params import load_params
-from dieseltwin.settings.watch import WatchConfig
+
+if TYPE_CHECKING:
+    from dieseltwin.settings.watch import WatchConfig
 
 watch_app = typer.Typer(help="The history of one engine: add recordings, see what has changed.", add_completion=False)
 
@@ -78,6 +79,8 @@ def show_command(
 
 def _settings(params: Path | None, profile: str, alarms_per_year: float | None) -> WatchConfig:
     """Section `watch` of the settings, with another rate of false alarms where one is given."""
+    from dieseltwin.settings.params import load_params
+
     settings = load_params(params, profile).watch
     if alarms_per_year is None:
         return settings
