@@ -52,14 +52,30 @@ class Part:
     measure: Callable[[bool], Rows]
 
 
-def command(*arguments: object, folder: Path | None = None, refused: bool = False) -> tuple[float, float, str]:
-    """Wall seconds, peak memory [MiB] and standard output of a Python process; `refused`: an input error is expected.
+@dataclass(frozen=True)
+class Told:
+    """A process that has ended: wall and processor time [s], peak memory [MiB], standard output."""
+
+    seconds: float
+    processor: float
+    peak: float
+    text: str
+
+    @property
+    def cells(self) -> list[str]:
+        """Of a table."""
+        return [f"{self.seconds:.1f} s", f"{self.processor:.1f} s", f"{self.peak:.0f} MiB"]
+
+
+def command(*arguments: object, folder: Path | None = None, refused: bool = False) -> Told:
+    """Run a Python process; `refused`: an input error is expected.
 
     Raises:
         CalledProcessError: it failed.
     """
     script = "import resource, subprocess, sys; r = subprocess.run(sys.argv[1:]).returncode; " \
-             "print('peak', resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr); sys.exit(r)"
+             "u = resource.getrusage(resource.RUSAGE_CHILDREN); " \
+             "print('used', u.ru_maxrss, u.ru_utime + u.ru_stime, file=sys.stderr); sys.exit(r)"
     begin = time.perf_counter()
     told = subprocess.run(
         [sys.executable, "-c", script, sys.executable, *map(str, arguments)], cwd=folder or PROJECT, text=True,
@@ -69,10 +85,11 @@ def command(*arguments: object, folder: Path | None = None, refused: bool = Fals
     seconds = time.perf_counter() - begin
     if told.returncode != (2 if refused else 0):
         raise subprocess.CalledProcessError(told.returncode, list(map(str, arguments)), told.stdout, told.stderr)
-    return seconds, int(told.stderr.rsplit("peak", 1)[1]) / 1024.0, told.stdout
+    peak, processor = told.stderr.rsplit("used", 1)[1].split()
+    return Told(seconds, float(processor), int(peak) / 1024.0, told.stdout)
 
 
-def twin(*arguments: object) -> tuple[float, float, str]:
+def twin(*arguments: object) -> Told:
     """`command` of the command line."""
     return command("-m", "dieseltwin", *arguments)
 
@@ -91,7 +108,7 @@ def start(full: bool) -> Rows:
         "a file that isn't there": (True, ("discover", "nowhere.csv", "--out", "nowhere")),
     }
     return [
-        [name, f"{min(command('-m', 'dieseltwin', *given, refused=refused)[0] for _ in range(3)):.2f} s"]
+        [name, f"{min(command('-m', 'dieseltwin', *given, refused=refused).seconds for _ in range(3)):.2f} s"]
         for name, (refused, given) in kinds.items()
     ]
 
@@ -128,9 +145,8 @@ def loops(full: bool) -> Rows:
         given += ["--models", MODELS]
     if not full:
         given += ["--methods", "few-shot", "--lanes", 30, "--draws", 3]
-    _, _, text = command(*given)
     rows, second = [], False
-    for line in text.splitlines()[1:]:
+    for line in command(*given).text.splitlines()[1:]:
         words = line.split()
         if line.startswith("s a run"):
             second = True
@@ -151,8 +167,7 @@ def identification(full: bool) -> Rows:
         for method in ("classical", "few-shot-newton") if trained else ("classical",):
             for runs in (1, 30, 300) if full else (30,):
                 asked = ("--method", method, "--runs", runs, "--out", folder / "o")
-                seconds, peak, _ = twin("identify", recording, *asked)
-                rows.append([method, str(runs), f"{seconds:.1f} s", f"{peak:.0f} MiB"])
+                rows.append([method, str(runs), *twin("identify", recording, *asked).cells])
     return rows
 
 
@@ -165,8 +180,8 @@ def discovery(full: bool) -> Rows:
             recording = driving(folder, minutes)
             withheld = (f", {LEAVE} withheld", ("--withhold", LEAVE))
             for label, more in (("", ()), withheld) if full or minutes == 10.0 else (("", ()),):
-                seconds, peak, _ = twin("discover", recording, "--out", folder / "o", *more)
-                rows.append([f"{minutes:.0f} min{label}", f"{seconds:.1f} s", f"{peak:.0f} MiB"])
+                told = twin("discover", recording, "--out", folder / "o", *more)
+                rows.append([f"{minutes:.0f} min{label}", *told.cells])
     return rows
 
 
@@ -182,11 +197,12 @@ PARTS = {
         ("method", "maps", "lanes", "loop", "ours", "ratio"), loops,
     ),
     "identify": Part(
-        "`identify`, whole command", "Five minutes of driving.", ("method", "runs", "wall", "memory"), identification,
+        "`identify`, whole command", "Five minutes of driving.", ("method", "runs", "wall", "processor", "memory"),
+        identification,
     ),
     "discover": Part(
         "`discover`, whole command", "Driving of a concealed machine, all files written; long recordings are judged by"
-        " their liveliest stretches (`discover.minutes_max`).", ("recording", "wall", "memory"), discovery,
+        " their liveliest stretches (`discover.minutes_max`).", ("recording", "wall", "processor", "memory"), discovery,
     ),
 }  # fmt: skip
 
@@ -239,7 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         begin = time.perf_counter()
         try:
-            _, _, text = command(HERE / "bench.py", "--part", name, *(["--full"] if given.full else []))
+            text = command(HERE / "bench.py", "--part", name, *(["--full"] if given.full else [])).text
         except subprocess.CalledProcessError as error:
             failed.append(name)
             print(f"{name}: failed\n{error.stderr}", file=sys.stderr, flush=True)

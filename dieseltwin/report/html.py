@@ -333,11 +333,16 @@ def identification_page(results: Results, out_html: str | Path, figures_dir: str
     The paper's printed run times stay out: they belong to the comparison of methods.
     """
     sections = [section for section in _sections(results) if section.id != "times"]
-    figures = [figure for section in sections for figure in section.figures]
-    encoded = encode_all(figures)
-    Path(figures_dir).mkdir(parents=True, exist_ok=True)
-    paths = [write_bytes(Path(figures_dir) / f"{f.name}.{f.kind}", encoded[f.name]) for f in figures]
-    write_text(Path(out_html), _page(results, sections, lambda figure: encoded[figure.name]))
+    encoded = encode_all([figure for section in sections for figure in section.figures])
+    paths: list[Path] = []
+
+    def encode(figure: ReportFigure) -> bytes:
+        content = encoded.get(figure.name) or figure.encode()
+        Path(figures_dir).mkdir(parents=True, exist_ok=True)
+        paths.append(write_bytes(Path(figures_dir) / f"{figure.name}.{figure.kind}", content))
+        return content
+
+    write_text(Path(out_html), _page(results, sections, encode))
     return paths
 
 
