@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from dieseltwin.challenge.own_engine import TIERS
 from dieseltwin.challenge.run import read_manifest
 from dieseltwin.challenge.score import SCORE
 from dieseltwin.errors import InputError
+from dieseltwin.sealed import read_json
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
@@ -48,16 +48,13 @@ def place_of(folder: Path) -> Place:
     manifest = read_manifest(folder)
     if manifest["tier"] not in TIERS:
         raise InputError(str(folder), f"tier {manifest['tier']}", " or ".join(TIERS), "name benchmarks of own engines")
-    try:
-        score = json.loads((folder / SCORE / "score.json").read_text(encoding="utf-8"))
-        rows = json.loads((folder / SCORE / "rows.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InputError(str(folder), "no score", "one of `challenge score`", "score it first") from None
+    score, rows = (read_json(folder / SCORE / name, "the score of `challenge score`", "score it first")
+                   for name in ("score.json", "rows.json"))  # fmt: skip
     lines = {line["key"]: line["numbers"] for line in score["lines"]}
     errors = [
         abs(row["health_after"][name] / row["health_true"][name] - 1.0) if not row["since_said"]
         else abs(row["since_said"][name][0] / row["since_true"][name] - 1.0)
-        for row in rows if row["health_after"] for name in ("A_egrmax", "A_vgtmax", "eta_sc")
+        for row in rows["rows"] if row["health_after"] for name in ("A_egrmax", "A_vgtmax", "eta_sc")
     ]  # fmt: skip
     references = manifest["cases"][0].get("references", [])
     seconds = [float(pd.read_csv(folder / item["recording"], usecols=["time_s"])["time_s"].iloc[-1])
