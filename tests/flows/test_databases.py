@@ -36,7 +36,7 @@ def test_a_setting_names_a_server_with_the_driver_of_each(tmp_path: Path, monkey
 @pytest.mark.parametrize("given", ["mysql://me@db/rows", "postgresql://", "rows", "http://db:5000"])
 def test_an_address_of_another_kind_is_refused(given: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(databases.MLFLOW, given)
-    with pytest.raises(StepFailed, match="DIESELTWIN_MLFLOW: got .*; allowed: nothing, or postgresql://") as caught:
+    with pytest.raises(StepFailed, match=r"DIESELTWIN_MLFLOW: got .*; allowed: nothing, or postgresql://") as caught:
         databases.check_settings()
     assert caught.value.exit_code == 2
 
@@ -51,8 +51,8 @@ def test_a_server_that_does_not_answer_is_one_line_without_the_password(monkeypa
 
 
 def test_errors_of_their_databases_are_one_line_and_others_keep_their_traceback() -> None:
-    line = databases.failure(sqlite3.OperationalError("database or disk is full"), "sqlite:////work/mlflow.db")
-    assert line is not None and line.startswith("MLflow's database sqlite:////work/mlflow.db: database or disk is full;")
+    line = databases.failure(sqlite3.OperationalError("disk is full"), "sqlite:////work/mlflow.db")
+    assert line is not None and line.startswith("MLflow's database sqlite:////work/mlflow.db: disk is full;")
     assert databases.failure(ValueError("ours"), "sqlite://") is None
 
 
