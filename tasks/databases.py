@@ -70,7 +70,7 @@ def failure(error: BaseException, mlflow_uri: str) -> str | None:
     if not {base.__module__.partition(".")[0] for base in type(error).__mro__} & _THEIRS:
         return None
     whose = f"MLflow's database {shown(mlflow_uri)}" if _is_mlflows(error) else "Prefect's server (.prefect/server.log)"
-    said = " ".join(str(error).split())[:150] or type(error).__name__
+    said = " ".join(str(error).partition("[SQL")[0].split())[:150] or type(error).__name__
     return (f"{whose}: {said}; what was computed is kept: free the database, or move it away to start a new one, "
             "and run again")  # fmt: skip
 

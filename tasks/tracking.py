@@ -134,6 +134,7 @@ class Tracker:
 
     def log(self, experiment_id: str, record: Record) -> str:
         """Log a record and its children; returns the run id. An equal record that is complete is left as it is."""
+        _ = self.client  # whose first use takes the lock itself
         # SQLite takes one writer at a time: of thirty at once it refuses some after five seconds.
         with self._alone() if self.uri.startswith("sqlite") else nullcontext():
             return self._known(experiment_id, record.identity) or self._logged(experiment_id, record)

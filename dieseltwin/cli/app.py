@@ -115,6 +115,8 @@ def main(arguments: list[str] | None = None) -> int:
         got = (error.strerror or str(error)).lower()
         unread = InputError(str(error.filename), got, "a file you may read", "check the path")
         return _fail(unread, unread.exit_code)
+    except MemoryError:
+        return _fail("out of memory; no file is half-written: cut the recording, or run it where there is more", 1)
     except (typer.Abort, KeyboardInterrupt):
         return _fail("interrupted; no file is half-written, and what was finished before is kept", 130)
     return result if isinstance(result, int) else 0
