@@ -20,11 +20,10 @@ from dieseltwin.atomic import check_writable
 from dieseltwin.errors import InputError
 from tasks import databases, records, run_context
 from tasks.cluster import check_setting
+from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
 from tasks.server import ServerFailed, prefect_server
 from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.workspace import prepare_environment
-
-_INTERRUPTED = 130
 
 # How long a flow takes where it never ran here [s]: quick profile, two idle cores.
 _EXPECTED_S = {
@@ -64,8 +63,8 @@ def launch(flow: Callable[..., Any], **parameters: Any) -> int:
             context.display.finish(name, title)
         context.store.prune(_UNUSED_S)
     except KeyboardInterrupt:
-        print("interrupted: what is finished is kept, the next run goes on from there", file=sys.stderr)
-        return _INTERRUPTED
+        print(INTERRUPTED, file=sys.stderr)
+        return INTERRUPTED_CODE
     except (run_context.StepFailed, ServerFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 1)
@@ -127,7 +126,7 @@ def serve(flow: Any, cron: str, **parameters: Any) -> int:
             print(f"{flow.name}: scheduled '{cron}' on {address}; Ctrl-C ends it", flush=True)
             flow.serve(name="scheduled", cron=cron, parameters=parameters, limit=1, print_starting_message=False)
     except KeyboardInterrupt:
-        return _INTERRUPTED
+        return INTERRUPTED_CODE
     except (run_context.StepFailed, ServerFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 1)
