@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -50,11 +51,19 @@ def place_of(folder: Path) -> Place:
         raise InputError(str(folder), f"tier {manifest['tier']}", " or ".join(TIERS), "name benchmarks of own engines")
     score, rows = (read_json(folder / SCORE / name, "the score of `challenge score`", "score it first")
                    for name in ("score.json", "rows.json"))  # fmt: skip
+    try:
+        return _place(folder, manifest, score, rows["rows"])
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(str(folder / SCORE), f"another content ({type(error).__name__}: {error})",
+                         "the score of `challenge score`", "score it again") from None  # fmt: skip
+
+
+def _place(folder: Path, manifest: Mapping[str, Any], score: Mapping[str, Any], rows: Sequence[Any]) -> Place:
     lines = {line["key"]: line["numbers"] for line in score["lines"]}
     errors = [
         abs(row["health_after"][name] / row["health_true"][name] - 1.0) if not row["since_said"]
         else abs(row["since_said"][name][0] / row["since_true"][name] - 1.0)
-        for row in rows["rows"] if row["health_after"] for name in ("A_egrmax", "A_vgtmax", "eta_sc")
+        for row in rows if row["health_after"] for name in ("A_egrmax", "A_vgtmax", "eta_sc")
     ]  # fmt: skip
     references = manifest["cases"][0].get("references", [])
     seconds = [float(pd.read_csv(folder / item["recording"], usecols=["time_s"])["time_s"].iloc[-1])

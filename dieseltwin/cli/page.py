@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from dieseltwin.atomic import check_folder
 from dieseltwin.errors import InputError
 
 PORT = 8765
@@ -48,6 +49,7 @@ def app_command(
 
     limits = Limits(upload_mb=largest, workers=workers, memory_gb=memory)
     names = [host, *(name or ())] if not _is_address(host) else list(name or ())
+    check_folder(folder)
     workplace = Workplace(folder.resolve(), limits, tuple(names))
     workplace.prepare()
     where = f"[{host}]" if ":" in host else host
@@ -58,6 +60,8 @@ def app_command(
 
 
 def _check_port(host: str, port: int) -> None:
+    if not host.isascii() or not host.strip():  # nothing would mean every address of this machine
+        raise InputError("--host", repr(host), "an address or a name of this machine", "leave it out for 127.0.0.1")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family, socket.SOCK_STREAM) as trial:
