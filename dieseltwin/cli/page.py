@@ -10,7 +10,6 @@ from typing import Annotated
 
 import typer
 
-from dieseltwin.atomic import check_folder
 from dieseltwin.errors import InputError
 
 PORT = 8765
@@ -49,8 +48,11 @@ def app_command(
 
     limits = Limits(upload_mb=largest, workers=workers, memory_gb=memory)
     names = [host, *(name or ())] if not _is_address(host) else list(name or ())
-    check_folder(folder)
-    workplace = Workplace(folder.resolve(), limits, tuple(names))
+    try:
+        place = folder.resolve()
+    except RuntimeError:  # a link that leads to itself
+        raise InputError("--folder", str(folder), "a folder you may write to", "choose another") from None
+    workplace = Workplace(place, limits, tuple(names))
     workplace.prepare()
     where = f"[{host}]" if ":" in host else host
     typer.echo(f"http://{where}:{port}  (files in {folder}; Ctrl-C ends it)")
