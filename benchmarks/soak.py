@@ -284,6 +284,8 @@ def run(number: int, seed: int, bench: Bench, commands: tuple[Command, ...], onl
             faults.append("traceback")
         if fault == "interrupt" and hit and code not in (0, 130):
             faults.append(f"exit code {code}")
+        if fault == "interrupt" and code == 130 and not (lines and "interrupted" in lines[-1]):
+            faults.append("no sentence")
         if fault == "interrupt" and late > LATE_S:
             faults.append(f"{late:.1f} s late")
         if (fault == "disk" and code not in (0, 2)) or (fault == "clock" and code != 0):
