@@ -6,6 +6,9 @@ PROFILE ?= quick
 PORT ?= 5000
 # Where the flows' steps run: nothing (two at a time, here), local (a Dask cluster of two workers, here), tcp://HOST:8786.
 CLUSTER ?= $(DIESELTWIN_CLUSTER)
+# Where MLflow and Prefect keep their rows: nothing (sqlite in mlruns/ and .prefect/) or postgresql://USER:PASSWORD@HOST/DATABASE.
+MLFLOW ?= $(DIESELTWIN_MLFLOW)
+PREFECT ?= $(DIESELTWIN_PREFECT)
 RECORDINGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
@@ -26,6 +29,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_ROOT_USER_ACTION := ignore
 export PYTHONUNBUFFERED := 1
 export DIESELTWIN_CLUSTER := $(CLUSTER)
+export DIESELTWIN_MLFLOW := $(MLFLOW)
+export DIESELTWIN_PREFECT := $(PREFECT)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run repro discover proof evaluate bench promote test check docs ui serve

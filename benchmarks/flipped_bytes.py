@@ -3,14 +3,17 @@
     python benchmarks/flipped_bytes.py --flips 15
 
 Each kind of file is written by the library itself and read by what reads it; then one byte is changed at a random
-place, and it is read again. "harmless": what was read is the same to the last bit. Kinds marked with a star are tables
-and settings of the user's own, which carry no checksum: their hash stands in what was computed from them.
+place and the file's date put back, as a disk does it, and it is read again. "harmless": what was read is the same to
+the last bit. Kinds marked with a star are tables and settings of the user's own, which carry no checksum: their hash
+stands in what was computed from them.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -20,7 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from dieseltwin.errors import InputError
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from dieseltwin.errors import InputError  # noqa: E402
 
 Reader = Callable[[Path], object]
 
@@ -73,6 +79,8 @@ def cheap_kinds(folder: Path) -> list[Kind]:
     from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
     from dieseltwin.recordings.channels import read_channel_map
     from dieseltwin.recordings.reader import read_recording, write_recording
+    from dieseltwin.rigs.parameters import load_rig, save_rig
+    from dieseltwin.sealed import sealed_text
     from dieseltwin.settings.params import default_params_path, load_params
 
     save_network(folder / "network.pt", MLP([3, 16, 16, 2]), {"of": "a test"})
@@ -89,12 +97,16 @@ def cheap_kinds(folder: Path) -> list[Kind]:
     learned = LearnedEngine(we2011.PARAMETERS, belief, 0.02, (recorded,), {}, {recorded.sha256: 1.0})
     save_learned(learned, folder / "mine.yaml")
     (folder / "channels.yaml").write_text("MAP: {column: p_im_pa, unit: kPa}\n")
+    (folder / "mine.channels.yaml").write_text(sealed_text("MAP: {column: p_im_pa, unit: kPa}\n"))
+    save_rig(load_rig(_rig()), folder / "rig.yaml")
     shutil.copy(default_params_path(), folder / "params.yaml")
     columns: Reader = lambda path: dict(read_recording(path).columns)  # noqa: E731
     return [
         Kind("network (.pt)", "network.pt", lambda f: load_state(f / "network.pt")),
         Kind("repaired engine (.yaml)", "engine.yaml", lambda f: load_engine(f / "engine.yaml")),
         Kind("petrol engine (.yaml)", "petrol.yaml", lambda f: base_engine(f / "petrol.yaml")),
+        Kind("rig (.yaml)", "rig.yaml", lambda f: load_rig(f / "rig.yaml")),
+        Kind("channel map of `calibrate`", "mine.channels.yaml", lambda f: read_channel_map(f / "mine.channels.yaml")),
         Kind("learned engine (.yaml)", "mine.yaml", lambda f: load_learned(f / "mine.yaml")),
         Kind("learned maps (.parquet)", "mine.learned.parquet", lambda f: load_learned(f / "mine.yaml")),
         Kind("recording (.parquet)", "drive.parquet", lambda f: columns(f / "drive.parquet"), open=True),
@@ -123,6 +135,7 @@ def results_kinds(folder: Path) -> list[Kind]:
     dt.discover(frame).save(folder / "discovered")
     return [
         Kind("identification.json", "identified/identification.json", lambda f: _method(load_method, f)),
+        Kind("runtime.json", "identified/runtime.json", lambda f: _method(load_method, f)),
         Kind("states.parquet", "identified/states.parquet", lambda f: _method(load_method, f)),
         Kind("members (.npz)", "estimates.npz", lambda f: load_estimates(f / "estimates.npz", [0.0] * count)),
         Kind("discrepancy.json", "discovered/discrepancy.json", lambda f: load_discrepancy(f / "discovered")),
@@ -174,6 +187,92 @@ def challenge_kinds(folder: Path) -> list[Kind]:
     ]
 
 
+def score_kinds(folder: Path) -> list[Kind]:
+    """What `challenge run` and `challenge score` keep of a case, and read again for the curve."""
+    from dieseltwin.challenge.curve import place_of
+    from dieseltwin.challenge.make import make_challenge
+    from dieseltwin.challenge.run import read_manifest, run_challenge
+    from dieseltwin.challenge.score import score_challenge, write_score
+    from dieseltwin.engine import load_engine
+    from dieseltwin.sealed import read_json
+
+    bench = folder / "own"
+    make_challenge(bench, 1, 5, duration_s=120.0, tier="own-engine", reference_min=3.0)
+    run_challenge(bench)
+    write_score(score_challenge(bench), bench, figures=False)
+    result = f"own/results/{read_manifest(bench)['cases'][0]['case']}"
+    place: Reader = lambda f: place_of(f / "own")  # noqa: E731
+    return [
+        Kind("score.json", "own/score/score.json", place),
+        Kind("rows.json", "own/score/rows.json", place),
+        Kind("runtime.json of a case", f"{result}/runtime.json",
+             lambda f: read_json(f / result / "runtime.json", "a file of `challenge run`", "run it again")),
+        Kind("engine of a case (.yaml)", f"{result}/engine.yaml", lambda f: load_engine(f / result / "engine.yaml")),
+    ]  # fmt: skip
+
+
+def rig_kinds(folder: Path) -> list[Kind]:
+    """What `discover` writes of a rig."""
+    import dieseltwin as dt
+    from dieseltwin.discovery.verdict.document import load_discrepancy
+    from dieseltwin.discovery.verdict.explain import load_details
+    from dieseltwin.rigs.parameters import RigParameters, load_rig, save_rig
+    from tests.rigs.test_rig_files import TANK, emptying
+
+    save_rig(RigParameters.model_validate(TANK), folder / "tank.yaml")
+    table = emptying(0.55)
+    table["level"] += 0.002 * np.random.default_rng(1).standard_normal(len(table))
+    dt.discover(table, folder / "tank.yaml").save(folder / "tank")
+    return [
+        Kind("rig's engine.yaml", "tank/engine.yaml", lambda f: load_rig(f / "tank/engine.yaml")),
+        Kind("rig's details.json", "tank/details.json",
+             lambda f: [load_details(f / "tank")[key] for key in ("options", "candidates", "rounds")]),
+        Kind("rig's discrepancy.json", "tank/discrepancy.json", lambda f: load_discrepancy(f / "tank")),
+    ]  # fmt: skip
+
+
+def kept_kinds(folder: Path) -> list[Kind]:
+    """An engine's history, documents of the page, and compiled kernels."""
+    from dieseltwin.app.kept import KeptRecording, load, save
+    from dieseltwin.engine import kernel_cache
+    from dieseltwin.learning.alarm import Score
+    from dieseltwin.learning.history import Entry, History
+
+    history = History(folder / "history", "e" * 64)
+    for day in range(1, 4):
+        score = Score("boost_leak", "intake", "m2", 1e-5, True, 2e-6, 3e-6, np.arange(40.0))
+        history.add(Entry(f"{day:064x}", f"2026-03-0{day}.csv", f"2026-03-0{day}T00:00:00+00:00", "name", 0.5, 1.01e5,
+                          298.0, np.arange(4.0), np.eye(4), np.ones(4), np.ones(4), (score,), "healthy", "healthy"))
+    kept = KeptRecording(id="a" * 16, name="drive.csv", file="drive.csv", size=5, added="2026-03-01")
+    save(kept, folder / "about.json")
+    kernels = folder / "kernels"
+    kernels.mkdir()
+    (kernels / "_integrate.nbc").write_bytes(b"\x80\x05" + np.random.default_rng(1).bytes(200_000) + b".")
+    kernel_cache.drop_broken(kernels)
+    known = {path: path.read_bytes() for path in kernels.glob("*.json")}
+
+    def document(f: Path) -> object:
+        found = load(KeptRecording, f / "about.json")
+        if found is None:
+            raise InputError("about.json", "other content", "as written", "made again")
+        return found
+
+    def kernel(f: Path) -> object:
+        for path, content in known.items():  # as they were when the kernel was whole
+            path.write_bytes(content)
+        kernel_cache.drop_broken(f / "kernels")
+        path = f / "kernels" / "_integrate.nbc"
+        if not path.exists():
+            raise InputError("kernel", "other content", "as written", "compiled again")
+        return path.read_bytes()
+
+    return [
+        Kind("history (.sqlite)", "history/history.sqlite", lambda f: History(f / "history").entries()),
+        Kind("document of the page", "about.json", document),
+        Kind("compiled kernel (.nbc)", "kernels/_integrate.nbc", kernel),
+    ]
+
+
 def cache_kinds(folder: Path) -> list[Kind]:
     """Cached results of the pipeline."""
     from tasks.store import Store
@@ -194,12 +293,16 @@ def cache_kinds(folder: Path) -> list[Kind]:
 
 GROUPS: dict[str, Callable[[Path], list[Kind]]] = {
     "cheap": cheap_kinds, "results": results_kinds, "points": points_kinds, "challenge": challenge_kinds,
-    "cache": cache_kinds,
+    "score": score_kinds, "rig": rig_kinds, "kept": kept_kinds, "cache": cache_kinds,
 }  # fmt: skip
 
 
 def _reference() -> Path:
     return Path(__file__).resolve().parents[1] / "tests" / "reference" / "field_random_300s.csv"
+
+
+def _rig() -> Path:
+    return sorted((Path(__file__).resolve().parents[1] / "examples" / "rigs").glob("*.yaml"))[0]
 
 
 def _settings(load: Callable[..., Any], path: Path) -> object:
@@ -208,24 +311,25 @@ def _settings(load: Callable[..., Any], path: Path) -> object:
 
 def _method(load: Callable[[Path], Any], folder: Path) -> object:
     found = load(folder / "identified")
-    return found.pooled, found.segments, found.runs, found.states
+    return found.pooled, found.segments, found.runs, found.states, found.runtime
 
 
 def flipped(path: Path, rng: np.random.Generator) -> str:
     """Change one byte of a file; returns where and how."""
-    content = bytearray(path.read_bytes())
+    content, date = bytearray(path.read_bytes()), path.stat().st_mtime_ns
     at, change = int(rng.integers(len(content))), 1 << int(rng.integers(8))
     if rng.random() < 0.5:
         change = int(rng.integers(1, 256))
     content[at] ^= change
     path.write_bytes(bytes(content))
+    os.utime(path, ns=(date, date))
     return f"byte {at} of {len(content)}, {content[at] ^ change:#04x} -> {content[at]:#04x}"
 
 
 def judged(kind: Kind, folder: Path, flips: int, rng: np.random.Generator) -> Iterator[tuple[str, str]]:
     """What became of each flip: its end and, where that is no good one, its place."""
     path = folder / kind.file
-    whole = path.read_bytes()
+    whole, date = path.read_bytes(), path.stat().st_mtime_ns
     before = fingerprint(kind.read(folder))
     for _ in range(flips):
         where = flipped(path, rng)
@@ -237,6 +341,7 @@ def judged(kind: Kind, folder: Path, flips: int, rng: np.random.Generator) -> It
         except Exception as error:  # what is looked for
             end, where = "traceback", f"{where}: {type(error).__name__}: {error}"
         path.write_bytes(whole)
+        os.utime(path, ns=(date, date))
         yield end, where
 
 

@@ -79,10 +79,10 @@ class Verdict:
         return self.wrong and not self.codes
 
 
-def clean_recordings(seed: int) -> Iterator[tuple[int, pd.DataFrame, np.ndarray]]:
-    """Endless clean recordings with their health parameters, and the number of each."""
+def clean_recordings(seed: int, first: int = 0) -> Iterator[tuple[int, pd.DataFrame, np.ndarray]]:
+    """Endless clean recordings with their numbers and health parameters, from the set that holds number `first`."""
     params = load_params(None, "quick")
-    number = 0
+    number = first - first % PARTS
     while True:
         frame, true = make_validation(100_000 + 1_000 * seed + number // PARTS, params)
         for part in range(PARTS):
@@ -233,7 +233,7 @@ def verdicts(
 ) -> Iterator[Verdict]:
     """Mutilated recordings, each kind in turn, or clean ones where `only` is "clean"."""
     kinds = list(MUTILATIONS) if only in (None, "clean") else [only]
-    for number, frame, truth in clean_recordings(seed):
+    for number, frame, truth in clean_recordings(seed, first):
         if number >= first + cases:
             return
         if number < first:

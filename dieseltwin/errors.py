@@ -63,5 +63,11 @@ class InputError(DieselTwinError):
         return type(self), (self.what, self.got, self.allowed, self.do)
 
 
+class Refused(DieselTwinError):
+    """The message of an `InputError` that was kept as text."""
+
+    exit_code = InputError.exit_code
+
+
 class NotConvergedError(DieselTwinError):
     """An iteration ended without an answer that may be used."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from dieseltwin.errors import InputError
@@ -62,6 +63,24 @@ def opened_json(content: Any, where: str, do: str) -> Any:
         raise InputError(where, "other content than was written (its SHA-256 differs)", "the file as it was written",
                          f"put the file back, or {do}; if you edited it, remove its key {KEY!r}")
     return rest
+
+
+def read_json(path: Path, wanted: str, do: str) -> dict[str, Any]:
+    """The object in a file, as `sealed_json` was given it.
+
+    Args:
+        wanted: what the file should be; do: how it is made again.
+
+    Raises:
+        InputError: no such file, no JSON object, or another content than was written.
+    """
+    try:
+        content = opened_json(json.loads(path.read_text(encoding="utf-8")), str(path), do)
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(str(path), error, wanted, do) from None
+    if not isinstance(content, dict):
+        raise InputError(str(path), f"a {type(content).__name__}", wanted, do)
+    return content
 
 
 def _of_text(text: str) -> str:

@@ -1,8 +1,20 @@
-"""How a step fails: one line for the user, and whether another try is worth it."""
+"""How a run ends early: a step's failure as one line for the user, whether another try is worth it, and Ctrl-C."""
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Sequence
+from types import FrameType
+
+INTERRUPTED = "interrupted: what is finished is kept, the next run goes on from there"
+INTERRUPTED_CODE = 130
+
+
+def interrupted_early(signum: int, frame: FrameType | None) -> None:
+    """End the process, in which nothing was begun yet, with the one sentence."""
+    print(INTERRUPTED, file=sys.stderr, flush=True)
+    os._exit(INTERRUPTED_CODE)
 
 
 class StepFailed(RuntimeError):

@@ -18,13 +18,12 @@ from typing import Any
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.errors import InputError
-from tasks import records, run_context
+from tasks import databases, records, run_context
 from tasks.cluster import check_setting
+from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
 from tasks.server import ServerFailed, prefect_server
 from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.workspace import prepare_environment
-
-_INTERRUPTED = 130
 
 # How long a flow takes where it never ran here [s]: quick profile, two idle cores.
 _EXPECTED_S = {
@@ -64,17 +63,18 @@ def launch(flow: Callable[..., Any], **parameters: Any) -> int:
             context.display.finish(name, title)
         context.store.prune(_UNUSED_S)
     except KeyboardInterrupt:
-        print("interrupted: what is finished is kept, the next run goes on from there", file=sys.stderr)
-        return _INTERRUPTED
+        print(INTERRUPTED, file=sys.stderr)
+        return INTERRUPTED_CODE
     except (run_context.StepFailed, ServerFailed) as error:
         print(f"error: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 1)
     except Exception as error:
         code = getattr(error, "exit_code", None)
-        if code is None:
+        told = str(error) if code is not None else databases.failure(error, workspace.mlflow_uri)
+        if told is None:
             raise
-        print(f"error: {error}", file=sys.stderr)
-        return int(code)
+        print(f"error: {told}", file=sys.stderr)
+        return 1 if code is None else int(code)
     return 0
 
 
@@ -97,6 +97,7 @@ def run_alone(
     try:  # what the user can mend needs no server, and no traceback of Prefect's
         load_settings(parameters["profile"])
         check_setting()
+        databases.check_settings()
         if check is not None:
             check(parameters)
         _check_place(run_context.current().workspace.root)
@@ -120,14 +121,15 @@ def serve(flow: Any, cron: str, **parameters: Any) -> int:
     """Register the flow with its schedule on a server of its own and run it when it is due, until Ctrl-C."""
     workspace = prepare_environment()
     try:
+        databases.check_settings()
         with prefect_server(workspace, scheduled=True) as address:
             print(f"{flow.name}: scheduled '{cron}' on {address}; Ctrl-C ends it", flush=True)
             flow.serve(name="scheduled", cron=cron, parameters=parameters, limit=1, print_starting_message=False)
     except KeyboardInterrupt:
-        return _INTERRUPTED
-    except ServerFailed as error:
+        return INTERRUPTED_CODE
+    except (run_context.StepFailed, ServerFailed) as error:
         print(f"error: {error}", file=sys.stderr)
-        return 1
+        return getattr(error, "exit_code", 1)
     return 0
 
 

@@ -52,6 +52,7 @@ def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list
     from dieseltwin.challenge.cases import MAP_RMS
     from dieseltwin.challenge.run import FAILED, RESULTS, run_case
     from dieseltwin.paths import file_sha256
+    from dieseltwin.sealed import read_json
 
     entry = {
         "case": kind,
@@ -70,7 +71,7 @@ def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list
             _copied(path, out / path.name)
     failed = out / FAILED
     if failed.exists():
-        content = json.loads(failed.read_text(encoding="utf-8"))
+        content = read_json(failed, "a failure of `run_case`", "run again")
         (out / "runtime.json").write_text(json.dumps({"seconds": content.pop("seconds", None)}), encoding="utf-8")
         failed.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 

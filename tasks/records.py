@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -88,10 +89,12 @@ def _tracker() -> Tracker:
 
 
 def warm_up() -> None:
-    """Make or open the database: some seconds, best spent while the first step computes."""
+    """Make or open the database: some seconds, best spent while the first step computes. A database that can't be used
+    is told of when a result is logged."""
     tracker = _tracker()
-    for name in EXPERIMENTS:
-        tracker.experiment(name, EXPERIMENTS[name], VIEWS[name])
+    with suppress(Exception):
+        for name in EXPERIMENTS:
+            tracker.experiment(name, EXPERIMENTS[name], VIEWS[name])
 
 
 def experiment(name: str) -> str:

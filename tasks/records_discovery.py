@@ -80,7 +80,7 @@ def document_metrics(document: Mapping[str, Any]) -> Iterator[tuple[str, float |
 def proved(scored: Artifact, made: Artifact, settings: Mapping[str, Any]) -> None:
     """Log a benchmark: the table's numbers, the files, each machine as a nested run, the baselines beside it."""
     document = read(scored.path / "score.json")
-    rows = read(scored.path / "rows.json")
+    rows = read(scored.path / "rows.json")["rows"]
     config = {key: value for key, value in settings["proof"].items()}
     tags = {"profile": settings["profile"]}
     datasets = {"concealed recordings": made.sha256}

@@ -87,13 +87,21 @@ def _wait_until_up(server: subprocess.Popen[bytes], address: str, log: Path) -> 
     deadline = time.monotonic() + _START_TIMEOUT_S
     while time.monotonic() < deadline:
         if server.poll() is not None:
-            raise ServerFailed(f"the Prefect server ended with status {server.returncode}; see {log}")
+            said = f"the Prefect server ended with status {server.returncode}: {_last_line(log)} (log in {log})"
+            raise ServerFailed(f"{said}; where its database is broken, move prefect.db beside the log away: no result "
+                               "is in it")  # fmt: skip
         try:
             with urllib.request.urlopen(f"{address}/health", timeout=2.0):
                 return
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
     raise ServerFailed(f"the Prefect server didn't answer within {_START_TIMEOUT_S:.0f} s; see {log}")
+
+
+def _last_line(log: Path) -> str:
+    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    told = [line for line in lines if "Error" in line] or lines
+    return told[-1][:150] if told else "it printed nothing"
 
 
 def _free_port() -> int:
@@ -112,7 +120,8 @@ def _serve(port: int) -> None:
 
 
 def _die_with_parent() -> None:
-    sys.stdin.buffer.read()
+    while os.read(0, 4096):  # not through sys.stdin: its lock would make an end of the server's own a crash
+        pass
     os._exit(0)
 
 

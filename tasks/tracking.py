@@ -1,4 +1,4 @@
-"""MLflow: ``mlruns/mlflow.db`` (sqlite) and ``mlruns/artifacts/``.
+"""MLflow: ``mlruns/mlflow.db`` (sqlite, or a PostgreSQL server: :mod:`tasks.databases`) and ``mlruns/artifacts/``.
 
 Logging is apart from computing. A run is logged from the files of a result, and is known by the hash of what it shows:
 logging the same result again changes nothing, a run that was cut off is dropped and logged anew. So cached results
@@ -16,13 +16,14 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from tasks import databases
 from tasks.workspace import Workspace
 
 README = "README.md"
@@ -80,20 +81,20 @@ class Tracker:
     @property
     def uri(self) -> str:
         """Address of the database, relative paths resolved."""
-        return f"sqlite:///{self.workspace.mlruns / 'mlflow.db'}"
+        return self.workspace.mlflow_uri
 
     @cached_property
     def client(self) -> Any:
         """MLflow's client; the first use makes the database (some seconds)."""
         for name in ("mlflow", "alembic"):
-            logging.getLogger(name).setLevel(logging.ERROR)
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what fails is told in one line, by `tasks.launch`
         self.workspace.mlruns.mkdir(parents=True, exist_ok=True)
         os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-        with _one_at_a_time(self.workspace.mlruns / ".lock"):
+        with self._alone():
             from mlflow import MlflowClient
 
             database = self.workspace.mlruns / "mlflow.db"
-            if not database.exists():
+            if self.uri.startswith("sqlite") and not database.exists():
                 _make_database(database)
             client = MlflowClient(tracking_uri=self.uri)
             empty = client.get_experiment("0")
@@ -101,23 +102,26 @@ class Tracker:
                 client.delete_experiment("0")  # "Default", which nobody logs to
         return client
 
+    def _alone(self) -> AbstractContextManager[None]:
+        return databases.one_at_a_time(databases.MLFLOW, self.workspace.mlruns / ".lock")
+
     def experiment(self, name: str, description: str, tags: Mapping[str, str] | None = None) -> str:
         """Find or make an experiment; returns its id."""
         client = self.client
-        with _one_at_a_time(self.workspace.mlruns / ".lock"):
+        with self._alone():
             found = client.get_experiment_by_name(name)
             folder = name.replace(" ", "-")
             experiment_id = found.experiment_id if found else client.create_experiment(name, _SCHEME + folder)
-        wanted = {
-            "mlflow.note.content": description,
-            # without it MLflow shows its pages for chat programs first
-            "mlflow.experimentKind": "custom_model_development",
-            **(tags or {}),
-        }
-        present = found.tags if found else {}
-        for key, value in wanted.items():
-            if present.get(key) != value:
-                client.set_experiment_tag(experiment_id, key, value)
+            wanted = {
+                "mlflow.note.content": description,
+                # without it MLflow shows its pages for chat programs first
+                "mlflow.experimentKind": "custom_model_development",
+                **(tags or {}),
+            }
+            present = found.tags if found else {}
+            for key, value in wanted.items():
+                if present.get(key) != value:
+                    client.set_experiment_tag(experiment_id, key, value)
         return str(experiment_id)
 
     def page(self, name: str) -> str:
@@ -128,12 +132,14 @@ class Tracker:
         view = f"?viewStateShareKey={_VIEW}" if f"{_VIEW_TAG}{_VIEW}" in found.tags else ""
         return f"/#/experiments/{found.experiment_id}/runs{view}"
 
-    def log(self, experiment_id: str, record: Record, parent: str | None = None) -> str:
+    def log(self, experiment_id: str, record: Record) -> str:
         """Log a record and its children; returns the run id. An equal record that is complete is left as it is."""
-        if parent is None:
-            known = self._known(experiment_id, record.identity)
-            if known is not None:
-                return known
+        _ = self.client  # whose first use takes the lock itself
+        # SQLite takes one writer at a time: of thirty at once it refuses some after five seconds.
+        with self._alone() if self.uri.startswith("sqlite") else nullcontext():
+            return self._known(experiment_id, record.identity) or self._logged(experiment_id, record)
+
+    def _logged(self, experiment_id: str, record: Record, parent: str | None = None) -> str:
         ended = int(time.time() * 1000)
         tags = {"mlflow.runName": record.name, "mlflow.user": "dieseltwin", _IDENTITY: record.identity, **record.tags}
         if parent is not None:
@@ -147,7 +153,7 @@ class Tracker:
         self._log_values(run_id, record, ended)
         self._copy(run.info.artifact_uri, record.artifacts)
         for child in record.children:
-            self.log(experiment_id, child, parent=run_id)
+            self._logged(experiment_id, child, parent=run_id)
         self.client.set_terminated(run_id, "FINISHED", end_time=ended)
         return run_id
 
@@ -267,16 +273,3 @@ def _dataset(name: str, sha256: str) -> Any:
 def _text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
-
-@contextmanager
-def _one_at_a_time(lock: Path) -> Iterator[None]:
-    """Two runs at once would both make the tables; the lock goes with the process."""
-    import fcntl
-
-    lock.parent.mkdir(parents=True, exist_ok=True)
-    with lock.open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            fcntl.flock(file, fcntl.LOCK_UN)

@@ -20,7 +20,7 @@ def main() -> int:
     arguments = parser.parse_args()
     workspace = prepare_environment()
     tracker = Tracker(workspace)
-    if not (workspace.mlruns / "mlflow.db").exists():
+    if tracker.uri.startswith("sqlite") and not (workspace.mlruns / "mlflow.db").exists():
         print("nothing to show yet: `make run` first", file=sys.stderr)
         return 2
     address = f"http://{arguments.host}:{arguments.port}"
@@ -30,13 +30,13 @@ def main() -> int:
     print("Ctrl-C ends it", flush=True)
     command = [
         *(sys.executable, "-m", "mlflow", "server"),
-        *("--backend-store-uri", tracker.uri),
         *("--artifacts-destination", str(workspace.mlruns / "artifacts")),
         *("--host", arguments.host),
         *("--port", str(arguments.port)),
         *("--workers", "1"),
     ]
-    os.execv(command[0], command)
+    # In the environment, not on the command line: there other users would read a database's password.
+    os.execve(command[0], command, {**os.environ, "MLFLOW_BACKEND_STORE_URI": tracker.uri})
 
 
 if __name__ == "__main__":

@@ -11,6 +11,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from tasks import databases
+
 PROJECT = Path(__file__).resolve().parents[1]
 
 _ROOT_VARIABLE = "DIESELTWIN_WORKSPACE"
@@ -46,6 +48,11 @@ class Workspace:
         return self.root / "mlruns"
 
     @property
+    def mlflow_uri(self) -> str:
+        """Address of MLflow's database (:mod:`tasks.databases`)."""
+        return databases.address(databases.MLFLOW) or f"sqlite:///{self.mlruns / 'mlflow.db'}"
+
+    @property
     def reports(self) -> Path:
         """HTML reports and run times: not compared, not versioned."""
         return self.root / "reports"
@@ -68,7 +75,9 @@ class Workspace:
 def quiet_settings(workspace: Workspace) -> dict[str, str]:
     """Environment of Prefect and MLflow: files inside the project, no analytics, no chatter."""
     home = workspace.prefect_home
+    rows = databases.address(databases.PREFECT)
     return {
+        **({"PREFECT_SERVER_DATABASE_CONNECTION_URL": rows} if rows else {}),
         "PREFECT_HOME": str(home),
         "PREFECT_LOCAL_STORAGE_PATH": str(home / "storage"),
         "PREFECT_SERVER_EPHEMERAL_ENABLED": "true",
@@ -80,9 +89,9 @@ def quiet_settings(workspace: Workspace) -> dict[str, str]:
         "PREFECT_CLI_WRAP_LINES": "false",
         "DO_NOT_TRACK": "true",
         "MLFLOW_DISABLE_TELEMETRY": "true",
-        "MLFLOW_LOGGING_LEVEL": "ERROR",
+        "MLFLOW_LOGGING_LEVEL": "CRITICAL",
         "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
-        "MLFLOW_TRACKING_URI": f"sqlite:///{workspace.mlruns / 'mlflow.db'}",
+        "MLFLOW_TRACKING_URI": workspace.mlflow_uri,
         "DVC_NO_ANALYTICS": "true",
         "DASK_LOGGING__DISTRIBUTED": "critical",
     }

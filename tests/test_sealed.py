@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.flipped_bytes import Kind, cache_kinds, cheap_kinds, judged
+from benchmarks.flipped_bytes import Kind, cache_kinds, cheap_kinds, judged, kept_kinds
 from dieseltwin.api.driving import engine_yaml
 from dieseltwin.engine import load_engine, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.sealed import MARK, check_text, opened_json, sealed_json, sealed_text
 
 
-@pytest.mark.parametrize("kinds", [cheap_kinds, cache_kinds])
+@pytest.mark.parametrize("kinds", [cheap_kinds, kept_kinds, cache_kinds])
 def test_a_flipped_byte_is_noticed_or_harmless(tmp_path: Path, kinds: Callable[[Path], list[Kind]]) -> None:
     rng = np.random.default_rng(4)
     for kind in (kind for kind in kinds(tmp_path) if not kind.open):

@@ -6,13 +6,14 @@ import hashlib
 import io
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from benchmarks.bad_inputs.case import Case, plain
+from benchmarks.bad_inputs.later import later_cases
 from benchmarks.bad_inputs.texts import (
     ADDRESSES,
     CONTENTS,
@@ -27,21 +28,6 @@ from benchmarks.bad_inputs.texts import (
 REFERENCE = Path(__file__).resolve().parents[2] / "tests" / "reference" / "field_random_300s.csv"
 SENSORS = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k")
 INPUTS = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
-
-
-@dataclass(frozen=True)
-class Case:
-    """One bad input.
-
-    Attributes:
-        name: group and what is wrong.
-        make: writes its files into a folder that holds the good ones, and gives the arguments.
-        environment: variables that are set while it runs.
-    """
-
-    name: str
-    make: Callable[[Path], list[str]]
-    environment: tuple[tuple[str, str], ...] = ()
 
 
 def good_files(folder: Path) -> None:
@@ -71,19 +57,6 @@ def _table(change: Callable[[pd.DataFrame], pd.DataFrame], arguments: Callable[[
         return arguments(str(path), str(folder))
 
     return make
-
-
-def _plain(*arguments: str, prepare: Callable[[Path], object] | None = None) -> Callable[[Path], list[str]]:
-    """Arguments in which {} stands for the folder."""
-
-    def make(folder: Path) -> list[str]:
-        if prepare is not None:
-            prepare(folder)
-        return [argument.replace("{}", str(folder)) for argument in arguments]
-
-    return make
-
-
 
 
 YAML_TAKERS: dict[str, Callable[[str, str], list[str]]] = {
@@ -205,28 +178,28 @@ def path_cases() -> Iterator[Case]:
         for name, path in (("name of 300 characters", f"{{}}/{LONG}{suffix}"), ("dangling link", "{}/link" + suffix),
                            ("below a file", "{}/drive.csv/o" + suffix), ("link to itself", "{}/loop" + suffix),
                            ("zero byte", "{}/a\0b" + suffix)):  # fmt: skip
-            yield Case(f"{command} --out: {name}", _plain(command, source, "--out", path, prepare=_links))
+            yield Case(f"{command} --out: {name}", plain(command, source, "--out", path, prepare=_links))
         for name, path in (("name of 300 characters", f"{{}}/{LONG}.csv"), ("dangling link", "{}/link.csv"),
                            ("a folder", "{}/folder.csv"), ("link to itself", "{}/loop.csv"), ("a pipe", "{}/pipe.csv"),
                            ("zero byte", "{}/a\0b.csv"), ("nothing", "")):  # fmt: skip
-            yield Case(f"{command} input: {name}", _plain(command, path, "--out", "{}/" + out, prepare=_links))
+            yield Case(f"{command} input: {name}", plain(command, path, "--out", "{}/" + out, prepare=_links))
         if suffix:
-            yield Case(f"{command} --out: a folder", _plain(
+            yield Case(f"{command} --out: a folder", plain(
                 command, source, "--out", "{}/folder" + suffix, prepare=_links))  # fmt: skip
-            yield Case(f"{command} --out: another ending", _plain(command, source, "--out", "{}/o.exe"))
+            yield Case(f"{command} --out: another ending", plain(command, source, "--out", "{}/o.exe"))
     for path in (f"{{}}/{LONG}.yaml", "{}/link.yaml", "{}/folder.yaml", "{}/loop.yaml", "{}/pipe.yaml", "", "\0"):
         for option in (("engine", "show", "--engine"), ("params", "show", "--params")):
-            yield Case(f"{' '.join(option)} {path[:20]!r}", _plain(*option, path, prepare=_links))
-    yield Case("simulate X --out X", _plain("simulate", "{}/drive.csv", "--out", "{}/drive.csv"))
-    yield Case("simulate X --out ./X", _plain("simulate", "{}/drive.csv", "--out", "{}/folder/../drive.csv",
+            yield Case(f"{' '.join(option)} {path[:20]!r}", plain(*option, path, prepare=_links))
+    yield Case("simulate X --out X", plain("simulate", "{}/drive.csv", "--out", "{}/drive.csv"))
+    yield Case("simulate X --out ./X", plain("simulate", "{}/drive.csv", "--out", "{}/folder/../drive.csv",
                                               prepare=_links))  # fmt: skip
-    yield Case("simulate X --out a link to X", _plain(
+    yield Case("simulate X --out a link to X", plain(
         "simulate", "{}/drive.csv", "--out", "{}/same.csv",
         prepare=lambda folder: (folder / "same.csv").symlink_to(folder / "drive.csv")))  # fmt: skip
-    yield Case("channels X --out its own map", _plain("channels", "{}/map.yaml", "--out", "{}/map.yaml"))
-    yield Case("calibrate --base X --out X", _plain("calibrate", "{}/points.csv", "--base", "{}/engine.yaml", "--out",
+    yield Case("channels X --out its own map", plain("channels", "{}/map.yaml", "--out", "{}/map.yaml"))
+    yield Case("calibrate --base X --out X", plain("calibrate", "{}/points.csv", "--base", "{}/engine.yaml", "--out",
                                                     "{}/engine.yaml"))  # fmt: skip
-    yield Case("identify --out the recording", _plain("identify", "{}/drive.csv", "--out", "{}/drive.csv"))
+    yield Case("identify --out the recording", plain("identify", "{}/drive.csv", "--out", "{}/drive.csv"))
 
 
 def _links(folder: Path) -> None:
@@ -243,7 +216,7 @@ def option_cases() -> Iterator[Case]:
     """Options that are negative, absurd, unknown or missing."""
     short = {"D": "{}/drive.csv", "P": "{}/points.csv", "O": "{}/o", "O.csv": "{}/o.csv", "O.yaml": "{}/o.yaml"}
     for line in OPTIONS:
-        yield Case(f"options: {line[:80]}", _plain(*(short.get(word, word) for word in line.split())))
+        yield Case(f"options: {line[:80]}", plain(*(short.get(word, word) for word in line.split())))
 
 
 
@@ -267,13 +240,13 @@ def manifest_cases() -> Iterator[Case]:
 def address_cases() -> Iterator[Case]:
     """Mirrors that are none."""
     for address in ADDRESSES:
-        yield Case(f"data fetch from {address[:40]!r}", _plain("data", "fetch", "emps/emps_train.csv"), (
+        yield Case(f"data fetch from {address[:40]!r}", plain("data", "fetch", "emps/emps_train.csv"), (
             ("DIESELTWIN_DATA_URL", address), ("DIESELTWIN_DATA", "/nonexistent"),
             ("DIESELTWIN_CACHE", "{}/cache")))  # fmt: skip
-    yield Case("data fetch into a file", _plain("data", "fetch", "emps/emps_train.csv"), (
+    yield Case("data fetch into a file", plain("data", "fetch", "emps/emps_train.csv"), (
         ("DIESELTWIN_DATA_URL", "http://127.0.0.1:1"), ("DIESELTWIN_DATA", ""),
         ("DIESELTWIN_CACHE", "{}/drive.csv/cache")))  # fmt: skip
-    yield Case("data path in a name of 300 characters", _plain("data", "path", "emps/emps_train.csv"), (
+    yield Case("data path in a name of 300 characters", plain("data", "path", "emps/emps_train.csv"), (
         ("DIESELTWIN_DATA", "/" + LONG), ("DIESELTWIN_CACHE", "{}/cache")))  # fmt: skip
 
 
@@ -316,6 +289,6 @@ def cases() -> list[Case]:
         if taker in ("engine", "channels") or number % 2 == place % 2
     ]
     for group in (engine_cases, map_cases, table_cases, path_cases, option_cases, manifest_cases, address_cases,
-                  learned_cases):  # fmt: skip
+                  learned_cases, later_cases):  # fmt: skip
         found.extend(group())
     return found

@@ -22,7 +22,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
 
-from benchmarks.bad_inputs.cases import INPUTS, SENSORS, Case, good_files
+from benchmarks.bad_inputs.case import Case
+from benchmarks.bad_inputs.cases import INPUTS, SENSORS, good_files
 from benchmarks.bad_inputs.run import Outcome, run_case
 
 

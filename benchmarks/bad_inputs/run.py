@@ -16,7 +16,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from benchmarks.bad_inputs.cases import Case, cases, good_files
+from benchmarks.bad_inputs.case import Case
+from benchmarks.bad_inputs.cases import cases, good_files
 from dieseltwin.cli.app import main as dieseltwin
 
 LONGEST_LINE = 300

@@ -131,7 +131,8 @@ class Identified(Result):
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
             write_json(folder / "identification.json",
                        sealed_json({**self.found.to_json(), "warnings": self.warnings}))
-            write_json(folder / "runtime.json", {**self.found.runtime(), **self.provenance, "notes": list(self.notes)})
+            runtime = {**self.found.runtime(), **self.provenance, "notes": list(self.notes)}
+            write_json(folder / "runtime.json", sealed_json(runtime))
             self.found.states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)
             curves = curves_table(self.found)
             if curves is not None:

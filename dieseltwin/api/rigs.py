@@ -26,6 +26,7 @@ from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import simulate_rig
 from dieseltwin.rigs.twin import model_of
 from dieseltwin.rigs.verdict import details, document, sentence
+from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import refuse_options, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
@@ -71,7 +72,7 @@ class RigDiscovered(Discovered):
         """discrepancy.json, details.json, engine.yaml (repaired), runtime.json."""
         with atomic_folder(out, owned=OWNED) as folder:
             self.document.write(folder / FILE_NAME)
-            write_json(folder / DETAILS, details(self.found, self.question.asked))
+            write_json(folder / DETAILS, sealed_json(details(self.found, self.question.asked)))
             save_rig(self.engine, folder / "engine.yaml")
             write_json(folder / "runtime.json", {"seconds": self.found.seconds, **machine()})
         return Path(out)

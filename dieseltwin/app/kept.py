@@ -12,6 +12,8 @@ from pydantic import Field, ValidationError
 
 from dieseltwin.app.workplace import Workplace, is_id, new_id
 from dieseltwin.atomic import write_json
+from dieseltwin.errors import InputError
+from dieseltwin.sealed import read_json, sealed_json
 from dieseltwin.settings.strict import StrictModel
 
 ABOUT, STATE, OUTCOME, PROGRESS, RESULT, ARCHIVE = (
@@ -108,15 +110,24 @@ Document = TypeVar("Document", bound=StrictModel)
 
 def load(model: type[Document], path: Path) -> Document | None:
     """A document, None where there is none or it can't be read."""
+    content = content_of(path)
     try:
-        return model.model_validate_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ValidationError):
+        return None if content is None else model.model_validate_json(json.dumps(content))
+    except ValidationError:
+        return None
+
+
+def content_of(path: Path) -> dict[str, Any] | None:
+    """The object in a file of ours, None where there is none or it isn't as it was written."""
+    try:
+        return read_json(path, "a file of `dieseltwin app`", "make it again")
+    except InputError:
         return None
 
 
 def save(document: StrictModel, path: Path) -> None:
     """Write a document, all or nothing."""
-    write_json(path, document.model_dump(mode="json"))
+    write_json(path, sealed_json(document.model_dump(mode="json")))
 
 
 class Store:
@@ -143,11 +154,7 @@ class Store:
 
     def channels(self, key: str) -> dict[str, Any] | None:
         """What a worker found in a recording."""
-        try:
-            found = json.loads((self.recording_folder(key) / CHANNELS).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return found if isinstance(found, dict) else None
+        return content_of(self.recording_folder(key) / CHANNELS)
 
     # --- engines
 

@@ -41,6 +41,7 @@ from dieseltwin.app.kept import (
 from dieseltwin.app.workplace import GIGABYTE, Limits, Workplace
 from dieseltwin.atomic import atomic_path, write_json, write_text
 from dieseltwin.errors import DieselTwinError, InputError, one_line
+from dieseltwin.sealed import sealed_json, sealed_text
 
 MOST_LINES = 200  # of progress
 _DATE = re.compile(r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?!\d)")
@@ -115,7 +116,7 @@ def _look(worker: Worker) -> str:
         found.save(folder / MAP)
         text = (folder / MAP).read_text(encoding="utf-8")
         write_text(folder / MAP, text.replace(f"{folder.resolve()}{os.sep}", ""))  # a DBC is found beside the map
-    write_json(folder / CHANNELS, found.to_json())
+    write_json(folder / CHANNELS, sealed_json(found.to_json()))
     return found.sentence
 
 
@@ -203,7 +204,7 @@ def _watch(worker: Worker) -> str:
     worker.stage("Writing the history")
     found.save(worker.result())
     write_text(folder / HISTORY_PAGE, (worker.result() / HISTORY_PAGE).read_text(encoding="utf-8"))
-    write_json(folder / WATCHED, {"sentence": found.sentence, "alarm": found.course.alarm is not None})
+    write_json(folder / WATCHED, sealed_json({"sentence": found.sentence, "alarm": found.course.alarm is not None}))
     return found.sentence
 
 
@@ -219,11 +220,11 @@ def _engine(worker: Worker) -> str:
     document = read_mapping(folder / UPLOADED)
     if "learned" in document:
         document["learned"] = LEARNED_FILE
-    write_text(folder / ENGINE, yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
+    write_text(folder / ENGINE, sealed_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True)))
     machine = engine(folder / ENGINE)
     known, _ = known_engine(folder / ENGINE, (), None)
-    write_json(folder / DETAILS, {"changes": parameter_changes(machine),
-                                  "learned": [] if known is None else summary(known)})
+    write_json(folder / DETAILS, sealed_json({"changes": parameter_changes(machine),
+                                              "learned": [] if known is None else summary(known)}))
     return f"{type(machine).__name__.removesuffix('Parameters').lower()} engine"
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,7 @@ from dieseltwin.challenge.own_engine import TIERS
 from dieseltwin.challenge.run import read_manifest
 from dieseltwin.challenge.score import SCORE
 from dieseltwin.errors import InputError
+from dieseltwin.sealed import read_json
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
@@ -48,11 +49,16 @@ def place_of(folder: Path) -> Place:
     manifest = read_manifest(folder)
     if manifest["tier"] not in TIERS:
         raise InputError(str(folder), f"tier {manifest['tier']}", " or ".join(TIERS), "name benchmarks of own engines")
+    score, rows = (read_json(folder / SCORE / name, "the score of `challenge score`", "score it first")
+                   for name in ("score.json", "rows.json"))  # fmt: skip
     try:
-        score = json.loads((folder / SCORE / "score.json").read_text(encoding="utf-8"))
-        rows = json.loads((folder / SCORE / "rows.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InputError(str(folder), "no score", "one of `challenge score`", "score it first") from None
+        return _place(folder, manifest, score, rows["rows"])
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(str(folder / SCORE), f"another content ({type(error).__name__}: {error})",
+                         "the score of `challenge score`", "score it again") from None  # fmt: skip
+
+
+def _place(folder: Path, manifest: Mapping[str, Any], score: Mapping[str, Any], rows: Sequence[Any]) -> Place:
     lines = {line["key"]: line["numbers"] for line in score["lines"]}
     errors = [
         abs(row["health_after"][name] / row["health_true"][name] - 1.0) if not row["since_said"]

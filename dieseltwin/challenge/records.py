@@ -27,8 +27,9 @@ from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording, read_recording
-from dieseltwin.sealed import opened_json, sealed_json
+from dieseltwin.sealed import opened_json, read_json, sealed_json
 
+_OURS = ("a file of `challenge run`", "remove the case's results and run it again")
 COUNTED_RATIO = 3.0
 """Detection, sites and names are counted from this magnitude over tolerance on (docs/benchmark.md)."""
 
@@ -217,9 +218,9 @@ def verdict_row(
     if not (result / FILE_NAME).is_file():
         problem = "not run"
         if (result / FAILED).is_file():
-            problem = str(json.loads((result / FAILED).read_text())["error"])
+            problem = str(read_json(result / FAILED, *_OURS)["error"])
         return replace(row, problem=problem)
-    runtime = json.loads((result / "runtime.json").read_text())
+    runtime = read_json(result / "runtime.json", *_OURS)
     return replace(row, **said(load_discrepancy(result)), seconds=runtime["seconds"],
                    peak_rss_mib=runtime["peak_rss_mib"])  # fmt: skip
 

@@ -32,7 +32,7 @@ from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_pet
 from dieseltwin.petrol.recording import read_petrol
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.recordings.steady_points import beside_reference, read_points
-from dieseltwin.sealed import opened_json
+from dieseltwin.sealed import opened_json, sealed_json, sealed_text
 from dieseltwin.settings.strict import unknown_name, validate
 
 RESULTS = "results"
@@ -233,15 +233,16 @@ def _failed(folder: Path, entry: Mapping[str, Any], error: Exception, seconds: f
         place = place.tb_next
     where = f"{Path(place.tb_frame.f_code.co_filename).name}:{place.tb_lineno}" if place is not None else ""
     with atomic_folder(folder / RESULTS / entry["case"]) as result:
-        write_json(result / FAILED, {"error": f"{type(error).__name__}: {error}", "where": where, "seconds": seconds})
+        told = {"error": f"{type(error).__name__}: {error}", "where": where, "seconds": seconds}
+        write_json(result / FAILED, sealed_json(told))
     return f"failed after {seconds:.1f} s: {type(error).__name__}: {error} ({where})"
 
 
 def _write_document(result: Path, document: Discrepancy, seconds: float, steps: Any) -> None:
-    write_json(result / "runtime.json", {
+    write_json(result / "runtime.json", sealed_json({
         "seconds": seconds, "peak_rss_mib": peak_rss_mib(), "duration_s": document.recording.duration_s,
         "threads": os.environ.get("DIESELTWIN_THREADS", "all"), "steps": steps,
-    })  # fmt: skip
+    }))  # fmt: skip
     document.write(result / FILE_NAME)
 
 
@@ -254,7 +255,7 @@ def write_engine(engine: EngineParameters, path: Path) -> None:
     """An engine file that `load_engine` reads back: the values that differ from the published set, terms included."""
     published = we2011.PARAMETERS.model_dump(mode="json")
     changed = {k: v for k, v in engine.model_dump(mode="json").items() if v != published.get(k)}
-    write_text(path, yaml.safe_dump(changed, sort_keys=False, allow_unicode=True) if changed else "{}\n")
+    write_text(path, sealed_text(yaml.safe_dump(changed, sort_keys=False, allow_unicode=True) if changed else "{}\n"))
 
 
 def plain(value: Any) -> Any:

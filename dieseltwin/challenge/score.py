@@ -20,6 +20,7 @@ from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_sal
 from dieseltwin.challenge.table import extra, lines, markdown
 from dieseltwin.discovery.verdict.document import FILE_NAME
 from dieseltwin.errors import InputError
+from dieseltwin.sealed import sealed_json
 
 SCORE = "score"
 OF_A_LINE = ("key", "metric", "value", "pass_at", "aim", "passed", "aimed")
@@ -119,8 +120,8 @@ def write_score(score: Score, folder: Path, *, figures: bool = True) -> Path:
     found = metrics.failures(score.rows)
     columns = ["failure", "case", "kind", "route", "ratio", "true", "said", "site", "p_value", "detail"]
     with atomic_folder(out, owned=("figures",)) as temporary:
-        write_json(temporary / "score.json", plain(document))
-        write_json(temporary / "rows.json", plain([row.document() for row in score.rows]))
+        write_json(temporary / "score.json", sealed_json(plain(document)))
+        write_json(temporary / "rows.json", sealed_json(plain({"rows": [row.document() for row in score.rows]})))
         write_text(temporary / "score.md", markdown("Concealed benchmark", score.rows, score.baselines, notes))
         table = pd.DataFrame(found, columns=columns)
         write_text(temporary / "failures.csv", table.to_csv(index=False, lineterminator="\n"))

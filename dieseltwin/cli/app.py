@@ -81,6 +81,7 @@ def _options(
 
 
 _NAME = "dieseltwin: "
+_INTERRUPTED = 130
 
 
 def _fail(error: Exception | str, code: int) -> int:
@@ -115,8 +116,12 @@ def main(arguments: list[str] | None = None) -> int:
         got = (error.strerror or str(error)).lower()
         unread = InputError(str(error.filename), got, "a file you may read", "check the path")
         return _fail(unread, unread.exit_code)
+    except MemoryError:
+        return _fail("out of memory; no file is half-written: cut the recording, or run it where there is more", 1)
     except (typer.Abort, KeyboardInterrupt):
-        return _fail("interrupted; no file is half-written, and what was finished before is kept", 130)
+        result = _INTERRUPTED
+    if result == _INTERRUPTED:  # typer makes it of Ctrl-C, without a word
+        return _fail("interrupted; no file is half-written, and what was finished before is kept", _INTERRUPTED)
     return result if isinstance(result, int) else 0
 
 

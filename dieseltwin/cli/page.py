@@ -48,7 +48,11 @@ def app_command(
 
     limits = Limits(upload_mb=largest, workers=workers, memory_gb=memory)
     names = [host, *(name or ())] if not _is_address(host) else list(name or ())
-    workplace = Workplace(folder.resolve(), limits, tuple(names))
+    try:
+        place = folder.resolve()
+    except RuntimeError:  # a link that leads to itself
+        raise InputError("--folder", str(folder), "a folder you may write to", "choose another") from None
+    workplace = Workplace(place, limits, tuple(names))
     workplace.prepare()
     where = f"[{host}]" if ":" in host else host
     typer.echo(f"http://{where}:{port}  (files in {folder}; Ctrl-C ends it)")
@@ -58,6 +62,8 @@ def app_command(
 
 
 def _check_port(host: str, port: int) -> None:
+    if not host.isascii() or not host.strip():  # nothing would mean every address of this machine
+        raise InputError("--host", repr(host), "an address or a name of this machine", "leave it out for 127.0.0.1")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family, socket.SOCK_STREAM) as trial:

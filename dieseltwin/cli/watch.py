@@ -10,7 +10,7 @@ import typer
 from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
 from dieseltwin.cli.options import ChannelsFile, ParamsFile, Profile, help_without_command, names, progress, say
-from dieseltwin.errors import InputError
+from dieseltwin.errors import InputError, Refused
 
 if TYPE_CHECKING:
     from dieseltwin.settings.watch import WatchConfig
@@ -50,6 +50,8 @@ def add_command(
 
     settings = _settings(params, profile, alarms_per_year)
     found = watch(recordings, engine, history, channels=channels, sensors=names(sensors), settings=settings)
+    if found.refused and len(recordings) == 1:
+        raise Refused(found.refused[0][1])
     say(found.lines())
     if found.refused:
         raise typer.Exit(InputError.exit_code)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import json
 import os
 import shutil
 import stat
@@ -12,7 +13,11 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from dieseltwin.atomic import write_json
+from dieseltwin.errors import InputError
+
 PACKAGE = Path(__file__).resolve().parents[1]
+_CHECKSUMS = "checksums.json"
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -70,15 +75,29 @@ def _own(folder: Path) -> bool:
 
 
 def drop_broken(folder: Path) -> None:
-    """Remove kernels that a power cut left half-written: they are compiled again (numba writes them and renames)."""
+    """Remove kernels that a power cut left half-written, and those whose bytes a disk has changed: they are compiled
+    again (numba writes them and renames, so that a file that is new has another date). A kernel's checksum is taken
+    when a process first finds it, that is from its second use on."""
+    known = _checksums(folder / _CHECKSUMS)
+    found: dict[str, list[object]] = {}
     for path in (*folder.rglob("*.nbi"), *folder.rglob("*.nbc")):
-        try:
-            with path.open("rb") as file:
-                size = file.seek(0, os.SEEK_END)
-                if size:
-                    file.seek(size - 1)
-                whole = size > 0 and file.read(1) == b"."  # what ends a pickle
-            if not whole:
+        with suppress(OSError):  # another process removed it
+            written, content = path.stat().st_mtime_ns, path.read_bytes()
+            name, seen = str(path.relative_to(folder)), [written, hashlib.sha256(content).hexdigest()]
+            before = known.get(name, seen)
+            if not content.endswith(b".") or (before[0] == written and before != seen):  # what ends a pickle
                 path.unlink()
-        except OSError:
-            continue  # another process removed it
+            else:
+                found[name] = seen
+    if found != known:
+        with suppress(InputError):  # a full disk: no kernel can be kept there either
+            write_json(folder / _CHECKSUMS, found)
+
+
+def _checksums(path: Path) -> dict[str, list[object]]:
+    """Date and SHA-256 of every kernel that was there at the last start; none where that can't be read."""
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+        return {str(name): [int(seen[0]), str(seen[1])] for name, seen in known.items()}
+    except (OSError, ValueError, TypeError, AttributeError, IndexError):
+        return {}

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from dieseltwin.atomic import check_folder
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Array, Score
 from dieseltwin.version import __version__
@@ -71,7 +72,7 @@ class Entry:
 
 
 class History:
-    """The history in a folder, made where there is none.
+    """The history in a folder; where there is none, the first recording that is added makes it.
 
     Args:
         folder: holds `history.sqlite`.
@@ -84,13 +85,23 @@ class History:
     def __init__(self, folder: str | Path, engine_sha256: str | None = None) -> None:
         self.folder = Path(folder)
         self.path = self.folder / FILE_NAME
-        if engine_sha256 is None and not self.path.is_file():
+        self._engine_sha256 = engine_sha256
+        if self._begun():
+            self._check()
+        elif engine_sha256 is None:
             raise InputError(str(self.path), "no such file", "a folder with a history", "add a recording first")
-        if not self.path.is_file():
-            self._make(str(engine_sha256))
-        self._check(engine_sha256)
+        else:
+            check_folder(self.folder)
 
-    def _make(self, engine_sha256: str) -> None:
+    def _begun(self) -> bool:
+        """Whether there is a history: a file that a kill left empty while it was made is none."""
+        if not self.path.is_file() or not self.path.stat().st_size:
+            return False
+        with self._opened() as connection:
+            named = connection.execute("PRAGMA application_id").fetchone()[0]
+            return bool(named) or connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None
+
+    def _make(self) -> None:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -98,10 +109,11 @@ class History:
                              "choose another --history") from None
         with self._opened() as connection:
             known = {name for name, in connection.execute("SELECT name FROM sqlite_master")}
-            if "about" not in known:  # another process may have been first
+            if not known:  # another process may have been first
                 for table in _TABLES:
                     connection.execute(table)
-                about = {"schema": str(SCHEMA), "engine_sha256": engine_sha256, "code_version": __version__}
+                about = {"schema": str(SCHEMA), "engine_sha256": str(self._engine_sha256),
+                         "code_version": __version__}  # fmt: skip
                 connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
                 connection.execute(f"PRAGMA application_id = {_APPLICATION}")
 
@@ -127,7 +139,7 @@ class History:
     def _damaged(self, what: str) -> InputError:
         return InputError(str(self.path), what, "a history as `dieseltwin watch add` wrote it", _NEW)
 
-    def _check(self, engine_sha256: str | None) -> None:
+    def _check(self) -> None:
         with self._opened() as connection:
             if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION:
                 raise self._damaged("an SQLite file of something else")
@@ -137,7 +149,7 @@ class History:
             about = dict(connection.execute("SELECT key, value FROM about"))
         if about.get("schema") != str(SCHEMA):
             raise InputError(str(self.path), f"schema {about.get('schema')}", f"schema {SCHEMA}", _NEW)
-        if engine_sha256 is not None and about.get("engine_sha256") != engine_sha256:
+        if self._engine_sha256 is not None and about.get("engine_sha256") != self._engine_sha256:
             raise InputError(
                 str(self.path), "a history of another engine file, or of this one before it learned more",
                 "the file that the history was begun with", "begin a new --history and add the recordings again",
@@ -145,11 +157,16 @@ class History:
 
     def holds(self, sha256: str) -> bool:
         """Whether a recording is there already."""
+        if not self._begun():
+            return False
         with self._opened() as connection:
             return connection.execute("SELECT 1 FROM recordings WHERE sha256 = ?", (sha256,)).fetchone() is not None
 
     def add(self, entry: Entry) -> bool:
         """Add a recording; False where it is there already, which stays as it is."""
+        if not self._begun():
+            self._make()
+            self._check()
         row = to_json(entry)
         columns = (entry.sha256, entry.date, entry.hours, entry.p_amb_pa, entry.t_amb_k, entry.verdict)
         with self._opened() as connection:
@@ -164,6 +181,8 @@ class History:
         Raises:
             InputError: a row that isn't what was written.
         """
+        if not self._begun():
+            return ()
         with self._opened() as connection:
             rows = connection.execute("SELECT sha256, row, checksum FROM recordings ORDER BY date, sha256").fetchall()
         out = []

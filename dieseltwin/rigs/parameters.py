@@ -12,6 +12,7 @@ from dieseltwin.atomic import write_text
 from dieseltwin.discovery.laws.grammar import Factor, Form, Kind
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.rigs.expressions import names_in, usable
+from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.names import did_you_mean
 from dieseltwin.settings.strict import StrictModel, read_mapping, validate
 
@@ -176,4 +177,5 @@ def load_rig(path: str | Path) -> RigParameters:
 def save_rig(rig: RigParameters, path: str | Path) -> Path:
     """Write a rig's file atomically."""
     plain = rig.model_dump(mode="json", exclude_defaults=True)
-    return write_text(path, yaml.safe_dump({"kind": KIND, **plain}, sort_keys=False, allow_unicode=True, width=118))
+    text = yaml.safe_dump({"kind": KIND, **plain}, sort_keys=False, allow_unicode=True, width=118)
+    return write_text(path, sealed_text(text))

@@ -6,6 +6,8 @@ and aliases of aliases, by which ten lines become a billion values.
 
 from __future__ import annotations
 
+from copy import deepcopy
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import yaml
@@ -55,7 +57,8 @@ def _error(problem: str, node: yaml.Node) -> yaml.constructor.ConstructorError:
 
 
 def plain_yaml(text: str, where: str) -> Any:
-    """The value that one YAML document of plain values holds; None for an empty one.
+    """The value that one YAML document of plain values holds; None for an empty one. Reading the same text again, as
+    settings are, costs a copy.
 
     Args:
         where: name of the file, for messages.
@@ -63,6 +66,11 @@ def plain_yaml(text: str, where: str) -> Any:
     Raises:
         InputError: not YAML, a key twice, a value or a key of another type, too deep, or too many values.
     """
+    return deepcopy(_document(text, where))
+
+
+@lru_cache(maxsize=8)
+def _document(text: str, where: str) -> Any:
     try:
         loader = _PlainLoader(text)
         node = loader.get_single_node()

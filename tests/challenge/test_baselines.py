@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,6 +19,7 @@ from dieseltwin.challenge.records import CaseRow
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.sealed import read_json
 
 LABORATORY = we2011.PARAMETERS.model_dump()
 WORN = {**LABORATORY, "A_egrmax": LABORATORY["A_egrmax"] * 0.85, "eta_sc": LABORATORY["eta_sc"] * 1.04}
@@ -91,13 +91,13 @@ def test_rows_beside_the_tools(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert run_baselines(out, limit=2) == 2
     shutil.move(hidden, out / "sealed")
     path = out / "baselines" / "case_0001.json"
-    result: dict[str, Any] = json.loads(path.read_text())
-    bands = json.loads((out / "baselines" / "bands.json").read_text())
+    result = read_json(path, "", "")
+    bands = read_json(out / "baselines" / "bands.json", "", "")
     result["statistics"] = dict.fromkeys(bands, -1.0) | {"bias shaft_power": 3.0 * bands["bias shaft_power"]}
     path.write_text(json.dumps(result))
     row = CaseRow("case_0001", "single", None, "random", (), ("blow_by",), nll_before=3.0)
     found = baseline_rows(out, [row])
     assert [found[name][0].mismatch for name in ("health only", "Kalman", "neural")] == [False, True, False]
     assert found["Kalman"][0].site == "shaft_power"
-    assert found["neural"][0].nll_after == pytest.approx(3.0 - json.loads(path.read_text())["later_gain"])
+    assert found["neural"][0].nll_after == pytest.approx(3.0 - read_json(path, "", "")["later_gain"])
     assert baseline_rows(tmp_path, [row]) == {}

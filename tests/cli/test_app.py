@@ -93,11 +93,17 @@ def test_a_negative_seed_is_refused(command: list[str], capfd: pytest.CaptureFix
     assert "--seed" in error and "0" in error and error.count("\n") == 1
 
 
-def test_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("where", ["the command", "around it"])
+def test_interrupt_is_one_line(
+    where: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "app", interrupted)
+    if where == "around it":
+        monkeypatch.setattr(cli, "app", interrupted)
+    else:
+        monkeypatch.setattr("dieseltwin.cli.show.params_lines", interrupted)
     assert main(["params", "show"]) == 130
     said = "dieseltwin: interrupted; no file is half-written, and what was finished before is kept\n"
     assert capfd.readouterr().err == said

@@ -10,6 +10,7 @@ from dieseltwin.cli.app import main
 from dieseltwin.learning.history import FILE_NAME, History
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
+from tests.learning.test_history import entry
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
@@ -27,7 +28,7 @@ def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "no learned engine" in refused(capsys, "add", good, "--engine", plain, "--history", history)
     assert "none.csv" in refused(capsys, "add", tmp_path / "none.csv", "--engine", plain, "--history", history)
     assert not history.exists()
-    History(history, "e" * 64)
+    History(history, "e" * 64).add(entry(0))
     assert "--alarms-per-year" in refused(capsys, "show", "--history", history, "--alarms-per-year", "2")
     assert "another engine file" in refused(
         capsys, "add", good, "--engine", learned_file(tmp_path), "--history", history
@@ -39,9 +40,13 @@ def test_wrong_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_a_recording_that_is_no_good_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     drive(20.0).to_csv(tmp_path / "2026-01-01.csv", index=False)
     mine = learned_file(tmp_path)
-    assert main(["watch", "add", str(tmp_path / "2026-01-01.csv"), "--engine", str(mine), "--history",
-                 str(tmp_path / "history")]) == 2  # fmt: skip
-    assert "2026-01-01.csv: not added: " in capsys.readouterr().out
-    assert main(["watch", "show", "--history", str(tmp_path / "history"), "--out", str(tmp_path / "out")]) == 0
-    assert "holds no recording" in capsys.readouterr().out
+    drive(25.0).to_csv(tmp_path / "2026-01-02.csv", index=False)
+    history, good = tmp_path / "history", tmp_path / "2026-01-01.csv"
+    assert "2026-01-01.csv" in refused(capsys, "add", good, "--engine", mine, "--history", history)
+    assert main(["watch", "add", str(good), str(tmp_path / "2026-01-02.csv"), "--engine", str(mine), "--history",
+                 str(history)]) == 2  # fmt: skip
+    said = capsys.readouterr().out
+    assert said.count("not added: ") == 2 and "holds no recording" in said and not history.exists()
+    History(history, "e" * 64).add(entry(0))
+    assert main(["watch", "show", "--history", str(history), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "history.html").is_file()

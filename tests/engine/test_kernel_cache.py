@@ -75,3 +75,17 @@ def test_half_written_kernels_go(tmp_path: Path):
     (tmp_path / "cut.nbc").write_bytes(b"\x80\x05\x00\x00")
     drop_broken(tmp_path)
     assert [path.name for path in tmp_path.glob("*.nb?")] == ["whole.nbi"]
+
+
+def test_a_kernel_that_a_disk_has_changed_goes_and_one_that_was_compiled_anew_stays(tmp_path: Path):
+    changed, renewed = tmp_path / "changed.nbc", tmp_path / "renewed.nbc"
+    for path in (changed, renewed):
+        path.write_bytes(b"\x80\x05N.")
+    drop_broken(tmp_path)
+    date = changed.stat().st_mtime_ns
+    for path in (changed, renewed):
+        path.write_bytes(b"\x80\x05M.")
+    os.utime(changed, ns=(date, date))
+    os.utime(renewed, ns=(date + 1, date + 1))
+    drop_broken(tmp_path)
+    assert [path.name for path in tmp_path.glob("*.nb?")] == ["renewed.nbc"]

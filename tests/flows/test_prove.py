@@ -52,7 +52,7 @@ def test_a_case_that_fails_is_a_result_without_its_time(
     assert "no convergence" in failed["error"] and "seconds" not in failed
     opened = steps.opened(benchmark=benchmark, result=found, kind=entry["case"])
     scored = steps.score(benchmark=benchmark, **{f"result_{entry['case']}": found, f"opened_{entry['case']}": opened})
-    rows = json.loads((scored.path / "rows.json").read_text())
+    rows = json.loads((scored.path / "rows.json").read_text())["rows"]
     assert [row["problem"] for row in rows] == [failed["error"]]
 
 

@@ -93,6 +93,13 @@ def test_a_damaged_history_is_refused_in_one_line(tmp_path: Path, damage: str):
     assert "\n" not in str(refused.value)
 
 
+def test_a_file_that_a_kill_left_empty_is_no_history_yet(tmp_path: Path):
+    store = History(tmp_path / "new", ENGINE)
+    assert not store.entries() and not store.holds("f" * 64) and not (tmp_path / "new").exists()
+    (tmp_path / FILE_NAME).touch()
+    assert History(tmp_path, ENGINE).add(entry(0)) and len(History(tmp_path).entries()) == 1
+
+
 def test_a_history_belongs_to_one_engine(tmp_path: Path):
     History(tmp_path, ENGINE).add(entry(0))
     with pytest.raises(InputError, match="another engine file"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -23,11 +22,13 @@ from dieseltwin.challenge.run import plain, read_manifest
 from dieseltwin.challenge.seal import SEALED
 from dieseltwin.engine import we2011
 from dieseltwin.recordings.named_columns import read_table
+from dieseltwin.sealed import read_json, sealed_json
 
 FOLDER = "baselines"
 BASELINES = ("health only", "Kalman", "neural")
 BAND_CASES, BAND_SEED = 24, 240_711  # healthy machines that the bands are drawn from; no benchmark uses this seed
 BAND_FILE = "bands.json"
+_OURS = ("a file of `challenge baselines`", "remove it and run that again")
 _LEAST_BAND = 1e-9
 
 
@@ -64,7 +65,7 @@ def write_bands(folder: Path, *, jobs: int = 1, progress: Callable[[int, int, st
         found.append(statistics)
         if progress is not None:
             progress(len(found), len(plans), "healthy, for the bands")
-    write_json(path, {name: max(one[name] for one in found) for name in found[0]})
+    write_json(path, sealed_json({name: max(one[name] for one in found) for name in found[0]}))
     return path
 
 
@@ -76,7 +77,7 @@ def _of_healthy(tier: Tier, sensors: int, duration_s: float, plan: Plan) -> dict
 
 def _of_case(folder: Path, entry: Mapping[str, Any]) -> None:
     found = one_recording(read_table(folder / entry["recording"]), we2011.PARAMETERS.model_dump())
-    write_json(folder / FOLDER / f"{entry['case']}.json", plain({"case": entry["case"], **found}))
+    write_json(folder / FOLDER / f"{entry['case']}.json", sealed_json(plain({"case": entry["case"], **found})))
 
 
 def one_recording(frame: pd.DataFrame, laboratory: Mapping[str, Any]) -> dict[str, Any]:
@@ -103,13 +104,13 @@ def baseline_rows(folder: Path, rows: Sequence[CaseRow]) -> dict[str, list[CaseR
     out = folder / FOLDER
     if not (out / BAND_FILE).is_file():
         return {}
-    bands = json.loads((out / BAND_FILE).read_text())
+    bands = read_json(out / BAND_FILE, *_OURS)
     found: dict[str, list[CaseRow]] = {name: [] for name in BASELINES}
     for row in rows:
         path = out / f"{row.case}.json"
         if not path.is_file():
             continue
-        result = json.loads(path.read_text())
+        result = read_json(path, *_OURS)
         # a band is never below 0, which is what a perfect twin reaches on average
         over = {name: value / max(bands[name], _LEAST_BAND) for name, value in result["statistics"].items()}
         seconds = result["seconds"]
@@ -141,5 +142,5 @@ def _net_gain(folder: Path, row: CaseRow, result: dict[str, Any]) -> float:
         bound = Bound.of(read_table(folder / SEALED / f"{row.case}_held_out.csv"), laboratory)
         net = Net(**{name: np.array(value) for name, value in result["net"].items()})
         result["later_gain"] = neural.gain_per_sample(bound, neural.without_net(bound, result["health"]), net, 0)
-        write_json(folder / FOLDER / f"{row.case}.json", plain(result))
+        write_json(folder / FOLDER / f"{row.case}.json", sealed_json(plain(result)))
     return float(result["later_gain"])
