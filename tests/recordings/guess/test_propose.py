@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import yaml
 from foreign import AMBIENT, FILES, TO, Foreign, drive, expected, written
+from foreign_later import LATER
 
 from dieseltwin.cli.app import main
 from dieseltwin.recordings.channels import channel_map
