@@ -5,8 +5,8 @@
 The drive is ten minutes of the benchmark plant with a boost leak, six sensors, 5 Hz (`examples/discovery_cases.py`,
 case boost_leak). Formats that hold doubles must give every number back; those that count in steps (a DBC of 16 bits,
 J1939) are read through the channel map that `dieseltwin channels` proposes, and their estimates must lie within the
-intervals. One line a format is appended to OUT.jsonl, formats that are there aren't run again; `--page` writes the table
-into docs/formats.md.
+intervals. One line a format is appended to OUT.jsonl, formats that are there aren't run again; `--page` writes the
+table into docs/formats.md.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from dieseltwin.challenge.sensors import read
 from dieseltwin.engine import HEALTH, we2011
 
 SEED, LEAK_M2, SECONDS = (20261121, 0), 2.5e-5, 600.0
-CYLINDERS, DENSITY_KG_L, AMBIENT_KPA = 6, 0.835, 101.5
+CYLINDERS, DENSITY_KG_L, AMBIENT_KPA = 6, 0.835, we2011.PARAMETERS.p_amb / 1e3
 GERMAN = {
     "time_s": ("Zeit", "s", 1.0, 0.0), "n_e_rpm": ("Motordrehzahl", "1/min", 1.0, 0.0),
     "u_delta_mg": ("Einspritzmenge", "mg/Hub", 1.0, 0.0), "u_egr_pct": ("AGR_Position", "%", 1.0, 0.0),
@@ -166,8 +166,9 @@ def _bus(frame: pd.DataFrame, path: Path) -> None:
                                                     is_extended_id=False, data=data))  # fmt: skip
 
 
+Groups = Mapping[int, tuple[tuple[str, int, int, float, float], ...]]
 GAUGE, ABSOLUTE = (65270, ("boost_kpa", 8, 8, 2.0, 0.0)), (64976, ("p_im_kpa", 32, 8, 2.0, 0.0))
-J1939: Mapping[int, tuple[tuple[str, int, int, float, float], ...]] = {
+J1939: Groups = {
     61444: (("n_e", 24, 16, 0.125, 0.0),), 65266: (("fuel_l_h", 0, 16, 0.05, 0.0),),
     64916: (("u_egr", 0, 16, 0.0025, 0.0),), 64931: (("u_vgt", 16, 8, 0.4, 0.0),),
     65269: (("p_amb_kpa", 0, 8, 0.5, 0.0),), 65270: (("t_em_c", 40, 16, 0.03125, -273.0),),
@@ -187,12 +188,13 @@ def _j1939(boost: tuple[int, tuple[str, int, int, float, float]]) -> Callable[[p
     return write
 
 
-def _send(frame: pd.DataFrame, path: Path, groups: Mapping[int, tuple[tuple[str, int, int, float, float], ...]]) -> None:
+def _send(frame: pd.DataFrame, path: Path, groups: Groups) -> None:
     strokes = frame["n_e_rpm"] * CYLINDERS / 120.0
     sent = pd.DataFrame({
         "n_e": frame["n_e_rpm"], "fuel_l_h": frame["u_delta_mg"] * 1e-6 * strokes * 3600.0 / DENSITY_KG_L,
         "u_egr": frame["u_egr_pct"], "u_vgt": frame["u_vgt_pct"], "p_amb_kpa": AMBIENT_KPA,
-        "boost_kpa": frame["p_im_pa"] / 1e3 - AMBIENT_KPA, "p_im_kpa": frame["p_im_pa"] / 1e3, "t_em_c": frame["t_em_k"] - 273.0,
+        "boost_kpa": frame["p_im_pa"] / 1e3 - AMBIENT_KPA, "p_im_kpa": frame["p_im_pa"] / 1e3,
+        "t_em_c": frame["t_em_k"] - 273.0,
         "p_em_kpa": frame["p_em_pa"] / 1e3 - AMBIENT_KPA, "turbo_rpm": frame["omega_t_rad_s"] * 30.0 / np.pi,
         "egr_kg_h": frame["w_egr_kg_s"] * 3600.0, "air_kg_h": frame["w_c_kg_s"] * 3600.0,
     })  # fmt: skip
@@ -221,7 +223,8 @@ FORMATS: Mapping[str, Format] = {
     "MATLAB 7.3": Format(_matlab_73, ".mat"),
     "MDF 3.30, one group": Format(_measurement("3.30", one_group=True), ".mdf"),
     "MDF 4.10, a group a channel, packed": Format(_measurement("4.10", one_group=False), ".mf4"),
-    "MDF 4.10, German names and units": Format(_measurement("4.10", one_group=True, foreign=True), ".mf4", guessed=True),
+    "MDF 4.10, German names and units": Format(
+        _measurement("4.10", one_group=True, foreign=True), ".mf4", guessed=True),
     "candump, DBC of 16 bits": Format(_bus, ".log", steps=True),
     "Vector ASC, DBC of 16 bits": Format(_bus, ".asc", steps=True),
     "Vector BLF, DBC of 16 bits": Format(_bus, ".blf", steps=True),
@@ -277,7 +280,9 @@ def lines_of(rows: list[dict[str, Any]]) -> list[str]:
     for row in ordered:
         effect = row["effects"][0] if row["effects"] else None
         verdict = "nothing" if effect is None else effect["name"].replace("_", " ")
-        size = "" if effect is None or effect["magnitude"] is None else f"{1e6 * effect['magnitude']:.2f} ± {1e6 * effect['std']:.2f}"
+        size = ""
+        if effect is not None and effect["magnitude"] is not None:
+            size = f"{1e6 * effect['magnitude']:.2f} ± {1e6 * effect['std']:.2f}"
         moved = max(abs(row["health"][key][0] - first["health"][key][0]) / first["health"][key][1] for key in HEALTH)
         fitted = max(abs(row["identify"][k][0] - first["identify"][k][0]) / first["identify"][k][1] for k in HEALTH)
         read_off = "0" if row["worst_rel"] == 0.0 else f"{100.0 * row['worst_rel']:.2g} % of {row['worst']}"
