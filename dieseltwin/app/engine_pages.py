@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from starlette.responses import FileResponse, Response
 
 from dieseltwin.app.desk import SHIPPED, Desk, desk_of, engine_file, see
 from dieseltwin.app.history import Past, alarms_of, history_of, trends_of
-from dieseltwin.app.kept import BESIDE, DETAILS, HISTORY_PAGE, WATCHED, KeptEngine
+from dieseltwin.app.kept import BESIDE, DETAILS, HISTORY_PAGE, WATCHED, KeptEngine, json_object
 from dieseltwin.app.security import REPORT_POLICY
 from dieseltwin.app.workplace import MEGABYTE, shown_name
 
@@ -95,12 +94,7 @@ def show(request: Request, key: str) -> Response:
 
 def _watched(desk: Desk, kept: KeptEngine | None) -> dict[str, Any] | None:
     """What the history of an engine says, and whether it is an alarm; None without a history."""
-    try:
-        text = "" if kept is None else (desk.store.engine_folder(kept.id) / WATCHED).read_text(encoding="utf-8")
-        found = json.loads(text)
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
+    return None if kept is None else json_object(desk.store.engine_folder(kept.id) / WATCHED)
 
 
 @router.get("/engines/{key}/history")
@@ -155,9 +149,8 @@ def _details(desk: Desk, kept: KeptEngine | None) -> dict[str, Any]:
     if kept is None:
         return nothing
     folder: Path = desk.store.engine_folder(kept.id)
-    try:
-        found = json.loads((folder / DETAILS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    found = json_object(folder / DETAILS)
+    if found is None:
         return nothing
     beside = [(number, name) for number, name in enumerate(BESIDE.values()) if (folder / name).is_file()]
     return {**nothing, **found, "beside": beside}

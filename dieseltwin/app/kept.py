@@ -114,6 +114,15 @@ def load(model: type[Document], path: Path) -> Document | None:
         return None
 
 
+def json_object(path: Path) -> dict[str, Any] | None:
+    """What a worker left as a JSON object, None where there is none or it can't be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
 def save(document: StrictModel, path: Path) -> None:
     """Write a document, all or nothing."""
     write_json(path, document.model_dump(mode="json"))
@@ -143,11 +152,7 @@ class Store:
 
     def channels(self, key: str) -> dict[str, Any] | None:
         """What a worker found in a recording."""
-        try:
-            found = json.loads((self.recording_folder(key) / CHANNELS).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return found if isinstance(found, dict) else None
+        return json_object(self.recording_folder(key) / CHANNELS)
 
     # --- engines
 
