@@ -5,7 +5,7 @@
 `identify` (classical): engines of random health (`datasets.make_validation`), five minutes of random driving, the
 paper's noise on every reading, so that more readings say more. Counted are segments whose own bound calls a parameter
 identifiable. `discover`: the plant of docs/benchmark.md with a boost leak, ten minutes, maps off by 0.3 %. Boost in
-steps: 5 Hz rows in which boost is read at 2 Hz, rounded to 2 kPa and repeated. Lines that are in OUT.jsonl aren't run
+steps: 5 Hz rows in which boost is read at 1 Hz, rounded to 2 kPa and repeated. Lines that are in OUT.jsonl aren't run
 again; `--page` writes both tables into docs/formats.md.
 """
 
@@ -38,7 +38,7 @@ RATES: dict[str, int] = {"50": 50, "20": 20, "10": 10, "5": 5, "2": 2, "1": 1, S
 LINEAR = "inputs linear between rows"
 """Rates at which the engine was driven by what the rows say: nothing happened in between that isn't recorded."""
 
-BOOST_STEP_PA, BOOST_HZ = 2000.0, 2
+BOOST_STEP_PA, BOOST_ROWS = 2000.0, 5
 SEED, LEAK_M2 = 8201, 2.5e-5
 Z_90 = 1.6449
 
@@ -51,7 +51,7 @@ def at_rate(fine: pd.DataFrame, name: str, rng: np.random.Generator) -> pd.DataF
     for column, share in zip(SENSORS, NOISE_REL, strict=True):
         made[column] += share * fine[column].mean() * rng.standard_normal(len(made))
     if name == STEPPED:
-        held = np.floor(np.floor(made["time_s"] * BOOST_HZ + 1e-9) / BOOST_HZ * RATES[name] + 1e-9).astype(int)
+        held = np.arange(len(made)) // BOOST_ROWS * BOOST_ROWS
         made["p_im_pa"] = BOOST_STEP_PA * np.rint(made["p_im_pa"].to_numpy()[held] / BOOST_STEP_PA)
     return made
 
