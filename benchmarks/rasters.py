@@ -164,8 +164,8 @@ def main() -> None:
     rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.is_file() else []
     known = {(row["what"], row["number"], row["rate"]) for row in rows}
     params = load_params()
-    wanted = [("discover", 0, name) for name in RATES]
-    wanted += [("identify", number, name) for number in range(given.engines) for name in RATES]
+    wanted = [("identify", number, name) for number in range(given.engines) for name in RATES]
+    wanted += [("discover", 0, name) for name in RATES]
     for what, number, name in (item for item in wanted if item not in known):
         row = discovered(name) if what == "discover" else identified(number, name, params)
         rows.append(row)
