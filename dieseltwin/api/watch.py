@@ -22,6 +22,7 @@ from dieseltwin.learning.files import LearnedEngine, load_learned
 from dieseltwin.learning.history import Entry, History
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.dates import Dated, dated
+from dieseltwin.recordings.dates import date_in as date_in
 from dieseltwin.report import history as pages
 from dieseltwin.settings.params import load_params
 from dieseltwin.settings.watch import WatchConfig

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dieseltwin.api.saved import BEYOND, Level, Saved, differences
+from dieseltwin.api.saved import BEYOND, Z_90, Level, Saved, differences
 from dieseltwin.app.desk import Analysis, Desk
 
 WIDTH, HEIGHT, MARGIN = 320.0, 120.0, 14.0
-Z_90 = 1.645
 
 
 @dataclass(frozen=True)

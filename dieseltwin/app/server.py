@@ -11,6 +11,7 @@ import uvicorn
 from fastapi import FastAPI, Request
 from starlette.exceptions import HTTPException
 from starlette.formparsers import MultiPartException
+from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 
@@ -56,6 +57,7 @@ def create_app(workplace: Workplace) -> FastAPI:
     app.add_exception_handler(InputError, _input_error)
     app.add_exception_handler(MultiPartException, _form_error)
     app.add_exception_handler(TooLarge, _too_large)
+    app.add_exception_handler(ClientDisconnect, _gone)
     return app
 
 
@@ -80,6 +82,11 @@ def _form_error(request: Request, error: Exception) -> Response:
 def _too_large(request: Request, error: Exception) -> Response:
     megabytes = desk_of(request).workplace.limits.upload_mb
     return desk_of(request).refused(413, f"Too large: at most {megabytes} MB are taken.")
+
+
+def _gone(request: Request, error: Exception) -> Response:
+    """A browser that went away in the middle of an upload: nobody hears the answer, and nothing is wrong here."""
+    return Response(status_code=400)
 
 
 def serve(workplace: Workplace, host: str, port: int) -> None:

@@ -7,7 +7,6 @@ say goes into files of the job: lines of progress, and at the end the outcome.
 from __future__ import annotations
 
 import os
-import re
 import resource
 import sys
 import threading
@@ -44,7 +43,6 @@ from dieseltwin.errors import DieselTwinError, InputError, one_line
 from dieseltwin.sealed import sealed_json, sealed_text
 
 MOST_LINES = 200  # of progress
-_DATE = re.compile(r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?!\d)")
 
 
 class Worker:
@@ -188,12 +186,12 @@ def _learn(worker: Worker) -> str:
 
 def _watch(worker: Worker) -> str:
     """Add a recording to the history of its engine, under the date that its name says, if any."""
-    from dieseltwin.api.watch import watch
+    from dieseltwin.api.watch import date_in, watch
 
     kept = worker.recording()
     source = worker.file_of(kept)
-    date = _DATE.search(kept.name)
-    named = worker.folder / f"{'-'.join(date.groups()) if date else 'recording'}{source.suffix}"
+    date = date_in(kept.name)
+    named = worker.folder / f"{date.strftime('%Y-%m-%dT%H%M') if date else 'recording'}{source.suffix}"
     named.unlink(missing_ok=True)
     named.symlink_to(source)
     folder = worker.store.engine_folder(worker.job.engine)

@@ -55,16 +55,24 @@ def dated(recording: Recording) -> Dated | None:
         return Dated(recording, recording.began, STAMP)
     if recording.path is None:
         return None
-    named = _IN_NAME.search(recording.path.name)
+    named = date_in(recording.path.name)
     if named is not None:
-        year, month, day, hour, minute = (int(part or 0) for part in named.groups())
-        try:
-            return Dated(recording, datetime(year, month, day, hour, minute, tzinfo=UTC), NAME)
-        except ValueError:  # 30 February
-            pass
+        return Dated(recording, named, NAME)
     if not recording.path.is_file():
         return None
     return Dated(recording, datetime.fromtimestamp(recording.path.stat().st_mtime, UTC), MODIFIED)
+
+
+def date_in(name: str) -> datetime | None:
+    """The date that a file's name says, in UTC; None where it says none."""
+    found = _IN_NAME.search(name)
+    if found is None:
+        return None
+    year, month, day, hour, minute = (int(part or 0) for part in found.groups())
+    try:
+        return datetime(year, month, day, hour, minute, tzinfo=UTC)
+    except ValueError:  # 30 February
+        return None
 
 
 def in_time_order(recordings: Sequence[Recording]) -> tuple[Dated, ...]:

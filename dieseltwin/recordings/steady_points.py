@@ -20,7 +20,8 @@ from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint, read_channel_map
-from dieseltwin.recordings.importers.read import read_raw
+from dieseltwin.recordings.importers.content import recognise
+from dieseltwin.recordings.importers.read import TRACES, read_raw
 from dieseltwin.recordings.named_columns import import_columns
 from dieseltwin.recordings.plausibility import check_plausible
 from dieseltwin.settings.strict import listed
@@ -190,9 +191,11 @@ def read_points(
 
 def has_time(path: str | Path, channels: ChannelMap | str | Path | None = None) -> bool:
     """Whether a table is a recording (it has `time_s`, by a channel map too, or something called time) or points."""
+    if recognise(Path(path)).format in (*TRACES, "mdf"):
+        return True  # channels with their own times, which may need the map's DBC to be read
     raw = read_raw(path)
     if raw.table is None:
-        return True  # channels with their own times
+        return True
     names = raw.names
     if channels is not None:
         mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dieseltwin.report import style
+from dieseltwin.report.statistics import Z_90
 
-Z_90 = 1.645
 COLUMNS = 2
 _VALUE, _LEVEL, _ALARM = "#0072B2", "#777777", "#D55E00"
 _WIDTH_IN, _ROW_IN = 9.0, 2.2

@@ -49,13 +49,20 @@ class Meaning:
             return 0.0
         return max((score for pattern, score in self.says if pattern.search(words)), default=0.0)
 
+    def unread(self, words: str, plain: re.Pattern[str]) -> list[str]:
+        """Words that no pattern of this meaning takes in and that aren't plain: it may be another thing."""
+        spans = [match.span() for pattern, _ in self.says for match in pattern.finditer(words)]
+        return [word.group() for word in re.finditer(r"\S+", words) if not plain.fullmatch(word.group())
+                and not any(start < word.end() and word.start() < end for start, end in spans)]  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """All meanings, and the dimensions that words allow where a file gives no unit."""
+    """All meanings, the dimensions that words allow where a file gives no unit, and words that say nothing more."""
 
     meanings: tuple[Meaning, ...]
     kinds: Mapping[str, re.Pattern[str]]
+    plain: re.Pattern[str]
 
     def kinds_of(self, words: str) -> frozenset[str]:
         """Dimensions that a name allows."""
@@ -82,7 +89,8 @@ def vocabulary() -> Vocabulary:
         )
         for name, entry in content["meanings"].items()
     )
-    return Vocabulary(meanings, {kind: pattern(expression) for kind, expression in content["kinds"].items()})
+    kinds = {kind: pattern(expression) for kind, expression in content["kinds"].items()}
+    return Vocabulary(meanings, kinds, pattern(content["plain"]))
 
 
 def words_of(name: str) -> str:

@@ -25,6 +25,7 @@ SMOKE_LIMIT, LEANEST = 15.0, 250.0  # air to fuel: below, a diesel smokes black;
 USUAL_LOADED = (15.0, 42.0)  # air to fuel in the richest tenth of driving
 NOMINAL_AIR_K, NOMINAL_AMBIENT_PA, NOMINAL_AMBIENT_K = 320.0, 1.0e5, 295.0
 EGR_FLOWS = 0.05  # of the air flow
+SENSORS_DIFFER = 0.05  # of a pressure: noise of 3 % in both readings makes 4 %; gauge against absolute makes tens
 BACKWARDS = 0.2  # share of rows with EGR in which p_em may lie below p_im: sensors of 1 to 2 %
 MOVES = 0.06  # relative standard deviation from which a channel says something
 TURBO_AGREES = 0.4  # rank correlation with the pressure ratio
@@ -141,11 +142,11 @@ def heat_per_fuel(columns: Mapping[str, np.ndarray], cylinders: int) -> float | 
 
 
 def backwards(columns: Mapping[str, np.ndarray]) -> float:
-    """Share of the rows with EGR in which the pressure behind the valve is the higher one."""
+    """Share of the rows with EGR in which the pressure behind the valve is the higher one, by more than noise makes."""
     flows = columns["w_egr_kg_s"] > EGR_FLOWS * columns.get("w_c_kg_s", np.full(columns["w_egr_kg_s"].size, 0.1))
     if np.count_nonzero(flows) < 20:
         return 0.0
-    return float(np.mean(columns["p_em_pa"][flows] < columns["p_im_pa"][flows]))
+    return float(np.mean(columns["p_em_pa"][flows] < (1.0 - SENSORS_DIFFER) * columns["p_im_pa"][flows]))
 
 
 def _pressure_ratio(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:

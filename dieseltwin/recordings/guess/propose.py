@@ -14,6 +14,7 @@ from dieseltwin.recordings.guess.physics import Meeting, agreements, misfit, rev
 from dieseltwin.recordings.guess.reading import Reading, reading_of
 from dieseltwin.recordings.guess.units import Unit, understood
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
+from dieseltwin.settings.names import listed
 from dieseltwin.symbols import BY_COLUMN
 
 LEAST_SCORE = 0.4  # of name times unit times range, for a guess
@@ -213,6 +214,9 @@ def _warned(candidate: Candidate, fact: Facts, candidates: Sequence[Candidate], 
               and c.score > candidate.score - CLOSE]  # fmt: skip
     if doubts:
         reading = reading.with_warning(f"the name could also mean {doubts[0].meaning.name}")
+    unread = candidate.meaning.unread(words_of(fact.name), vocabulary().plain)
+    if unread and spn_of(fact.name, fact.spn) is None and fact.name != candidate.column:
+        reading = reading.with_warning(f"nothing is known of {listed(unread)} in the name: check")
     if candidate.score < 0.7 and not reading.warnings:
         reading = reading.with_warning("the name says little: check")
     if fact.frozen and candidate.column not in MAY_STAND_STILL:

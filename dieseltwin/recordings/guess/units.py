@@ -25,12 +25,13 @@ _SPELLINGS: Mapping[str, Mapping[str, str]] = {
         "gal/h": "gal/h gph gal/hr",
     },
     "rotation": {
-        "rpm": "rpm 1/min min-1 u/min min^-1 r/min /min upm tr/min rev/min", "1/s": "1/s s-1", "Hz": "hz",
+        "rpm": "rpm 1/min min-1 u/min min^-1 r/min /min upm tr/min tr/mn rev/min", "1/s": "1/s s-1", "Hz": "hz",
         "rad/s": "rad/s rad/sec", "krpm": "krpm 1000/min k1/min 1000rpm",
     },
     "share": {"%": "% pct percent prozent %open", "fraction": "fraction"},
     "per cycle": {
-        "mg/cycle": "mg/cycle mg/cyc mg/hub mg/str mg/stroke mg/inj mg/asp mg/zyl mg mg/r mg/st mg/shot mg/cyl",
+        "mg/cycle": "mg/cycle mg/cyc mg/hub mg/str mg/stroke mg/inj mg/asp mg/zyl mg mg/r mg/st mg/shot mg/cyl mg/h "
+        "mg/cp",
         "g/cycle": "g/cycle g/hub g/stroke g/cyc", "kg/cycle": "kg/cycle kg/hub",
         "mm3/cycle": "mm3/hub mm3/stroke mm3 mm³/hub mm³ mm3/cyc mm3/inj mm3/cycle",
     },

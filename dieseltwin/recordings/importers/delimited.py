@@ -28,6 +28,7 @@ from dieseltwin.recordings.importers.layout import (
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
 
 SEPARATORS = (",", ";", "\t", "|")
+MOST_COLUMNS = 20_000  # the largest control units have that many labels; a million take minutes to read
 _COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?$")
 _POINT_NUMBER = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?$")
 _POINT_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+$")  # 1.234,5
@@ -62,6 +63,9 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     lines = _first_lines(text)
     if not lines:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
+    widest = max(line.count(mark) + 1 for line in lines for mark in SEPARATORS)
+    if widest > MOST_COLUMNS:
+        raise InputError(str(path), f"{widest} columns", f"at most {MOST_COLUMNS}", "export the channels that you need")
     dialect = _dialect(path, lines)
     notes = [] if encoding.startswith("utf-8") else [f"read as {encoding}"]
     notes.extend(skipped)

@@ -63,7 +63,7 @@ def drive(reference: pd.DataFrame) -> dict[str, Values]:
     }  # fmt: skip
 
 
-def _file(title: str, text: str, row: bool = False) -> Foreign:
+def file_of(title: str, text: str, row: bool = False) -> Foreign:
     """Lines 'name | unit as written | quantity | conversion'; `row` writes the units into a row of their own."""
     channels, units = {}, {}
     for line in (line for line in text.strip().split("\n") if line.strip()):
@@ -75,7 +75,7 @@ def _file(title: str, text: str, row: bool = False) -> Foreign:
 
 
 FILES: tuple[Foreign, ...] = (
-    _file("ECU labels as INCA shows them", """
+    file_of("ECU labels as INCA shows them", """
         time | s | time_s |
         Epm_nEng | rpm | n_e_rpm |
         InjCtl_qSetUnBal | mg/hub | u_delta_mg |
@@ -94,7 +94,7 @@ FILES: tuple[Foreign, ...] = (
         EnvT_t | deg C | t_amb_k | degC
         CEngDsT_t | deg C | coolant | degC
         RailP_pFlt | hPa | rail | hPa""", row=True),
-    _file("a German test bench", """
+    file_of("a German test bench", """
         Zeit | s | time_s |
         Drehzahl | 1/min | n_e_rpm |
         Drehmoment | Nm | torque_nm |
@@ -115,7 +115,7 @@ FILES: tuple[Foreign, ...] = (
         Umgebungstemperatur | °C | t_amb_k | degC
         Kühlwassertemperatur | °C | coolant | degC
         Öltemperatur | °C | oil | degC""", row=True),
-    _file("codes of a test bench", """
+    file_of("codes of a test bench", """
         TIME | s | time_s |
         N_DYNO | 1/min | n_e_rpm |
         MD | Nm | torque_nm |
@@ -135,7 +135,7 @@ FILES: tuple[Foreign, ...] = (
         P_UMG | mbar | p_amb_pa | mbar
         T_UMG | °C | t_amb_k | degC
         T_OEL | °C | oil | degC""", row=True),
-    _file("a German workshop tester", """
+    file_of("a German workshop tester", """
         Zeitstempel | s | time_s |
         Motordrehzahl | /min | n_e_rpm |
         Einspritzmenge | mg/Hub | u_delta_mg |
@@ -149,7 +149,7 @@ FILES: tuple[Foreign, ...] = (
         Atmosphärendruck | mbar | p_amb_pa | mbar
         Geschwindigkeit | km/h | vehicle |
         Kühlmitteltemperatur | °C | coolant | degC""", row=True),
-    _file("an OBD app on a phone", """
+    file_of("an OBD app on a phone", """
         Device Time | | time_s |
         Engine RPM(rpm) | | n_e_rpm |
         Fuel flow rate/hour(l/hr) | | fuel | L/h
@@ -162,7 +162,7 @@ FILES: tuple[Foreign, ...] = (
         Barometric pressure (from vehicle)(kpa) | | p_amb_pa | kPa
         Ambient air temp(°C) | | t_amb_k | degC
         Speed (OBD)(km/h) | | vehicle |"""),
-    _file("J1939 by number", """
+    file_of("J1939 by number", """
         t | | time_s |
         SPN190 | | n_e_rpm |
         SPN183 | | fuel | L/h
@@ -179,7 +179,7 @@ FILES: tuple[Foreign, ...] = (
         SPN171 | | t_amb_k | degC
         SPN110 | | coolant | degC
         SPN84 | | vehicle |"""),
-    _file("J1939 by a DBC", """
+    file_of("J1939 by a DBC", """
         timestamps | s | time_s |
         EngSpeed | rpm | n_e_rpm |
         EngFuelRate | l/h | fuel | L/h
@@ -200,7 +200,7 @@ FILES: tuple[Foreign, ...] = (
         ActualEngPercentTorque | % | torque % | %
         EngInjectorMeteringRail1Press | MPa | rail | Pa
         WheelBasedVehicleSpeed | km/h | vehicle | """, row=True),
-    _file("a Simulink log in SI without units", """
+    file_of("a Simulink log in SI without units", """
         tout | | time_s |
         n_e | | n_e_rpm |
         u_delta | | u_delta_mg |
@@ -212,7 +212,7 @@ FILES: tuple[Foreign, ...] = (
         W_egr | | w_egr_kg_s | kg/s
         T_em | | t_em_k | K
         W_c | | w_c_kg_s | kg/s"""),
-    _file("camel case without units", """
+    file_of("camel case without units", """
         time | | time_s |
         engSpd | | n_e_rpm |
         fuelQty | | u_delta_mg |
@@ -227,7 +227,7 @@ FILES: tuple[Foreign, ...] = (
         airFlow | | w_c_kg_s | kg/h
         tCoolant | | coolant | degC
         pAmb | | p_amb_pa | kPa"""),
-    _file("LabVIEW, units in brackets", """
+    file_of("LabVIEW, units in brackets", """
         Time (s) | | time_s |
         Engine Speed (rpm) | | n_e_rpm |
         Injected Fuel (mg/stroke) | | u_delta_mg |
@@ -243,7 +243,7 @@ FILES: tuple[Foreign, ...] = (
         Charge Air Temp (C) | | t_im_k | degC
         Ambient Pressure (bar) | | p_amb_pa | bar
         Oil Temp (C) | | oil | degC"""),
-    _file("a service tool, VGT in percent closed", """
+    file_of("a service tool, VGT in percent closed", """
         Elapsed Time (s) | | time_s |
         Engine Speed (RPM) | | n_e_rpm |
         Fuel Rate (L/h) | | fuel | L/h
@@ -259,7 +259,7 @@ FILES: tuple[Foreign, ...] = (
         Barometric Air Pressure (kPa) | | p_amb_pa | kPa
         Coolant Temperature (degC) | | coolant | degC
         Percent Torque (percent) | | torque % | %"""),
-    _file("German abbreviations without units", """
+    file_of("German abbreviations without units", """
         t | | time_s |
         nMot | | n_e_rpm |
         mKrHub | | u_delta_mg |
@@ -275,7 +275,7 @@ FILES: tuple[Foreign, ...] = (
         pUmg | | p_amb_pa | mbar
         tUmg | | t_amb_k | degC
         tWasser | | coolant | degC"""),
-    _file("English abbreviations without units", """
+    file_of("English abbreviations without units", """
         TIME | | time_s |
         RPM | | n_e_rpm |
         FUEL_MG | | u_delta_mg |
@@ -290,7 +290,7 @@ FILES: tuple[Foreign, ...] = (
         BARO | | p_amb_pa | kPa
         ECT | | coolant | degC
         TPS | | pedal | %"""),
-    _file("American units, gauge", """
+    file_of("American units, gauge", """
         Time [sec] | | time_s |
         Engine Speed [RPM] | | n_e_rpm |
         Fuel Quantity [mg/stroke] | | u_delta_mg |
@@ -305,7 +305,7 @@ FILES: tuple[Foreign, ...] = (
         Barometer [psi] | | p_amb_pa | psi
         Ambient Temp [°F] | | t_amb_k | degF
         Coolant Temp [°F] | | coolant | degF"""),
-    _file("capitals of an automation system", """
+    file_of("capitals of an automation system", """
         TIME | s | time_s |
         SPEED | rpm | n_e_rpm |
         TORQUE | Nm | torque_nm |
@@ -323,7 +323,7 @@ FILES: tuple[Foreign, ...] = (
         T_CELL | degC | t_amb_k | degC
         T_COOLANT_OUT | degC | coolant | degC
         P_RAIL | MPa | rail | Pa""", row=True),
-    _file("names of a measurement configuration", """
+    file_of("names of a measurement configuration", """
         time | s | time_s |
         nEngine | 1/min | n_e_rpm |
         qInjTotal | mg/cyc | u_delta_mg |
@@ -340,7 +340,7 @@ FILES: tuple[Foreign, ...] = (
         TAmbient | degC | t_amb_k | degC
         TCoolant | degC | coolant | degC
         lambdaExhaust | - | lambda | """, row=True),
-    _file("German, flows as shares and per stroke", """
+    file_of("German, flows as shares and per stroke", """
         Zeit [s] | | time_s |
         Motordrehzahl [1/min] | | n_e_rpm |
         Kraftstoffverbrauch [kg/h] | | fuel | kg/h
@@ -355,7 +355,7 @@ FILES: tuple[Foreign, ...] = (
         Luftdruck [hPa] | | p_amb_pa | hPa
         Außentemperatur [°C] | | t_amb_k | degC
         Öltemperatur [°C] | | oil | degC"""),
-    _file("fractions and revolutions per second", """
+    file_of("fractions and revolutions per second", """
         t_s | | time_s |
         n_engine_1/s | | n_e_rpm | 1/s of rpm
         m_fuel_inj [mg/cycle] | | u_delta_mg |
@@ -369,7 +369,7 @@ FILES: tuple[Foreign, ...] = (
         m_dot_air [g/s] | | w_c_kg_s | g/s
         T_intake [K] | | t_im_k | K
         p_ambient [bar] | | p_amb_pa | bar"""),
-    _file("a generating set", """
+    file_of("a generating set", """
         Timestamp | ms | time_s |
         Eng. speed | rpm | n_e_rpm |
         Fuel cons. | g/s | fuel | g/s
@@ -385,7 +385,7 @@ FILES: tuple[Foreign, ...] = (
         Receiver temp. | °C | t_im_k | degC
         Baro. press. | mbar | p_amb_pa | mbar
         Lube oil temp. | °C | oil | degC""", row=True),
-    _file("a consultant's spreadsheet", """
+    file_of("a consultant's spreadsheet", """
         Time [s] | | time_s |
         Speed [rpm] | | n_e_rpm |
         Fuelling [mg/str] | | u_delta_mg |

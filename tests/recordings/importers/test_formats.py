@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 import scipy.io
 
+import dieseltwin as dt
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.reader import read_recording
@@ -169,7 +170,7 @@ def test_a_trace_with_its_dbc_gives_the_same_recording(tmp_path, drive, ending):
         for frame in frames:
             log.on_message_received(frame)
     (tmp_path / "map.yaml").write_text("dbc: bus.dbc\n")
-    made = read_recording(path, tmp_path / "map.yaml")
+    made = dt.read(path, tmp_path / "map.yaml")
     for column in COLUMNS[1:]:
         np.testing.assert_allclose(made.columns[column], drive[column], rtol=0, atol=0, err_msg=column)
     np.testing.assert_allclose(made.time_s - made.time_s[0], drive["time_s"], atol=2e-6)  # what the formats resolve

@@ -100,6 +100,7 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "names only": ("a.csv", b"Zeit;Drehzahl\n", "no rows"),
     "numbers without names": ("a.csv", b"0,1000\n1,1001\n2,1002\n", "names in the first row"),
     "one column": ("a.csv", b"n\n1\n2\n3\n", "two columns"),
+    "a million columns": ("a.csv", b",".join(b"c%d" % i for i in range(1_000_000)) + b"\n", "at most 20000"),
     "a name twice": ("a.csv", b"t,n,n\n0,1,2\n1,2,3\n", "twice"),
     "rows of different lengths": ("a.csv", b"a,b\n1,2\n1,2\n1,2,3,4\n", "line 4"),
     "prose": ("a.csv", b"Dear colleague,\nplease find attached\nthe measurement.\n", "no readable CSV"),

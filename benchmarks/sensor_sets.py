@@ -1,0 +1,136 @@
+"""What six, five, four and three sensors can tell: `discover` against the truth. With fewer it refuses.
+
+    python benchmarks/sensor_sets.py OUT.jsonl [--page]
+
+Machines of the plant of docs/benchmark.md (maps off by 0.3 %, tolerances of sensors, the paper's noise, 12 bits), ten
+minutes at 5 Hz each: two that are healthy, one with a boost leak, one with back-pressure, one with a bearing's
+friction. Each is judged with every set. Lines that are in OUT.jsonl aren't run again; `--page` writes the tables into
+docs/formats.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pages import table, write_table
+
+import dieseltwin as dt
+from dieseltwin.challenge.cases import HEALTH_SPREAD, MAP_RMS, MapErrors, SensorSet, draw_driving
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.plant_effects import Fault
+from dieseltwin.challenge.sensors import SENSORS, read
+from dieseltwin.engine import HEALTH, we2011
+from dieseltwin.engine.effects import EFFECTS
+
+SEED = 8301
+SETS: dict[str, tuple[str, ...]] = {
+    "six": SENSORS,
+    "five (no w_c)": SENSORS[:5],
+    "four (no w_c, w_egr)": (*SENSORS[:3], "t_em_k"),
+    "three (p_im, p_em, omega_t)": SENSORS[:3],
+}
+MACHINES: dict[str, Fault | None] = {
+    "healthy 1": None, "healthy 2": None, "boost leak": Fault("boost_leak", 2.5e-5),
+    "back pressure": Fault("back_pressure", 9e4), "bearing friction": Fault("bearing_friction", 7e-6),
+}  # fmt: skip
+IDENTIFIABLE = 0.25  # relative deviation up to which a parameter counts as told
+OUT_OF_REACH = 10.0  # times the smallest size that six sensors show
+
+
+def recorded(name: str) -> tuple[pd.DataFrame, dict[str, float]]:
+    """The recording of a machine with all sensors, and its health."""
+    rng = np.random.default_rng([SEED, list(MACHINES).index(name)])
+    laboratory = we2011.PARAMETERS.model_dump()
+    health = {key: laboratory[key] * (1.0 + rng.uniform(-s, s)) for key, s in HEALTH_SPREAD.items()}
+    maps, sensors = MapErrors.draw(MAP_RMS["main"], rng), SensorSet.draw(rng)
+    driving = draw_driving("random", 600.0, laboratory, rng)
+    fault = MACHINES[name]
+    faults = () if fault is None else (fault,)
+    run = run_plant(driving, {**laboratory, **health}, faults, maps)
+    return read(run, driving, faults, sensors, len(SENSORS), rng), health
+
+
+def judged(machine: str, chosen: str) -> dict[str, Any]:
+    """What `discover` says of a machine with a set of sensors."""
+    frame, truth = recorded(machine)
+    began = time.perf_counter()
+    document = dt.discover(frame, sensors=SETS[chosen]).document
+    return {
+        "machine": machine, "set": chosen, "seconds": time.perf_counter() - began, "truth": truth,
+        "effects": [[effect.name, *effect.equivalent_names] for effect in document.effects],
+        "health": {key: [value.value, value.std] for key, value in document.health.items()},
+        "smallest": dict(document.minimum_detectable),
+    }  # fmt: skip
+
+
+def health_lines(rows: list[dict[str, Any]]) -> list[str]:
+    """Deviation of each parameter, the error in deviations, and what was named, by set."""
+    shown = []
+    for chosen in SETS:
+        here = [row for row in rows if row["set"] == chosen]
+        if not here:
+            continue
+        cells = []
+        for key in HEALTH:
+            told = [(row["health"][key][0] - row["truth"][key], row["health"][key][1], row["truth"][key])
+                    for row in here if row["health"][key][1]]  # fmt: skip
+            rel = float(np.median([std / abs(true) for _, std, true in told])) if told else np.inf
+            if rel > IDENTIFIABLE:
+                cells.append("out of reach" if not told else f"no ({100.0 * rel:.0f} %)")
+                continue
+            cells.append(f"{100.0 * rel:.1f} % ({max(abs(error) / std for error, std, _ in told):.1f})")
+        said = []
+        for row in here:
+            names = " and ".join("/".join(effect) for effect in row["effects"]) or "nothing"
+            said.append(f"{row['machine']}: {names.replace('_', ' ')}")
+        shown.append([chosen, *cells, "; ".join(said)])
+    return table(["sensors", *HEALTH, "said"], shown)
+
+
+def effect_lines(rows: list[dict[str, Any]]) -> list[str]:
+    """Smallest size of each effect that shows, beside that with six sensors."""
+    smallest: dict[str, dict[str, float]] = {}
+    for chosen in SETS:
+        found = [row["smallest"] for row in rows if row["set"] == chosen and row["machine"].startswith("healthy")]
+        smallest[chosen] = {name: float(np.median([one[name] for one in found if name in one])) for name in EFFECTS
+                            if any(name in one for one in found)}  # fmt: skip
+    lines = []
+    for name in sorted(smallest["six"]):
+        least = smallest["six"][name]
+        cells = []
+        for chosen in list(SETS)[1:]:
+            ratio = smallest[chosen].get(name, np.inf) / least
+            cells.append("-" if ratio > OUT_OF_REACH else f"{ratio:.1f}")
+        lines.append([name.replace("_", " "), f"{least:.2g} {EFFECTS[name].unit}", *cells])
+    return table(["effect", "smallest with six", *list(SETS)[1:]], lines)
+
+
+def main() -> None:
+    """Run what is missing, print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--page", action="store_true", help="write the tables into docs/formats.md")
+    given = parser.parse_args()
+    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.is_file() else []
+    known = {(row["machine"], row["set"]) for row in rows}
+    for machine, chosen in ((m, s) for m in MACHINES for s in SETS if (m, s) not in known):
+        row = judged(machine, chosen)
+        rows.append(row)
+        with given.out.open("a", encoding="utf-8") as file:
+            file.write(f"{json.dumps(row)}\n")
+        print(machine, "|", chosen, row["effects"], f"{row['seconds']:.0f} s", flush=True)
+    first, second = health_lines(rows), effect_lines(rows)
+    print("\n".join([*first, "", *second]))
+    if given.page:
+        write_table("formats.md", "table of sensor sets", first)
+        write_table("formats.md", "table of sensor sets, effects", second)
+
+
+if __name__ == "__main__":
+    main()
