@@ -91,9 +91,7 @@ def health_of(parameters: EngineParameters | Mapping[str, float]) -> NDArray[np.
     return np.array([float(parameters[name]) for name in HEALTH])
 
 
-def start_centre(
-    parameters: EngineParameters, truth: Mapping[str, float] | None, start_at: str
-) -> NDArray[np.float64]:
+def start_centre(parameters: EngineParameters, truth: Mapping[str, float] | None, start_at: str) -> NDArray[np.float64]:
     """Centre of the starts: the engine file's health parameters, (4,) [m2, m2, -, W/(m2 K)].
 
     `start_at` "truth" takes the true ones, where a recording knows them; others start at the file's all the same.

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, actuate
 from dieseltwin.identification.bound import nominal_bound

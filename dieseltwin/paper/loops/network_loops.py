@@ -15,6 +15,7 @@ from torch import Tensor
 
 from dieseltwin.paper.loops.c_library import BLOCK, load, networks_source
 from dieseltwin.paper.loops.compiled_loss import CompiledLoss
+from dieseltwin.paper.loops.network_functions import NetworkFunctions
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
 
 _HEAD = """
@@ -94,6 +95,7 @@ class _Text:
         self.networks, self.n = networks, networks.n
         self.block, self.blocks = min(self.n, BLOCK), math.ceil(self.n / BLOCK)
         self.work = self.kept = 0
+        self.functions = NetworkFunctions()
 
     def start_of(self, block: int) -> int:
         """First point of a block; the last one overlaps the one before."""
@@ -122,7 +124,7 @@ class _Text:
         )
         kept = f"real* const kept = p->kept + lane * {self.kept}L;\n"
         return (
-            "void epoch(const struct epoch* p) {\n"
+            self.functions.source() + "\nvoid epoch(const struct epoch* p) {\n"
             "for (long lane = 0; lane < p->lanes; ++lane) {\n"
             f"const real* const w = p->values + lane * p->stride;\n{kept}"
             f"static __thread vec sums[{self.networks.size}];\n"
@@ -144,32 +146,29 @@ class _Text:
             kept = depth == len(layers) - 1
             h = self._rows(layer.outputs, kept=kept)
             x, x_rate = below[-1]
+            i, o, w, offset = layer.inputs, layer.outputs, f"w + {layer.at}", f"w + {layer.bias_at}"
+            r = q = "0"
+            hidden.append(self.functions.forward(i, o, w, x, h, offset=offset, rows="out"))
+            hidden.append(f"tanh_rows({o}, {h});")
             if rated:
-                r, q = self._rows(layer.outputs, kept=kept), self._rows(layer.outputs, kept=kept)
-                hidden.append(
-                    f"rated_layer({layer.inputs}, {layer.outputs}, w + {layer.at}, {x}, {x_rate}, {h}, {r}, {q});"
-                )
-            else:
-                r = q = "0"
-                hidden += [
-                    f"product({layer.inputs}, {layer.outputs}, w + {layer.at}, 1, {layer.inputs}, "
-                    f"w + {layer.bias_at}, {x}, {h});",
-                    f"tanh_rows({layer.outputs}, {h});",
-                ]
+                r, q = self._rows(o, kept=kept), self._rows(o, kept=kept)
+                hidden.append(self.functions.forward(i, o, w, x_rate, q, rows="out"))
+                hidden.append(f"tanh_rates({o}, {h}, {q}, {r});")
             rates_of_arguments.append(q)
             below.append((h, r))
         h, r = below[-1]
         out, ins, length = top.outputs, top.inputs, 2 * self.n if rated else self.n
         rows = f"real __attribute__((aligned(64))) y[{out} * BLOCK]"
         last = [f"{{ {rows}, y_rate[{out} * BLOCK];"]
-        last.append(f"product({ins}, {out}, w + {top.at}, 1, {ins}, w + {top.bias_at}, {h}, y);")
+        last.append(self.functions.forward(ins, out, f"w + {top.at}", h, "y", offset=f"w + {top.bias_at}", rows="out"))
         if rated:
-            last.append(f"product({ins}, {out}, w + {top.at}, 1, {ins}, 0, {r}, y_rate);")
+            last.append(self.functions.forward(ins, out, f"w + {top.at}", r, "y_rate", rows="out"))
         for row, state in enumerate(states):
             last.append(f"real* const z{state} = p->z[{state}] + lane * {length}L + at;")
             last.append(f"for (int b = 0; b < {self.block}; ++b) z{state}[b] = y[{row} * BLOCK + b];")
             if rated:
-                last.append(f"for (int b = 0; b < {self.block}; ++b) z{state}[{self.n} + b] = y_rate[{row} * BLOCK + b];")
+                behind = f"z{state}[{self.n} + b] = y_rate[{row} * BLOCK + b];"
+                last.append(f"for (int b = 0; b < {self.block}; ++b) {behind}")
         last.append("}")
         return hidden, last, self._back(number, rated, states, below, rates_of_arguments)
 
@@ -195,15 +194,15 @@ class _Text:
             i, o = layer.inputs, layer.outputs
             if depth == len(layers) - 2:
                 lines.append("if (!p->frozen) {")
-            lines.append(f"outer({o}, {i}, {d}, {x}, sums + {layer.at});")
+            lines.append(self.functions.outer(i, o, d, x, f"sums + {layer.at}"))
             if rated:
-                lines.append(f"outer({o}, {i}, {d}_rate, {x_rate}, sums + {layer.at});")
+                lines.append(self.functions.outer(i, o, f"{d}_rate", x_rate, f"sums + {layer.at}"))
             lines.append(f"row_sums({o}, {d}, sums + {layer.bias_at});")
             if depth == 0:
                 continue
-            inner = [f"product({o}, {i}, w + {layer.at}, {i}, 1, 0, {d}, {e});"]
+            inner = [self.functions.backward(i, o, f"w + {layer.at}", d, e, rows="out")]
             if rated:
-                inner.append(f"product({o}, {i}, w + {layer.at}, {i}, 1, 0, {d}_rate, {e}_rate);")
+                inner.append(self.functions.backward(i, o, f"w + {layer.at}", f"{d}_rate", f"{e}_rate", rows="out"))
                 inner.append(f"rated_slope({i}, {x}, {arguments[depth - 1]}, {e}, {e}_rate);")
             else:
                 inner.append(f"tanh_slope({i}, {x}, {e});")

@@ -367,7 +367,11 @@ def train_lanes(
 
 
 def estimates_of(
-    problems: Sequence[SegmentProblem], found: PinnTrained, runs: int, began: float, method: str,
+    problems: Sequence[SegmentProblem],
+    found: PinnTrained,
+    runs: int,
+    began: float,
+    method: str,
     average_share: float,
 ) -> list[SegmentEstimate]:
     """Estimates of segments whose runs follow each other in `found`.

@@ -25,11 +25,12 @@ import torch
 from torch import Tensor
 
 from dieseltwin.paper.loops.c_library import BLOCK, NotCompiledError, load, networks_source
+from dieseltwin.paper.loops.network_functions import NetworkFunctions
 
 _VIEWS = ("expand", "unsqueeze", "squeeze", "view", "detach", "alias", "clone", "_to_copy", "lift_fresh_copy", "copy")
 _BINARY = {"mul": "*", "add": "+", "sub": "-", "div": "/"}
 _COMPARED = {"gt": ">", "ge": ">=", "lt": "<", "le": "<=", "eq": "==", "ne": "!="}
-_CALLS = {"sqrt": "sqrt", "exp": "exp", "log": "log", "log1p": "log1p", "abs": "fabs", "tanh": "tanh"}
+_CALLS = {"sqrt": "sqrt", "exp": "exp_of", "log": "log_of", "log1p": "log1p", "abs": "fabs", "tanh": "tanh"}
 
 
 class PointLoops:
@@ -91,7 +92,7 @@ class _Text:
         self.parts: dict[str, list[str]] = {"lane": [], "sum": [], "start": []}
         self.passes: list[list[str]] = [[]]
         self.calls: list[list[str]] = [[]]
-        self.functions: dict[str, str] = {}
+        self.functions = NetworkFunctions()
         self.values: dict[Any, tuple[str, When]] = {}
         self.tensors: dict[Any, tuple[int, Tensor]] = {}
         self.networks: dict[Any, tuple[str, int]] = {}
@@ -113,8 +114,8 @@ class _Text:
     def source(self) -> str:
         body = {name: "\n".join(lines) for name, lines in self.parts.items()}
         return (
-            "\n".join(self.functions.values())
-            + "\nvoid run(long first, long last, real* const* in, real* const* out, const long* restrict stride) {\n"
+            f"{self.functions.source()}\n"
+            "void run(long first, long last, real* const* in, real* const* out, const long* restrict stride) {\n"
             f"for (long lane = first; lane < last; ++lane) {{\n{body['start']}\n{body['lane']}\n"
             f"for (long from = 0; from < {self.n}; from += {self.block}) {{\n"
             f"const long at = from + {self.block} > {self.n} ? {self.n - self.block} : from;\n"
@@ -225,7 +226,7 @@ class _Text:
         number, tensor = self.tensors[weights]
         place = f"in[{number}] + {tensor.storage_offset() - self.arguments[number].storage_offset()}"
         mark, function = len(self.networks), "_".join(["network", activation, *map(str, widths)])
-        self.functions.setdefault(function, network_text(function, widths, activation))
+        self.functions.network(function, widths, activation)
         for name, length in ((f"x{mark}", widths[0]), (f"y{mark}", 1 + widths[0])):
             self.parts["start"].append(f"real {name}[{length} * BLOCK] __attribute__((aligned(64))) = {{0}};")
         self._pass(when).extend(f"x{mark}[{j} * BLOCK + b] = {value};" for j, (value, _) in enumerate(values))
@@ -282,7 +283,7 @@ class _Text:
         if name == "softplus":
             if len(node.args) > 1:
                 raise NotCompiledError("another softplus")
-            return f"fmax({a[0]}, (real)0) + log((real)1 + {self._name(when, f'exp(-fabs({a[0]}))')})"
+            return f"fmax({a[0]}, (real)0) + log_of((real)1 + {self._name(when, f'exp_of(-fabs({a[0]}))')})"
         if name == "softplus_backward":
             return f"{a[0]} * {self._sigmoid(a[1], when)}"
         plain = {
@@ -303,7 +304,7 @@ class _Text:
         return plain[name].format(*a)
 
     def _sigmoid(self, x: str, when: When) -> str:
-        small = self._name(when, f"exp(-fabs({x}))")
+        small = self._name(when, f"exp_of(-fabs({x}))")
         share = self._name(when, f"(real)1 / ((real)1 + {small})")
         return self._name(when, f"{x} >= 0 ? {share} : {small} * {share}")
 
@@ -313,7 +314,7 @@ class _Text:
                 return " * ".join([a[0]] * int(exponent)) or "(real)1"
             if float(exponent).is_integer():
                 return f"pow({a[0]}, {a[1]})"
-        return f"exp({a[1]} * {self._name(when, f'log({a[0]})')})"
+        return f"exp_of({a[1]} * {self._name(when, f'log_of({a[0]})')})"
 
     def _sum(self, node: Any, name: str) -> tuple[str, When]:
         value, when = self._value(node.args[0])
@@ -348,39 +349,3 @@ class _Text:
                     expression = re.sub(rf"\b{other}\b", self._again(other), expression)
             self.firsts[value] = self._name("lane", re.sub(r"\bi\b", "0", expression))
         return self.firsts[value]
-
-
-def network_text(name: str, widths: Sequence[int], activation: str) -> str:
-    """A C function of a network of one output at a block of points: rows of its inputs to rows of value and slopes.
-
-    Args:
-        name: of the function.
-        widths: of all layers, input and output included; weights follow each other, (in, out) and (out,) each layer.
-        activation: "tanh" or "algebraic".
-    """
-    lines, at, weights, above = [], 0, [], "x"
-    last = len(widths) - 2
-    for k, (i, o) in enumerate(zip(widths, widths[1:], strict=False)):
-        below, above = above, "y" if k == last else f"h{k}"
-        if k < last:
-            lines.append(f"real {above}[{o} * BLOCK] __attribute__((aligned(64)));")
-        lines.append(f"product({i}, {o}, w + {at}, {o}, 1, w + {at + i * o}, {below}, {above});")
-        if k < last:
-            lines.append(f"{activation}_rows({o}, {above});")
-        weights.append(f"w + {at}")
-        at += (i + 1) * o
-    gradient = "one"
-    lines.append("real one[BLOCK] __attribute__((aligned(64)));\nfor (int b = 0; b < BLOCK; ++b) one[b] = 1;")
-    for k in range(last, -1, -1):
-        i, o = widths[k], widths[k + 1]
-        upper, gradient = gradient, f"d{k}" if k else "(y + BLOCK)"
-        if k:
-            lines.append(f"real {gradient}[{i} * BLOCK] __attribute__((aligned(64)));")
-        lines.append(f"product({o}, {i}, {weights[k]}, 1, {o}, 0, {upper}, {gradient});")
-        if k:
-            lines.append(f"{activation}_slope({i}, h{k - 1}, {gradient});")
-    body = "\n".join(lines)
-    return (
-        f"static __attribute__((noinline)) void {name}(const real* restrict w, const real* restrict x, "
-        f"real* restrict y) {{\n{body}\n}}\n"
-    )
