@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from dieseltwin.paper.loops.c_library import BLOCK, load, networks_source
-from dieseltwin.paper.loops.compiled_loss import CompiledLoss
+from dieseltwin.paper.loops.compiled_loss import CompiledLoss, Place, gradient_function
+from dieseltwin.paper.loops.few_shot_program import Program
 from dieseltwin.paper.loops.network_functions import NetworkFunctions
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
 
@@ -44,6 +46,40 @@ class _Epoch(ctypes.Structure):
             )
         ),
     ]  # fmt: skip
+
+
+def epoch_function(
+    program: Program, networks: StateNetworks, columns: tuple[Tensor, Tensor], place: Place, epochs: int,
+    compiled: bool | None = None,
+) -> Callable[[bool, bool], Tensor]:  # fmt: skip
+    """A function that evaluates one epoch in place, compiled where it pays.
+
+    Args:
+        program: the loss.
+        networks: from weights to linear outputs.
+        columns: values and gradient (L, M), weights of the networks first.
+        place: within these.
+        epochs: that it is going to be called for.
+        compiled: compile or not; None compiles where it pays.
+
+    Returns:
+        Function of whether the hidden layers are frozen and whether the self-adaptive weights adapt, to losses (L,).
+    """
+    values, gradient = columns
+    loss = gradient_function(program, place, epochs * len(values), compiled)
+    if isinstance(loss, CompiledLoss):
+        loops = NetworkLoops(networks, values, gradient, loss)
+        return lambda frozen, adaptive: loops(frozen)
+
+    def eager(frozen: bool, adaptive: bool) -> Tensor:
+        with torch.no_grad():
+            for target, z in zip(place.z, networks.outputs(values), strict=True):
+                target.copy_(z)
+        total = loss(adaptive)
+        networks.gradient(values, place.by_z, gradient)
+        return total
+
+    return eager
 
 
 class NetworkLoops:

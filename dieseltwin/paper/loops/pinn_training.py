@@ -28,11 +28,11 @@ from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.unknowns import START_SIGMA, to_physical
 from dieseltwin.paper.loops.averaging import TailMean
-from dieseltwin.paper.loops.compiled_loss import CompiledLoss, Place, gradient_function
+from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
 from dieseltwin.paper.loops.few_shot_program import Lane, Program, draw_lane, make_program
 from dieseltwin.paper.loops.losses import PAPER_WEIGHTS, Scales, starting_weights
-from dieseltwin.paper.loops.network_loops import NetworkLoops
+from dieseltwin.paper.loops.network_loops import epoch_function
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ def train(
     kept, curve = set(keep.tolist()), _Curve()
     place = Place.within(values, gradient, columns.unknowns, program)
     masked = place.masked
-    evaluate = _epoch(program, networks, values, gradient, place, epochs, compiled)
+    evaluate = epoch_function(program, networks, (values, gradient), place, epochs, compiled)
     mean = TailMean(epochs, average_share, masked)
     epoch = 0
     for stage in stages:
@@ -262,27 +262,6 @@ def train(
     )  # fmt: skip
     terms = {name: torch.stack(values, 1).double().numpy() for name, values in curve.terms.items()}
     return PinnTrained(found, keep, terms, values[:, : networks.size].clone(), masked.clone())
-
-
-def _epoch(
-    program: Program, networks: StateNetworks, values: Tensor, gradient: Tensor, place: Place, epochs: int,
-    compiled: bool | None,
-) -> Callable[[bool, bool], Tensor]:  # fmt: skip
-    """A function that evaluates one epoch in place and returns the losses (L,); told what is frozen and what adapts."""
-    loss = gradient_function(program, place, epochs * len(values), compiled)
-    if isinstance(loss, CompiledLoss):
-        loops = NetworkLoops(networks, values, gradient, loss)
-        return lambda frozen, adaptive: loops(frozen)
-
-    def eager(frozen: bool, adaptive: bool) -> Tensor:
-        with torch.no_grad():
-            for target, z in zip(place.z, networks.outputs(values), strict=True):
-                target.copy_(z)
-        total = loss(adaptive)
-        networks.gradient(values, place.by_z, gradient)
-        return total
-
-    return eager
 
 
 class _Curve:
