@@ -62,7 +62,9 @@ class NetworkFunctions:
             widths: of all layers, input and output included; weights (in, out) and biases of a layer follow each other.
             activation: "tanh" or "algebraic".
         """
-        forth, back, at, last = [], [], 0, len(widths) - 2
+        forth: list[str] = []
+        back: list[str] = []
+        at, last = 0, len(widths) - 2
         for k, (i, o) in enumerate(pairwise(widths)):
             x, y = f"h{k - 1}" if k else "x", "y" if k == last else f"h{k}"
             forth.append(self.forward(i, o, f"w + {at}", x, y, offset=f"w + {at + i * o}"))

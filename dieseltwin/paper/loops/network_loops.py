@@ -148,7 +148,9 @@ class _Text:
 
     def source(self) -> str:
         """All text."""
-        hidden, last, back = [], [], []
+        hidden: list[str] = []
+        last: list[str] = []
+        back: list[str] = []
         for number, spec in enumerate(self.networks.specs):
             for part, lines in zip((hidden, last, back), self._network(number, spec.rates, spec.states), strict=True):
                 part += lines

@@ -337,8 +337,12 @@ def train_lanes(
         taken = None if sources is None else (sources[0][a : a + len(part)], sources[1][a : a + len(part)])
         values = start_values(part, program, networks, settings, taken)
         sigma = np.stack([lane.problem.sigma[:5] for lane in part])
-        told = {"average_share": settings.average_share, "compiled": settings.compiled}
-        found.append(train(program, networks, values, settings.stages, sigma, **told))
+        found.append(
+            train(
+                program, networks, values, settings.stages, sigma,
+                average_share=settings.average_share, compiled=settings.compiled,
+            )
+        )  # fmt: skip
     whole = Trained.joined([f.trained for f in found])
     terms = {name: np.concatenate([f.terms[name] for f in found]) for name in found[0].terms}
     weights, masked = torch.cat([f.weights for f in found]), torch.cat([f.masked for f in found])

@@ -235,8 +235,8 @@ class _Text:
 
     def _written(self, node: Any, name: str) -> tuple[str, When]:
         if node.args and node.args[0] in self.networks:  # getitem: value, then slopes
-            row, when = self.networks[node.args[0]]
-            return self._name(when, f"{row}[{node.args[1]} * BLOCK + b]", load=True), when
+            row, number = self.networks[node.args[0]]
+            return self._name(number, f"{row}[{node.args[1]} * BLOCK + b]", load=True), number
         constants = {"ones_like": 1.0, "zeros_like": 0.0}
         if name in constants:
             return self._value(constants[name])
