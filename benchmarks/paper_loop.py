@@ -51,9 +51,9 @@ from dieseltwin.settings.params import load_params
 PAPER_MS = {"few-shot": 4.3, "multi-stage": 6.7, "baseline": 6.6}
 """Milliseconds an epoch of the paper, from its table of computational times (clean data)."""
 EPOCHS = {"few-shot": 30000, "multi-stage": 35000, "baseline": 80000}
-REPEATS = 5
-LEAST_EPOCHS = 50
-"""Of the batched program, so that they weigh more than its set-up (the bank of dropout realisations)."""
+REPEATS = 4
+LEAST_EPOCHS = 100
+"""Of the batched program, so that they weigh more than what is kept of them for the curves."""
 SEED = 1
 RATES = (1e-3, 1e-3, 1e-2)
 """Learning rates of networks, unknowns, weights; without influence on the time."""
@@ -209,26 +209,25 @@ class Batch:
         self.actuations = {0: actuate(problem.inputs, problem.parameters)}
         self.sigma = np.stack([problem.sigma[:5]] * lanes)
 
-    def ms(self, last: bool, adaptive: bool, epochs: int) -> tuple[float, float]:
-        """Milliseconds of `epochs` and of twice as many, all runs; their difference is free of the set-up."""
+    def ms(self, last: bool, adaptive: bool, epochs: int) -> float:
+        """Milliseconds of `epochs` of all runs, when set-up, recording and compiling are over."""
+        marks: list[float] = []
+
+        def mark(_: int) -> None:
+            marks.append(time.process_time())
+
         if self.method == "few-shot":
-            return 0.0, self._few_shot_ms(adaptive, epochs)
-        return cpu_ms(self._work(last, adaptive, epochs), 1), cpu_ms(self._work(last, adaptive, 2 * epochs), 1)
-
-    def _few_shot_ms(self, adaptive: bool, epochs: int) -> float:
-        """From epoch 0 to the last: set-up, recording and compiling are over by then."""
-        until, marks = epochs if adaptive else 0, []
-        settings = replace(self.settings, epochs=epochs, weights_until_epoch=until, compiled=True)
-        fewshot_adam.train(
-            self.lanes, self.actuations, None, None, self.maps, settings, lambda _: marks.append(time.process_time())
-        )
+            until = epochs if adaptive else 0
+            settings = replace(self.settings, epochs=epochs, weights_until_epoch=until, compiled=True)
+            fewshot_adam.train(self.lanes, self.actuations, None, None, self.maps, settings, mark)
+        else:
+            networks = StateNetworks(self.problem.time_s)
+            values = pinn_training.start_values(self.lanes, self.program, networks, self.settings)
+            stage = pinn_training.Stage(
+                2 * epochs, "last" if last else "all", *RATES[:2], RATES[2] if adaptive else 0.0
+            )
+            pinn_training.train(self.program, networks, values, (stage,), self.sigma, mark, compiled=True)
         return 1e3 * (marks[-1] - marks[0])
-
-    def _work(self, last: bool, adaptive: bool, epochs: int) -> Callable[[], None]:
-        networks = StateNetworks(self.problem.time_s)
-        values = pinn_training.start_values(self.lanes, self.program, networks, self.settings)
-        stage = pinn_training.Stage(epochs, "last" if last else "all", *RATES[:2], RATES[2] if adaptive else 0.0)
-        return lambda: pinn_training.train(self.program, networks, values, (stage,), self.sigma) and None
 
 
 def measure(
@@ -237,21 +236,19 @@ def measure(
     """Milliseconds an epoch of the loop and of the batched programs by number of lanes, over the method's schedule."""
     loop_total, totals = 0.0, dict.fromkeys(lane_counts, 0.0)
     batches = {count: Batch(method, problem, maps, count) for count in lane_counts}
-    epochs = {count: max(LEAST_EPOCHS, 1500 // count) for count in lane_counts}
+    epochs = {count: max(LEAST_EPOCHS, 6000 // count) for count in lane_counts}
     for share, last, adaptive in merged(pieces(method)):
         loop = few_shot_loop(problem, maps, fresh) if method == "few-shot" else network_loop(problem, maps, fresh, last)
         loop_ms(loop, adaptive, 10)
         of_loop: list[float] = []
-        of_batch: dict[int, list[tuple[float, float]]] = {count: [] for count in lane_counts}
+        of_batch: dict[int, list[float]] = {count: [] for count in lane_counts}
         for _ in range(REPEATS):
             of_loop.append(loop_ms(loop, adaptive, 40))
             for count, batch in batches.items():
                 of_batch[count].append(batch.ms(last, adaptive, epochs[count]))
         loop_total += share * min(of_loop)
         for count in lane_counts:
-            # the best of each, then the difference: the least of noisy differences would flatter the batch
-            short, long = (min(times) for times in zip(*of_batch[count], strict=True))
-            totals[count] += share * (long - short) / (epochs[count] * count)
+            totals[count] += share * min(of_batch[count]) / (epochs[count] * count)
     return loop_total, totals
 
 
@@ -285,8 +282,9 @@ def main() -> None:
     parser.add_argument("--fresh-dropout", action="store_true", help="the loop draws new masks in every epoch")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    # 200 points of curves are nothing in 30,000 epochs, and everything in the few that are timed
-    fewshot_adam.CURVE_POINTS = pinn_training.CURVE_POINTS = 2
+    # 200 points of curves are nothing in 30,000 epochs, and everything in the few that are timed; the time is that
+    # between the first and the last one that is kept within the loop
+    fewshot_adam.CURVE_POINTS, pinn_training.CURVE_POINTS = 2, 3
     kinds: dict[str, Any] = {"exact": None}
     if arguments.models is not None:
         from dieseltwin.surrogates.empirical import EmpiricalMaps

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 
-__all__ = ["HEALTH", "SCALES", "START_SIGMA", "UNITS", "health_of", "start_centre", "starts", "to_masked",
-           "to_physical"]  # fmt: skip
+__all__ = ["HEALTH", "SCALES", "START_SIGMA", "UNITS", "health_of", "physical_columns", "start_centre", "starts",
+           "to_masked", "to_physical"]  # fmt: skip
 
 UNITS: dict[str, str] = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
 """SI unit of each unknown parameter."""
@@ -40,12 +40,15 @@ def to_physical(masked: Any, xp: ModuleType = np) -> Any:
     Returns:
         (.., 4) values [m2, m2, -, W/(m2 K)], all positive.
     """
-    exponential = xp.exp(masked)
-    eta_sc = masked[..., _SOFTPLUS]
+    return xp.stack(physical_columns([masked[..., i] for i in range(len(HEALTH))], xp), -1)
+
+
+def physical_columns(masked: Sequence[Any], xp: ModuleType = np) -> list[Any]:
+    """`to_physical` of four arrays of equal shape, one after the other."""
+    eta_sc = masked[_SOFTPLUS]
     # The shifted form of log(1 + exp(x)) neither overflows nor loses small values.
     softplus = xp.clip(eta_sc, 0.0, None) + xp.log1p(xp.exp(-xp.abs(eta_sc)))
-    columns = [softplus if i == _SOFTPLUS else exponential[..., i] * SCALES[i] for i in range(len(HEALTH))]
-    return xp.stack(columns, -1)
+    return [softplus if i == _SOFTPLUS else xp.exp(v) * SCALES[i] for i, v in enumerate(masked)]
 
 
 def to_masked(physical: ArrayLike) -> NDArray[np.float64]:
@@ -88,9 +91,7 @@ def health_of(parameters: EngineParameters | Mapping[str, float]) -> NDArray[np.
     return np.array([float(parameters[name]) for name in HEALTH])
 
 
-def start_centre(
-    parameters: EngineParameters, truth: Mapping[str, float] | None, start_at: str
-) -> NDArray[np.float64]:
+def start_centre(parameters: EngineParameters, truth: Mapping[str, float] | None, start_at: str) -> NDArray[np.float64]:
     """Centre of the starts: the engine file's health parameters, (4,) [m2, m2, -, W/(m2 K)].
 
     `start_at` "truth" takes the true ones, where a recording knows them; others start at the file's all the same.

@@ -1,4 +1,4 @@
-"""The four networks: values and rates against autograd, the gradient written by hand, starts, frozen layers."""
+"""The four networks: values and rates against autograd, their gradient, starts."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_sizes_are_those_of_the_papers_table() -> None:
 
 def test_values_and_rates_equal_autograd() -> None:
     networks, values = networks_and_values()
-    found = networks.outputs(values, networks.hidden(values))
+    found = networks.outputs(values)
     for ours, theirs in zip(found, by_autograd(networks, values), strict=True):
         torch.testing.assert_close(ours, theirs.detach(), rtol=1e-10, atol=1e-12)
 
@@ -58,38 +58,23 @@ def test_rates_are_those_of_neighbouring_times() -> None:
     n, step_s = len(TIME_S), 1e-4
     later = StateNetworks(TIME_S, dtype=torch.float64)
     later.input = networks.input + networks.input_rate * step_s
-    z = networks.outputs(values, networks.hidden(values))
-    shifted = later.outputs(values, later.hidden(values))
+    z = networks.outputs(values)
+    shifted = later.outputs(values)
     for state in range(3):
         difference = (shifted[state][:, :n] - z[state][:, :n]) / step_s
         torch.testing.assert_close(difference, z[state][:, n:], rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("last_only", [False, True])
-def test_gradient_equals_autograd(last_only: bool) -> None:
+def test_gradient_equals_autograd_by_time() -> None:
     networks, values = networks_and_values()
-    hidden = networks.hidden(values)
-    z = networks.outputs(values, hidden)
     generator = torch.Generator().manual_seed(1)
-    by_outputs = [torch.randn(row.shape, generator=generator, dtype=torch.float64) for row in z]
+    by_outputs = [torch.randn(row.shape, generator=generator, dtype=torch.float64) for row in networks.outputs(values)]
     leaf = values.clone().requires_grad_()
     scalar = sum((a * b).sum() for a, b in zip(by_autograd(networks, leaf), by_outputs, strict=True))
     (expected,) = torch.autograd.grad(scalar, leaf)
     found = torch.full_like(values, 7.0)
-    networks.gradient(values, hidden, by_outputs, found, last_only=last_only)
-    first = networks.hidden_size if last_only else 0
-    torch.testing.assert_close(found[:, first:], expected[:, first:], rtol=1e-9, atol=1e-9)
-    assert (found[:, :first] == 7.0).all()
-
-
-def test_gradients_can_be_asked_for_twice() -> None:
-    networks, values = networks_and_values()
-    hidden = networks.hidden(values)
-    z = networks.outputs(values, hidden)
-    first, second = torch.zeros_like(values), torch.zeros_like(values)
-    networks.gradient(values, hidden, z, first)
-    networks.gradient(values, hidden, z, second)
-    assert torch.equal(first, second)
+    networks.gradient(values, by_outputs, found)
+    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_spread_start_covers_the_segment() -> None:

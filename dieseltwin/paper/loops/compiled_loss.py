@@ -1,128 +1,159 @@
 """Loss and gradients of a tensor program, eager or compiled into one loop.
 
-An epoch of the few-shot loop is some 900 element-wise operations over (lanes, points) forward and backward. Eager, each
-of them goes over memory by itself: nine tenths of an epoch with exact formulae. The same operations, recorded once with
-their gradient and written as one loop (`point_loops`), take a quarter of that. Formulae and derivatives are recorded
-from the eager program: nothing is derived anew by hand, and the results differ by rounding only. Learned maps mix a
-point's inputs in matrix products, for which no such loop is written: with them the program stays eager.
+An epoch of the loops is some 900 element-wise operations over (lanes, points) forward and backward, and with learned
+maps five networks. Eager, each of them goes over memory by itself. The same operations, recorded once with their
+gradient and written as one loop (`point_loops`), take a fifth of that. Formulae and derivatives are recorded from the
+eager program: nothing is derived anew by hand, and the results differ by rounding only.
 
 Recording and compiling take 3-4 s of CPU time for a batch (the C compiler's second only the first time; its result
-lies beside the simulator's kernels), an eager epoch of one lane 0.1 ms more than a compiled one. So only jobs of
-`WORTHWHILE` epochs x lanes are compiled, unless told. Without a C compiler the loop goes on eagerly, and the log says
+lies beside the simulator's kernels), an eager epoch of one lane 0.1 to 0.7 ms more than a compiled one. So only jobs of
+`WORTHWHILE` epochs x lanes are compiled, unless told. Without a C compiler the loops go on eagerly, and the log says
 so once.
 """
 
 from __future__ import annotations
 
+import ctypes
 import logging
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from dieseltwin.engine import HEALTH
-from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.identification.unknowns import physical_columns
+from dieseltwin.paper.loops.c_library import NotCompiledError
 from dieseltwin.paper.loops.few_shot_program import Program
 from dieseltwin.paper.loops.losses import Weights, channel_gradient, weights_gradient
-from dieseltwin.paper.loops.point_loops import NotPointwiseError, PointLoops, lift
+from dieseltwin.paper.loops.point_loops import PointLoops, lift, pointers
 
-WORTHWHILE = 200_000
-"""Epochs x lanes from which on compiling pays: at 0.1 ms each 20 s, five times what it takes."""
+WORTHWHILE = 50_000
+"""Epochs x lanes from which on compiling pays."""
 _LOG = logging.getLogger(__name__)
 _TOLD: set[str] = set()
 
 
-class Gradients(NamedTuple):
-    """Loss of the lanes and its derivatives.
+@dataclass(frozen=True)
+class Place:
+    """What an epoch reads and writes: tensors that stay where they are through the whole training.
 
     Attributes:
-        total: (L,) total loss.
-        outputs: derivative of the sum over lanes by each linear output, shapes as these.
-        masked: (L, 4) by the masked unknowns.
-        weights: by the self-adaptive weights; None where not asked.
+        z: linear outputs of the five states, (L, n or 2 n) each.
+        masked: (L, 4) unknowns.
+        weights: self-adaptive weights.
+        by_z, by_masked, by_weights: gradients, shapes as these.
     """
 
-    total: Tensor
-    outputs: tuple[Tensor, ...]
+    z: list[Tensor]
     masked: Tensor
-    weights: Weights | None
+    weights: Weights
+    by_z: list[Tensor]
+    by_masked: Tensor
+    by_weights: Weights
+
+    @classmethod
+    def within(cls, values: Tensor, gradient: Tensor, unknowns: int, program: Program) -> Place:
+        """Places in a lane's columns, values and gradient (L, M) alike: unknowns from there on, weights behind them."""
+        n, count = program.n, len(values)
+        at, end = unknowns + len(HEALTH), unknowns + len(HEALTH) + 4 * n
+
+        def views(columns: Tensor) -> tuple[Tensor, Weights]:
+            weights = Weights(columns[:, at:end].view(count, 4, n), columns[:, end : end + 2])
+            return columns[:, unknowns:at], weights
+
+        widths = [int(c.shape[1]) for c in program.columns]
+        z, by_z = ([values.new_empty(count, width) for width in widths] for _ in range(2))
+        return cls(z, *views(values), by_z, *views(gradient))
 
 
-GradientFunction = Callable[[Sequence[Tensor], Tensor, Weights, bool], Gradients]
+class EagerLoss:
+    """Loss and gradients by autograd."""
+
+    def __init__(self, program: Program, place: Place) -> None:
+        self.program, self.place = program, place
+
+    def __call__(self, adaptive: bool) -> Tensor:
+        """Total loss (L,); the gradients are written, those of the weights only if they adapt."""
+        at = self.place
+        leaves = [v.detach().requires_grad_() for v in (*at.z, at.masked)]
+        loss = self.program(leaves[:-1], leaves[-1], at.weights)
+        found = torch.autograd.grad(loss.total.sum(), leaves)
+        for target, value in zip((*at.by_z, at.by_masked), found, strict=True):
+            target.copy_(value)
+        if adaptive:
+            for target, value in zip(at.by_weights, weights_gradient(loss, at.weights), strict=True):
+                target.copy_(value)
+        return loss.total.detach()
 
 
-def gradient_function(program: Program, lane_epochs: int, compiled: bool | None = None) -> GradientFunction:
-    """A function that gives loss and gradients of a program.
+class CompiledLoss:
+    """The same as one C loop over lanes and points.
+
+    Attributes:
+        total: (L,) total loss of the last call.
+        loops: the compiled loop.
+        z, by_z, inputs, outputs, strides: addresses of its tensors, for C.
+
+    Raises:
+        NotCompiledError: see there.
+    """
+
+    def __init__(self, program: Program, place: Place) -> None:
+        from torch.fx.experimental.proxy_tensor import make_fx
+
+        n = program.n
+        example = (*program.points(place.z), *place.masked.unbind(1), *place.weights)
+        _ = program.observed.gains  # a constant, not part of the graph
+
+        def flat(*values: Tensor) -> tuple[Tensor, ...]:
+            leaves = [v.detach().requires_grad_() for v in values[:-2]]
+            weights = Weights(*values[-2:])
+            health = [v[:, None].expand(-1, n) for v in physical_columns(leaves[-len(HEALTH) :], torch)]
+            loss = program.at_points(leaves[: -len(HEALTH)], health, weights)
+            found = torch.autograd.grad(loss.total, leaves, torch.ones_like(loss.total))
+            up = [channel_gradient(square, weights.pointwise[:, i]) for i, square in enumerate(loss.channels)]
+            single = [loss.singles[i] * torch.sigmoid(weights.single[:, i]) for i in range(2)]
+            return tuple(v.detach() for v in (*found, *up, *single, loss.total))
+
+        recorded: Any = make_fx(flat)(*example)
+        lifted = lift(recorded)
+        self.total = place.masked.new_empty(len(place.masked))
+        up = place.by_weights
+        written = (
+            *program.points(place.by_z), *place.by_masked.unbind(1), *up.pointwise.unbind(1), *up.single.unbind(1),
+            self.total,
+        )  # fmt: skip
+        arguments = (*example, *lifted)
+        self._held: Sequence[Any] = (arguments, written, place)
+        self.loops = PointLoops(recorded.graph, arguments, n)
+        self.inputs, self.outputs = pointers(arguments), pointers(written)
+        self.z, self.by_z = pointers(place.z), pointers(place.by_z)
+        self.strides = (ctypes.c_long * len(written))(*(t.stride(0) for t in written))
+
+    def __call__(self, adaptive: bool) -> Tensor:
+        """Total loss (L,); all gradients are written."""
+        self.loops.run(0, len(self.total), self.inputs, self.outputs, self.strides)
+        return self.total
+
+
+def gradient_function(
+    program: Program, place: Place, lane_epochs: int, compiled: bool | None = None
+) -> EagerLoss | CompiledLoss:
+    """Loss and gradients of a program.
 
     Args:
         program: the loss. Tensors it holds may change in place between calls (dropout), their shapes may not.
+        place: where everything stands.
         lane_epochs: epochs x lanes that it is going to be called for.
         compiled: compile or not; None compiles where it pays.
-
-    Returns:
-        Function of linear outputs, masked unknowns, weights, and whether the weights' gradient is asked.
     """
-
-    def eager(z: Sequence[Tensor], masked: Tensor, weights: Weights, adaptive: bool) -> Gradients:
-        leaves = [v.detach().requires_grad_() for v in (*z, masked)]
-        loss = program(leaves[:-1], leaves[-1], weights)
-        *outputs, d_masked = torch.autograd.grad(loss.total.sum(), leaves)
-        up = weights_gradient(loss, weights) if adaptive else None
-        return Gradients(loss.total.detach(), tuple(outputs), d_masked, up)
-
     wanted = lane_epochs >= WORTHWHILE if compiled is None else compiled
-    if not wanted or program.dropout is not None:
-        return eager
-    chosen: list[Callable[..., Gradients]] = []
-
-    def first_compiled(z: Sequence[Tensor], masked: Tensor, weights: Weights, adaptive: bool) -> Gradients:
-        if not chosen:
-            try:
-                chosen.append(_compiled(program, z, masked, weights))
-            except NotPointwiseError as error:
-                if str(error) not in _TOLD:
-                    _LOG.warning("the few-shot loop runs uncompiled: %s", error)
-                _TOLD.add(str(error))
-                chosen.append(eager)
-        return chosen[0](z, masked, weights, adaptive)
-
-    return first_compiled
-
-
-def _compiled(program: Program, z: Sequence[Tensor], masked: Tensor, weights: Weights) -> Callable[..., Gradients]:
-    """The program with its gradient, compiled for tensors of these shapes and strides."""
-    from torch.fx.experimental.proxy_tensor import make_fx
-
-    n, lanes = program.n, masked.shape[0]
-    example = (*program.points(z), to_physical(masked, torch), *weights)
-    _ = program.observed.gains  # a constant, not part of the graph
-
-    def flat(*values: Tensor) -> tuple[Tensor, ...]:
-        health = [v[:, None].expand(-1, n) for v in (values[-3][:, i] for i in range(len(HEALTH)))]
-        leaves = [v.detach().requires_grad_() for v in (*values[:-3], *health)]
-        weights = Weights(*values[-2:])
-        loss = program.at_points(leaves[:-4], leaves[-4:], weights)
-        found = torch.autograd.grad(loss.total, leaves, torch.ones_like(loss.total))
-        up = [channel_gradient(square, weights.pointwise[:, i]) for i, square in enumerate(loss.channels)]
-        single = [loss.singles[i] * torch.sigmoid(weights.single[:, i]) for i in range(2)]
-        of_health = [g.sum(-1) for g in found[-4:]]
-        return tuple(v.detach() for v in (*found[:-4], *up, loss.total, *of_health, *single))
-
-    recorded: Any = make_fx(flat)(*example)
-    lifted = lift(recorded)
-    loops = PointLoops(recorded.graph, (*example, *lifted), n)
-
-    def evaluate(z: Sequence[Tensor], masked: Tensor, weights: Weights, adaptive: bool) -> Gradients:
-        leaf = masked.detach().requires_grad_()
-        with torch.enable_grad():
-            health = to_physical(leaf, torch)
-        outputs = tuple(torch.empty_like(v) for v in z)
-        up = Weights(*(torch.empty(v.shape, dtype=v.dtype) for v in weights))
-        total, d_health = masked.new_empty(lanes), torch.empty_like(masked)
-        columns = (*up.pointwise.unbind(1), total, *d_health.unbind(1), *up.single.unbind(1))
-        loops(lanes, (*program.points(z), health.detach(), *weights, *lifted), (*program.points(outputs), *columns))
-        (d_masked,) = torch.autograd.grad(health, leaf, d_health)
-        return Gradients(total, outputs, d_masked, up if adaptive else None)
-
-    return evaluate
+    try:
+        return CompiledLoss(program, place) if wanted else EagerLoss(program, place)
+    except NotCompiledError as error:
+        if str(error) not in _TOLD:
+            _LOG.warning("the loop runs uncompiled: %s", error)
+        _TOLD.add(str(error))
+        return EagerLoss(program, place)

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, actuate
 from dieseltwin.identification.bound import nominal_bound
@@ -34,9 +33,8 @@ from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.shooting import by_grid
 from dieseltwin.identification.unknowns import to_physical
 from dieseltwin.paper.loops.averaging import TailMean
-from dieseltwin.paper.loops.compiled_loss import gradient_function
+from dieseltwin.paper.loops.compiled_loss import Place, gradient_function
 from dieseltwin.paper.loops.few_shot_program import METHOD, AdamSettings, Lane, draw_lane, make_program, start_values
-from dieseltwin.paper.loops.losses import Weights
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -157,7 +155,7 @@ def train(
     """
     program = make_program(lanes, actuations, bodies, operators, maps, settings)
     values, rates = start_values(lanes, program, settings)
-    count, n = len(lanes), program.n
+    count = len(lanes)
     at = np.cumsum([0, *program.widths()])
     n_heads, n_down = int(at[-1]), int(at[-1]) + len(HEALTH)
     first, second = torch.zeros_like(values), torch.zeros_like(values)
@@ -168,22 +166,20 @@ def train(
     mean = TailMean(settings.epochs, settings.average_share, values[:, n_heads:n_down])
     best, least = values.clone(), torch.full((count,), float("inf"), dtype=values.dtype)
 
-    gradients = gradient_function(program, count * settings.epochs, settings.compiled)
-    masked = values[:, n_heads:n_down]
-    weights = Weights(values[:, n_down : n_down + 4 * n].view(count, 4, n), values[:, n_down + 4 * n :])
-
-    def outputs() -> list[Tensor]:
-        return [values[:, at[j] : at[j + 1]] @ program.columns[j] for j in range(5)]
+    place = Place.within(values, gradient, n_heads, program)
+    loss_and_gradient = gradient_function(program, place, count * settings.epochs, settings.compiled)
+    z, masked, weights = place.z, place.masked, place.weights
 
     for epoch in range(settings.epochs + 1):
-        mean.add(epoch, values[:, n_heads:n_down])
+        mean.add(epoch, masked)
         program.renew()
-        z = outputs()
+        for j in range(5):
+            torch.mm(values[:, at[j] : at[j + 1]], program.columns[j], out=z[j])
         adaptive = epoch < settings.weights_until_epoch
-        found = gradients(z, masked, weights, adaptive)
+        total = loss_and_gradient(adaptive)
         if epoch in keep:
             curve_health.append(to_physical(masked, torch))
-            curve_loss.append(found.total)
+            curve_loss.append(total.clone())
             curve_held_out.append(program.held_out_misfit(z, masked, sigma))
             better = curve_held_out[-1] < least
             best[better], least[better] = values[better], curve_held_out[-1][better]
@@ -192,14 +188,10 @@ def train(
         if epoch == settings.epochs:
             break
         for j in range(5):
-            gradient[:, at[j] : at[j + 1]] = found.outputs[j] @ program.columns[j].T
-        gradient[:, n_heads:n_down] = found.masked
+            gradient[:, at[j] : at[j + 1]] = place.by_z[j] @ program.columns[j].T
         live = values.shape[1] if adaptive else n_down
         if epoch == settings.late_from_epoch:
             rates = settings.late_rates * rates
-        if found.weights is not None:
-            gradient[:, n_down : n_down + 4 * n] = found.weights.pointwise.view(count, -1)
-            gradient[:, n_down + 4 * n :] = found.weights.single
         g, m, v = gradient[:, :live], first[:, :live], second[:, :live]
         m.lerp_(g, 1.0 - BETA_1)
         v.mul_(BETA_2).addcmul_(g, g, value=1.0 - BETA_2)
@@ -209,8 +201,9 @@ def train(
 
     if program.held_out is not None:
         values.copy_(best)
+        for j in range(5):
+            torch.mm(values[:, at[j] : at[j + 1]], program.columns[j], out=z[j])
     with torch.no_grad():
-        z = outputs()
         loss = program(z, masked, weights)
         states, _ = program.states(z)
     present = program.observed.present

@@ -5,7 +5,7 @@ I-III) and "Results: Multi-stage Transfer Learning" (starts, epochs). `baseline`
 and in where the networks and unknowns start. Loss, weights, masks, inputs and learned maps are those of
 `fewshot_program`; only the way from unknowns to linear outputs z is another one (`pinn_networks`).
 
-From Stage II on the hidden layers are frozen, so their outputs and rates are computed once for the rest of the run.
+From Stage II on the hidden layers are frozen, so a compiled run computes their outputs and rates once.
 As in `fewshot_adam`, several Adam optimisers with rates of their own are one update with a rate for each column.
 """
 
@@ -28,10 +28,12 @@ from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.unknowns import START_SIGMA, to_physical
 from dieseltwin.paper.loops.averaging import TailMean
+from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
 from dieseltwin.paper.loops.few_shot_program import Lane, Program, draw_lane, make_program
-from dieseltwin.paper.loops.losses import PAPER_WEIGHTS, Scales, Weights, starting_weights, weights_gradient
-from dieseltwin.paper.loops.pinn_networks import Hidden, StateNetworks
+from dieseltwin.paper.loops.losses import PAPER_WEIGHTS, Scales, starting_weights
+from dieseltwin.paper.loops.network_loops import epoch_function
+from dieseltwin.paper.loops.pinn_networks import StateNetworks
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -77,8 +79,9 @@ class PinnSettings:
         weight_start: alpha of the weights by channel (paper).
         scales: units of the residuals (not printed).
         fresh_dropout, average_share: as `AdamSettings`.
-        lanes: runs in one tensor program; an epoch has 5 ms of its own, whatever the number.
+        lanes: runs in one tensor program.
         dtype: float32 or float64.
+        compiled: as `AdamSettings`.
     """
 
     stages: tuple[Stage, ...]
@@ -91,6 +94,7 @@ class PinnSettings:
     average_share: float = 0.1
     lanes: int = 150
     dtype: torch.dtype = torch.float32
+    compiled: bool | None = None
 
     def __post_init__(self) -> None:
         ends = [stage.until_epoch for stage in self.stages]
@@ -153,28 +157,21 @@ class _Columns:
     """Where things stand in a lane's columns: networks, unknowns, pointwise weights, single weights."""
 
     def __init__(self, networks: StateNetworks) -> None:
-        self.networks, self.n = networks, networks.n
+        self.networks = networks
         self.unknowns = networks.size
-        self.pointwise = self.unknowns + len(HEALTH)
-        self.single = self.pointwise + 4 * self.n
-        self.end = self.single + 2
-
-    def masked(self, values: Tensor) -> Tensor:
-        return values[:, self.unknowns : self.pointwise]
-
-    def weights(self, values: Tensor) -> Weights:
-        return Weights(values[:, self.pointwise : self.single].view(-1, 4, self.n), values[:, self.single : self.end])
+        self.weights = self.unknowns + len(HEALTH)
+        self.end = self.weights + 4 * networks.n + 2
 
     def live(self, stage: Stage) -> slice:
         """Columns that a stage trains: one contiguous block."""
         first = 0 if stage.layers == "all" else self.networks.hidden_size
-        return slice(first, self.end if stage.rate_weights > 0.0 else self.pointwise)
+        return slice(first, self.end if stage.rate_weights > 0.0 else self.weights)
 
     def rates(self, stage: Stage, dtype: torch.dtype) -> Tensor:
         """Learning rate of each column; the weights climb, so theirs is negative."""
         rates = torch.full((self.end,), -stage.rate_weights, dtype=dtype)
         rates[: self.unknowns] = stage.rate_networks
-        rates[self.unknowns : self.pointwise] = stage.rate_unknowns
+        rates[self.unknowns : self.weights] = stage.rate_unknowns
         return rates
 
 
@@ -209,7 +206,7 @@ def start_values(
 
 def train(
     program: Program, networks: StateNetworks, values: Tensor, stages: Sequence[Stage], sigma: NDArray[np.float64],
-    progress: Callable[[int], None] | None = None, average_share: float = 0.0,
+    progress: Callable[[int], None] | None = None, average_share: float = 0.0, compiled: bool | None = None,
 ) -> PinnTrained:  # fmt: skip
     """Run the stages over L lanes of one sample grid.
 
@@ -220,7 +217,7 @@ def train(
         stages: the schedule.
         sigma: (L, 5) noise of the five channels [SI], for the misfit.
         progress: called with the epoch now and then.
-        average_share: as `PinnSettings`.
+        average_share, compiled: as `PinnSettings`.
 
     Returns:
         Parameters, states, losses and the networks at the end.
@@ -229,44 +226,34 @@ def train(
     first, second, gradient = (torch.zeros_like(values) for _ in range(3))
     keep = np.unique(np.linspace(0, epochs, min(CURVE_POINTS, epochs + 1)).round().astype(int))
     kept, curve = set(keep.tolist()), _Curve()
-    hidden: Hidden | None = None
-    mean = TailMean(epochs, average_share, columns.masked(values))
+    place = Place.within(values, gradient, columns.unknowns, program)
+    masked = place.masked
+    evaluate = epoch_function(program, networks, (values, gradient), place, epochs, compiled)
+    mean = TailMean(epochs, average_share, masked)
     epoch = 0
     for stage in stages:
         live, rates = columns.live(stage), columns.rates(stage, values.dtype)
-        frozen = stage.layers == "last"
         g, m, v, x = (t[:, live] for t in (gradient, first, second, values))
         rates = rates[..., live]
         while epoch < stage.until_epoch:
-            hidden = networks.hidden(values) if hidden is None or not frozen else hidden
             program.renew()
-            z = [row.requires_grad_() for row in networks.outputs(values, hidden)]
-            masked = columns.masked(values).clone().requires_grad_()
-            weights = columns.weights(values)
-            loss = program(z, masked, weights)
+            total = evaluate(stage.layers == "last", stage.rate_weights > 0.0)
             if epoch in kept:
-                curve.add(program, z, masked, loss)
+                curve.add(program, place, total)
                 if progress is not None:
                     progress(epoch)
-            *by_outputs, by_masked = torch.autograd.grad(loss.total.sum(), [*z, masked])
-            networks.gradient(values, hidden, by_outputs, gradient, last_only=frozen)
-            columns.masked(gradient).copy_(by_masked)
-            if stage.rate_weights > 0.0:
-                up, place = weights_gradient(loss, weights), columns.weights(gradient)
-                place.pointwise.copy_(up.pointwise)
-                place.single.copy_(up.single)
             m.lerp_(g, 1.0 - BETA_1)
             v.mul_(BETA_2).addcmul_(g, g, value=1.0 - BETA_2)
             correct = (1.0 - BETA_2 ** (epoch + 1)) ** 0.5
             x.addcmul_(m / v.sqrt().add_(EPSILON * correct), rates, value=-correct / (1.0 - BETA_1 ** (epoch + 1)))
             epoch += 1
-            mean.add(epoch, columns.masked(values))
+            mean.add(epoch, masked)
     with torch.no_grad():
-        z = networks.outputs(values, networks.hidden(values))
-        masked = columns.masked(values)
-        loss = program(z, masked, columns.weights(values))
-        curve.add(program, z, masked, loss)
-        states, _ = program.states(z)
+        for target, z in zip(place.z, networks.outputs(values), strict=True):
+            target.copy_(z)
+        loss = program(place.z, masked, place.weights)
+        curve.add(program, place, loss.total)
+        states, _ = program.states(place.z)
         misfit = _misfit(program, loss, torch.tensor(sigma, dtype=values.dtype))
     found = Trained(
         torch.stack(curve.health, 1).double().numpy(), mean.physical().numpy(),
@@ -286,10 +273,12 @@ class _Curve:
         self.terms: dict[str, list[Tensor]] = {}
 
     @torch.no_grad()
-    def add(self, program: Program, z: Sequence[Tensor], masked: Tensor, loss: Any) -> None:
+    def add(self, program: Program, place: Place, total: Tensor) -> None:
+        z, masked = place.z, place.masked
+        loss = program(z, masked, place.weights)
         physical = to_physical(masked, torch)
         self.health.append(physical)
-        self.loss.append(loss.total.detach())
+        self.loss.append(total.clone())
         states, rates = program.states(z)
         c = program.c._replace(**dict(zip(HEALTH, physical.unsqueeze(-1).unbind(1), strict=True)))
         residuals = physics_residuals(program.model, states, rates, program.inputs, c)
@@ -348,7 +337,12 @@ def train_lanes(
         taken = None if sources is None else (sources[0][a : a + len(part)], sources[1][a : a + len(part)])
         values = start_values(part, program, networks, settings, taken)
         sigma = np.stack([lane.problem.sigma[:5] for lane in part])
-        found.append(train(program, networks, values, settings.stages, sigma, average_share=settings.average_share))
+        found.append(
+            train(
+                program, networks, values, settings.stages, sigma,
+                average_share=settings.average_share, compiled=settings.compiled,
+            )
+        )  # fmt: skip
     whole = Trained.joined([f.trained for f in found])
     terms = {name: np.concatenate([f.terms[name] for f in found]) for name in found[0].terms}
     weights, masked = torch.cat([f.weights for f in found]), torch.cat([f.masked for f in found])
@@ -356,7 +350,11 @@ def train_lanes(
 
 
 def estimates_of(
-    problems: Sequence[SegmentProblem], found: PinnTrained, runs: int, began: float, method: str,
+    problems: Sequence[SegmentProblem],
+    found: PinnTrained,
+    runs: int,
+    began: float,
+    method: str,
     average_share: float,
 ) -> list[SegmentEstimate]:
     """Estimates of segments whose runs follow each other in `found`.

@@ -3,49 +3,42 @@
 A loss over (lanes, points) whose points don't mix is element-wise but for sums over time. Recorded with its gradient
 (`make_fx`), it is some 900 operations over tensors; written one below the other in the body of a loop they keep
 everything between a point's inputs and its gradient in registers. The text is made from the recorded graph, so formulae
-and derivatives are those of the tensor program; what can't be written (matrix products, points that mix) is refused.
+and derivatives are those of the tensor program; what can't be written (points that mix) is refused.
 
 What depends on the lane alone is computed before the loop, sums over time after it. Powers become exp(a log x), so that
 one logarithm serves all powers of a base and their derivatives; the results differ from the tensors' by rounding.
+
+Points are taken in blocks. A small network (`fused_maps`) ends one pass over a block and begins the next: it is
+evaluated for the whole block at once with its slopes (`networks.c`), and what later passes need of earlier ones
+lies in rows of the block. The last block overlaps the one before, so that all have the same length.
 """
 
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import math
-import os
-import platform
 import re
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-FLAGS = (
-    "-O3", "-march=native", "-ffast-math", "-mprefer-vector-width=512", "-fPIC",
-    "-fno-tree-sink", "-fno-tree-pre", "-fno-code-hoisting", "-fno-gcse", "-fno-thread-jumps",
-)  # fmt: skip
-"""Of the C compiler: fast mathematics lets sums and exp run over vectors, and no operation may move behind a condition.
-One compiler on one machine gives one result."""
-C_TYPES = {torch.float32: "float", torch.float64: "double"}
+from dieseltwin.paper.loops.c_library import BLOCK, NotCompiledError, load, networks_source
+from dieseltwin.paper.loops.network_functions import NetworkFunctions
+
 _VIEWS = ("expand", "unsqueeze", "squeeze", "view", "detach", "alias", "clone", "_to_copy", "lift_fresh_copy", "copy")
 _BINARY = {"mul": "*", "add": "+", "sub": "-", "div": "/"}
 _COMPARED = {"gt": ">", "ge": ">=", "lt": "<", "le": "<=", "eq": "==", "ne": "!="}
-_CALLS = {"sqrt": "sqrt", "exp": "exp", "log": "log", "log1p": "log1p", "abs": "fabs", "tanh": "tanh"}
-
-
-class NotPointwiseError(Exception):
-    """The recorded graph holds something that no loop over points can be written for, or nothing compiles it."""
+_CALLS = {"sqrt": "sqrt", "exp": "exp_of", "log": "log_of", "log1p": "log1p", "abs": "fabs", "tanh": "tanh"}
 
 
 class PointLoops:
     """A compiled loop.
+
+    Attributes:
+        run: C function of the first lane, the one behind the last, addresses of the arguments, addresses of the
+            outputs (contiguous along the points) and their strides between lanes.
 
     Args:
         graph: recorded graph; its outputs are (L, n) or (L,).
@@ -53,28 +46,19 @@ class PointLoops:
         n: points.
 
     Raises:
-        NotPointwiseError: see there.
+        NotCompiledError: see there.
     """
 
     def __init__(self, graph: torch.fx.Graph, arguments: Sequence[Tensor], n: int) -> None:
         text = _Text(graph, arguments, n)
-        dtype = arguments[0].dtype
-        self._run = _library(text.source(C_TYPES[dtype])).run
-        self._run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
-        self._run.restype = None
+        self.run = load(networks_source(arguments[0].dtype) + text.source()).run
+        self.run.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+        self.run.restype = None
 
-    def __call__(self, lanes: int, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> None:
-        """Evaluate.
 
-        Args:
-            lanes: L.
-            inputs: tensors as at the start.
-            outputs: tensors to write, contiguous along the points; any stride between lanes.
-        """
-        pointers = (ctypes.c_void_p * len(inputs))(*(t.data_ptr() for t in inputs))
-        results = (ctypes.c_void_p * len(outputs))(*(t.data_ptr() for t in outputs))
-        strides = (ctypes.c_long * len(outputs))(*(t.stride(0) for t in outputs))
-        self._run(lanes, pointers, results, strides)
+def pointers(tensors: Sequence[Tensor]) -> Any:
+    """The tensors' addresses, as C takes them."""
+    return (ctypes.c_void_p * len(tensors))(*(t.data_ptr() for t in tensors))
 
 
 def lift(recorded: Any) -> list[Tensor]:
@@ -95,16 +79,27 @@ def lift(recorded: Any) -> list[Tensor]:
     return lifted
 
 
+When = Literal["lane", "sum"] | int
+"""When a value is known: before the loop over points, after it, or in which pass over a block of points."""
+
+
 class _Text:
-    """The C text of a graph. A value is its C expression and when it is known: "lane", "point" or "sum"."""
+    """The C text of a graph. A value is its C expression and when it is known."""
 
     def __init__(self, graph: torch.fx.Graph, arguments: Sequence[Tensor], n: int) -> None:
         self.n, self.lanes = n, next(int(t.shape[0]) for t in arguments if t.dim() == 2 and t.shape[1] == n)
-        self.parts: dict[str, list[str]] = {"lane": [], "point": [], "sum": [], "start": []}
-        self.values: dict[Any, tuple[str, str]] = {}
+        self.block = min(n, BLOCK)
+        self.parts: dict[str, list[str]] = {"lane": [], "sum": [], "start": []}
+        self.passes: list[list[str]] = [[]]
+        self.calls: list[list[str]] = [[]]
+        self.functions = NetworkFunctions()
+        self.values: dict[Any, tuple[str, When]] = {}
         self.tensors: dict[Any, tuple[int, Tensor]] = {}
+        self.networks: dict[Any, tuple[str, int]] = {}
         self.firsts: dict[Any, str] = {}
-        self.known: dict[tuple[str, str], str] = {}
+        self.known: dict[tuple[When, str], str] = {}
+        self.born: dict[str, tuple[int, str]] = {}
+        self.loads: set[str] = set()
         self.count = 0
         self.arguments = arguments
         given = iter(enumerate(arguments))
@@ -116,33 +111,72 @@ class _Text:
             else:
                 self._node(node)
 
-    def source(self, real: str) -> str:
+    def source(self) -> str:
         body = {name: "\n".join(lines) for name, lines in self.parts.items()}
         return (
-            f"#include <tgmath.h>\ntypedef {real} real;\n"
-            "void run(long lanes, real* const* in, real* const* out, const long* restrict stride) {\n"
-            f"for (long lane = 0; lane < lanes; ++lane) {{\n{body['start']}\n{body['lane']}\n"
-            '_Pragma("GCC ivdep")\n'
-            f"for (long i = 0; i < {self.n}; ++i) {{\n{body['point']}\n}}\n{body['sum']}\n}}\n}}\n"
+            f"{self.functions.source()}\n"
+            "void run(long first, long last, real* const* in, real* const* out, const long* restrict stride) {\n"
+            f"for (long lane = first; lane < last; ++lane) {{\n{body['start']}\n{body['lane']}\n"
+            f"for (long from = 0; from < {self.n}; from += {self.block}) {{\n"
+            f"const long at = from + {self.block} > {self.n} ? {self.n - self.block} : from;\n"
+            f"{self._block()}\n}}\n{body['sum']}\n}}\n}}\n"
         )
 
-    def _name(self, when: str, expression: str) -> str:
+    def _block(self) -> str:
+        """All passes over one block; what a later pass needs of an earlier one is read again or lies in a row."""
+        kept: dict[str, None] = {}
+        texts = []
+        for number, lines in enumerate(self.passes):
+            needed = dict.fromkeys(re.findall(r"\bv\d+\b", "\n".join(lines)))
+            before = []
+            for name in needed:
+                born, expression = self.born.get(name, (number, ""))
+                if born < number:
+                    again = name in self.loads
+                    before.append(f"const real {name} = {expression if again else f'row_{name}[b]'};")
+                    kept |= {} if again else {name: None}
+            texts.append((before, lines))
+        rows = [f"real row_{name}[BLOCK] __attribute__((aligned(64)));" for name in kept]
+        loops = []
+        for number, (before, lines) in enumerate(texts):
+            keep = [f"row_{name}[b] = {name};" for name in kept if self.born[name][0] == number]
+            loops += [
+                '_Pragma("GCC ivdep")', f"for (int b = 0; b < {self.block}; ++b) {{ const long i = at + b;",
+                *before, *lines, *keep, "}", *self.calls[number],
+            ]  # fmt: skip
+        return "\n".join([*rows, *loops])
+
+    def _name(self, when: When, expression: str, *, load: bool = False) -> str:
         if (when, expression) in self.known:
             return self.known[when, expression]
         name = f"v{self.count}"
         self.count += 1
-        self.parts[when].append(f"const real {name} = {expression};")
+        if isinstance(when, int):
+            self.born[name] = when, expression
+            self._pass(when).append(f"const real {name} = {expression};")
+            if load:
+                self.loads.add(name)
+        else:
+            self.parts[when].append(f"const real {name} = {expression};")
         self.known[when, expression] = name
         return name
 
+    def _pass(self, number: int) -> list[str]:
+        while len(self.passes) <= number:
+            self.passes.append([])
+            self.calls.append([])
+        return self.passes[number]
+
     def _outputs(self, nodes: Sequence[Any]) -> None:
         for number, node in enumerate(nodes):
-            value, _ = self._value(node)
-            at = "[i]" if len(node.meta["val"].shape) == 2 else ""
+            value, when = self._value(node)
             self.parts["start"].append(f"real* restrict const o{number} = out[{number}] + lane * stride[{number}];")
-            self.parts["point" if at else "sum"].append(f"o{number}{at or '[0]'} = {value};")
+            if len(node.meta["val"].shape) == 2:
+                self._pass(when if isinstance(when, int) else 0).append(f"o{number}[i] = {value};")
+            else:
+                self.parts["sum"].append(f"o{number}[0] = {value};")
 
-    def _value(self, argument: Any) -> tuple[str, str]:
+    def _value(self, argument: Any) -> tuple[str, When]:
         if isinstance(argument, (int, float)):
             return (f"((real){float(argument)!r})" if math.isfinite(argument) else "((real)INFINITY)"), "lane"
         if argument in self.values:
@@ -151,24 +185,25 @@ class _Text:
         self.values[argument] = found = self._load(number, tensor)
         return found
 
-    def _load(self, number: int, tensor: Tensor) -> tuple[str, str]:
+    def _load(self, number: int, tensor: Tensor) -> tuple[str, When]:
         offset = tensor.storage_offset() - self.arguments[number].storage_offset()
         shape, stride = tuple(tensor.shape), tensor.stride()
         if shape and shape[0] not in (1, self.lanes):
-            raise NotPointwiseError(f"tensor of shape {shape}")
+            raise NotCompiledError(f"tensor of shape {shape}")
         by_lane = stride[0] if shape and shape[0] == self.lanes else 0
         where = f"in[{number}] + {offset} + lane * {by_lane}L"
         if len(shape) == 2 and shape[1] == self.n and stride[1] != 0:
             row = f"p{self.count}"
             self.count += 1
             self.parts["start"].append(f"const real* restrict const {row} = {where};")
-            return self._name("point", f"{row}[i * {stride[1]}L]"), "point"
+            return self._name(0, f"{row}[i * {stride[1]}L]", load=True), 0
         if len(shape) > 2 or (len(shape) == 2 and shape[1] not in (1, self.n)):
-            raise NotPointwiseError(f"tensor of shape {shape}")
+            raise NotCompiledError(f"tensor of shape {shape}")
         return self._name("lane", f"*({where})"), "lane"
 
     def _node(self, node: Any) -> None:
-        name = str(node.target).split(".")[1] if str(node.target).startswith("aten.") else str(node.target)
+        name = str(node.target)
+        name = name.split(".")[1] if name.startswith(("aten.", "dieseltwin.")) else name
         source = node.args[0] if node.args and isinstance(node.args[0], torch.fx.Node) else None
         if source in self.tensors and source not in self.values and name in (*_VIEWS, "select", "slice", "transpose"):
             number, tensor = self.tensors[source]
@@ -176,9 +211,32 @@ class _Text:
             if seen.untyped_storage().data_ptr() == tensor.untyped_storage().data_ptr():
                 self.tensors[node] = (number, seen)
                 return
-        self.values[node] = self._written(node, name)
+        if name == "small_network":
+            self._network(node)
+        else:
+            self.values[node] = self._written(node, name)
 
-    def _written(self, node: Any, name: str) -> tuple[str, str]:
+    def _network(self, node: Any) -> None:
+        """The call behind the pass that knows the inputs; value and slopes are rows that the next pass reads."""
+        inputs, weights, widths, activation = node.args
+        values = [self._value(v) for v in inputs]
+        when = max((w for _, w in values if isinstance(w, int)), default=0)
+        if any(w == "sum" for _, w in values):
+            raise NotCompiledError("a network of a sum over time")
+        number, tensor = self.tensors[weights]
+        place = f"in[{number}] + {tensor.storage_offset() - self.arguments[number].storage_offset()}"
+        mark, function = len(self.networks), "_".join(["network", activation, *map(str, widths)])
+        self.functions.network(function, widths, activation)
+        for name, length in ((f"x{mark}", widths[0]), (f"y{mark}", 1 + widths[0])):
+            self.parts["start"].append(f"real {name}[{length} * BLOCK] __attribute__((aligned(64))) = {{0}};")
+        self._pass(when).extend(f"x{mark}[{j} * BLOCK + b] = {value};" for j, (value, _) in enumerate(values))
+        self.calls[when].append(f"{function}({place} + lane * {tensor.stride(0)}L, x{mark}, y{mark});")
+        self.networks[node] = f"y{mark}", when + 1
+
+    def _written(self, node: Any, name: str) -> tuple[str, When]:
+        if node.args and node.args[0] in self.networks:  # getitem: value, then slopes
+            row, number = self.networks[node.args[0]]
+            return self._name(number, f"{row}[{node.args[1]} * BLOCK + b]", load=True), number
         constants = {"ones_like": 1.0, "zeros_like": 0.0}
         if name in constants:
             return self._value(constants[name])
@@ -190,10 +248,10 @@ class _Text:
         if name == "select_backward":
             value, when = self._value(node.args[0])
             if tuple(node.args[1]) != (self.lanes, self.n) or tuple(node.args[2:4]) != (1, 0) or when != "lane":
-                raise NotPointwiseError("a slope at other points than the first")
-            return self._name("point", f"i == 0 ? {value} : (real)0"), "point"
+                raise NotCompiledError("a slope at other points than the first")
+            return self._name(0, f"i == 0 ? {value} : (real)0", load=True), 0
         if len(shape) > 2 or (shape and shape[0] not in (1, self.lanes)):
-            raise NotPointwiseError(f"{name} of shape {shape}")
+            raise NotCompiledError(f"{name} of shape {shape}")
         if name in ("sum", "mean"):
             return self._sum(node, name)
         if name in _VIEWS:
@@ -202,16 +260,17 @@ class _Text:
         when = self._when(arguments)
         return self._name(when, self._expression(name, [a for a, _ in arguments], node, when)), when
 
-    def _when(self, arguments: Sequence[tuple[str, str]]) -> str:
+    def _when(self, arguments: Sequence[tuple[str, When]]) -> When:
         found = {when for _, when in arguments}
-        if "sum" in found and "point" in found:
-            raise NotPointwiseError("a point depends on a sum over time")
-        return "sum" if "sum" in found else "point" if "point" in found else "lane"
+        passes = [when for when in found if isinstance(when, int)]
+        if "sum" in found and passes:
+            raise NotCompiledError("a point depends on a sum over time")
+        return "sum" if "sum" in found else max(passes) if passes else "lane"
 
-    def _expression(self, name: str, a: list[str], node: Any, when: str) -> str:
+    def _expression(self, name: str, a: list[str], node: Any, when: When) -> str:
         if name in _BINARY:
             if "rounding_mode" in node.kwargs:
-                raise NotPointwiseError("rounded division")
+                raise NotCompiledError("rounded division")
             alpha = node.kwargs.get("alpha", 1)
             second = a[1] if alpha == 1 else f"{self._value(alpha)[0]} * {a[1]}"
             return f"{a[0]} {_BINARY[name]} {second}"
@@ -223,8 +282,8 @@ class _Text:
             return self._power(a, node.args[1], when)
         if name == "softplus":
             if len(node.args) > 1:
-                raise NotPointwiseError("another softplus")
-            return f"fmax({a[0]}, (real)0) + log((real)1 + {self._name(when, f'exp(-fabs({a[0]}))')})"
+                raise NotCompiledError("another softplus")
+            return f"fmax({a[0]}, (real)0) + log_of((real)1 + {self._name(when, f'exp_of(-fabs({a[0]}))')})"
         if name == "softplus_backward":
             return f"{a[0]} * {self._sigmoid(a[1], when)}"
         plain = {
@@ -241,85 +300,52 @@ class _Text:
             text = a[0] if low is None else f"fmax({a[0]}, {self._value(low)[0]})"
             return text if high is None else f"fmin({text}, {self._value(high)[0]})"
         if name not in plain:
-            raise NotPointwiseError(name)
+            raise NotCompiledError(name)
         return plain[name].format(*a)
 
-    def _sigmoid(self, x: str, when: str) -> str:
-        small = self._name(when, f"exp(-fabs({x}))")
+    def _sigmoid(self, x: str, when: When) -> str:
+        small = self._name(when, f"exp_of(-fabs({x}))")
         share = self._name(when, f"(real)1 / ((real)1 + {small})")
         return self._name(when, f"{x} >= 0 ? {share} : {small} * {share}")
 
-    def _power(self, a: list[str], exponent: Any, when: str) -> str:
+    def _power(self, a: list[str], exponent: Any, when: When) -> str:
         if isinstance(exponent, (int, float)):
             if exponent in (0, 1, 2, 3):
                 return " * ".join([a[0]] * int(exponent)) or "(real)1"
             if float(exponent).is_integer():
                 return f"pow({a[0]}, {a[1]})"
-        return f"exp({a[1]} * {self._name(when, f'log({a[0]})')})"
+        return f"exp_of({a[1]} * {self._name(when, f'log_of({a[0]})')})"
 
-    def _sum(self, node: Any, name: str) -> tuple[str, str]:
+    def _sum(self, node: Any, name: str) -> tuple[str, When]:
         value, when = self._value(node.args[0])
         shape = tuple(node.args[0].meta["val"].shape)
         dims = node.args[1] if len(node.args) > 1 else None
         if when == "sum" or shape != (self.lanes, self.n) or dims is None or [d % 2 for d in dims] != [1]:
-            raise NotPointwiseError(f"{name} of {shape} over {dims}")
+            raise NotCompiledError(f"{name} of {shape} over {dims}")
         total = f"s{self.count}"
         self.count += 1
         self.parts["start"].append(f"real {total} = 0;")
-        self.parts["point"].append(f"{total} += {value};")
+        added = f"i < from ? (real)0 : {value}" if self.n % self.block else value  # the last block repeats points
+        self._pass(when if isinstance(when, int) else 0).append(f"{total} += {added};")
         return (total if name == "sum" else self._name("sum", f"{total} / (real){self.n}")), "sum"
 
-    def _first(self, node: Any) -> tuple[str, str]:
+    def _first(self, node: Any) -> tuple[str, When]:
         """The value at the first point, known before the loop: what it takes is written once more."""
         if tuple(node.args[1:]) != (1, 0):
-            raise NotPointwiseError("other points than the first")
+            raise NotCompiledError("other points than the first")
         value, when = self._value(node.args[0])
-        if when != "point":
+        if not isinstance(when, int):
             return value, when
+        if when > 0:
+            raise NotCompiledError("a network's value at the first point")
         return self._again(value), "lane"
 
     def _again(self, value: str) -> str:
         """The loop's line for `value` and all it needs, at i = 0, before the loop."""
         if value not in self.firsts:
-            expression = next(e for (when, e), name in self.known.items() if name == value and when == "point")
+            _, expression = self.born[value]
             for other in sorted(set(re.findall(r"\bv\d+\b", expression)), key=len, reverse=True):
-                if any(name == other and when == "point" for (when, _), name in self.known.items()):
+                if other in self.born:
                     expression = re.sub(rf"\b{other}\b", self._again(other), expression)
             self.firsts[value] = self._name("lane", re.sub(r"\bi\b", "0", expression))
         return self.firsts[value]
-
-
-def _library(source: str) -> Any:
-    """Compile, or take from the folder of compiled kernels."""
-    compiler = next((c for c in (os.environ.get("CC"), "gcc", "cc", "clang") if c and shutil.which(c)), None)
-    if compiler is None:
-        raise NotPointwiseError("no C compiler found")
-    from dieseltwin.engine._compiled import numba  # its folder is the project's
-
-    folder = Path(numba.config.CACHE_DIR)
-    try:
-        return ctypes.CDLL(str(_built(compiler, source, folder)))
-    except OSError as error:
-        raise NotPointwiseError(f"compiled loop in {folder}: {error}") from None
-
-
-def _built(compiler: str, source: str, folder: Path) -> Path:
-    """The library of a source, made if it isn't there; the processor is part of its name."""
-    about = Path("/proc/cpuinfo")
-    machine = about.read_text().partition("flags")[2].partition("\n")[0] if about.exists() else platform.processor()
-    version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
-    name = hashlib.sha256("\0".join([source, compiler, version, machine, *FLAGS]).encode()).hexdigest()[:24]
-    path = folder / f"points-{name}.so"
-    if path.exists():
-        return path
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder) as scratch:
-        text, part, made = (str(Path(scratch) / f"points.{end}") for end in ("c", "o", "so"))
-        Path(text).write_text(source)
-        # linked on its own: a linker told of fast mathematics adds code that makes the whole process flush subnormals
-        for command in ([*FLAGS, "-c", text, "-o", part], ["-shared", part, "-o", made, "-lmvec", "-lm"]):
-            done = subprocess.run([compiler, *command], capture_output=True, text=True, check=False)
-            if done.returncode:
-                raise NotPointwiseError(f"{compiler}: {(done.stderr.strip().splitlines() or ['failed'])[0]}")
-        os.replace(made, path)
-    return path
