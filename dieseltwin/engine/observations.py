@@ -25,6 +25,10 @@ class Observations:
     measured: np.ndarray
 
 
+SIMULATOR_THREADS = "dieseltwin"
+"""Begin of the names of the simulator's threads."""
+
+
 def thread_count() -> int:
     """Threads for batches: DIESELTWIN_THREADS, or else the processors this process may use."""
     configured = os.environ.get("DIESELTWIN_THREADS")
@@ -41,4 +45,4 @@ def thread_count() -> int:
 @lru_cache(maxsize=1)
 def pool(threads: int) -> ThreadPoolExecutor:
     """The threads of all simulations."""
-    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="dieseltwin")
+    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix=SIMULATOR_THREADS)

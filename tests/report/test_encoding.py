@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -35,3 +37,32 @@ def test_what_the_second_process_can_not_send_is_drawn_here(monkeypatch: pytest.
     alone = {figure.name: figure.encode() for figure in _figures()}
     monkeypatch.setattr("dieseltwin.report.encoding._send", lambda sender, figures: sender.close())
     assert encode_all(_figures()) == alone
+
+
+def test_a_second_process_that_never_sends_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DIESELTWIN_THREADS", "2")
+    alone = {figure.name: figure.encode() for figure in _figures()}
+    monkeypatch.setattr("dieseltwin.report.encoding._PATIENCE_S", 0.2)
+    monkeypatch.setattr("dieseltwin.report.encoding._send", lambda sender, figures: time.sleep(600.0))
+    begun = time.perf_counter()
+    assert encode_all(_figures()) == alone
+    assert time.perf_counter() - begun < 60.0
+
+
+def test_a_process_with_another_thread_does_not_fork(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker of the flows has one that reads standard input and holds its lock: a fork of it hung for ever."""
+    monkeypatch.setenv("DIESELTWIN_THREADS", "2")
+    alone = {figure.name: figure.encode() for figure in _figures()}
+
+    def forked(method: str) -> None:
+        raise AssertionError(f"a {method} of a process with threads")
+
+    monkeypatch.setattr("dieseltwin.report.encoding.get_context", forked)
+    over = threading.Event()
+    other = threading.Thread(target=over.wait)
+    other.start()
+    try:
+        assert encode_all(_figures()) == alone
+    finally:
+        over.set()
+        other.join()
