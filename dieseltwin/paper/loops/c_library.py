@@ -34,7 +34,7 @@ class NotCompiledError(Exception):
 
 def networks_source(dtype: torch.dtype) -> str:
     """The head of every text: number type, block, and products and activations of small networks."""
-    text = (Path(__file__).parent / "networks.c").read_text(encoding="utf-8")
+    text = (Path(__file__).parent / "c" / "networks.c").read_text(encoding="utf-8")
     return f"#include <tgmath.h>\ntypedef {C_TYPES[dtype]} real;\nenum {{ BLOCK = {BLOCK} }};\n{text}"
 
 
