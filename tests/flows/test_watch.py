@@ -58,11 +58,13 @@ def test_wrong_arguments_are_one_line_before_anything_starts(tmp_path: Path) -> 
     mine = learned_file(tmp_path)
     good = {"folder": str(tmp_path), "engine": str(mine), "history": str(tmp_path / "history")}
     steps.check(good)
+    assert not (tmp_path / "history").exists()  # the first recording makes it
     with pytest.raises(StepFailed, match="no such folder"):
         steps.check({**good, "folder": str(tmp_path / "none")})
     (tmp_path / "plain.yaml").write_text("J_t: 2.0e-4\n")
     with pytest.raises(StepFailed, match="no learned engine"):
         steps.check({**good, "engine": str(tmp_path / "plain.yaml")})
+    (tmp_path / "history").mkdir()
     (tmp_path / "history" / "history.sqlite").write_text("no database at all" * 100)
     with pytest.raises(InputError, match="a history as"):
         steps.check(good)
