@@ -111,8 +111,6 @@ class SteadyModel:
         """
         if law_terms(self.engine.terms):
             return self._with_laws(points, x, values)
-        if any(name.startswith(MAP_MODE) for name in values):
-            return self._with_map_modes(points, x, values)
         lanes = max([np.size(v) for v in values.values()] or [1])
         engine_values = {k: np.broadcast_to(v, (lanes,)) for k, v in values.items() if k in CONSTANT_NAMES}
         if "c_m1" in engine_values and self.engine.c_m[0] > 0:  # the straight part of c_m follows, or the curve jumps
@@ -121,7 +119,16 @@ class SteadyModel:
         t = _Terms({k: np.reshape(v, (-1, 1)) for k, v in values.items() if k not in CONSTANT_NAMES}, self.active,
                    points.columns.get(JUDGED), {**dict.fromkeys(self.lasting), **term_values(self.before)})
         c = c._replace(**{name: getattr(c, name) * (1.0 + t(wear)) for name, wear in WEAR.items() if wear in values})
-        signal, added = self._signal, self._added
+        entered = self._entered(points, values, lanes)
+
+        def signal(name: str, quantity: Any) -> Any:
+            """The quantity times (1 + signal) where a signal enters at its insertion point."""
+            return quantity * (1.0 + entered[name]) if name in entered else quantity
+
+        def added(name: str, quantity: Any) -> Any:
+            """The quantity plus the signal where one enters a balance."""
+            return quantity + entered[name] if name in entered else quantity
+
         p_im, p_em, omega, W_c, W_egr, T_em = (t.true(name, x[..., i]) for i, name in enumerate(STATES))
         n_e, T_0, p_0 = points["n_e_rpm"], points["t_amb_k"], points["p_amb_pa"]
         c_0 = c._replace(p_amb=p_0, T_amb=T_0)
@@ -216,20 +223,18 @@ class SteadyModel:
         return Relations(residual, measured, predicted,
                          {k: np.broadcast_to(v, shape) for k, v in quantities.items()})
 
-    def _with_map_modes(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
-        """Smooth errors of maps as signals; points that don't have their columns are elsewhere and have none."""
+    def _entered(self, points: SteadyPoints, values: Mapping[str, Any], lanes: int) -> dict[str, Array]:
+        """Signals by insertion point, with the smooth errors of maps; points without their columns are elsewhere and
+        have none."""
         modes: dict[str, list[str]] = {}
         for name in values:
             if name.startswith(MAP_MODE) and name in points:
                 modes.setdefault(name.split(":")[1], []).append(name)
-        lanes = max(np.size(v) for v in values.values())
         entered = dict(self.signals)
         for point, names in modes.items():
             sizes = np.stack([np.broadcast_to(values[name], (lanes,)) for name in names], axis=1)
             entered[point] = entered.get(point, 0.0) + sizes @ np.stack([points[name] for name in names])
-        plain = {name: value for name, value in values.items() if not name.startswith(MAP_MODE)}
-        plain["lanes"] = np.zeros(lanes)  # else the lanes of the modes would be lost
-        return replace(self, signals=entered).relations(points, x, plain)
+        return entered
 
     def _with_laws(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
         """Found laws of the engine as signals, of the quantities without them."""
@@ -243,14 +248,6 @@ class SteadyModel:
             acts = acts * points.columns.get(JUDGED, 1.0) if law in since else acts
             entered[law.point] = entered.get(law.point, 0.0) + np.nan_to_num(acts * law.signal(variables))
         return replace(bare, signals=entered).relations(points, x, values)
-
-    def _signal(self, name: str, quantity: Any) -> Any:
-        """The quantity times (1 + signal) where a signal enters at its insertion point."""
-        return quantity * (1.0 + self.signals[name]) if name in self.signals else quantity
-
-    def _added(self, name: str, quantity: Any) -> Any:
-        """The quantity plus the signal where one enters a balance."""
-        return quantity + self.signals[name] if name in self.signals else quantity
 
     @staticmethod
     def _exhaust_temperature(p_im: Any, p_em: Any, W_ei: Any, W_f: Any, W_eo: Any, c: Any) -> Any:
