@@ -34,6 +34,7 @@ from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, law_terms
@@ -188,7 +189,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
             break
         more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.search.flap_spread)]
         candidate = _refitted(here, [*free, *more], _start_of(found, added, more))
-        vanished = _vanished(candidate, added, found)
+        vanished = _vanished(candidate, added, hypotheses, found)
         if vanished:  # the maps bend so that nothing is left of it: the search looks again without that name
             faded |= vanished
             continue
@@ -200,7 +201,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         here, nll, trained = candidate, foretold, coefficients
         free += more
         names += added
-        superseded = _vanished(here, names, found)
+        superseded = _vanished(here, names, hypotheses, found)
         if superseded:  # what came later explains what an earlier name had stood for
             names = [name for name in names if name not in superseded]
             free = [c for c in free if c.name not in superseded]
@@ -242,12 +243,13 @@ def _named(found: search.Search, least_explained: float) -> tuple[str, ...]:
     return lead.candidate.names if strong and found.of_interest(lead) else ()
 
 
-def _vanished(candidate: Calibration, added: Sequence[str], found: search.Search) -> set[str]:
+def _vanished(
+    candidate: Calibration, names: Sequence[str], hypotheses: Mapping[str, Hypothesis], found: search.Search
+) -> set[str]:
     """Names that the joint fit makes smaller than what is of interest, or than twice their deviation."""
     values, std = candidate.estimate.values(), candidate.estimate.std()
-    known = hypotheses_of(candidate.points, STATES)
-    least = {name: found.settings.alarm_size * known[name].tolerance for name in added}
-    return {name for name in added if abs(values[name]) < max(least[name], _SIGNIFICANT * std[name])}
+    least = {name: found.settings.alarm_size * hypotheses[name].tolerance for name in names}
+    return {name for name in names if abs(values[name]) < max(least[name], _SIGNIFICANT * std[name])}
 
 
 def _start_of(found: search.Search, names: tuple[str, ...], more: list[Coefficient]) -> dict[str, float]:
