@@ -149,8 +149,8 @@ def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -
     Raises:
         InputError: points that are in a reference as well.
     """
-    known = {row.tobytes() for reference in references for row in _by_inputs(reference)}
-    shared = sum(row.tobytes() in known for row in _by_inputs(judged))
+    known = {row.tobytes() for reference in references for row in _as_rows(reference)}
+    shared = sum(row.tobytes() in known for row in _as_rows(judged))
     if shared:
         raise InputError(str(judged.path or "points"), f"{shared} of {judged.size} points that are in a reference too",
                          "other points than the reference's", "judge points that the engine isn't learned from")
@@ -163,7 +163,7 @@ def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -
                    notes=notes)  # fmt: skip
 
 
-def _by_inputs(points: SteadyPoints) -> np.ndarray:
+def _as_rows(points: SteadyPoints) -> np.ndarray:
     """Inputs and readings of each point, (n, 10)."""
     return np.column_stack([*(points[name] for name in INPUTS), points.states()])
 
