@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import yaml
@@ -31,7 +31,7 @@ from dieseltwin.petrol.discover import discover_petrol
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
 from dieseltwin.petrol.recording import read_petrol
 from dieseltwin.recordings.reader import Recording, read_recording
-from dieseltwin.recordings.steady_points import beside_reference, read_points
+from dieseltwin.recordings.steady_points import SteadyPoints, beside_reference, read_points
 from dieseltwin.sealed import opened_json, sealed_json, sealed_text
 from dieseltwin.settings.strict import unknown_name, validate
 
@@ -123,9 +123,11 @@ def run_challenge(
     kept = len(wanted) - len(pending)
     now = pending[:limit] if limit is not None else pending
     if manifest["tier"] == PETROL:
-        work: Callable[[Mapping[str, Any]], str] = partial(run_petrol_case, folder)
+        work: Callable[[Mapping[str, Any]], str] = partial(
+            run_drawn_case, folder, know=partial(_calibrated, folder), judge=_judge_petrol
+        )
     elif manifest["tier"] == POINTS:
-        work = partial(run_points_case, folder)
+        work = partial(run_drawn_case, folder, know=_healthy_points, judge=_judge_points)
     else:
         work = partial(run_case, folder, map_tolerance=MAP_RMS[manifest["tier"]], discover=discover)
     failed, done = 0, 0
@@ -173,57 +175,66 @@ def run_case(folder: Path, entry: Mapping[str, Any], *, map_tolerance: float, di
     return _said(folder, entry, found.document, seconds)
 
 
-def run_petrol_case(folder: Path, entry: Mapping[str, Any]) -> str:
-    """As `run_case`, of the tier `petrol`: the engine is calibrated on the healthy recording first, once a folder."""
-    check_file(folder / entry["recording"], entry["recording_sha256"])
-    for reference in entry["references"]:
-        check_file(folder / reference["recording"], reference["sha256"])
+Said = tuple[Discrepancy, Callable[[Path], object]]
+"""What is said, and what writes the repaired engine into a file."""
+
+Known = TypeVar("Known")
+
+
+def run_drawn_case(
+    folder: Path, entry: Mapping[str, Any], *, know: Callable[[Sequence[Path]], Known],
+    judge: Callable[[Path, Known], Said],
+) -> str:  # fmt: skip
+    """As `run_case`, of a tier of `cases.DRAWN`: verdict and engine are all that is written.
+
+    Args:
+        folder: of the benchmark; entry: of the case.
+        know: what is known of the engine from the files of its references; its time doesn't count.
+        judge: what is said of a recording then.
+    """
+    recording, references = folder / entry["recording"], [folder / item["recording"] for item in entry["references"]]
+    check_file(recording, entry["recording_sha256"])
+    for path, reference in zip(references, entry["references"], strict=True):
+        check_file(path, reference["sha256"])
     _reset_peak()
     start = time.perf_counter()
     try:
-        engine = _calibrated(folder, folder / entry["references"][0]["recording"])
+        known = know(references)
         start = time.perf_counter()
-        found = discover_petrol(read_petrol(folder / entry["recording"]), engine)
+        said, write = judge(recording, known)
     except Exception as error:  # as in `run_case`
         return _failed(folder, entry, error, time.perf_counter() - start)
     seconds = time.perf_counter() - start
     with atomic_folder(folder / RESULTS / entry["case"]) as result:
-        save_petrol(found.engine, result / "engine.yaml")
-        _write_document(result, found.document, seconds, {})
-    return _said(folder, entry, found.document, seconds)
+        write(result / "engine.yaml")
+        _write_document(result, said, seconds, {})
+    return _said(folder, entry, said, seconds)
 
 
-def run_points_case(folder: Path, entry: Mapping[str, Any]) -> str:
-    """As `run_case`, of the tier `points`: what `discover POINTS --reference HEALTHY` does."""
-    path = folder / entry["recording"]
-    check_file(path, entry["recording_sha256"])
-    for reference in entry["references"]:
-        check_file(folder / reference["recording"], reference["sha256"])
-    _reset_peak()
-    start = time.perf_counter()
-    try:
-        references = [read_points(folder / item["recording"]) for item in entry["references"]]
-        points = read_points(path)
-        used = beside_reference(points, references) if references else points
-        options = Options()
-        first = calibrate(used, we2011.PARAMETERS, believed=options.search)
-        found = discover_points(first, options)
-        made = document(found)
-    except Exception as error:  # as in `run_case`
-        return _failed(folder, entry, error, time.perf_counter() - start)
-    seconds = time.perf_counter() - start
-    with atomic_folder(folder / RESULTS / entry["case"]) as result:
-        write_engine(found.engine(), result / "engine.yaml")
-        _write_document(result, made, seconds, {})
-    return _said(folder, entry, made, seconds)
+def _judge_petrol(recording: Path, engine: PetrolParameters) -> Said:
+    found = discover_petrol(read_petrol(recording), engine)
+    return found.document, partial(save_petrol, found.engine)
 
 
-def _calibrated(folder: Path, healthy: Path) -> PetrolParameters:
-    """The engine of a petrol benchmark, kept in `results`: calibrating takes longer than a verdict."""
+def _healthy_points(references: Sequence[Path]) -> list[SteadyPoints]:
+    return [read_points(path) for path in references]
+
+
+def _judge_points(recording: Path, healthy: Sequence[SteadyPoints]) -> Said:
+    """What `discover POINTS --reference HEALTHY` does."""
+    points, options = read_points(recording), Options()
+    used = beside_reference(points, healthy) if healthy else points
+    found = discover_points(calibrate(used, we2011.PARAMETERS, believed=options.search), options)
+    return document(found), partial(write_engine, found.engine())
+
+
+def _calibrated(folder: Path, references: Sequence[Path]) -> PetrolParameters:
+    """The engine of a petrol benchmark, calibrated on its healthy recording once and kept in `results`: that takes
+    longer than a verdict."""
     kept = folder / RESULTS / "petrol_engine.yaml"
     if not kept.is_file():
         kept.parent.mkdir(parents=True, exist_ok=True)
-        save_petrol(fit_maps(read_petrol(healthy).signals, PetrolParameters())[0], kept)
+        save_petrol(fit_maps(read_petrol(references[0]).signals, PetrolParameters())[0], kept)
     return load_petrol(kept)
 
 
