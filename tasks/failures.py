@@ -1,9 +1,11 @@
-"""How a run ends early: a step's failure as one line for the user, whether another try is worth it, and Ctrl-C."""
+"""How a run ends early: a step's failure as one line for the user and whether another try is worth it, Ctrl-C, and the
+end of the process that started it."""
 
 from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Sequence
 from types import FrameType
 
@@ -15,6 +17,21 @@ def interrupted_early(signum: int, frame: FrameType | None) -> None:
     """End the process, in which nothing was begun yet, with the one sentence."""
     print(INTERRUPTED, file=sys.stderr, flush=True)
     os._exit(INTERRUPTED_CODE)
+
+
+def end_with_parent(exit_code: int) -> None:
+    """End this process as soon as its parent has ended, however it ended: standard input, a pipe of it, ends then.
+
+    It is read beside Python's own file: a thread that waits there holds its lock, and for that lock a fork and the
+    interpreter's own end would wait for ever.
+    """
+    threading.Thread(target=_wait_for_end, args=(exit_code,), daemon=True).start()
+
+
+def _wait_for_end(exit_code: int) -> None:
+    while os.read(0, 4096):
+        pass
+    os._exit(exit_code)
 
 
 class StepFailed(RuntimeError):

@@ -11,7 +11,6 @@ import os
 import socket
 import subprocess
 import sys
-import threading
 import time
 import urllib.error
 import urllib.request
@@ -19,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from tasks.failures import end_with_parent
 from tasks.workspace import PROJECT, Workspace
 
 _START_TIMEOUT_S = 180.0
@@ -112,17 +112,11 @@ def _free_port() -> int:
 
 def _serve(port: int) -> None:
     """What the child process does."""
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    end_with_parent(0)
     import uvicorn
     from prefect.server.api.server import create_app
 
     uvicorn.run(create_app, factory=True, host="127.0.0.1", port=port, log_level="error", lifespan="on")
-
-
-def _die_with_parent() -> None:
-    while os.read(0, 4096):  # not through sys.stdin: its lock would make an end of the server's own a crash
-        pass
-    os._exit(0)
 
 
 if __name__ == "__main__":

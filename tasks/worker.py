@@ -11,13 +11,13 @@ from __future__ import annotations
 import json
 import os
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
+from tasks.failures import end_with_parent
 from tasks.run_context import find_step
 
 # A progress message at most this often [s]: a callback in an inner loop must not cost.
@@ -29,7 +29,7 @@ def main() -> int:
     channel = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)
     specification: dict[str, Any] = json.loads(sys.stdin.readline())
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    end_with_parent(1)
     try:
         function = find_step(specification["step"]).function
         inputs = {name: Path(path) for name, path in specification["inputs"].items()}
@@ -60,11 +60,6 @@ def _reporter(channel: TextIO) -> Callable[[float, float], None]:
 
 def _send(channel: TextIO, message: dict[str, Any]) -> None:
     print(json.dumps(message), file=channel)
-
-
-def _die_with_parent() -> None:
-    sys.stdin.read()
-    os._exit(1)
 
 
 if __name__ == "__main__":
