@@ -11,12 +11,12 @@ lines that are there aren't made again; the last lines printed are the counts.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept import keep, kept_lines
 
 from dieseltwin.challenge.cases import HEALTH_SPREAD, MAP_RMS, Plan, draw_fault, make_plans
 from dieseltwin.challenge.driving import INPUTS, Driving
@@ -141,7 +141,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--shift", type=float, default=0.3)
     given = parser.parse_args()
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.is_file() else []
+    rows = kept_lines(given.out)
     known = {(row["case"], row["kind"]) for row in rows}
     healthy = make_plans(given.healthy, given.seed, healthy_only=True)
     faulty = [p for p in make_plans(6 * given.faulty, given.seed + 1) if p.kind == "single"][: given.faulty]
@@ -155,8 +155,7 @@ def main() -> None:
             if (name, kind) not in known:
                 row = {"case": name, "kind": kind, **truth, "said": judge(source, plan.withhold)}
                 rows.append(row)
-                with given.out.open("a", encoding="utf-8") as file:
-                    file.write(f"{json.dumps(row)}\n")
+                keep(given.out, row)
                 print(name, kind, truth["effects"], "->", row["said"]["effects"], f"{row['said']['seconds']:.0f} s",
                       flush=True)  # fmt: skip
     print("\n".join(counts(rows)))

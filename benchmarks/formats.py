@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import gzip
-import json
 import tempfile
 import time
 from collections.abc import Callable, Mapping
@@ -28,6 +27,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import scipy.io
+from kept import keep, kept_lines
 from pages import table, write_table
 
 import dieseltwin as dt
@@ -298,14 +298,13 @@ def main() -> None:
     parser.add_argument("--page", action="store_true", help="write the table into docs/formats.md")
     parser.add_argument("--only", nargs="+", choices=list(FORMATS), default=list(FORMATS))
     given = parser.parse_args()
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.is_file() else []
+    rows = kept_lines(given.out)
     frame = drive()
     for name in (name for name in given.only if name not in {row["format"] for row in rows}):
         with tempfile.TemporaryDirectory() as scratch:
             row = judge(name, frame, Path(scratch))
         rows.append(row)
-        with given.out.open("a", encoding="utf-8") as file:
-            file.write(f"{json.dumps(row)}\n")
+        keep(given.out, row)
         print(name, f"{row['worst_rel']:.3g}", [effect["name"] for effect in row["effects"]], f"{row['seconds']:.0f} s",
               flush=True)  # fmt: skip
     lines = lines_of(rows)

@@ -12,7 +12,6 @@ there on the manifold's pressure rises as the calibrated engine says.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from kept import keep, kept_lines
 
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import fit_maps
@@ -266,7 +266,7 @@ def main() -> None:
     except InputError as missing:
         sys.exit(f"skipped: {missing}")
     began = time.monotonic()
-    rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.is_file() else []
+    rows = kept_lines(args.out)
     done = {row["key"] for row in rows}
     bench = Bench(folder)
     for part in args.part or CASES:
@@ -275,8 +275,7 @@ def main() -> None:
                 continue
             row = {"part": part, **bench.judged(case)}
             rows.append(row)
-            with args.out.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+            keep(args.out, row)
             print(f"{case.key}: {row['sentence'][:150]} [{row['cpu_s']} s]", flush=True)
     if args.table is not None and rows:
         args.table.write_text("\n".join(f"{part}\n\n{table([r for r in rows if r['part'] == part])}" for part in CASES

@@ -12,7 +12,6 @@ that `identify` states, with and without a warning in the file; and warnings on 
 from __future__ import annotations
 
 import argparse
-import json
 import time
 import traceback
 from collections import Counter
@@ -22,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from kept import keep
 
 import dieseltwin as dt
 from dieseltwin.engine import HEALTH, MEASURED
@@ -277,8 +277,7 @@ def main() -> None:
     for item in verdicts(arguments.seed, arguments.cases, arguments.first, arguments.only, arguments.runs or None):
         found.append(item)
         if arguments.out is not None:
-            with arguments.out.open("a") as file:
-                file.write(json.dumps({**asdict(item), "wrong": item.wrong, "silent": item.silent}) + "\n")
+            keep(arguments.out, {**asdict(item), "wrong": item.wrong, "silent": item.silent})
         if item.silent or item.end == "crash" or (item.kind == "clean" and item.codes):
             worst = max(range(len(HEALTH)), key=lambda i: abs(item.errors[i]))
             about = f"{item.seed} {item.kind} {item.channel} {item.severity}: {item.end} {item.codes}"

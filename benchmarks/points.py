@@ -11,7 +11,6 @@ is appended; lines that are there aren't made again. Without the points it says 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from kept import keep, kept_lines
 
 import dieseltwin as dt
 from dieseltwin.engine import we2011
@@ -101,7 +101,7 @@ def main() -> None:
         table = pd.read_csv(path_of(wanted("uw_hd_diesel/steady_state_points.csv")[0]))
     except InputError as missing:
         sys.exit(f"skipped: {missing}")
-    rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.is_file() else []
+    rows = kept_lines(args.out)
     done = {(row["seed"], row["flap"]) for row in rows}
     folder = args.out.with_suffix(".files")
     folder.mkdir(exist_ok=True)
@@ -109,8 +109,7 @@ def main() -> None:
         if (seed, not args.flapless) in done:
             continue
         rows.append(asked(seed, table, folder, not args.flapless))
-        with args.out.open("a") as file:
-            file.write(json.dumps(rows[-1]) + "\n")
+        keep(args.out, rows[-1])
         print(seed, rows[-1]["sentence"], f"[{rows[-1]['cpu_s']:.0f} s]", flush=True)
         print({k: [float(f"{v:.4g}") for v in values] for k, values in rows[-1]["hidden"].items()}, flush=True)
     print(shares(rows))

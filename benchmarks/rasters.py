@@ -12,13 +12,13 @@ again; `--page` writes both tables into docs/formats.md.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from kept import keep, kept_lines
 from pages import table, write_table
 
 import dieseltwin as dt
@@ -161,7 +161,7 @@ def main() -> None:
     parser.add_argument("--engines", type=int, default=10)
     parser.add_argument("--page", action="store_true", help="write the tables into docs/formats.md")
     given = parser.parse_args()
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.is_file() else []
+    rows = kept_lines(given.out)
     known = {(row["what"], row["number"], row["rate"]) for row in rows}
     params = load_params()
     wanted = [("identify", number, name) for number in range(given.engines) for name in RATES]
@@ -169,8 +169,7 @@ def main() -> None:
     for what, number, name in (item for item in wanted if item not in known):
         row = discovered(name) if what == "discover" else identified(number, name, params)
         rows.append(row)
-        with given.out.open("a", encoding="utf-8") as file:
-            file.write(f"{json.dumps(row)}\n")
+        keep(given.out, row)
         print(what, number, name, f"{row['seconds']:.0f} s", flush=True)
     first, second = identify_lines(rows), discover_lines(rows)
     print("\n".join([*first, "", *second]))

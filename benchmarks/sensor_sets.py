@@ -11,13 +11,13 @@ docs/formats.md.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from kept import keep, kept_lines
 from pages import table, write_table
 
 import dieseltwin as dt
@@ -117,13 +117,12 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--page", action="store_true", help="write the tables into docs/formats.md")
     given = parser.parse_args()
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.is_file() else []
+    rows = kept_lines(given.out)
     known = {(row["machine"], row["set"]) for row in rows}
     for machine, chosen in ((m, s) for m in MACHINES for s in SETS if (m, s) not in known):
         row = judged(machine, chosen)
         rows.append(row)
-        with given.out.open("a", encoding="utf-8") as file:
-            file.write(f"{json.dumps(row)}\n")
+        keep(given.out, row)
         print(machine, "|", chosen, row["effects"], f"{row['seconds']:.0f} s", flush=True)
     first, second = health_lines(rows), effect_lines(rows)
     print("\n".join([*first, "", *second]))

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from kept import keep, kept_lines
 
 import dieseltwin as dt
 from dieseltwin.challenge.cases import Plan, draw_fault, make_plans
@@ -129,7 +130,7 @@ def main() -> None:
             dt.learn(sorted(folder.glob("long_*.csv"))).save(folder / "long.yaml")
             print(f"{folder.name} learned", flush=True)
     lines = given.out / "rows.jsonl"
-    rows = [json.loads(line) for line in lines.read_text().splitlines()] if lines.is_file() else []
+    rows = kept_lines(lines)
     known = {(row["engine"], row["way"], row["kind"]) for row in rows}
     for folder in folders:
         others = [other / "long.yaml" for other in folders if other != folder]
@@ -141,8 +142,7 @@ def main() -> None:
                 if (folder.name, way, kind) in known:
                     continue
                 rows.append({"engine": folder.name, "way": way, "kind": kind, **judge(folder, kind, engine)})
-                with lines.open("a", encoding="utf-8") as file:
-                    file.write(f"{json.dumps(rows[-1])}\n")
+                keep(lines, rows[-1])
                 print(folder.name, way, kind, rows[-1]["true"], "->", rows[-1]["said"], rows[-1]["sizes"], flush=True)
     print("\n".join(counts(pd.DataFrame(rows))))
 

@@ -35,6 +35,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from kept import keep, kept_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = (("field_random_300s.csv", "drive.csv", 0.0, 120.0), ("lab_whtc_500s_800s.csv", "2026-03-01.csv", 0.0, 150.0),
@@ -351,8 +352,7 @@ def main() -> int:
     bench = Bench(asked.work)
     if not bench.inputs.exists():
         write_inputs(bench.inputs)
-    known = asked.out.read_text().splitlines() if asked.out.exists() else []
-    ended = [Ended(**{**json.loads(line), "faults": tuple(json.loads(line)["faults"])}) for line in known]
+    ended = [Ended(**{**line, "faults": tuple(line["faults"])}) for line in kept_lines(asked.out)]
     done = {item.number for item in ended}
     for number in range(asked.runs):
         if number in done:
@@ -360,8 +360,7 @@ def main() -> int:
         if time.perf_counter() - began > asked.seconds:
             break
         ended.append(run(number, asked.seed, bench, FLOW if asked.flow else COMMANDS, asked.only))
-        with asked.out.open("a") as file:
-            file.write(json.dumps(asdict(ended[-1])) + "\n")
+        keep(asked.out, asdict(ended[-1]))
         if ended[-1].faults:
             print(ended[-1], flush=True)
     print("\n".join(summary(ended)))
