@@ -58,6 +58,23 @@ def conditions_of(actuation: Actuation) -> dict[str, np.ndarray]:
     return {name: np.interp(actuation.time_s, inputs.time_s, values) for name, values in inputs.columns.items()}
 
 
+def acting(
+    actuation: Actuation, of: Callable[[np.ndarray, float, Mapping[str, np.ndarray]], np.ndarray]
+) -> np.ndarray:
+    """What onsets and regions make of terms at the samples, (..., n): they act from row to row of the recording.
+
+    Args:
+        actuation: with the inputs.
+        of: (times [s], the recording's start [s], conditions at these times) -> (..., number of times).
+    """
+    start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
+    if actuation.rows is None:
+        return of(actuation.time_s, start, conditions)
+    first = np.flatnonzero(np.diff(actuation.rows, prepend=-1))
+    at_rows = of(actuation.time_s[first], start, {name: values[first] for name, values in conditions.items()})
+    return at_rows[..., actuation.rows]
+
+
 def extension_of(
     actuation: Actuation, terms: Terms, size: int, restarts: Sequence[int] | np.ndarray = (0,)
 ) -> Extension:
@@ -66,7 +83,7 @@ def extension_of(
     Laws are left aside.
     """
     start = actuation.inputs.recording_start_s
-    schedule = amounts(terms, STATE_EFFECTS, actuation.time_s, start, conditions_of(actuation))
+    schedule = acting(actuation, partial(amounts, terms, STATE_EFFECTS))
     coefficients = corrections_in(terms)
     return Extension(
         np.ones((len(STATE_EFFECTS), size)), schedule, restarts=restarts, start_s=start,
@@ -93,7 +110,8 @@ def simulate_terms(
 
     Returns:
         States (B, n, 6) and measured (B, n, 6). Law terms enter as signals that are iterated with the trajectory
-        (`LAW_SWEEPS` simulations); between samples they are linear.
+        (`LAW_SWEEPS` simulations); between samples they are linear (`simulate.simulate` takes the integration
+        steps as samples, where they are as good as continuous).
     """
     extension = extension_of(actuation, batch.terms, batch.size, restarts)
     starts = np.asarray(initial, dtype=np.float64)
@@ -151,10 +169,7 @@ def _one_by_one(batch: ParameterBatch) -> Iterator[ParameterBatch]:
 
 
 def _sensed(observed: Observations, actuation: Actuation, batch: ParameterBatch) -> Observations:
-    rows = amounts(
-        batch.terms, SENSOR_SLOTS, actuation.time_s, actuation.inputs.recording_start_s,
-        conditions_of(actuation),
-    )  # fmt: skip
+    rows = acting(actuation, partial(amounts, batch.terms, SENSOR_SLOTS))
     ones = {name: np.ones(batch.size) for name, row in zip(SENSOR_SLOTS, rows, strict=True) if row.any()}
     schedules = dict(zip(SENSOR_SLOTS, rows, strict=True))
     return replace(
@@ -259,15 +274,10 @@ def quantities_under(
     return under(settled(answer, {}, rounds=rounds, secant=secant))
 
 
-def magnitudes_at(
-    terms: Terms, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]
-) -> Any:
-    """Magnitudes of the effects in the right-hand side at the samples, (n,) each, drifts as rate times time.
-
-    Args: as of `terms.amounts`.
-    """
-    rows = amounts(terms, STATE_EFFECTS, time_s, start_s, conditions)
-    rows[np.array(DRIFTS)] *= np.maximum(time_s - start_s, 0.0)
+def magnitudes_at(actuation: Actuation, terms: Terms) -> Any:
+    """Magnitudes of the effects in the right-hand side at the samples, (n,) each, drifts as rate times time."""
+    rows = acting(actuation, partial(amounts, terms, STATE_EFFECTS))
+    rows[np.array(DRIFTS)] *= np.maximum(actuation.time_s - actuation.inputs.recording_start_s, 0.0)
     return Magnitudes(*rows)
 
 
@@ -284,18 +294,18 @@ def along(
         c: constants; arrays of shape (B, 1) for several lanes.
         laws_only: leave the maps' corrections out of the signals (not of the quantities).
     """
-    start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
     n_e, u_delta, u_egr, u_vgt = actuation.at_samples()
-    m = magnitudes_at(terms, actuation.time_s, start, conditions)
+    m = magnitudes_at(actuation, terms)
     inertia = getattr(m, GAS_LAG)
     laws = law_terms(terms)
-    factors = [law.factor(actuation.time_s, start, conditions) for law in laws]
+    factors = [acting(actuation, law.factor) for law in laws]
     coefficients = corrections_in(terms)
     under = partial(quantities_under, secant=True, corrections=coefficients)
     p_im, p_em, omega_t, x_r, T_1 = np.moveaxis(states[..., :5], -1, 0)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega_t, "x_r": x_r, "T_1": T_1,
-        "n_e": n_e, "u_delta": u_delta, "u_egr": u_egr, "u_vgt": u_vgt, "t": actuation.time_s - start,
+        "n_e": n_e, "u_delta": u_delta, "u_egr": u_egr, "u_vgt": u_vgt,
+        "t": actuation.time_s - actuation.inputs.recording_start_s,
     }  # fmt: skip
     model = numpy_model()
     if states.shape[-1] > 5:

@@ -130,6 +130,8 @@ class Actuation:
         u_egr1, u_egr2, u_vgt: actuator states at the sample times [%], (n,).
         u_egr: valve position K_egr u_egr1 - (K_egr - 1) u_egr2 at the sample times [%], (n,).
         grid: n_e, u_delta, u~_egr, u~_vgt at every half integration step, (4, 2 N + 1).
+        rows: which row of a coarser recording each sample lies in, (n,), where the samples are finer than the
+            recording; None: the samples are its rows.
     """
 
     time_s: np.ndarray
@@ -140,6 +142,7 @@ class Actuation:
     u_vgt: np.ndarray
     u_egr: np.ndarray
     grid: np.ndarray = field(repr=False)
+    rows: np.ndarray | None = field(default=None, repr=False)
 
     def at_samples(self) -> np.ndarray:
         """n_e, u_delta, u~_egr, u~_vgt at the samples, (4, n)."""
@@ -158,4 +161,5 @@ def actuate_like(actuation: Actuation, fine_inputs: Inputs) -> Actuation:
     """An actuation that also has samples at every integration step of `actuation`, with its actuator states."""
     steps = np.ones(fine_inputs.time_s.size - 1, dtype=np.int64)
     u_egr, u_vgt = actuation.grid[2, ::2], actuation.grid[3, ::2]
-    return Actuation(fine_inputs.time_s, steps, fine_inputs, u_egr, u_egr, u_vgt, u_egr, actuation.grid)
+    rows = np.append(np.repeat(np.arange(actuation.steps.size), actuation.steps), actuation.steps.size)
+    return Actuation(fine_inputs.time_s, steps, fine_inputs, u_egr, u_egr, u_vgt, u_egr, actuation.grid, rows)
