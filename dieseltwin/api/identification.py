@@ -190,7 +190,7 @@ class IdentificationQuestion:
         config, problems = self.settings.identify, self.problems
         doubts: list[Note] = []
         if self.tested is not None:
-            fit = tested(self.recording, *self.tested)
+            fit = tested(self.recording, *self.tested, minutes_max=self.settings.discover.minutes_max)
             doubts = list(fit.notes)
             if fit.shown:
                 words = " and ".join(circumstance_words(found_circumstance(item)) for item in fit.shown)

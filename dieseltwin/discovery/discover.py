@@ -13,6 +13,7 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import effect_responses, minimum_detectable, score, secant_sizes
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.circumstances import leading
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
@@ -24,12 +25,11 @@ from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.notes import Note
-from dieseltwin.recordings.circumstances import put_right
+from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, put_right
 from dieseltwin.recordings.dates import ORDER, Dated
 from dieseltwin.recordings.liveliest import liveliest
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.settings.params import load_params
 from dieseltwin.settings.search import SearchSettings
 
 
@@ -116,20 +116,30 @@ def _with_doubts(
 
 
 def as_it_was(
-    recording: Recording, engine: EngineParameters, options: Options | None = None
+    recording: Recording, engine: EngineParameters, options: Options | None = None, minutes_max: float | None = None
 ) -> tuple[Recording, EngineParameters, tuple[Estimate, ...]]:
     """The recording with its clocks and its ambient put right, the engine with its charge temperature, and what was
-    found of all that the recording doesn't say; without a verdict. Of a long recording the liveliest stretches tell.
+    put right; without a verdict.
+
+    Where an effect of the catalogue stands out, the circumstances are what they are beside it: alone they would bend to
+    imitate it.
+
+    Args:
+        recording, engine, options: as of `discover`.
+        minutes_max: of a longer recording the liveliest stretches tell; None: all of it.
 
     Raises:
         InputError: no usable sensor, or no stretch with the engine running.
     """
     options = options or Options()
-    most = load_params().discover.minutes_max
-    twin = _twin(recording if most is None else liveliest(recording, most), engine, options, None)
+    twin = _twin(recording if minutes_max is None else liveliest(recording, minutes_max), engine, options, None)
     found = search.looked_at(twin, options.settings())
-    values = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
-    return (*put_right(recording, engine, values), estimates(found.null))
+    moved = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
+    shown = tuple(item for item in estimates(leading(found)) if item.off and item.circumstance.kind != DRIFT)
+    clocks = {item.circumstance.name for item in shown if item.circumstance.kind == TIME_SHIFT}
+    values = {item.circumstance.name: item.value for item in shown if item.circumstance.name not in clocks}
+    applied = {**moved, **values}  # clocks of sensors go by whole rows, as the twin took them
+    return (*put_right(recording, engine, applied), tuple(item for item in shown if item.circumstance.name in applied))
 
 
 def _dated(recordings: Recording | Sequence[Dated]) -> Sequence[Dated]:

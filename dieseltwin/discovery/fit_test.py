@@ -132,17 +132,19 @@ class Tested:
     notes: tuple[Note, ...]
 
 
-def tested(recording: Recording, engine: EngineParameters, sensors: Sequence[str]) -> Tested:
-    """Test whether the twin fits; where it doesn't, under the circumstances that the recording shows (`as_it_was`).
+def tested(
+    recording: Recording, engine: EngineParameters, sensors: Sequence[str], minutes_max: float | None = None
+) -> Tested:
+    """Test whether the twin fits; where it doesn't, under the circumstances that the recording shows.
 
     Args:
         recording, engine, sensors: as of `fit_notes`.
+        minutes_max: of a longer recording the liveliest stretches show circumstances; None: all of it.
     """
     notes = tuple(fit_notes(recording, engine, sensors))
     if any(note.code in ("misfit", "residuals") for note in notes):
         there = tuple(name for name in sensors if name in recording.columns)
-        right, under, said = as_it_was(recording, engine, Options(sensors=there))
-        shown = tuple(item for item in said if item.off)
+        right, under, shown = as_it_was(recording, engine, Options(sensors=there), minutes_max)
         if shown:
             return Tested(right, under, shown, tuple(fit_notes(right, under, sensors)))
     return Tested(recording, engine, (), notes)

@@ -62,7 +62,7 @@ def under_circumstances(found: Search) -> Twin | None:
     return (_plainly_off(found, twin, rest) if rest else None) or _moved(found, twin)
 
 
-def _leading(found: Search) -> Linearisation:
+def leading(found: Search) -> Linearisation:
     """The best single effect where it raises an alarm, else health alone; in the common metric."""
     if not found.singles or found.gain(found.singles[0]) < found.settings.alarm_gain:
         return found.null
@@ -71,7 +71,7 @@ def _leading(found: Search) -> Linearisation:
 
 def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     """The twin about the estimates of what is open, where these are far from where it is."""
-    lead = _leading(found)
+    lead = leading(found)
     movable = [item for item in open_circumstances(found.twin) if item.kind not in (DRIFT, SCALE)]
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
     values: dict[str, float] = {}
@@ -125,7 +125,7 @@ def _rival(found: Search, at: Linearisation, enough: float) -> float:
 
 def _plainly_off(found: Search, twin: WithCircumstances, rest: Sequence[Circumstance]) -> Twin | None:
     """The twin under the circumstances that add more to the best single effect than any other; None where none do."""
-    lead = _leading(found)
+    lead = leading(found)
     linear = _linear_gain(lead, twin, rest)
     beliefs = twin.beliefs
     if linear < beliefs.evidence:

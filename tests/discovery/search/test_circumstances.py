@@ -9,9 +9,11 @@ import pandas as pd
 import pytest
 
 from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.discovery.discover import as_it_was, discover
+from dieseltwin.discovery.fit_test import tested
 from dieseltwin.discovery.likelihood.fit import first_fit
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
@@ -21,6 +23,7 @@ from dieseltwin.engine.inputs import INPUT_COLUMNS
 from dieseltwin.recordings.dates import MODIFIED, Dated
 from dieseltwin.recordings.reader import recording
 from dieseltwin.report.discovery_words import sentence
+from dieseltwin.symbols import MEASURED
 
 LATE_S = 0.28
 
@@ -46,10 +49,22 @@ def test_a_late_engine_speed_is_said_and_no_fault_is_named() -> None:
     (late,) = (item for item in document.circumstances if item.off)
     assert late.name == "time_shift:n_e_rpm" and late.value == pytest.approx(LATE_S, abs=0.02)
     assert "n_e_rpm is recorded 0.2" in sentence(document) and "s late" in sentence(document)
-    right, _, said = as_it_was(recording(frame), we2011.PARAMETERS)
-    assert {item.circumstance.name for item in said if item.off} == {late.name}
+    right, _, shown = as_it_was(recording(frame), we2011.PARAMETERS)
+    assert {item.circumstance.name for item in shown} == {late.name}
     off = np.abs(right.columns["n_e_rpm"] - _driven()["n_e_rpm"])[5:-5]
     assert off.mean() < 0.3 * np.abs(frame["n_e_rpm"] - _driven()["n_e_rpm"])[5:-5].mean()
+
+
+def test_the_ambient_does_not_bend_to_imitate_a_leak() -> None:
+    """The fit of health alone takes a leak of 40 mm2 for an ambient of 51 degC."""
+    driving = draw_driving("random", 300.0, we2011.PARAMETERS.model_dump(), np.random.default_rng(3))
+    leak = Fault("boost_leak", 4e-5)
+    run = run_plant(driving, we2011.PARAMETERS.model_dump(), faults=(leak,))
+    frame = read(run, driving, (leak,), SensorSet.perfect(), 6, np.random.default_rng(4))
+    bare = recording(frame.drop(columns=["p_amb_pa", "t_amb_k"], errors="ignore"))
+    found = tested(bare, we2011.PARAMETERS, MEASURED)
+    assert found.shown == () and found.recording is bare
+    assert "boost_leak" in next(note for note in found.notes if note.code == "misfit")
 
 
 def test_a_healthy_engine_on_a_hill_is_let_be() -> None:
