@@ -1,17 +1,30 @@
-"""Levenberg-Marquardt over the heads and parameters of many runs at once, each with its own damping."""
+"""Levenberg-Marquardt over the heads and parameters of many runs at once, each with its own damping and factor.
+
+Cost and gradient are exact at every point. The Hessian, a hundred times as dear, is assembled and factorised again only
+where the kept one no longer serves: where a step was refused, or shrank the decrement too little.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from torch import Tensor
 
-from dieseltwin.identification.few_shot.collocation import Collocation, Data, Quadratic
+from dieseltwin.identification.few_shot.collocation import Collocation, Curvature, Data, Objective
 from dieseltwin.identification.few_shot.residuals import N_HEALTH, Cylinder
+
+Array = NDArray[np.float64]
 
 DAMPING_DOWN, DAMPING_UP = 0.1, 8.0
 DAMPING_MIN, DAMPING_MAX = 1e-9, 1e6
+DAMPING_AT_REST = 1e-5
+"""A factor with more damping than this isn't asked whether a run has arrived: damping shortens the way that is left."""
+KEPT_BELOW = 0.3
+"""A factor is kept while a step shrinks the decrement to this share of itself."""
 HEALTH_STEP = 0.5
 """Largest change of a log-parameter in one step."""
 HEALTH_RIDGE = 1e-2
@@ -20,53 +33,90 @@ valve) leaves a row of zeros that no factorisation takes, and would stop all the
 prior with a standard deviation of 10 in the logarithm, is no part of the objective, and so biases nothing."""
 
 
+class Factor:
+    """The Hessian of one run and the Cholesky factor of what a step takes of it.
+
+    Attributes:
+        damping: Levenberg-Marquardt factor of the next factorisation [-].
+        stale: the Hessian belongs to an earlier point.
+    """
+
+    def __init__(self, problem: Collocation, damping: float) -> None:
+        self.damping, self.stale = damping, False
+        self._problem = problem
+        self._hessian: Array = np.empty((0, 0))
+        self._factor: Array = np.empty((0, 0))
+        self._factorised_with = float("inf")
+        self._usable = False
+
+    def renew(self, of: Curvature, lane: int) -> None:
+        """Take the Hessian of the point where run `lane` stands."""
+        if not self._hessian.size:
+            self._hessian = np.empty((self._problem.size,) * 2)
+        self._problem.hessian(of, lane, self._hessian)
+        self.stale = False
+        self.factorise()
+
+    def factorise(self) -> None:
+        """Factorise the Hessian with the present damping."""
+        damped = self._hessian.copy()
+        diagonal = np.einsum("ii->i", damped)
+        diagonal *= 1.0 + self.damping
+        diagonal[-N_HEALTH:] += HEALTH_RIDGE
+        # The upper triangle of rows is the lower one of columns, which is what LAPACK takes.
+        self._factor, info = dpotrf(damped.T, lower=1, clean=0, overwrite_a=1)
+        self._factorised_with, self._usable = self.damping, info == 0
+
+    def step(self, gradient: Array) -> tuple[Array, float]:
+        """Damped step (m,) and its decrement; zeros and infinity where no step is usable."""
+        if self._usable:
+            step = -dpotrs(self._factor, gradient, lower=1)[0]
+            if np.isfinite(step).all():
+                return step, max(-float(step @ gradient), 0.0) ** 0.5
+        return np.zeros_like(gradient), float("inf")
+
+    @property
+    def damped_away(self) -> bool:
+        """Whether the factor holds more damping than it would now, too much to say how far the minimum is."""
+        return self._factorised_with > max(DAMPING_AT_REST, self.damping)
+
+    @property
+    def empty(self) -> bool:
+        """Whether no Hessian was taken yet."""
+        return not self._hessian.size
+
+    def log_std(self) -> Array:
+        """(4,) standard deviations of the log-parameters; infinite where there is no factor.
+
+        The last rows of the factor's inverse are those of the parameters: inv(L)' inv(L) is the covariance.
+        """
+        if not self._usable:
+            return np.full(N_HEALTH, np.inf)
+        corner, _ = dtrtrs(self._factor[-N_HEALTH:, -N_HEALTH:], np.eye(N_HEALTH), lower=1)
+        return np.asarray(np.sqrt((corner**2).sum(axis=0)))
+
+
 @dataclass
 class Runs:
-    """State of R runs; updated in place by `minimise`.
+    """State of R runs.
 
     Attributes:
         unknowns: (R, m) heads and log-parameters.
-        quadratic: objective there.
-        damping: (R,) Levenberg-Marquardt factor.
+        objective: there.
+        factors: of each run.
         decrement: (R,) distance to the minimum that the local model predicts [standard deviations].
         iterations: (R,) evaluations so far.
     """
 
     unknowns: Tensor
-    quadratic: Quadratic
-    damping: Tensor
+    objective: Objective
+    factors: list[Factor]
     decrement: Tensor
     iterations: Tensor
 
-
-def ridge(size: int, dtype: torch.dtype) -> Tensor:
-    """(size, size) diagonal matrix with `HEALTH_RIDGE` for the log-parameters, the last of the unknowns."""
-    added = torch.zeros(size, dtype=dtype)
-    added[-N_HEALTH:] = HEALTH_RIDGE
-    return torch.diag(added)
-
-
-def _rows(cylinder: Cylinder, lanes: Tensor) -> Cylinder:
-    return Cylinder(cylinder.x_r[lanes], cylinder.T_1[lanes])
-
-
-def _take(q: Quadratic, lanes: Tensor) -> Quadratic:
-    """The same for some of the runs."""
-    gradient = None if q.gradient is None else q.gradient[lanes]
-    hessian = None if q.hessian is None else q.hessian[lanes]
-    return Quadratic(q.cost[lanes], gradient, hessian, q.physics[lanes], q.data[lanes], _rows(q.cylinder, lanes))
-
-
-def _step(hessian: Tensor, gradient: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
-    """Damped step (R, m), and which runs have a usable one."""
-    diagonal = torch.diagonal(hessian, dim1=-2, dim2=-1)
-    damped = hessian + torch.diag_embed(damping[:, None] * diagonal) + ridge(diagonal.shape[-1], diagonal.dtype)
-    factor, info = torch.linalg.cholesky_ex(damped)
-    step = -torch.cholesky_solve(gradient.unsqueeze(-1), factor).squeeze(-1)
-    usable = (info == 0) & torch.isfinite(step).all(-1)
-    step = torch.where(usable[:, None], step, torch.zeros_like(step))
-    longest = step[:, -N_HEALTH:].abs().amax(-1, keepdim=True) / HEALTH_STEP
-    return step / longest.clamp(min=1.0), usable
+    def log_std(self) -> Tensor:
+        """(R, 4) standard deviations of the log-parameters, of the factors that were kept."""
+        return torch.from_numpy(np.stack([factor.log_std() for factor in self.factors]))
 
 
 def minimise(
@@ -77,7 +127,7 @@ def minimise(
     dof: float,
     tolerance: float,
     iterations_max: int,
-    damping: Tensor | float = 1e-3,
+    damping: float = 1e-3,
     start: Cylinder | None = None,
 ) -> Runs:
     """Minimise the objective of R runs; a run rests once its decrement is below the tolerance.
@@ -88,51 +138,77 @@ def minimise(
         dof: tails of the physics residuals.
         tolerance: decrement that counts as converged [standard deviations].
         iterations_max: most trial steps.
-        damping: first factor, (R,) or one for all.
+        damping: first factor.
         start: warm start of x_r and T_1.
 
     Returns:
         The best point of each run.
     """
     x = unknowns.clone()
-    best = problem(x, data, dof, start=start)
-    if best.gradient is None or best.hessian is None:
-        return Runs(x, best, x[:, 0], x[:, 0], x[:, 0])
-    cost, gradient, hessian = best.cost, best.gradient, best.hessian
-    physics, misfit, cylinder = best.physics, best.data, best.cylinder
-    count = x.shape[0]
-    factor = torch.as_tensor(damping, dtype=x.dtype).expand(count).clone()
-    decrement = torch.full((count,), float("inf"), dtype=x.dtype)
-    iterations = torch.ones(count, dtype=torch.int64)
-    active = torch.nonzero(torch.isfinite(cost)).squeeze(-1)
-    everything = torch.arange(count)
-    fixed_lanes = problem.model.lanes > 1  # maps hold a member for each run: the batch can't shrink
+    here = problem(x, data, dof, start=start)
+    count = len(x)
+    runs = Runs(x, here, [Factor(problem, damping) for _ in range(count)], torch.full((count,), float("inf"), dtype=x.dtype),
+                torch.ones(count, dtype=torch.int64))  # fmt: skip
+    active = torch.nonzero(torch.isfinite(here.cost)).squeeze(-1)
     for _ in range(iterations_max):
+        steps = {lane: _next(runs, lane, tolerance) for lane in active.tolist()}
+        active = torch.tensor([lane for lane, step in steps.items() if step is not None], dtype=torch.int64)
         if not active.numel():
             break
-        step, usable = _step(hessian[active], gradient[active], factor[active])
-        decrement[active] = (-(step * gradient[active]).sum(-1)).clamp(min=0.0).sqrt()
-        small = (decrement[active] < tolerance) & usable & (factor[active] < 1.0)
-        go = ~small
-        active, step, usable = active[go], step[go], usable[go]
-        if not active.numel():
-            break
+        step = torch.from_numpy(np.stack([s for s in steps.values() if s is not None]))
         trial = x[active] + step
-        if fixed_lanes:
-            whole = x.clone()
-            whole[active] = trial
-            there = _take(problem(whole, data, dof, start=_rows(cylinder, everything)), active)
-        else:
-            there = problem(trial, data.take(active), dof, start=_rows(cylinder, active))
-        iterations[active] += 1
-        accepted = usable & torch.isfinite(there.cost) & (there.cost < cost[active])
-        factor[active] = torch.where(accepted, factor[active] * DAMPING_DOWN, factor[active] * DAMPING_UP)
-        factor.clamp_(DAMPING_MIN, DAMPING_MAX)
-        to, of = active[accepted], accepted
-        x[to], cost[to] = trial[of], there.cost[of]
-        gradient[to], hessian[to] = there.gradient[of], there.hessian[of]  # type: ignore[index]
-        physics[to], misfit[to] = there.physics[of], there.data[of]
-        cylinder.x_r[to], cylinder.T_1[to] = there.cylinder.x_r[of], there.cylinder.T_1[of]
-        active = active[factor[active] < DAMPING_MAX]
-    final = Quadratic(cost, gradient, hessian, physics, misfit, cylinder)
-    return Runs(x, final, factor, decrement, iterations)
+        there = _evaluate(problem, data, dof, runs, active, trial)
+        runs.iterations[active] += 1
+        accepted = torch.isfinite(there.cost) & (there.cost < here.cost[active])
+        to, of = active[accepted], torch.nonzero(accepted).squeeze(-1)
+        x[to] = trial[of]
+        here.put(to, there, of)
+        active = torch.tensor(
+            [lane for lane, good in zip(active.tolist(), accepted.tolist(), strict=True) if _goes_on(runs, lane, good)],
+            dtype=torch.int64,
+        )
+    return runs
+
+
+def _next(runs: Runs, lane: int, tolerance: float) -> Array | None:
+    """The next step of a run (m,); None where it has arrived."""
+    factor, gradient = runs.factors[lane], runs.objective.gradient[lane].numpy()
+    if factor.empty:
+        factor.renew(runs.objective.curvature, lane)
+    step, decrement = factor.step(gradient)
+    if factor.stale and decrement > KEPT_BELOW * float(runs.decrement[lane]):
+        factor.renew(runs.objective.curvature, lane)
+        step, decrement = factor.step(gradient)
+    elif decrement < tolerance and factor.damped_away:
+        factor.factorise()
+        step, decrement = factor.step(gradient)
+    runs.decrement[lane] = decrement
+    if decrement < tolerance and factor.damping < 1.0:
+        return None
+    longest = float(np.abs(step[-N_HEALTH:]).max()) / HEALTH_STEP
+    return step / max(longest, 1.0)
+
+
+def _goes_on(runs: Runs, lane: int, accepted: bool) -> bool:
+    """Set a run's damping after a trial; whether there is another."""
+    factor = runs.factors[lane]
+    if accepted:
+        factor.damping, factor.stale = max(factor.damping * DAMPING_DOWN, DAMPING_MIN), True
+    elif factor.stale:  # a refused step of a Hessian from elsewhere says little
+        factor.renew(runs.objective.curvature, lane)
+    else:
+        factor.damping = min(factor.damping * DAMPING_UP, DAMPING_MAX)
+        factor.factorise()
+    return factor.damping < DAMPING_MAX
+
+
+def _evaluate(
+    problem: Collocation, data: Data, dof: float, runs: Runs, lanes: Tensor, trial: Tensor
+) -> Objective:
+    """The objective of some runs at their trial points."""
+    if problem.model.lanes > 1:  # maps hold a member for each run: the batch can't shrink
+        whole = runs.unknowns.clone()
+        whole[lanes] = trial
+        return problem(whole, data, dof, start=runs.objective.cylinder).take(lanes)
+    warm = Cylinder(*(v[lanes] for v in runs.objective.cylinder))
+    return problem(trial, data, dof, lanes=lanes, start=warm)

@@ -11,6 +11,7 @@ made orthonormal once (QR): a trained body's own columns have condition numbers 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,6 +21,7 @@ from scipy.interpolate import BSpline
 from torch import Tensor
 
 from dieseltwin.errors import InputError
+from dieseltwin.identification.few_shot._compiled import PATH_ROWS, transform
 from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
 SCALES = tuple(TRANSFORMS[name].scale for name in ("p_im_pa", "p_em_pa", "omega_t_rad_s"))
@@ -96,19 +98,21 @@ class Heads:
         """(.., size) heads by state."""
         return torch.split(heads, list(self.widths), -1)
 
+    @cached_property
+    def stacked(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Columns and below them their rates, (2 n, k) of each state."""
+        a, b, c = (torch.cat(pair) for pair in zip(self.columns, self.rates, strict=True))
+        return a, b, c
+
     def trajectory(self, heads: Tensor) -> Trajectory:
         """States and rates of (R, size) heads."""
-        parts = self.split(heads)
-        z = torch.stack([h @ q.T for h, q in zip(parts, self.columns, strict=True)], -1)
-        dz = torch.stack([h @ d.T for h, d in zip(parts, self.rates, strict=True)], -1)
-        scale = z.new_tensor(SCALES)
-        slope = torch.sigmoid(z)
-        return Trajectory(
-            scale * torch.nn.functional.softplus(z),
-            scale * slope * dz,
-            scale * slope,
-            scale * slope * (1.0 - slope) * dz,
-        )
+        n = self.columns[0].shape[0]
+        z = heads.new_empty(heads.shape[0], len(self.columns), 2 * n)
+        for j, (part, both) in enumerate(zip(self.split(heads), self.stacked, strict=True)):
+            torch.matmul(part, both.T, out=z[:, j])
+        path = heads.new_empty(heads.shape[0], PATH_ROWS, n)
+        transform(z.numpy(), np.array(SCALES), path.numpy())
+        return Trajectory(path)
 
     def project(self, states: Tensor) -> Tensor:
         """Heads (R, size) of the least-squares projection of states (R, n, 3) in inverse-transformed
@@ -119,20 +123,24 @@ class Heads:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States of heads over time, all (R, n, 3) in the order p_im, p_em, omega_t.
+    """States of heads over time in the order p_im, p_em, omega_t.
 
     Attributes:
-        states: [Pa, Pa, rad/s].
-        rates: their time derivatives [per s].
-        slope: derivative of a state with respect to the linear output z; of a rate with respect to dz/dt,
-            too.
-        bend: derivative of a rate with respect to z.
+        rows: (R, 12, n) states, their rates, slopes (derivative of a state with respect to the linear output z; of a
+            rate with respect to dz/dt, too) and bends (derivative of a rate with respect to z), three rows each.
     """
 
-    states: Tensor
-    rates: Tensor
-    slope: Tensor
-    bend: Tensor
+    rows: Tensor
+
+    @property
+    def states(self) -> Tensor:
+        """(R, n, 3) [Pa, Pa, rad/s]."""
+        return self.rows[:, :3].mT
+
+    @property
+    def rates(self) -> Tensor:
+        """(R, n, 3) time derivatives of the states [per s]."""
+        return self.rows[:, 3:6].mT
 
 
 def inverse_transform(states: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from dieseltwin.engine import Actuation, EngineParameters, actuate
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import cautious_bound, states_within
 from dieseltwin.identification.few_shot.collocation import Collocation, Data
-from dieseltwin.identification.few_shot.damped_newton import Runs, minimise, ridge
+from dieseltwin.identification.few_shot.damped_newton import Factor, Runs, minimise
 from dieseltwin.identification.few_shot.defects import STEP_S, Defects, defects, simulate_windows, windows_for
 from dieseltwin.identification.few_shot.heads import heads_for
 from dieseltwin.identification.few_shot.process_noise import Setting, calibrate
@@ -177,7 +177,7 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
             simulated = heads.project(torch.maximum(found.states, torch.tensor(LEAST_STATE, dtype=found.states.dtype)))
             unknowns = torch.cat([simulated, unknowns[:, -N_HEALTH:]], -1)
         data = Data(clean, weights, multiple * noise.at(found.rate), found.rate, found.reading)
-        warm: Cylinder | None = None if state is None else state.quadratic.cylinder
+        warm: Cylinder | None = None if state is None else state.objective.cylinder
         state = minimise(
             collocation,
             data,
@@ -191,14 +191,14 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
         moved = (state.unknowns - unknowns)[:, -N_HEALTH:].abs()
         unknowns = state.unknowns
         if last:
-            log_std = _log_std(state)
+            log_std = state.log_std()
             settled = (moved <= MOVED_BELOW * log_std).all(-1)
             if number >= len(settings.stages) and bool(settled.all()):
                 break
     if state is None:
         raise InputError("newton stages", settings.stages, "one or more", "correct the settings")
-    converged = settled & (state.decrement <= CONVERGED_BELOW) & torch.isfinite(state.quadratic.cost)
-    return Solution(state, found, converged, log_std)
+    converged = settled & (state.decrement <= CONVERGED_BELOW) & torch.isfinite(state.objective.cost)
+    return Solution(state, found, converged, _log_std(collocation, state))
 
 
 def first_heads(setting: Setting, readings: Tensor, begin: Tensor) -> Tensor:
@@ -233,19 +233,17 @@ def _defects(setting: Setting, unknowns: Tensor) -> Defects:
     return defects(setting.heads, setting.inputs, setting.exact, setting.windows, setting.problem.parameters, unknowns)
 
 
-def _log_std(state: Runs) -> Tensor:
+def _log_std(collocation: Collocation, state: Runs) -> Tensor:
     """(R, 4) standard deviations of the log-parameters from the inverse Hessian; infinite where it is singular.
 
     With the ridge of the steps: behind a shut valve A_egrmax has no curvature, and the others must keep theirs.
     """
-    hessian = state.quadratic.hessian
-    if hessian is None:
-        return torch.full((len(state.unknowns), N_HEALTH), float("inf"), dtype=state.unknowns.dtype)
-    factor, info = torch.linalg.cholesky_ex(hessian + ridge(hessian.shape[-1], hessian.dtype))
-    # The last rows of the factor's inverse are those of the parameters: inv(L)' inv(L) is the covariance.
-    corner = torch.linalg.inv_ex(factor[:, -N_HEALTH:, -N_HEALTH:]).inverse
-    variance = (corner**2).sum(-2)
-    return torch.where((info == 0)[:, None], variance.sqrt(), torch.full_like(variance, float("inf")))
+    factor = Factor(collocation, 0.0)
+    rows = []
+    for lane in range(len(state.unknowns)):
+        factor.renew(state.objective.curvature, lane)
+        rows.append(factor.log_std())
+    return torch.from_numpy(np.stack(rows))
 
 
 def _segment(
@@ -271,7 +269,7 @@ def _segment(
     log_std = torch.cat([s.log_std for s, _ in parts]).numpy()
     converged = torch.cat([s.converged for s, _ in parts]).numpy()
     states = torch.cat([x for _, x in parts]).numpy()
-    misfit = torch.cat([(s.runs.quadratic.data**2).sum((-1, -2)) for s, _ in parts]).numpy()
+    misfit = torch.cat([(s.runs.objective.data**2).sum((-1, -2)) for s, _ in parts]).numpy()
     health = np.exp(unknowns[:, -N_HEALTH:].numpy())
     used = converged if converged.any() else np.ones_like(converged)
     pooled_states = states[used].mean(axis=0)
@@ -304,7 +302,7 @@ def _solved(
 
 def _doubtful(problem: SegmentProblem, solutions: list[Solution]) -> list[int]:
     """Runs that did not converge, or that fit clearly worse than the others: caught at a kink of the equations."""
-    misfit = torch.cat([(s.runs.quadratic.data**2).sum((-1, -2)) for s in solutions])
+    misfit = torch.cat([(s.runs.objective.data**2).sum((-1, -2)) for s in solutions])
     converged = torch.cat([s.converged for s in solutions])
     freedom = max(int(problem.observed.sum()), 1)
     worse = misfit > misfit.median() + DOUBTFUL_SIGMAS * (2.0 * freedom) ** 0.5
@@ -316,15 +314,15 @@ def _replace_if_better(old: tuple[Solution, Tensor], i: int, new: tuple[Solution
     if not bool(other.converged[j]) and bool(mine.converged[i]):
         return
     if bool(other.converged[j]) == bool(mine.converged[i]) and bool(
-        other.runs.quadratic.cost[j] >= mine.runs.quadratic.cost[i]
+        other.runs.objective.cost[j] >= mine.runs.objective.cost[i]
     ):
         return
     mine.runs.unknowns[i], mine.log_std[i], mine.converged[i] = (
         other.runs.unknowns[j], other.log_std[j], other.converged[j]
     )  # fmt: skip
-    mine.runs.quadratic.data[i], mine.runs.quadratic.cost[i] = (
-        other.runs.quadratic.data[j],
-        other.runs.quadratic.cost[j],
+    mine.runs.objective.data[i], mine.runs.objective.cost[i] = (
+        other.runs.objective.data[j],
+        other.runs.objective.cost[j],
     )
     old[1][i] = new[1][j]
 

@@ -113,10 +113,10 @@ def calibrate(setting: Setting, model: PointModel, settings: NewtonSettings) -> 
 
 def _restoring(exact: PointModel, inputs: DrivenInputs, states: Tensor, health: Tensor) -> Tensor:
     """(3,) median size of the rate that drives each state back, per unit of the state [1/s]."""
-    rates = exact(states, health, inputs).d_rates
-    if rates is None:
+    slopes = exact(states, health, inputs).slopes
+    if slopes is None:
         raise ValueError("the model returned no derivatives")
-    return torch.diagonal(rates[0, ..., :3], dim1=-2, dim2=-1).abs().median(0).values
+    return torch.diagonal(slopes[0, :3, :3]).abs().median(0).values
 
 
 def _defects(setting: Setting, path: Trajectory, log_health: Tensor) -> Defects:

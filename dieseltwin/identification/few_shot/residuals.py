@@ -1,8 +1,8 @@
 """Physics residuals and predicted readings at given states, over (runs, time), with pointwise derivatives.
 
-Every formula is the engine's own (`engine.bind("torch")`): this module only asks for `quantities` and
-differentiates
-them. Learned maps take the place of formulas by `bind("torch", replace=maps)`.
+Every formula is the engine's own: this module only asks for `quantities` and their derivatives. Those of the published
+equations are compiled (`engine.tangents`); learned maps (`bind("torch", replace=maps)`) and the terms of an engine are
+differentiated by torch.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -76,19 +77,26 @@ class Point:
     """The model at given states with x_r and T_1 eliminated.
 
     Attributes:
-        rates: (.., n, 3) dp_im/dt, dp_em/dt [Pa/s], domega_t/dt [rad/s2].
-        readings: (.., n, 3) W_egr [kg/s], T_em [K], W_c [kg/s]: the readings that are not states.
+        values: (R, 6, n) dp_im/dt, dp_em/dt [Pa/s], domega_t/dt [rad/s2], and W_egr [kg/s], T_em [K], W_c [kg/s]: the
+            readings that are not states.
         cylinder: x_r and T_1, also the warm start of the next call.
-        d_rates: (.., n, 3, 7) derivatives with respect to p_im, p_em, omega_t and the log-parameters; None
+        slopes: (R, 6, 7, n) derivatives of the values with respect to p_im, p_em, omega_t and the log-parameters; None
             if not asked.
-        d_readings: (.., n, 3, 7) the same of `readings`.
     """
 
-    rates: Tensor
-    readings: Tensor
+    values: Tensor
     cylinder: Cylinder
-    d_rates: Tensor | None = None
-    d_readings: Tensor | None = None
+    slopes: Tensor | None = None
+
+    @property
+    def rates(self) -> Tensor:
+        """(R, n, 3) rates of the states."""
+        return self.values[:, :3].mT
+
+    @property
+    def readings(self) -> Tensor:
+        """(R, n, 3) readings that are not states."""
+        return self.values[:, 3:].mT
 
 
 class PointModel:
@@ -120,6 +128,7 @@ class PointModel:
                 raise ValueError("equations with terms need the segment's actuation")
             self.model = TermModel(maps, parameters, [actuation], pointwise=True)
         self.lanes = lanes
+        self.compiled = maps is None and not parameters.terms
         self.constants: Constants = constants(parameters)
 
     def with_health(self, health: tuple[Tensor, ...] | list[Tensor]) -> Constants:
@@ -162,12 +171,14 @@ class PointModel:
         Returns:
             The point values; R may be 1.
         """
+        if self.compiled:
+            return self._compiled(states, log_health, inputs, derivatives, start)
         health = list(torch.exp(log_health).unsqueeze(1).unbind(-1))  # four of (R, 1)
         cylinder = self.cylinder(states, health, inputs, start)
         x = [*states.unbind(-1), *cylinder]
         if not derivatives:
             rates, readings, _ = _columns(self.model.quantities(*x, *inputs, self.with_health(health)))
-            return Point(torch.stack(rates, -1), torch.stack(readings, -1), cylinder)
+            return Point(torch.stack([*rates, *readings], 1), cylinder)
 
         shape = states.shape[:-1]
         with torch.enable_grad():
@@ -182,9 +193,27 @@ class PointModel:
         # A health value moves by itself in the direction of its logarithm.
         size = [1.0] * 5 + [v.detach() for v in point[5:]]
         jacobian = torch.stack([torch.stack([g * s for g, s in zip(row, size, strict=True)], -1) for row in rows], -2)
-        total = _eliminate(jacobian)
-        value = torch.stack([column.detach() for column in columns[:6]], -1)
-        return Point(value[..., :3], value[..., 3:], cylinder, total[..., :3, :], total[..., 3:, :])
+        values = torch.stack([column.detach() for column in columns[:6]], 1)
+        return Point(values, cylinder, _eliminate(jacobian).movedim(1, -1).contiguous())
+
+    def _compiled(
+        self, states: Tensor, log_health: Tensor, inputs: DrivenInputs, derivatives: bool, start: Cylinder | None
+    ) -> Point:
+        """The same, from the compiled kernel of the published equations."""
+        from dieseltwin.engine._compiled_tangents import N_RESULTS, linearise_points
+
+        runs, n = states.shape[:2]
+        begin = start or (states.new_tensor(X_R_START), states.new_tensor(T_1_START))
+        cylinder = torch.stack([v.expand(runs, n) for v in begin], 1)
+        driven = torch.stack([v.expand(-1, n) for v in torch.atleast_2d(*inputs)], 1)
+        results = states.new_empty(runs, N_RESULTS, n)
+        linearise_points(
+            states.mT.contiguous().numpy(), cylinder.numpy(), driven.numpy(),
+            torch.exp(log_health).expand(runs, -1).contiguous().numpy(), np.array(self.constants),
+            COLD_SWEEPS if start is None else WARM_SWEEPS, results.numpy(),
+        )  # fmt: skip
+        slopes = results[:, 6:].unflatten(1, (6, -1)) if derivatives else None
+        return Point(results[:, :6], Cylinder(*cylinder.unbind(1)), slopes)
 
 
 def _columns(q: Any) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], tuple[Tensor, ...]]:
