@@ -1,4 +1,4 @@
-"""The equations with their derivatives as straight-line text: they are run once on symbols that write down what is done.
+"""The equations with their derivatives as straight-line text, from one run on symbols that write down what is done.
 
 A symbol knows its value and its derivative in each direction, both as names in the text (forward mode). What is zero
 in a direction is not written, and what was written once is named again. The text is over the primitives of the

@@ -56,8 +56,8 @@ def test_pointwise_jacobian_against_central_differences(fine: tuple[torch.Tensor
     # The fixed point from a cold start needs more sweeps than one call before differences see nothing of it.
     start = model(x, FIELD, driven, derivatives=False).cylinder
     point = model(x, FIELD, driven, start=start)
-    assert point.d_rates is not None and point.d_readings is not None
-    analytic = torch.cat([point.d_rates, point.d_readings], -2)
+    assert point.slopes is not None
+    analytic = point.slopes.movedim(-1, 1)
     for j in range(7):
         step = 1e-5
         up, down, p_up, p_down = x.clone(), x.clone(), FIELD.clone(), FIELD.clone()
@@ -72,6 +72,23 @@ def test_pointwise_jacobian_against_central_differences(fine: tuple[torch.Tensor
         numeric = torch.cat([a.rates - b.rates, a.readings - b.readings], -1) / width
         scale = analytic[..., j].abs().amax((0, 1)).clamp(min=1e-12)
         assert ((numeric - analytic[..., j]).abs().amax((0, 1)) / scale < 2e-3).all(), f"direction {j}"
+
+
+def test_compiled_equations_are_those_that_torch_differentiates(
+    fine: tuple[torch.Tensor, torch.Tensor, Inputs],
+) -> None:
+    states, _, inputs = fine
+    driven = driven_inputs(actuate(inputs, we2011.FIELD, 0.001))
+    compiled, eager = PointModel(we2011.PARAMETERS), PointModel(we2011.PARAMETERS)
+    eager.compiled = False
+    assert compiled.compiled
+    health = torch.cat([FIELD, FIELD + 0.1])
+    both = [model(states[..., :3].expand(2, -1, -1), health, driven) for model in (compiled, eager)]
+    for name in ("values", "slopes"):
+        mine, other = (getattr(point, name) for point in both)
+        size = other.abs().amax(-1, keepdim=True).clamp(min=1e-30)
+        torch.testing.assert_close(mine / size, other / size, rtol=0.0, atol=1e-9)
+    torch.testing.assert_close(both[0].cylinder.x_r, both[1].cylinder.x_r)
 
 
 def test_learned_maps_take_the_place_of_formulas(fine: tuple[torch.Tensor, torch.Tensor, Inputs]) -> None:

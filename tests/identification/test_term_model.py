@@ -71,7 +71,7 @@ def test_point_derivatives_are_those_of_differences(terms: tuple) -> None:
     states = torch.tensor(observed.states[:, :, :3].copy())
     log_health = torch.tensor([[np.log(getattr(parameters, name)) for name in HEALTH]])
     point = model(states, log_health, told)
-    assert point.d_rates is not None and point.d_readings is not None
+    assert point.slopes is not None
     np.testing.assert_allclose(point.readings[0, 6:, 1], observed.measured[0, 6:, 4], rtol=2e-3)
     if any(getattr(term, "effect", "") in LAGS for term in terms):
         return  # the lag is held constant
@@ -85,7 +85,7 @@ def test_point_derivatives_are_those_of_differences(terms: tuple) -> None:
             step = torch.full_like(states[..., :1], 1e-5)
         other = model(moved, moved_health, told, derivatives=False)
         slope = torch.cat([(other.rates - point.rates) / step, (other.readings - point.readings) / step], -1)
-        exact = torch.cat([point.d_rates[..., column], point.d_readings[..., column]], -1)
+        exact = point.slopes[:, :, column].mT
         error = (slope - exact).abs().median(1).values
         assert (error <= 2e-3 * exact.abs().amax(1) + 1e-9).all(), column
 

@@ -129,6 +129,7 @@ def minimise(
     iterations_max: int,
     damping: float = 1e-3,
     start: Cylinder | None = None,
+    factors: list[Factor] | None = None,
 ) -> Runs:
     """Minimise the objective of R runs; a run rests once its decrement is below the tolerance.
 
@@ -140,6 +141,7 @@ def minimise(
         iterations_max: most trial steps.
         damping: first factor.
         start: warm start of x_r and T_1.
+        factors: of the same runs in a minimum nearby, to begin with.
 
     Returns:
         The best point of each run.
@@ -147,8 +149,11 @@ def minimise(
     x = unknowns.clone()
     here = problem(x, data, dof, start=start)
     count = len(x)
-    runs = Runs(x, here, [Factor(problem, damping) for _ in range(count)], torch.full((count,), float("inf"), dtype=x.dtype),
-                torch.ones(count, dtype=torch.int64))  # fmt: skip
+    kept = [Factor(problem, damping) for _ in range(count)] if factors is None else factors
+    for factor in kept:
+        factor.damping, factor.stale = damping, True
+    endless = torch.full((count,), float("inf"), dtype=x.dtype)
+    runs = Runs(x, here, kept, endless, torch.ones(count, dtype=torch.int64))
     active = torch.nonzero(torch.isfinite(here.cost)).squeeze(-1)
     for _ in range(iterations_max):
         steps = {lane: _next(runs, lane, tolerance) for lane in active.tolist()}
@@ -202,9 +207,7 @@ def _goes_on(runs: Runs, lane: int, accepted: bool) -> bool:
     return factor.damping < DAMPING_MAX
 
 
-def _evaluate(
-    problem: Collocation, data: Data, dof: float, runs: Runs, lanes: Tensor, trial: Tensor
-) -> Objective:
+def _evaluate(problem: Collocation, data: Data, dof: float, runs: Runs, lanes: Tensor, trial: Tensor) -> Objective:
     """The objective of some runs at their trial points."""
     if problem.model.lanes > 1:  # maps hold a member for each run: the batch can't shrink
         whole = runs.unknowns.clone()

@@ -28,7 +28,6 @@ from dieseltwin.identification.few_shot.heads import heads_for
 from dieseltwin.identification.few_shot.process_noise import Setting, calibrate
 from dieseltwin.identification.few_shot.residuals import (
     N_HEALTH,
-    Cylinder,
     PointModel,
     driven_inputs,
     told_inputs,
@@ -177,7 +176,7 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
             simulated = heads.project(torch.maximum(found.states, torch.tensor(LEAST_STATE, dtype=found.states.dtype)))
             unknowns = torch.cat([simulated, unknowns[:, -N_HEALTH:]], -1)
         data = Data(clean, weights, multiple * noise.at(found.rate), found.rate, found.reading)
-        warm: Cylinder | None = None if state is None else state.objective.cylinder
+        renewal = number >= len(settings.stages)
         state = minimise(
             collocation,
             data,
@@ -185,15 +184,16 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
             dof=settings.student_dof,
             tolerance=settings.tolerance if last else EARLY_TOLERANCE,
             iterations_max=settings.iterations_max if last else settings.iterations_early,
-            damping=settings.damping_start if number < len(settings.stages) else RENEWAL_DAMPING,
-            start=warm,
+            damping=RENEWAL_DAMPING if renewal else settings.damping_start,
+            start=None if state is None else state.objective.cylinder,
+            factors=state.factors if renewal and state is not None else None,
         )
         moved = (state.unknowns - unknowns)[:, -N_HEALTH:].abs()
         unknowns = state.unknowns
         if last:
             log_std = state.log_std()
             settled = (moved <= MOVED_BELOW * log_std).all(-1)
-            if number >= len(settings.stages) and bool(settled.all()):
+            if renewal and bool(settled.all()):
                 break
     if state is None:
         raise InputError("newton stages", settings.stages, "one or more", "correct the settings")
