@@ -169,7 +169,7 @@ def point_text(function: str) -> str:
     return "\n    ".join([*lines, f"return {', '.join([_spelled(v) for v in (*rows, *derivatives)])}"]) + "\n"
 
 
-def _eliminated(x_r_next: Symbol, T_1_next: Symbol) -> dict[str, Sequence[Symbol]]:
+def _eliminated(x_r_next: Symbol, T_1_next: Symbol) -> dict[str, tuple[Symbol | float, Symbol | float]]:
     """Direction -> derivatives of the fixed point's x_r and T_1."""
     (g_xx, g_xt), (g_tx, g_tt) = ([_directions(q).get(name, 0.0) for name in FIXED_POINT] for q in (x_r_next, T_1_next))
     a, d = 1.0 - g_xx, 1.0 - g_tt
@@ -182,7 +182,7 @@ def _eliminated(x_r_next: Symbol, T_1_next: Symbol) -> dict[str, Sequence[Symbol
     return found
 
 
-def _total(row: Symbol, inner: Mapping[str, Sequence[Symbol]], direction: str) -> Symbol | float:
+def _total(row: Symbol, inner: Mapping[str, Sequence[Symbol | float]], direction: str) -> Symbol | float:
     """Total derivative of a quantity, x_r and T_1 eliminated."""
     result = row.by.get(direction, 0.0)
     for name, moved in zip(FIXED_POINT, inner.get(direction, ()), strict=False):

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, Inputs, bind, constants
+from dieseltwin.engine._compiled_tangents import N_RESULTS, linearise_points
 from dieseltwin.engine.egr import egr_valve_position
 from dieseltwin.identification.few_shot.term_model import TermModel
 
@@ -200,8 +201,6 @@ class PointModel:
         self, states: Tensor, log_health: Tensor, inputs: DrivenInputs, derivatives: bool, start: Cylinder | None
     ) -> Point:
         """The same, from the compiled kernel of the published equations."""
-        from dieseltwin.engine._compiled_tangents import N_RESULTS, linearise_points
-
         runs, n = states.shape[:2]
         begin = start or (states.new_tensor(X_R_START), states.new_tensor(T_1_START))
         cylinder = torch.stack([v.expand(runs, n) for v in begin], 1)
