@@ -99,3 +99,17 @@ def refit_all(
         if not active:
             break
     return [replace(fit, covariance=covariance[k]) for k, fit in enumerate(best)]
+
+
+def nearer(base: Linearisation, fits: Sequence[Fit], before: Sequence[Fit]) -> list[Fit]:
+    """For each fit of constant effects the earlier one of the same where that is the better in the metric of `base`."""
+    constant = {fit.candidate.names: fit for fit in before if not fit.candidate.schedules}
+    earlier = [constant[fit.candidate.names] for fit in fits if fit.candidate.names in constant]
+    if not earlier:
+        return list(fits)
+    projected = base.metric.project(np.nan_to_num(base.twin.measured[None] - simulate_fits(base.twin, earlier)))
+    judged = {
+        fit.candidate.names: replace(fit, objective=base.objective(vector, fit.parameters))
+        for fit, vector in zip(earlier, projected, strict=True)
+    }
+    return [min(fit, judged.get(fit.candidate.names, fit), key=lambda each: each.objective) for fit in fits]

@@ -6,12 +6,13 @@ Works on any `Twin`. Gains are decreases of -2 log marginal likelihood over the 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit
 from dieseltwin.discovery.likelihood.learned import belief_of
-from dieseltwin.discovery.likelihood.refit import refit_all
+from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search.by_recording import gained_elsewhere, refitted, starts_by_recording
 from dieseltwin.discovery.search.circumstances import ROUNDS, under_circumstances
@@ -86,7 +87,7 @@ def _with_names(twin: Twin, settings: SearchSettings) -> Search:
         if belief_of(twin) is None or found.gain(lead) < _BENDS:
             break
         unsettled = found.unsettled
-        found, starts = refitted(_with_singles(prepared_about(found, lead)), starts)
+        found, starts = refitted(_with_singles(prepared_about(found, lead), found.singles), starts)
         found.unsettled = unsettled
         both = [lead.candidate.names, _lead(found).candidate.names]
         if both[0] == both[1]:
@@ -160,14 +161,21 @@ def looked_at(twin: Twin, settings: SearchSettings) -> Search:
     return found
 
 
-def _with_singles(found: Search) -> Search:
-    """Refits of every competitive single effect."""
+def _with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
+    """Refits of every competitive single effect.
+
+    Args:
+        found: scored.
+        before: fits of single effects with another likelihood: where one of them is nearer to its minimum, it is the
+            start. (About an explanation the health-only fit lies far from every minimum, and a refit from there may
+            stop short of it in windows whose initial states turn round.)
+    """
     clock = time.perf_counter()
     ranked = best_of_each(found.scored)
     top = max(ranked[0].gain, 1e-9) if ranked else 0.0
     kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < _REFIT_AT_LEAST]
     fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
-    found.singles = sorted(fits, key=lambda fit: fit.objective)
+    found.singles = sorted(nearer(found.null, fits, before), key=lambda fit: fit.objective)
     found.singles = polish(found, found.singles)
     found.seconds["singles"] = time.perf_counter() - clock
     return found
