@@ -25,10 +25,10 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z]\w*)|(?P<sign>\+-|[-+*/^=<>|,()\[\]]))"
 )
 _PREFIX = re.compile(r"^(?P<words>relative change of|added to|reading of)\s+(?P<name>\w+):?\s*")
-_NOTE = re.compile(r",\s+(?=[a-z]+ [a-z]+)")  # ", of the reading alone"
+_NOTE = re.compile(r",\s+(?=[a-z]+ [a-z]+)|:\s+|\s+(?=(?:for|where)\s)")  # ", of the reading alone"
 _SIGNS = {"-": "−", "*": "·", "<": "&lt;", ">": "&gt;", "+-": "±"}
 _CLOSING = {"(": ")", "[": "]", "|": "|"}
-_FORMULA = re.compile(r"[=/^+*(]|\d")
+_FORMULA = re.compile(r"[=/^+*(|]|\d")
 
 
 class _Unreadable(Exception):
@@ -41,6 +41,11 @@ class _Token:
     text: str
     unit: str = ""
     spaced: bool = False
+
+
+def laws_markup(text: str) -> str:
+    """Several laws, or a law and its numbers, between semicolons: each on a line of its own as HTML."""
+    return "".join(f"<div>{law_markup(part)}</div>" for part in text.split("; "))
 
 
 def law_markup(text: str) -> str:
