@@ -17,6 +17,9 @@ from dieseltwin.report.statistics import Z_90
 Unit = Callable[[str, str | None], tuple[str, float]]
 """Effect and its unit -> the unit that is shown, and the factor to it."""
 
+Shares = Sequence[tuple[Sequence[str], float]]
+"""Names, and the share of the misfit that they explain together [-]."""
+
 
 def as_it_is(name: str, unit: str | None) -> tuple[str, float]:
     """A unit that is shown as the machine's own file has it."""
@@ -34,13 +37,13 @@ def probability(value: float | None) -> str:
 
 
 def findings(
-    document: Discrepancy, shares: Mapping[str, float] | None = None, unit: Unit = display_unit, timed: bool = True
+    document: Discrepancy, shares: Shares | None = None, unit: Unit = display_unit, timed: bool = True
 ) -> Table | None:
     """A row for everything that was found; None where nothing was.
 
     Args:
         document: the verdict.
-        shares: effect -> share of the misfit that it explains [-]; None: that of all together.
+        shares: of the misfit; None: that of all together.
         unit: how sizes are shown.
         timed: say since when.
     """
@@ -75,13 +78,14 @@ def _sizes(effect: FoundEffect, unit: Unit) -> tuple[str, str]:
     return size, f"{text} {shown}".rstrip()
 
 
-def _share(document: Discrepancy, effect: FoundEffect, shares: Mapping[str, float] | None) -> str:
-    if shares is not None:
-        return share_words(shares[effect.name]) if effect.name in shares else EMPTY
+def _share(document: Discrepancy, effect: FoundEffect, shares: Shares | None) -> str:
     whole = document.fit.share_explained
-    if whole is None:
-        return EMPTY
-    return share_words(whole) + ("" if len(document.effects) == 1 else " together")
+    if shares is None:
+        shares = [] if whole is None else [([other.name for other in document.effects], whole)]
+    for names, share in shares:
+        if effect.name in names:
+            return share_words(share) + ("" if len(names) == 1 else " together")
+    return EMPTY
 
 
 def share_words(share: float) -> str:
@@ -112,7 +116,7 @@ def levels(document: Discrepancy, head: str, units: Mapping[str, str] | None = N
     for name, entry in document.health.items():
         std = math.nan if entry.std is None else entry.std
         unit = quantities.unit(name) or (units or {}).get(name, "")
-        label = Markup(quantities.html_symbol(name)) + (f" [{unit}]" if unit not in ("", "-") else "")
+        label = quantities.label(name) + (f" [{unit}]" if unit not in ("", "-") else "")
         row: tuple[str | Markup, ...] = (
             label, quantities.value_with_std(name, entry.value, std, with_unit=False).replace("-", "−"))
         if document.mismatch:
@@ -138,7 +142,7 @@ def fit(document: Discrepancy, units: Mapping[str, str] | None = None) -> Table:
     for name, after in found.rmse_after.items():
         scale, unit = quantities.factor(name), quantities.unit(name) or (units or {}).get(name, "")
         before = found.rmse_before.get(name)
-        label = Markup("rms residual of {} [{}]").format(Markup(quantities.html_symbol(name)), unit or EMPTY)
+        label = Markup("rms residual of {} [{}]").format(quantities.label(name), unit or EMPTY)
         rows.append((label, EMPTY if before is None else quantities.significant(before * scale, 3),
                      quantities.significant(after * scale, 3)))  # fmt: skip
     return Table(("fit", "before", "after"), rows)

@@ -63,9 +63,8 @@ class Panel:
         """Symbol, meaning and unit as HTML; of what is no quantity of the nomenclature its name and unit."""
         unit = escape(self.unit or "–")
         if quantities.known(self.name) is None:
-            name = Markup(quantities.html_symbol(self.name)) if self.name.isidentifier() else escape(self.name)
-            return Markup("{} [{}]").format(name, unit)
-        return Markup("{} {} [{}]").format(Markup(quantities.html_symbol(self.name)), quantities.words(self.name), unit)
+            return Markup("{} [{}]").format(self.name, unit)
+        return Markup("{} {} [{}]").format(quantities.label(self.name), quantities.words(self.name), unit)
 
 
 @dataclass(frozen=True)
@@ -195,9 +194,13 @@ def _numbers(values: Array, digits: int = DIGITS) -> list[float | None]:
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]
 
 
+READINGS = ("readings", "Readings and twin over time", "Readings and the twin over the whole recording. On a screen "
+            "these panels zoom and show every number.")  # fmt: skip
+
+
 @style.styled
-def still(series: Series) -> style.ReportFigure:
-    """The same panels as a figure, for paper."""
+def still(series: Series, told: tuple[str, str, str] = READINGS) -> style.ReportFigure:
+    """The same panels as a figure, for paper; `told`: its name, title and caption."""
     figure = Figure(figsize=(WIDTH_IN, 1.25 * len(series.panels) + 0.7))
     axes_of = np.atleast_1d(figure.subplots(len(series.panels), 1, sharex=series.linked))
     for axes, panel in zip(axes_of, series.panels, strict=True):
@@ -213,8 +216,8 @@ def still(series: Series) -> style.ReportFigure:
         if axes is axes_of[-1] or not series.linked:
             axes.set_xlabel(f"{panel.axis} [{panel.axis_unit}]" if panel.axis_unit else panel.axis)
     _legend(figure, series.panels)
-    words = "Readings and the twin over the whole recording. On a screen these panels zoom and show every number."
-    return style.ReportFigure("readings", "Readings and twin over time", words, figure, kind="png")
+    name, title, words = told
+    return style.ReportFigure(name, title, words, figure, kind="png")
 
 
 def _legend(figure: Figure, panels: Sequence[Panel]) -> None:

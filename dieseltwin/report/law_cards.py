@@ -112,7 +112,8 @@ def _card(effect: FoundEffect, document: Discrepancy, told: Told | None, judged:
     known = ((s.name, s.meaning + ("" if s.unit == "-" else f" [{s.unit}]")) for s in symbols_in(" ".join(told.laws)))
     symbols = tuple((Markup(name_markup(name)), words) for name, words in told.symbols or known)
     return LawCard(told.title[:1].upper() + told.title[1:], f"{told.about} {where}".strip(), _typeset(told.laws),
-                   Markup(size), symbols, _sure(effect, judged), effect.valid_for or "", law)  # fmt: skip
+                   Markup(size), symbols, _sure(effect, judged), effect.valid_for or "",
+                   law if law in told.laws else "")  # fmt: skip
 
 
 def _typeset(laws: Sequence[str]) -> Markup:

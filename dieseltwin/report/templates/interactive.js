@@ -68,7 +68,11 @@
         width: places[i].clientWidth, height: linked ? (bottom ? 176 : 150) : 260,
         cursor: { sync: linked ? { key: `axis-${key}` } : undefined, drag: { x: true, y: false } },
         scales: { x: { time: false } },
-        legend: { live: true },
+        padding: [8, 16, 0, 0],  // the same in all, so that one cursor stands under the other
+        legend: { live: true, markers: {
+          width: 2, stroke: (u, j) => shade(panel.lines[j - 1].colour),
+          fill: (u, j) => (panel.lines[j - 1].dots ? shade(panel.lines[j - 1].colour) : "transparent"),
+        } },
         series: [
           { label: panel.axis, value: (u, v) => number(v, panel.axis_unit) },
           ...panel.lines.map((l) => ({
@@ -79,7 +83,11 @@
           })),
         ],
         axes: [
-          { show: bottom, label: label, labelSize: 22, size: 34, stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line } },
+          {
+            label: bottom ? label : undefined, labelSize: 22, size: bottom ? 34 : 6, stroke: ink,
+            values: bottom ? undefined : (u, at) => at.map(() => ""),
+            grid: { stroke: line, width: 1 }, ticks: { stroke: line, size: bottom ? 8 : 4 },
+          },
           { size: 62, stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line } },
         ],
         hooks: {
