@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup, escape
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dieseltwin.discovery.twins.interface import Array
@@ -24,6 +25,7 @@ from dieseltwin.report.segment_axis import WIDTH_IN
 
 MOST_ROWS = 5000  # of a panel on the page: seven panels of four lines stay below a megabyte
 DIGITS = 5
+CELLS = 3  # panels in a row of a figure where they share no axis
 MEASURED, BEFORE, AFTER = "#8a8a8a", "#D55E00", "#0072B2"
 REPAIR = ("before (health alone)", "after (repaired)")
 _VENDOR = Path(__file__).parent / "vendor"
@@ -201,26 +203,40 @@ READINGS = ("readings", "Readings and twin over time", "Readings and the twin ov
 @style.styled
 def still(series: Series, told: tuple[str, str, str] = READINGS) -> style.ReportFigure:
     """The same panels as a figure, for paper; `told`: its name, title and caption."""
-    figure = Figure(figsize=(WIDTH_IN, 1.25 * len(series.panels) + 0.7))
-    axes_of = np.atleast_1d(figure.subplots(len(series.panels), 1, sharex=series.linked))
-    for axes, panel in zip(axes_of, series.panels, strict=True):
-        for line in panel.lines:
-            look = {"marker": ".", "linestyle": "none", "markersize": 1.6} if line.dots else {"linewidth": 1.0}
-            axes.plot(panel.x, line.values, color=line.colour, **look)
-        axes.set_ylabel(f"{quantities.symbol(panel.name)} [{panel.unit or '–'}]")
-        for mark in series.marks:
-            if mark.until is None:
-                axes.axvline(mark.at, color=style.TRUTH, linestyle="--", linewidth=0.9)
-            else:
-                axes.axvspan(mark.at, mark.until, color=style.BAND_OF_TRUTH, linewidth=0, zorder=0)
-        if axes is axes_of[-1] or not series.linked:
+    count, columns = len(series.panels), 1 if series.linked else min(len(series.panels), CELLS)
+    rows = -(-count // columns)
+    height = 1.25 * rows + 0.7 if series.linked else 3.0 * rows + 0.5
+    figure = Figure(figsize=(WIDTH_IN, height))
+    every = np.atleast_1d(figure.subplots(rows, columns, sharex=series.linked)).ravel()
+    for axes in every[count:]:
+        axes.remove()
+    for axes, panel in zip(every[:count], series.panels, strict=True):
+        _draw(axes, panel, series)
+        if axes is every[count - 1] or not series.linked:
             axes.set_xlabel(f"{panel.axis} [{panel.axis_unit}]" if panel.axis_unit else panel.axis)
     _legend(figure, series.panels)
     name, title, words = told
     return style.ReportFigure(name, title, words, figure, kind="png")
 
 
+def _draw(axes: Axes, panel: Panel, series: Series) -> None:
+    size = 1.6 if series.linked else 4.0
+    for line in panel.lines:
+        look = {"marker": ".", "linestyle": "none", "markersize": size} if line.dots else {"linewidth": 1.0}
+        axes.plot(panel.x, line.values, color=line.colour, **look)
+    if series.linked:
+        axes.set_ylabel(f"{quantities.symbol(panel.name)} [{panel.unit or '–'}]")
+    else:
+        axes.set_title(panel.name, fontsize=9.5)
+        axes.set_ylabel(f"[{panel.unit or '–'}]")
+    for mark in series.marks:
+        if mark.until is None:
+            axes.axvline(mark.at, color=style.TRUTH, linestyle="--", linewidth=0.9)
+        else:
+            axes.axvspan(mark.at, mark.until, color=style.BAND_OF_TRUTH, linewidth=0, zorder=0)
+
+
 def _legend(figure: Figure, panels: Sequence[Panel]) -> None:
     handles = [artist for artist, _ in zip(figure.axes[0].get_lines(), panels[0].lines, strict=False)]
     labels = [line.label for line in panels[0].lines]
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), markerscale=5)
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), markerscale=3)

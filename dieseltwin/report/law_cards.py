@@ -123,7 +123,7 @@ def _typeset(laws: Sequence[str]) -> Markup:
 def _about(name: str) -> str:
     """The first sentence about an effect: that of the file that it stands in."""
     text = importlib.import_module(f"dieseltwin.engine.effects.{name}").__doc__ or ""
-    return text.split("\n\n")[0].replace("\n", " ").strip()
+    return text.split("\n\n")[0].replace("\n", " ").replace("`", "").strip()
 
 
 def _sure(effect: FoundEffect, judged: str) -> str:

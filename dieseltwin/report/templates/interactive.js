@@ -5,7 +5,7 @@
   if (!groups.length || typeof uPlot === "undefined") return;
   document.documentElement.classList.add("live");  // shows the panels, which have a width then
   const night = window.matchMedia("(prefers-color-scheme: dark)");
-  const AT_NIGHT = { "#0072B2": "#6dbbe6", "#D55E00": "#f08a3c", "#8a8a8a": "#9aa7b2", "#b8b8b8": "#7d8a95", "#555555": "#a3b1bd" };
+  const AT_NIGHT = { "#0072B2": "#6dbbe6", "#D55E00": "#f08a3c", "#8a8a8a": "#9aa7b2", "#b8b8b8": "#7d8a95", "#555555": "#a3b1bd", "#f2c4a5": "#7a4a2a", "#a9cce3": "#2f566d" };
   const shade = (colour) => (night.matches && AT_NIGHT[colour]) || colour;
   const token = (name) => () => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const ink = token("--ink"), line = token("--line"), wash = token("--band");
@@ -49,6 +49,7 @@
       const both = [Math.min(...ends.map((e) => e[0])), Math.max(...ends.map((e) => e[1]))];
       ends.forEach((_, i) => { ends[i] = both; });
     }
+    ends.forEach((e, i) => { const edge = 0.01 * (e[1] - e[0]); ends[i] = [e[0] - edge, e[1] + edge]; });
     let setting = false;
 
     function show(i, min, max) {
@@ -63,11 +64,15 @@
 
     panels.forEach((panel, i) => {
       const bottom = !linked || i === panels.length - 1;
+      const size = panel.x.length > 500 ? 3 : 5;
       const label = panel.axis_unit ? `${panel.axis} [${panel.axis_unit}]` : panel.axis;
       charts.push(new uPlot({
         width: places[i].clientWidth, height: linked ? (bottom ? 176 : 150) : 260,
         cursor: { sync: linked ? { key: `axis-${key}` } : undefined, drag: { x: true, y: false } },
-        scales: { x: { time: false } },
+        scales: { x: { time: false, range: (u, min, max) => {
+          const [first, last] = ends[i], edge = 0.02 * (last - first);
+          return min === max || (min < first + edge && max > last - edge) ? [first, last] : [min, max];
+        } } },
         padding: [8, 16, 0, 0],  // the same in all, so that one cursor stands under the other
         legend: { live: true, markers: {
           width: 2, stroke: (u, j) => shade(panel.lines[j - 1].colour),
@@ -78,7 +83,7 @@
           ...panel.lines.map((l) => ({
             label: l.label, stroke: () => shade(l.colour), width: l.dots ? 0 : 1.5,
             value: (u, v) => number(v, panel.unit),
-            points: l.dots ? { show: true, size: linked ? 3 : 5, fill: () => shade(l.colour), stroke: () => shade(l.colour), width: 0 } : { show: false },
+            points: l.dots ? { show: true, size: size, fill: () => shade(l.colour), stroke: () => shade(l.colour), width: 0 } : { show: false },
             paths: l.dots ? () => null : undefined, spanGaps: false,
           })),
         ],
