@@ -103,15 +103,18 @@ def places(document: Discrepancy) -> Table:
     return Table(("place", "probability"), rows)
 
 
-def levels(document: Discrepancy, head: str, units: Mapping[str, str] | None = None) -> Table:
+def levels(document: Discrepancy, head: str, units: Mapping[str, str] | None = None, shift: bool = True) -> Table:
     """Health parameters, levels or a machine's own parameters, with what they would be without the repair.
 
     Args:
         document: the verdict.
         head: what they are.
         units: of parameters that the nomenclature doesn't know.
+        shift: say by how much they would be off; of what is near 0 that says nothing.
     """
-    heads = (head, "estimate ± std", *(("without the repair", "shift") if document.mismatch else ()))
+    since = any(entry.since_reference is not None for entry in document.health.values())
+    heads = (head, "estimate ± std", *(("without the repair",) if document.mismatch else ()),
+             *(("shift",) if document.mismatch and shift else ()), *(("since the reference",) if since else ()))
     rows: list[tuple[str | Markup, ...]] = []
     for name, entry in document.health.items():
         std = math.nan if entry.std is None else entry.std
@@ -120,9 +123,14 @@ def levels(document: Discrepancy, head: str, units: Mapping[str, str] | None = N
         row: tuple[str | Markup, ...] = (
             label, quantities.value_with_std(name, entry.value, std, with_unit=False).replace("-", "−"))
         if document.mismatch:
-            shift = entry.before / entry.value - 1.0 if entry.value else math.nan
-            before = quantities.significant(entry.before * quantities.factor(name), 4).replace("-", "−")
-            row += (before, quantities.percent(shift, signed=True))
+            row += (quantities.significant(entry.before * quantities.factor(name), 4).replace("-", "−"),)
+            if shift:
+                off = entry.before / entry.value - 1.0 if entry.value else math.nan
+                row += (quantities.percent(off, signed=True),)
+        if since:
+            change = entry.since_reference
+            row += (EMPTY if change is None else f"{100.0 * (change.value - 1.0):+.1f} ± {100.0 * change.std:.1f} %"
+                    .replace("-", "−"),)
         rows.append(row)
     return Table(heads, rows)
 

@@ -25,6 +25,7 @@ from dieseltwin.report.segment_axis import WIDTH_IN
 
 MOST_ROWS = 5000  # of a panel on the page: seven panels of four lines stay below a megabyte
 DIGITS = 5
+FEW = 500  # points of a panel up to which they are drawn large
 CELLS = 3  # panels in a row of a figure where they share no axis
 MEASURED, BEFORE, AFTER = "#8a8a8a", "#D55E00", "#0072B2"
 REPAIR = ("before (health alone)", "after (repaired)")
@@ -205,7 +206,8 @@ def still(series: Series, told: tuple[str, str, str] = READINGS) -> style.Report
     """The same panels as a figure, for paper; `told`: its name, title and caption."""
     count, columns = len(series.panels), 1 if series.linked else min(len(series.panels), CELLS)
     rows = -(-count // columns)
-    height = 1.25 * rows + 0.7 if series.linked else 3.0 * rows + 0.5
+    told_above = sum(quantities.known(panel.name) is None for panel in series.panels)
+    height = 1.25 * rows + 0.3 * told_above + 0.7 if series.linked else 3.0 * rows + 0.5
     figure = Figure(figsize=(WIDTH_IN, height))
     every = np.atleast_1d(figure.subplots(rows, columns, sharex=series.linked)).ravel()
     for axes in every[count:]:
@@ -220,15 +222,15 @@ def still(series: Series, told: tuple[str, str, str] = READINGS) -> style.Report
 
 
 def _draw(axes: Axes, panel: Panel, series: Series) -> None:
-    size = 1.6 if series.linked else 4.0
+    size = 1.6 if panel.x.size > FEW else 4.0
     for line in panel.lines:
         look = {"marker": ".", "linestyle": "none", "markersize": size} if line.dots else {"linewidth": 1.0}
         axes.plot(panel.x, line.values, color=line.colour, **look)
-    if series.linked:
-        axes.set_ylabel(f"{quantities.symbol(panel.name)} [{panel.unit or '–'}]")
+    unit = f"[{panel.unit or '–'}]"
+    if quantities.known(panel.name) is not None:
+        axes.set_ylabel(f"{quantities.symbol(panel.name)} {unit}")
     else:
-        axes.set_title(panel.name, fontsize=9.5)
-        axes.set_ylabel(f"[{panel.unit or '–'}]")
+        axes.set_title(style.plain_text(f"{panel.name} {unit}").replace("; ", "\n"), fontsize=8.5)
     for mark in series.marks:
         if mark.until is None:
             axes.axvline(mark.at, color=style.TRUTH, linestyle="--", linewidth=0.9)

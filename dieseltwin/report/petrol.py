@@ -30,6 +30,7 @@ PALE = {BEFORE: "#f2c4a5", AFTER: "#a9cce3"}
 OVER_TIME = ("Misfit of the balances against the calibrated maps: as read, and with the explanation and the levels fitted "
              "beside it taken back. Seconds as points (cut at 25 %), running median over 15 s as lines.")
 OVER_PRESSURE = "Seconds after the onset over p_im. A gain shifts evenly, a leak most at low load."
+COLOURS = "Orange: as read; blue: repaired."
 VISIBLE = "Smallest size that this recording shows, had the effect begun after a tenth of it."
 MOST_SHOWN = 8  # effects in the figure of what was weighed
 
@@ -71,7 +72,7 @@ def balances_over_time(found: PetrolDiscovery) -> Series:
         panels.append(Panel(f"misfit of the {TITLES[name]}", "%", found.twin.time_s[kept], tuple(lines)))
     onset = _onset(found)
     series = Series(tuple(panels), marks=() if onset is None else (Mark("the onset", onset),))
-    return replace(series, drawn=still(series, ("residuals_over_time", "The balances over time", OVER_TIME)))
+    return replace(series, drawn=still(series, ("residuals_over_time", "Misfit of the balances", COLOURS + " Dashed: the onset.")))
 
 
 @style.styled
@@ -108,7 +109,7 @@ def over_pressure(found: PetrolDiscovery) -> Series:
         x = 1e-3 * found.twin.blocks.p_im[kept][late]
         panels.append(over(f"misfit of the {name} balance", "%", ("p_im", "kPa"), x, lines))
     series = Series(tuple(panels), linked=False)
-    return replace(series, drawn=still(series, ("over_pressure", "Over the operating range", OVER_PRESSURE)))
+    return replace(series, drawn=still(series, ("over_pressure", "Misfit over the manifold pressure", COLOURS)))
 
 
 def petrol_page(found: PetrolDiscovery) -> Page:
@@ -127,7 +128,7 @@ def petrol_page(found: PetrolDiscovery) -> Page:
         f"{said.recording.duration_s:.0f} s · {len(said.recording.channels)} sensors",
         headline=Markup(quantities.with_symbols(found.sentence)), alarm=said.mismatch,
         findings=findings.findings(said), cards=law_cards(said, petrol),
-        tables=(findings.places(said), findings.levels(said, "level against the calibration"), _fit(said)),
+        tables=(findings.places(said), findings.levels(said, "level against the calibration", shift=False), _fit(said)),
         sections=sections, provenance=findings.provenance(said), source=found.engine.source,
     )  # fmt: skip
 

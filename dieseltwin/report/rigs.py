@@ -28,6 +28,7 @@ from dieseltwin.rigs.verdict import shares
 SIMULATED = ("simulated, as the file is", "simulated, repaired")
 HELD_OUT = ("The last part in free runs of machines that were fitted to what comes before: nothing of it was seen by a "
             "fit. A finding stays if it foretells this part no worse than a machine without it.")
+COLOURS = "Orange: the machine as the file has it, fitted; blue: repaired."
 VISIBLE = "The smallest size of each effect that this recording could show; a smaller one can be there unseen."
 
 
@@ -79,7 +80,7 @@ def _held_out(found: RigDiscovery) -> Section:
         last = judged[-1].early
         drawn = free_runs((found.early, last), found.recording.part(rows))
         series = Series(drawn.panels[: 2 * len(found.repaired.readings)])
-        series = replace(series, drawn=still(series, ("held_out", "Free runs that no fit has seen", HELD_OUT)))
+        series = replace(series, drawn=still(series, ("held_out", "Free runs that no fit has seen", COLOURS)))
     channels = list(found.repaired.readings)
     table: list[tuple[str | Markup, ...]] = []
     for number, item in enumerate(found.rounds, 1):
