@@ -52,8 +52,8 @@ def submodels(calibration: Calibration) -> Series:
     points = calibration.points
     relations = calibration.model.relations(points, points.states(), calibration.trained)
     return parity(relations, calibration.held_out, (
-        "submodels", "Measured against predicted", "Coefficients of two thirds of the points; the third that they never "
-        "saw in orange."))  # fmt: skip
+        "submodels", "Measured against predicted", "Coefficients of two thirds of the points; the third that they "
+        "never saw in orange."))  # fmt: skip
 
 
 def calibration_report(calibration: Calibration, path: Path) -> list[Path]:

@@ -19,7 +19,8 @@ SURE = ((0.99, "practically certain"), (0.9, "very likely"), (0.7, "likely"), (0
 PETROL_WORDS = {
     "throttle_offset": "The throttle stands elsewhere than its position says, everywhere by as much.",
     "throttle_gain": "The throttle opens by another share of what its position says.",
-    "_gain": "The sensor shows its quantity times a factor.", "_offset": "The sensor shows its quantity plus a constant.",
+    "_gain": "The sensor shows its quantity times a factor.",
+    "_offset": "The sensor shows its quantity plus a constant.",
     "_leak": "A hole through which gas flows as through a nozzle.",
     "volumetric_efficiency_change": "The cylinders take another share of the charge than when they were calibrated.",
     "throttle_area_change": "The throttle's area is another share of that of the calibration, as by deposits.",

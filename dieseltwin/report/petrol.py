@@ -27,8 +27,8 @@ SHOWN = ("cylinder", "throttle", "boost")
 CLIP = 0.25  # of a residual in the figures [-]
 SMOOTH_BLOCKS = 15  # running median: structure, not tip-ins
 PALE = {BEFORE: "#f2c4a5", AFTER: "#a9cce3"}
-OVER_TIME = ("Misfit of the balances against the calibrated maps: as read, and with the explanation and the levels fitted "
-             "beside it taken back. Seconds as points (cut at 25 %), running median over 15 s as lines.")
+OVER_TIME = ("Misfit of the balances against the calibrated maps: as read, and with the explanation and the levels "
+             "fitted beside it taken back. Seconds as points (cut at 25 %), running median over 15 s as lines.")
 OVER_PRESSURE = "Seconds after the onset over p_im. A gain shifts evenly, a leak most at low load."
 COLOURS = "Orange: as read; blue: repaired."
 VISIBLE = "Smallest size that this recording shows, had the effect begun after a tenth of it."
@@ -65,14 +65,16 @@ def balances_over_time(found: PetrolDiscovery) -> Series:
     panels = []
     for name in (name for name in SHOWN if name in found.twin.channels):
         kept, states = _misfits(found, name)
-        lines = [Line(f"{label}, each second", PALE[colour], 100.0 * values, dots=True) for values, colour, label in states]
+        lines = [Line(f"{label}, each second", PALE[colour], 100.0 * values, dots=True)
+                 for values, colour, label in states]
         if kept.sum() > SMOOTH_BLOCKS:
             lines += [Line(label, colour, 100.0 * _running_median(values, SMOOTH_BLOCKS))
                       for values, colour, label in states]
         panels.append(Panel(f"misfit of the {TITLES[name]}", "%", found.twin.time_s[kept], tuple(lines)))
     onset = _onset(found)
     series = Series(tuple(panels), marks=() if onset is None else (Mark("the onset", onset),))
-    return replace(series, drawn=still(series, ("residuals_over_time", "Misfit of the balances", COLOURS + " Dashed: the onset.")))
+    told = ("residuals_over_time", "Misfit of the balances", COLOURS + " Dashed: the onset.")
+    return replace(series, drawn=still(series, told))
 
 
 @style.styled

@@ -19,7 +19,7 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.engine.terms import LawTerm, OneTerm, SensorTerm, Term, law_terms
+from dieseltwin.engine.terms import LawTerm, OneTerm, SensorTerm, Term
 from dieseltwin.report import findings, quantities
 from dieseltwin.report.calibration import TITLES, parity
 from dieseltwin.report.discovery_words import magnitude_words, site_words
@@ -59,8 +59,8 @@ def sentence(result: PointsDiscovery) -> str:
     moved = sorted(before, key=lambda row: after[row].held_out - before[row].held_out)[:2]
     figures = ", ".join(f"{TITLES[r][0].lower()} {before[r].held_out:.1f} -> {after[r].held_out:.1f} %" for r in moved)
     share = said.fit.share_explained
-    explained = "" if share is None else f" This explains {findings.share_words(share)} of the misfit beyond tolerances."
-    text = (f"The points show {'; '.join(parts)}.{explained} Held-out third: {figures}, negative log-likelihood "
+    whole = "" if share is None else f" This explains {findings.share_words(share)} of the misfit beyond tolerances."
+    text = (f"The points show {'; '.join(parts)}.{whole} Held-out third: {figures}, negative log-likelihood "
             f"{result.nll_before:.1f} -> {result.nll_after:.1f} per point.")
     if result.more_is_missing:
         text += " More is missing than has a name."
@@ -122,7 +122,8 @@ def _arguments(term: OneTerm) -> tuple[str, ...]:
     if isinstance(term, SensorTerm):
         return (term.sensor,)
     if isinstance(term, LawTerm):
-        return tuple(dict.fromkeys([*(name for name, *_ in term.factors), *(v for g in term.groups for v in g.variables)]))
+        names = [*(name for name, *_ in term.factors), *(name for group in term.groups for name in group.variables)]
+        return tuple(dict.fromkeys(names))
     return ()
 
 
@@ -138,8 +139,8 @@ def submodels(result: PointsDiscovery) -> Series:
     points = result.calibration.points
     relations = result.repaired.model.relations(points, points.states(), result.repaired.start)
     return parity(relations, result.calibration.held_out, (
-        "submodels_repaired", "Measured against predicted", "With the terms found, fitted to all points; the figures in "
-        "the table are of coefficients that never saw the held-out third."))  # fmt: skip
+        "submodels_repaired", "Measured against predicted", "With the terms found, fitted to all points; the figures "
+        "in the table are of coefficients that never saw the held-out third."))  # fmt: skip
 
 
 @styled

@@ -129,7 +129,8 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
                   float(checked[-1])),) if document.mismatch else ()
     repaired = rig if document.mismatch else None
     sections = (
-        Section("readings-over-time", "Readings over time", series=free_runs((found.before, repaired), recording, marks)),
+        Section("readings-over-time", "Readings over time",
+                series=free_runs((found.before, repaired), recording, marks)),
         _held_out(found),
         Section("doubts", "What is doubtful", tables=(findings.doubts(document),)),
         Section("weighed", "Candidates", tables=(findings.weighed(candidate_rows(first), units, findings.as_it_is),)),

@@ -12,10 +12,9 @@ from dieseltwin.cli.app import main
 from dieseltwin.report import pdf
 from dieseltwin.report.mathml import law_markup
 from dieseltwin.rigs.equations import equations, readable
-from dieseltwin.rigs.parameters import load_rig, save_rig
+from dieseltwin.rigs.parameters import RigParameters, load_rig, save_rig
 from tests.pages import check_page, groups_of
 from tests.rigs.test_rig_files import RIGS, TANK
-from dieseltwin.rigs.parameters import RigParameters
 
 CHROMIUM = Path("/usr/bin/chromium")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
