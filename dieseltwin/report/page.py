@@ -94,6 +94,11 @@ class Page:
     caution: Markup | str = ""
     source: str = DIESEL
 
+    @property
+    def summed(self) -> bool:
+        """Whether there is a summary."""
+        return bool(self.caution or self.findings or self.cards or self.tables)
+
 
 def templates() -> Environment:
     """The templates of pages."""
