@@ -10,22 +10,11 @@ from markupsafe import Markup
 
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
 from dieseltwin.engine.effects import EFFECTS
-from dieseltwin.petrol.effects import HYPOTHESES
 from dieseltwin.report import quantities
-from dieseltwin.report.discovery_words import display_unit, effect_words, magnitude_words, site_of, site_words
+from dieseltwin.report.discovery_words import effect_words, magnitude_words, site_of, site_words
 from dieseltwin.report.mathml import laws_markup, name_markup, symbols_in
 
 SURE = ((0.99, "practically certain"), (0.9, "very likely"), (0.7, "likely"), (0.5, "more likely than not"))
-PETROL_WORDS = {
-    "throttle_offset": "The throttle stands elsewhere than its position says, everywhere by as much.",
-    "throttle_gain": "The throttle opens by another share of what its position says.",
-    "_gain": "The sensor shows its quantity times a factor.",
-    "_offset": "The sensor shows its quantity plus a constant.",
-    "_leak": "A hole through which gas flows as through a nozzle.",
-    "volumetric_efficiency_change": "The cylinders take another share of the charge than when they were calibrated.",
-    "throttle_area_change": "The throttle's area is another share of that of the calibration, as by deposits.",
-}  # fmt: skip
-"""Ending of the name of a petrol engine's effect -> what it means."""
 UNSURE = "one possibility among several"
 
 
@@ -88,18 +77,6 @@ def diesel(effect: FoundEffect) -> Told | None:
         return None
     size = magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit)
     return Told(effect_words(effect), _about(effect.name), entry.site, (effect.law or entry.law,), entry.symbol, size)
-
-
-def petrol(effect: FoundEffect) -> Told | None:
-    """What is known of an effect of a petrol engine."""
-    if effect.magnitude is None or effect.law is None:
-        return None
-    size = magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit, extra=False,
-                           shown=display_unit("", effect.unit))  # fmt: skip
-    site = HYPOTHESES[effect.name].site if effect.name in HYPOTHESES else ""
-    about = next((words for ending, words in PETROL_WORDS.items() if effect.name.endswith(ending)), "")
-    symbol = next((s for s in ("A", "k", "g", "b") if s in effect.law.replace("(", " ").replace(")", " ").split()), "")
-    return Told(f"{effect.name.replace('_', ' ')} of {size}", about, site, (effect.law,), symbol, size)
 
 
 def law_cards(document: Discrepancy, tell: Teller = diesel, judged: str = "This recording") -> list[LawCard]:

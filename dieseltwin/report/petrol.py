@@ -10,13 +10,15 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
 from dieseltwin.petrol.calibrate import SubmodelFit
 from dieseltwin.petrol.discover import PetrolDiscovery
+from dieseltwin.petrol.effects import HYPOTHESES
 from dieseltwin.petrol.parameters import FaultFreePiece
 from dieseltwin.report import findings, quantities, style
+from dieseltwin.report.discovery_words import display_unit, magnitude_words
 from dieseltwin.report.interactive import Line, Mark, Panel, Series, over, still
-from dieseltwin.report.law_cards import law_cards, petrol
+from dieseltwin.report.law_cards import Told, law_cards
 from dieseltwin.report.page import Page, Section, Table, write_page
 from dieseltwin.report.style import ReportFigure
 
@@ -32,6 +34,16 @@ OVER_TIME = ("Misfit of the balances against the calibrated maps: as read, and w
 OVER_PRESSURE = "Seconds after the onset over p_im. A gain shifts evenly, a leak most at low load."
 COLOURS = "Orange: as read; blue: repaired."
 VISIBLE = "Smallest size that this recording shows, had the effect begun after a tenth of it."
+MEANINGS = {
+    "throttle_offset": "The throttle stands elsewhere than its position says, everywhere by as much.",
+    "throttle_gain": "The throttle opens by another share of what its position says.",
+    "_gain": "The sensor shows its quantity times a factor.",
+    "_offset": "The sensor shows its quantity plus a constant.",
+    "_leak": "A hole through which gas flows as through a nozzle.",
+    "volumetric_efficiency_change": "The cylinders take another share of the charge than when they were calibrated.",
+    "throttle_area_change": "The throttle's area is another share of that of the calibration, as by deposits.",
+}  # fmt: skip
+"""Ending of the name of a petrol engine's effect -> what it means."""
 MOST_SHOWN = 8  # effects in the figure of what was weighed
 
 
@@ -114,6 +126,18 @@ def over_pressure(found: PetrolDiscovery) -> Series:
     return replace(series, drawn=still(series, ("over_pressure", "Misfit over the manifold pressure", COLOURS)))
 
 
+def told(effect: FoundEffect) -> Told | None:
+    """What is known of an effect of a petrol engine."""
+    if effect.magnitude is None or effect.law is None:
+        return None
+    size = magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit, extra=False,
+                           shown=display_unit("", effect.unit))  # fmt: skip
+    site = HYPOTHESES[effect.name].site if effect.name in HYPOTHESES else ""
+    about = next((words for ending, words in MEANINGS.items() if effect.name.endswith(ending)), "")
+    symbol = next((s for s in ("A", "k", "g", "b") if s in effect.law.replace("(", " ").replace(")", " ").split()), "")
+    return Told(f"{effect.name.replace('_', ' ')} of {size}", about, site, (effect.law,), symbol, size)
+
+
 def petrol_page(found: PetrolDiscovery) -> Page:
     """What the page says."""
     said = found.document
@@ -129,7 +153,7 @@ def petrol_page(found: PetrolDiscovery) -> Page:
         title=findings.heading(said), about=f"{found.engine.name} · recording: {Path(said.recording.path).name} · "
         f"{said.recording.duration_s:.0f} s · {len(said.recording.channels)} sensors",
         headline=Markup(quantities.with_symbols(found.sentence)), alarm=said.mismatch,
-        findings=findings.findings(said), cards=law_cards(said, petrol),
+        findings=findings.findings(said), cards=law_cards(said, told),
         tables=(findings.places(said), findings.levels(said, "level against the calibration", shift=False), _fit(said)),
         sections=sections, provenance=findings.provenance(said), source=found.engine.source,
     )  # fmt: skip
