@@ -13,10 +13,10 @@ from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
 from dieseltwin.calibration.saved import write_repaired
-from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR
+from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import CorrectionTerm, corrections_in
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
+from dieseltwin.recordings.steady_points import STATES, beside_reference
 from dieseltwin.settings.params import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points, settle
 
@@ -43,10 +43,28 @@ def bent() -> PointsDiscovery:
         return discover_points(first, Options(law_search=False, search=search))
 
 
-def at_rest(bent: PointsDiscovery, judged: SteadyPoints, left_out: tuple[str, ...]) -> np.ndarray:
-    """States (n, 6) that the calibrated model settles in, without some of what was fitted."""
-    values = {name: value for name, value in bent.repaired.start.items() if not name.startswith(left_out)}
-    return settle(bent.repaired.model, judged, values, judged.states())
+def told(bent: PointsDiscovery) -> np.ndarray:
+    """Coefficients of the corrections in the repaired machine."""
+    found = corrections_in(bent.engine().terms)
+    assert found is not None
+    return found
+
+
+def in_the_file(bent: PointsDiscovery) -> tuple[SteadyModel, dict[str, float]]:
+    """The calibrated model with its corrections as functions of the maps' arguments, for any state."""
+    model = bent.repaired.model
+    term = CorrectionTerm(coefficients=tuple(told(bent)))
+    values = {name: value for name, value in bent.repaired.start.items() if not name.startswith(MAP_MODE)}
+    return SteadyModel(model.engine.replace(terms=(term,)), extra=model.extra), values
+
+
+def test_the_file_holds_the_errors_that_were_fitted(bent: PointsDiscovery) -> None:
+    assert 0.2 * MAP_RMS < np.sqrt(np.mean(told(bent) ** 2)) < 2.0 * MAP_RMS
+    points, here = bent.calibration.points, bent.repaired
+    corrected, values = in_the_file(bent)
+    for name, predicted in corrected.relations(points, points.states(), values).predicted.items():
+        fitted = here.model.relations(points, points.states(), here.start).predicted[name]
+        np.testing.assert_allclose(predicted, fitted, rtol=AGREE, err_msg=name)
 
 
 def test_simulate_with_the_repaired_file_is_the_calibrated_model(bent: PointsDiscovery, tmp_path: Path) -> None:
@@ -57,18 +75,9 @@ def test_simulate_with_the_repaired_file_is_the_calibrated_model(bent: PointsDis
                            ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")})  # fmt: skip
     inputs.insert(0, "time_s", np.arange(len(inputs), dtype=float))
     simulated = dt.simulate(inputs, tmp_path / "repaired.yaml").frame[list(STATES)].iloc[HOLD_S - 1 :: HOLD_S]
-    model = at_rest(bent, judged, (SENSOR_ERROR,))
-    np.testing.assert_allclose(simulated.to_numpy(), model, rtol=AGREE)
-    bare = at_rest(bent, judged, (SENSOR_ERROR, MAP_MODE))
-    assert np.abs(bare / model - 1.0).max() > 10.0 * AGREE  # what the file would miss without them
-
-
-def test_the_next_question_starts_from_the_corrected_maps(bent: PointsDiscovery) -> None:
-    told = corrections_in(bent.engine().terms)
-    assert told is not None and 0.2 * MAP_RMS < np.sqrt(np.mean(told**2)) < 2.0 * MAP_RMS
-    judged, values = bent.calibration.points.judged, dict(bent.repaired.start)
-    model = bent.repaired.model
-    bare = {name: value for name, value in values.items() if not name.startswith(MAP_MODE)}
-    corrected = type(model)(model.engine.replace(terms=(CorrectionTerm(coefficients=tuple(told)),)), extra=model.extra)
-    np.testing.assert_allclose(corrected.relations(judged, judged.states(), bare).residual,
-                               model.relations(judged, judged.states(), values).residual, atol=AGREE)  # fmt: skip
+    model, values = in_the_file(bent)
+    own = {name: value for name, value in values.items() if not name.startswith(SENSOR_ERROR)}  # true, not as read
+    at_rest = settle(model, judged, own, judged.states())
+    np.testing.assert_allclose(simulated.to_numpy(), at_rest, rtol=AGREE)
+    bare = settle(SteadyModel(bent.repaired.model.engine), judged, own, judged.states())
+    assert np.abs(bare / at_rest - 1.0).max() > 10.0 * AGREE  # what the file would miss without them
