@@ -28,6 +28,7 @@ def check_page(page: Path, *laws: str) -> None:
     assert panels and all(len(line["y"]) == len(panel["x"]) for panel in panels for line in panel["lines"])
     assert all(a <= b for panel in panels for a, b in zip(panel["x"], panel["x"][1:], strict=False))
     assert text.count('class="still"') == len(groups_of(page))
-    formulae = [re.sub(r"<[^>]+>|\s", "", markup) for markup in re.findall(r"<math.*?</math>", text, re.DOTALL)]
+    markups = re.findall(r"<math.*?</math>", text, re.DOTALL)
+    formulae = [re.sub(r"<[^>]+>|&#x2061;|\s", "", markup) for markup in markups]
     for law in laws:
         assert any(law in formula for formula in formulae), law

@@ -110,10 +110,13 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
     """Name one after another what a rig's file leaves out, and a law for the rest.
 
     Raises:
-        InputError: no fit of the rig stays finite on this recording.
+        InputError: no fit of the rig stays finite on this recording; no effect in its file, or all of them withheld.
     """
     options, began = options or Options(), time.perf_counter()
     settings = options.search
+    if not _left(rig, options):
+        raise InputError(f"{rig.name}: effects", "none to look for", "one or more that may be missing",
+                         "name them in the file, or withhold fewer")  # fmt: skip
     try:
         here, fit = before, fit_before = fitted(rig, recording)
     except np.linalg.LinAlgError:
@@ -121,7 +124,7 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
                          "check the columns' units, or shorten the file's window_s") from None
     errors, early = _foretold(here, recording, settings.checked_share)
     rounds: list[Round] = []
-    while len(rounds) < settings.most_effects:
+    while len(rounds) < settings.most_effects and _left(here, options):
         found = _searched(here, fit.residual, recording, options)
         names = _named(found, settings.least_explained)
         law = None
@@ -140,6 +143,11 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
         (here, fit), errors = fitted(candidate, recording), later
     seconds = time.perf_counter() - began
     return RigDiscovery(recording, options, before, here, fit_before, fit, tuple(rounds), seconds, early)
+
+
+def _left(rig: RigParameters, options: Options) -> set[str]:
+    """Names that a search can still give."""
+    return set(rig.effects) - {term.effect for term in rig.terms} - set(options.withhold)
 
 
 def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:

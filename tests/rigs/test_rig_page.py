@@ -8,7 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import dieseltwin as dt
 from dieseltwin.cli.app import main
+from dieseltwin.errors import InputError
 from dieseltwin.report import pdf
 from dieseltwin.report.mathml import law_markup
 from dieseltwin.rigs.equations import equations, readable
@@ -96,3 +98,10 @@ def test_the_page_in_a_browser(leaking: Path) -> None:
         assert "–" not in values[0]  # the cursor of one panel is that of the others
         browser.close()
     assert not problems
+
+
+def test_nothing_left_to_look_for_is_said(leaking: Path) -> None:
+    recording, withheld = leaking.parent / "tank.csv", {"withhold": ["leak"]}
+    for rig, options in ((leaking.parent / "tank.yaml", withheld), (leaking / "engine.yaml", {})):
+        with pytest.raises(InputError, match="tank: effects: got none to look for"):
+            dt.discover(recording, rig, **options)  # type: ignore[arg-type]
