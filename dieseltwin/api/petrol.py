@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TOLERANCE_RANGE = (0.0, 0.1)  # of the maps [-]; with more, nothing is left to find
-OWNED = ("figures", "report.html", "engine.yaml", "runtime.json", DETAILS)
+OWNED = ("figures", "report.html", "report.pdf", "engine.yaml", "runtime.json", DETAILS)
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,8 +69,8 @@ class PetrolDiscovered(Discovered):
 
     def plot(self, name: str | None = None) -> Figure:
         """`residuals_over_time`, `over_pressure` or `candidates`."""
-        drawings = {"residuals_over_time": pages.residuals_over_time, "over_pressure": pages.over_pressure,
-                    "candidates": pages.candidates}
+        drawings = {"residuals_over_time": lambda found: pages.balances_over_time(found).still,
+                    "over_pressure": lambda found: pages.over_pressure(found).still, "candidates": pages.candidates}
         return drawn(self.found, drawings, name)
 
     def save(self, out: str | Path) -> Path:

@@ -41,6 +41,8 @@ from dieseltwin.recordings.channels import INPUTS, SENSORS
 from dieseltwin.recordings.reader import Recording, write_recording
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
 from dieseltwin.report import calibration as pages
+from dieseltwin.report import points as points_pages
+from dieseltwin.report.style import ReportFigure
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import unknown_name
 from dieseltwin.settings.params import params_sha256
@@ -54,8 +56,8 @@ LARGEST_NOISE_PCT = 20.0
 SHOWN = 5  # names of a round in the printed lines
 DECIDED = 0.5  # of a variance, from which beliefs are said to decide
 FAR = 3.0  # standard deviations of the inputs that the engine was calibrated with
-OWNED = ("discrepancy.json", "details.json", "report.html", "report_figures", "implied.parquet", "repaired.yaml",
-         "repaired.steady.json", "runtime.json")  # fmt: skip
+OWNED = ("discrepancy.json", "details.json", "report.html", "report.pdf", "figures", "report_figures",
+         "implied.parquet", "repaired.yaml", "repaired.steady.json", "runtime.json")  # fmt: skip
 
 
 # --- calibrate
@@ -92,7 +94,7 @@ class Calibrated(Result):
 
     def plot(self, name: str | None = None) -> Figure:
         """`submodels`: measured against predicted, the held-out third in another colour."""
-        return drawn(self.found, {"submodels": pages.calibration_figure}, name)
+        return drawn(self.found, {"submodels": lambda found: pages.submodels(found).still}, name)
 
     def save(self, out: str | Path) -> Path:
         """The engine file, its sidecar, a report with figures, and a channel map if an actuator is turned round."""
@@ -172,19 +174,26 @@ class PointsDiscovered(Discovered):
 
     @property
     def sentence(self) -> str:
-        return pages.sentence(self.found)
+        return points_pages.sentence(self.found)
 
     def plot(self, name: str | None = None) -> Figure:
-        """`before_after`: errors of the submodels with and without what was found; `submodels_repaired`, `implied`."""
+        """`errors`: of the submodels with and without what was found, point by point; `before_after` over what the laws
+        depend on, where there is one; `submodels_repaired`, `implied`."""
+
+        def before_after(found: PointsDiscovery) -> ReportFigure | None:
+            series = points_pages.over_arguments(found)
+            return None if series is None else series.still
+
         drawings = {
-            "before_after": pages.before_after_figure, "submodels_repaired": pages.repaired_figure,
-            "implied": lambda found: pages.implied_figure(dict(found.calibration.points.judged.columns),
-                                                          _implied(found), "implied"),
+            "before_after": before_after, "errors": lambda found: points_pages.over_points(found).still,
+            "submodels_repaired": lambda found: points_pages.submodels(found).still,
+            "implied": lambda found: points_pages.implied_figure(found.calibration.points.judged.columns,
+                                                                 _implied(found)),
         }  # fmt: skip
         return drawn(self.found, drawings, name)
 
     def save(self, out: str | Path) -> Path:
-        """discrepancy.json, details.json, report.html with figures, implied.parquet, repaired.yaml with its sidecar,
+        """discrepancy.json, details.json, report.html, figures/, implied.parquet, repaired.yaml with its sidecar,
         runtime.json."""
         began = time.perf_counter()
         used = self.found.calibration.points.judged
@@ -194,7 +203,7 @@ class PointsDiscovered(Discovered):
             write_json(folder / DETAILS, sealed_json(details(self.found, self.asked)))
             write_repaired(self.found, folder / "repaired.yaml")
             _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
-            pages.discovery_report(self.found, implied, self.sentence, folder / "report.html")
+            points_pages.build_points_report(self.found, self.document, self.sentence, implied, folder)
             seconds = self.seconds + time.perf_counter() - began
             write_json(folder / "runtime.json", {"seconds": seconds, "version": __version__})
         return Path(out)
@@ -319,7 +328,7 @@ class Implied(Result):
     def plot(self, name: str | None = None) -> Figure:
         """`implied`: four quantities with their standard deviations over the air flow."""
         columns = {str(column): values.to_numpy() for column, values in self.table().items()}
-        return drawn(self, {"implied": lambda s: pages.implied_figure(columns, s.quantities, "implied")}, name)
+        return drawn(self, {"implied": lambda s: points_pages.implied_figure(columns, s.quantities)}, name)
 
     def save(self, out: str | Path) -> Path:
         """The table as .csv or .parquet."""

@@ -34,7 +34,7 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OWNED = ("engine.yaml", "runtime.json", DETAILS, FILE_NAME)
+OWNED = ("engine.yaml", "report.html", "report.pdf", "figures", "runtime.json", DETAILS, FILE_NAME)
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,12 +69,16 @@ class RigDiscovered(Discovered):
         return drawn(self, {"readings": lambda s: beside_readings(frame, s.found.recording.readings)}, name)
 
     def save(self, out: str | Path) -> Path:
-        """discrepancy.json, details.json, engine.yaml (repaired), runtime.json."""
+        """discrepancy.json, details.json, report.html, figures/, engine.yaml (repaired), runtime.json."""
+        from dieseltwin.report.rigs import build_rig_report  # matplotlib takes longer to load than a rig to simulate
+
         with atomic_folder(out, owned=OWNED) as folder:
             self.document.write(folder / FILE_NAME)
             write_json(folder / DETAILS, sealed_json(details(self.found, self.question.asked)))
             save_rig(self.engine, folder / "engine.yaml")
-            write_json(folder / "runtime.json", {"seconds": self.found.seconds, **machine()})
+            runtime = {"seconds": self.found.seconds, **machine()}
+            build_rig_report(self.found, self.document, self.sentence, runtime, folder)
+            write_json(folder / "runtime.json", runtime)
         return Path(out)
 
 

@@ -15,7 +15,7 @@ from dieseltwin.api.figures import drawn
 from dieseltwin.api.findings import Asked
 from dieseltwin.api.reading import Channels
 from dieseltwin.api.results import Result
-from dieseltwin.atomic import atomic_folder, write_text
+from dieseltwin.atomic import atomic_folder
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Course, course
 from dieseltwin.learning.files import LearnedEngine, load_learned
@@ -24,6 +24,7 @@ from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.dates import Dated, dated
 from dieseltwin.recordings.dates import date_in as date_in
 from dieseltwin.report import history as pages
+from dieseltwin.report.page import write_page
 from dieseltwin.settings.params import load_params
 from dieseltwin.settings.watch import WatchConfig
 
@@ -70,7 +71,7 @@ class Watched(Result):
         """Write history.html and history.csv."""
         with atomic_folder(out) as folder:
             self.table().to_csv(folder / TABLE, index=False, lineterminator="\n")
-            write_text(folder / PAGE, pages.page(self.entries, self.course, self.alarms_per_year))
+            write_page(pages.page(self.entries, self.course, self.alarms_per_year), folder / PAGE)
         return Path(out)
 
     def lines(self) -> list[str]:

@@ -26,6 +26,7 @@ from dieseltwin.calibration.coefficients import (
     with_scalars,
     worn,
 )
+from dieseltwin.calibration.lasting_errors import map_corrections
 from dieseltwin.calibration.likelihood import DEGREES, Estimate, estimate, log_density
 from dieseltwin.calibration.scatter import Scatter, scatter_of
 from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel, term_values
@@ -37,7 +38,7 @@ from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
-from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, law_terms
+from dieseltwin.engine.terms import OneTerm, SensorTerm, Term, corrections_in, law_terms, with_corrections
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.settings.params import default_search
 from dieseltwin.settings.search import PointSettings, SearchSettings, SubmodelErrors
@@ -148,9 +149,15 @@ class PointsDiscovery:
         return (*named, *self.law_terms)
 
     def engine(self) -> EngineParameters:
-        """The repaired machine: fitted coefficients and the found terms, beside those that the engine had."""
-        now = worn(self.repaired.engine, self.repaired.start)
-        return now.replace(terms=(*self.calibration.engine.terms, *self.terms()))
+        """The repaired machine: fitted coefficients, the found terms beside those that the engine had, and the
+        corrections of its maps that a reference told."""
+        here = self.repaired
+        terms = (*self.calibration.engine.terms, *self.terms())
+        told = map_corrections(here.points, here.model, here.start, self.options.search)
+        if told is not None:
+            known = corrections_in(terms)
+            terms = with_corrections(terms, told if known is None else known + told)
+        return worn(here.engine, here.start).replace(terms=terms)
 
 
 def _term(name: str, magnitude: float, std: float, values: Mapping[str, float]) -> OneTerm:

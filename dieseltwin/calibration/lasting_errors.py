@@ -1,6 +1,7 @@
 """Errors of maps and of sensors as free numbers of the balances, where a reference is there to tell them.
 
-Without one, they can't be told from what is missing, and stay tolerances of the search.
+Without one, they can't be told from what is missing, and stay tolerances of the search. Errors of maps are sums of the
+functions that an engine file holds (`engine.map_corrections`), so that the repaired machine has them too.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from numpy.typing import NDArray
 
 from dieseltwin.calibration.coefficients import Coefficient
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel, law_variables
-from dieseltwin.discovery.likelihood.nuisance import tolerance_modes
-from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
+from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.settings.search import PointSettings
 
 _KEPT = 0.95  # of the variance; the rest is below what differs from point to point
+_TOLD = 1e-4  # of a correction that is not worth a larger coefficient [-]
 _MOST = 5.0  # standard deviations
 _ROW_OF = {"p_im_pa": "cylinder_flow", "p_em_pa": "turbine_flow", "omega_t_rad_s": "compressor_flow",
            "w_c_kg_s": "cylinder_flow", "w_egr_kg_s": "egr_flow", "t_em_k": "exhaust_temperature"}  # fmt: skip
@@ -40,21 +41,14 @@ def with_lasting_errors(
         model, values: from which the maps' arguments are taken, at the points as measured.
         believed: how large the errors may be.
     """
-    states = points.states()
-    states = np.where(np.isfinite(states), states, np.nanmedian(states, axis=0))
-    quantities = model.relations(points, states, values).quantities
-    variables = law_variables(points, {name: np.asarray(v[0]) for name, v in quantities.items()})
+    along = basis_along(_variables(points, model, values))
     columns: dict[str, NDArray[np.float64]] = {}
     found = []
-    for name, submodel in SUBMODEL_OF.items():
-        sets = [names for names in (POINT_FACTS[name].over, POINT_FACTS[name].also) if names]
-        if not sets:
-            continue
-        modes = np.concatenate([tolerance_modes([variables[v] for v in names], _KEPT) for names in sets])
-        for k, mode in enumerate(modes):
+    for m, name in enumerate(CORRECTED_POINTS):
+        for k, mode in enumerate(_leading(along[basis().maps == m])):
             label = f"{MAP_MODE}{name}:{k}"
-            columns[label] = believed.map_beside_reference / np.sqrt(len(sets)) * mode
-            found.append(Coefficient(label, submodel, 0.0, 1.0, -_MOST, _MOST, "-", "smooth error of the map"))
+            columns[label] = believed.map_beside_reference * mode
+            found.append(Coefficient(label, SUBMODEL_OF[name], 0.0, 1.0, -_MOST, _MOST, "-", "smooth error of the map"))
     for column in STATES:
         level = float(np.nanmedian(points[column])) if column in points else 0.0
         for fault, std in (("gain", believed.sensor_gain), ("offset", believed.sensor_offset * level)):
@@ -62,3 +56,43 @@ def with_lasting_errors(
                 found.append(Coefficient(f"{SENSOR_ERROR}{column}:{fault}", _ROW_OF[column], 0.0, std, -_MOST * std,
                                          _MOST * std, "-", "error of the sensor"))
     return points.with_columns(**columns), found
+
+
+def map_corrections(
+    points: SteadyPoints, model: SteadyModel, values: Mapping[str, float], believed: PointSettings
+) -> NDArray[np.float64] | None:
+    """Coefficients (K,) of `engine.map_corrections.basis` that make the errors of the maps at the points; None where
+    none are free.
+
+    Args:
+        points: with the columns of the modes.
+        model, values: as fitted.
+        believed: how large the errors may be.
+    """
+    modes = [name for name in values if name.startswith(MAP_MODE) and name in points]
+    if not modes:
+        return None
+    along = basis_along(_variables(points, model, values))
+    coefficients = np.zeros(len(along))
+    for m, point in enumerate(CORRECTED_POINTS):
+        functions, own = basis().maps == m, [name for name in modes if name.split(":")[1] == point]
+        error = np.sum([values[name] * points[name] for name in own], axis=0)
+        A = believed.map_beside_reference * along[functions].T / _TOLD
+        smallest = np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ (error / _TOLD))
+        coefficients[functions] = believed.map_beside_reference * smallest
+    return coefficients
+
+
+def _variables(points: SteadyPoints, model: SteadyModel, values: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:
+    """Arguments of the maps at the points as measured, (n,) each."""
+    states = points.states()
+    states = np.where(np.isfinite(states), states, np.nanmedian(states, axis=0))
+    quantities = model.relations(points, states, values).quantities
+    return law_variables(points, {name: np.asarray(v[0]) for name, v in quantities.items()})
+
+
+def _leading(functions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Leading modes (r, n) of a random sum of functions (K, n) with coefficients of unit variance."""
+    _, sizes, along = np.linalg.svd(functions, full_matrices=False)
+    count = int(np.searchsorted(np.cumsum(sizes**2) / np.sum(sizes**2), _KEPT)) + 1
+    return np.asarray(sizes[:count, None] * along[:count])

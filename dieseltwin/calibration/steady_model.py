@@ -17,8 +17,19 @@ from numpy.typing import NDArray
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import EFFECTS, effects_at
+from dieseltwin.engine.map_corrections import CORRECTED_POINTS, arguments_of, corrections_of, look_up
 from dieseltwin.engine.parameters import CONSTANT_NAMES, EngineParameters, parameter_batch
-from dieseltwin.engine.terms import SENSOR_SLOTS, OneTerm, Term, effect_terms, law_terms, sensor_slot
+from dieseltwin.engine.terms import (
+    SENSOR_SLOTS,
+    CorrectionTerm,
+    LawTerm,
+    OneTerm,
+    Term,
+    corrections_in,
+    effect_terms,
+    law_terms,
+    sensor_slot,
+)
 from dieseltwin.recordings.steady_points import JUDGED, LEAST, STATES, SteadyPoints
 
 Array = NDArray[np.float64]
@@ -111,6 +122,8 @@ class SteadyModel:
         """
         if law_terms(self.engine.terms):
             return self._with_laws(points, x, values)
+        if corrections_in(self.engine.terms) is not None:
+            return self._with_corrections(points, x, values)
         lanes = max([np.size(v) for v in values.values()] or [1])
         engine_values = {k: np.broadcast_to(v, (lanes,)) for k, v in values.items() if k in CONSTANT_NAMES}
         if "c_m1" in engine_values and self.engine.c_m[0] > 0:  # the straight part of c_m follows, or the curve jumps
@@ -239,14 +252,24 @@ class SteadyModel:
     def _with_laws(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
         """Found laws of the engine as signals, of the quantities without them."""
         since = self.engine.terms[len(self.before) :]
-        bare = replace(self, engine=self.engine.replace(terms=effect_terms(self.engine.terms)),
-                       added=len(effect_terms(since)))
+        bare = replace(self, engine=self.engine.replace(terms=_but(LawTerm, self.engine.terms)),
+                       added=len(_but(LawTerm, since)))
         variables = law_variables(points, bare.relations(points, x, values).quantities)
         entered = dict(self.signals)
         for law in law_terms(self.engine.terms):
             acts = law.factor(np.zeros(points.size), 0.0, dict(points.columns))
             acts = acts * points.columns.get(JUDGED, 1.0) if law in since else acts
             entered[law.point] = entered.get(law.point, 0.0) + np.nan_to_num(acts * law.signal(variables))
+        return replace(bare, signals=entered).relations(points, x, values)
+
+    def _with_corrections(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
+        """Learned corrections of the engine's maps as signals; none of their arguments depends on them."""
+        tables = corrections_of(np.asarray(corrections_in(self.engine.terms))).tables
+        bare = replace(self, engine=self.engine.replace(terms=_but(CorrectionTerm, self.engine.terms)))
+        variables = law_variables(points, bare.relations(points, x, values).quantities)
+        entered = dict(self.signals)
+        for m, point in enumerate(CORRECTED_POINTS):
+            entered[point] = entered.get(point, 0.0) + look_up(tables[m], m, *arguments_of(point, variables))
         return replace(bare, signals=entered).relations(points, x, values)
 
     @staticmethod
@@ -257,6 +280,10 @@ class SteadyModel:
             sweep = _eq.cylinder_sweep(ratio, W_ei, W_f, x_r, T_1, c)
             x_r, T_1 = sweep.x_r, sweep.T_1
         return _eq.exhaust_manifold_temperature(sweep.T_e, W_eo, c)
+
+
+def _but(kind: type[LawTerm | CorrectionTerm], terms: Sequence[OneTerm]) -> tuple[OneTerm, ...]:
+    return tuple(term for term in terms if not isinstance(term, kind))
 
 
 def law_variables(points: SteadyPoints, q: Mapping[str, Array]) -> dict[str, Array]:

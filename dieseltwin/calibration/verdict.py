@@ -55,6 +55,19 @@ def _probabilities(found: Search) -> dict[str, float]:
     return {name: float(w / weights.sum()) for name, w in zip(names, weights, strict=True)}
 
 
+def shares(result: PointsDiscovery) -> list[tuple[tuple[str, ...], float]]:
+    """Names of each round that was taken, and the share of the misfit beyond tolerances which it takes away [-]; that
+    of a later round counts in what the earlier ones left."""
+    found, left = [], 1.0
+    for item in result.rounds:
+        share = item.found.share_explained()
+        if item.taken and share is not None:
+            names = dict.fromkeys(name if name in EFFECTS else NONE_OF_THESE for name in item.names)
+            found.append((tuple(names), left * share))
+            left *= 1.0 - share
+    return found
+
+
 def _equivalent(item: Round, name: str) -> tuple[str, ...]:
     """Names of the catalogue that the points can't tell from one."""
     found = item.found
@@ -146,7 +159,8 @@ def document(result: PointsDiscovery) -> Discrepancy:
         health=_health(result),
         fit=Fit(held_out_nll_before=result.nll_before, held_out_nll_after=result.nll_after,
                 chi2_per_sample_before=result.chi2_before, chi2_per_sample_after=result.chi2_after,
-                rmse_before=_rmse(result, before=True), rmse_after=_rmse(result, before=False)),
+                rmse_before=_rmse(result, before=True), rmse_after=_rmse(result, before=False),
+                share_explained=sum(share for _, share in shares(result)) if result.effects else None),
         minimum_detectable={name: float(size) for name, size in
                             minimum_detectable(first.scored, first.settings.alarm_gain).items()
                             if np.isfinite(size) and name in EFFECTS},

@@ -21,7 +21,7 @@ EVIDENCE_TIME = _line("""
 """)
 EVIDENCE_MAP = _line("""
     The same evidence over the operating map, mean per sample in each cell: engine speed and load, the two actuators.
-    White cells were never visited. Box: the region that holds most of the evidence, with its share.
+    Empty cells were never visited. Box: the region that holds most of the evidence, with its share.
 """)
 
 RESIDUAL_TIME = _line("""

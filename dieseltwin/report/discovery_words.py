@@ -105,16 +105,18 @@ def display_unit(name: str, unit: str | None) -> tuple[str, float]:
 
 
 def magnitude_words(
-    name: str, magnitude: float, std: float | None, unit: str | None, *, extra: bool = True, digits: int = 3
-) -> str:
+    name: str, magnitude: float, std: float | None, unit: str | None, *, extra: bool = True, digits: int = 3,
+    shown: tuple[str, float] | None = None,
+) -> str:  # fmt: skip
     """A magnitude [unit] as text, `41.0 ± 2.0 mm²`, with two digits of the standard deviation.
 
     Args:
         name: of the effect.
         digits: of the magnitude where there is no standard deviation.
         extra: also give a quadratic restriction as the pressure at its flow.
+        shown: unit on paper and factor to it; None: the usual.
     """
-    shown, factor = display_unit(name, unit)
+    words, factor = shown or display_unit(name, unit)
     value, spread = magnitude * factor, math.nan if std is None else std * factor
     if math.isfinite(spread) and spread > 0.0:
         places = quantities.decimals_for(spread)
@@ -122,7 +124,7 @@ def magnitude_words(
     else:
         text = quantities.significant(value, digits)
     text = text.replace("-", "−") if value < 0 and "e" not in text else text
-    text = f"{text} {shown}".rstrip()
+    text = f"{text} {words}".rstrip()
     entry = EFFECTS.get(name)
     if extra and entry is not None and entry.at_flow is not None:
         pressure = 1e-3 * magnitude * entry.at_flow**2

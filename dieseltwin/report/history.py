@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from dieseltwin.engine import HEALTH
 from dieseltwin.learning.alarm import Course
 from dieseltwin.learning.history import Entry
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import magnitude_words, site_words
+from dieseltwin.report.page import Page, Section, Table
 from dieseltwin.report.trend import Trend, trend_figure
 
 _LEAST_EVIDENCE = 1e-3  # shown; below, nothing speaks for a change
@@ -114,30 +115,29 @@ def _when(entries: Sequence[Entry], course: Course) -> tuple[list, list]:
     return dates, [] if course.alarm is None else [dates[course.alarm.at]]
 
 
-def page(entries: Sequence[Entry], course: Course, alarms_per_year: float) -> str:
-    """The page as text, self-contained."""
-    environment = Environment(
-        loader=PackageLoader("dieseltwin.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
+def page(entries: Sequence[Entry], course: Course, alarms_per_year: float) -> Page:
+    """What the page says."""
     figures = [figure for figure in (health(entries, course), evidence(entries, course)) if figure is not None]
     hours = sum(entry.hours for entry in entries)
-    return environment.get_template("history.html.j2").render(
+    dates = " or its ".join(sorted({entry.date_from for entry in entries}))
+    heads = ("date", "recording", "min", "kPa", "°C", *(f"{name} [%]" for name in HEALTH), "evidence", "by itself")
+    rows = [
+        (f"{entry.moment:{_DAY}}", entry.path, f"{60.0 * entry.hours:.0f}", f"{1e-3 * entry.p_amb_pa:.1f}",
+         f"{entry.t_amb_k - 273.15:.0f}", *_changes(entry), f"{value:.2g}", entry.verdict)
+        for entry, value in zip(entries, course.evidence, strict=True)
+    ]  # fmt: skip
+    words = ("Health is the change since the reference, ± one standard deviation. Dates are those of each recording's "
+             f"{dates}.")
+    return Page(
         title="Alarm: the engine has changed" if course.alarm else "No change but wear",
         about=f"{len(entries)} recordings · {hours:.3g} h of running engine",
+        headline=Markup(quantities.with_symbols(sentence(entries, course, alarms_per_year))),
         alarm=course.alarm is not None,
-        headline=quantities.with_symbols(sentence(entries, course, alarms_per_year)),
-        figures=[
-            {"name": f.name, "title": f.title, "caption": quantities.with_symbols(f.caption),
-             "uri": style.data_uri(f.encode(), f.kind)}
-            for f in figures
-        ],
-        rows=[
-            (f"{entry.moment:{_DAY}}", entry.path, f"{60.0 * entry.hours:.0f}", f"{1e-3 * entry.p_amb_pa:.1f}",
-             f"{entry.t_amb_k - 273.15:.0f}", *_changes(entry), f"{value:.2g}", entry.verdict)
-            for entry, value in zip(entries, course.evidence, strict=True)
-        ],
-        heads=("date", "recording", "min", "kPa", "°C", *(f"{name} [%]" for name in HEALTH), "evidence", "by itself"),
-        dates=sorted({entry.date_from for entry in entries}),
+        sections=(
+            Section("course", "Since the reference", tuple(figures)),
+            Section("recordings", "Recordings", words=words,
+                    tables=(Table(heads, rows, words=(0, 1, len(heads) - 1), long=(len(heads) - 1,)),)),
+        ),
     )  # fmt: skip
 
 

@@ -9,12 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from dieseltwin.atomic import write_bytes, write_text
-from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
+from dieseltwin.report import captions, charts, interactive, quantities, style, timeseries, training, violins
 from dieseltwin.report.encoding import encode_all
-from dieseltwin.report.interactive import results_series, still
+from dieseltwin.report.interactive import results_series
+from dieseltwin.report.page import shown_figure, templates
 from dieseltwin.report.results import PARAMETERS, Results, load_results
 from dieseltwin.report.style import ReportFigure
 from dieseltwin.report.tables import headline, paper_table, segment_table, summary_table
@@ -272,26 +271,16 @@ def _picture(path: Path) -> dict[str, str]:
     return {"name": path.stem, "title": title, "caption": "", "uri": style.data_uri(path.read_bytes(), kind)}
 
 
-def _figure(figure: ReportFigure, content: bytes) -> dict[str, str]:
-    uri = style.data_uri(content, figure.kind)
-    return {
-        "name": figure.name,
-        "title": figure.title,
-        "caption": quantities.with_symbols(figure.caption),
-        "uri": uri,
-    }
-
-
 def _page(results: Results, sections: Sequence[Section], encode: Callable[[ReportFigure], bytes]) -> str:
     known = results.truth is not None
     series = results_series(results)
-    whole = None if series is None else still(series)
-    loader = PackageLoader("dieseltwin.report")
-    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    whole = None if series is None else series.still
     note = captions.SUMMARY_KNOWN if known else captions.SUMMARY_UNKNOWN
-    return environment.get_template("report.html.j2").render(
+    return templates().get_template("report.html.j2").render(
         series=series,
-        still=None if whole is None else _figure(whole, encode(whole)),
+        script="" if series is None else interactive.script(),
+        look="" if series is None else interactive.look(),
+        still=None if whole is None else shown_figure(whole, encode(whole)),
         title=str(results.about.get("title") or "Engine health from a recording"),
         about=_about_line(results),
         headline=headline(results),
@@ -309,7 +298,7 @@ def _page(results: Results, sections: Sequence[Section], encode: Callable[[Repor
                 "words": s.words,
                 "table": s.table,
                 "beside_paper": s.beside_paper,
-                "figures": [_picture(p) for p in s.pictures] + [_figure(f, encode(f)) for f in s.figures],
+                "figures": [_picture(p) for p in s.pictures] + [shown_figure(f, encode(f)) for f in s.figures],
             }
             for s in sections
         ],

@@ -3,19 +3,46 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import effect_words, magnitude_words, site_of, site_words
-from dieseltwin.report.mathml import law_markup, name_markup, symbols_in
+from dieseltwin.report.mathml import laws_markup, name_markup, symbols_in
 
 SURE = ((0.99, "practically certain"), (0.9, "very likely"), (0.7, "likely"), (0.5, "more likely than not"))
 UNSURE = "one possibility among several"
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a machine's catalogue says of an effect that was found.
+
+    Attributes:
+        title: what it is and how large ("a boost leak of 41.0 ± 2.0 mm²").
+        about: what it means, a sentence; "" for none.
+        site: where it enters; "" where that isn't known.
+        laws: formulae.
+        symbol: of the magnitude; "" for none.
+        size: with unit.
+        symbols: of the formulae, with meanings and units.
+    """
+
+    title: str
+    about: str
+    site: str
+    laws: tuple[str, ...]
+    symbol: str
+    size: str
+    symbols: tuple[tuple[str, str], ...] = ()
+
+
+Teller = Callable[[FoundEffect], Told | None]
+"""What a machine says of an effect; None for one that its catalogue doesn't hold."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +57,7 @@ class LawCard:
         symbols: of the formula, as HTML, with meanings and units.
         sure: how sure, in words.
         holds: where it holds; "" everywhere.
+        text: the law as documents have it.
     """
 
     title: str
@@ -39,44 +67,61 @@ class LawCard:
     symbols: tuple[tuple[Markup, str], ...]
     sure: str
     holds: str
+    text: str = ""
 
 
-def law_cards(found: Discovery) -> list[LawCard]:
-    """A card for each effect that was found, strongest first."""
-    return [_card(effect, found.document) for effect in found.document.effects]
-
-
-def _card(effect: FoundEffect, document: Discrepancy) -> LawCard:
+def diesel(effect: FoundEffect) -> Told | None:
+    """What the catalogue of the diesel engine says."""
     entry = EFFECTS.get(effect.name)
+    if entry is None or effect.magnitude is None:
+        return None
+    size = magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit)
+    return Told(effect_words(effect), _about(effect.name), entry.site, (effect.law or entry.law,), entry.symbol, size)
+
+
+def law_cards(document: Discrepancy, tell: Teller = diesel, judged: str = "This recording") -> list[LawCard]:
+    """A card for each effect that was found, strongest first.
+
+    Args:
+        document: the verdict.
+        tell: what the machine's catalogue says.
+        judged: what it was found in.
+    """
+    return [_card(effect, document, tell(effect), judged) for effect in document.effects]
+
+
+def _card(effect: FoundEffect, document: Discrepancy, told: Told | None, judged: str) -> LawCard:
     law = effect.law or ""
-    words = effect_words(effect) if effect.named else "a law that no effect of the catalogue explains"
     location = document.location
-    site = site_of(effect.name) or (location.site if location is not None else "")
-    meaning = f"It enters in {site_words(site)}." if site else ""
-    if entry is not None:
-        meaning = f"{_about(effect.name)} {meaning}".strip()
-    size = ""
-    if entry is not None and effect.magnitude is not None:
-        shown = magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit)
-        size = f"{name_markup(entry.symbol)} = {shown}"
-    symbols = tuple((Markup(name_markup(s.name)), s.meaning + ("" if s.unit == "-" else f" [{s.unit}]"))
-                    for s in symbols_in(law))  # fmt: skip
-    return LawCard(words[:1].upper() + words[1:], meaning, Markup(law_markup(law)) if law else Markup(""),
-                   Markup(size), symbols, _sure(effect), effect.valid_for or "")  # fmt: skip
+    if told is None:
+        site = site_of(effect.name) or (location.site if location is not None else "")
+        title = effect_words(effect) if effect.named else "what no effect of the catalogue explains"
+        told = Told(title, "", site, (law,) if law else (), "", "")
+    where = f"It enters in {site_words(told.site)}." if told.site else ""
+    size = f"{name_markup(told.symbol)} = {told.size}" if told.symbol else ""
+    known = ((s.name, s.meaning + ("" if s.unit == "-" else f" [{s.unit}]")) for s in symbols_in(" ".join(told.laws)))
+    symbols = tuple((Markup(name_markup(name)), words) for name, words in told.symbols or known)
+    return LawCard(told.title[:1].upper() + told.title[1:], f"{told.about} {where}".strip(), _typeset(told.laws),
+                   Markup(size), symbols, _sure(effect, judged), effect.valid_for or "",
+                   law if law in told.laws else "")  # fmt: skip
+
+
+def _typeset(laws: Sequence[str]) -> Markup:
+    return Markup("").join(Markup(laws_markup(law)) for law in laws)
 
 
 def _about(name: str) -> str:
     """The first sentence about an effect: that of the file that it stands in."""
     text = importlib.import_module(f"dieseltwin.engine.effects.{name}").__doc__ or ""
-    return text.split("\n\n")[0].replace("\n", " ").strip()
+    return text.split("\n\n")[0].replace("\n", " ").replace("`", "").strip()
 
 
-def _sure(effect: FoundEffect) -> str:
+def _sure(effect: FoundEffect, judged: str) -> str:
     words = next((words for least, words in SURE if effect.probability >= least), UNSURE)
     shown = "more than 99.9 %" if effect.probability > 0.999 else quantities.percent(effect.probability)
     text = f"{words.capitalize()} ({shown})."
     if effect.equivalent_names:
-        text += f" This recording can't tell it from {' or '.join(effect.equivalent_names)}."
+        text += f" {judged} can't tell it from {' or '.join(effect.equivalent_names)}."
         if effect.split_by:
             text += f" {effect.split_by.capitalize()} would settle it."
     return text

@@ -25,10 +25,11 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z]\w*)|(?P<sign>\+-|[-+*/^=<>|,()\[\]]))"
 )
 _PREFIX = re.compile(r"^(?P<words>relative change of|added to|reading of)\s+(?P<name>\w+):?\s*")
-_NOTE = re.compile(r",\s+(?=[a-z]+ [a-z]+)")  # ", of the reading alone"
+_NOTE = re.compile(r",\s+(?=[a-z]+ [a-z]+)|:\s+|\s+(?=(?:for|where)\s)")  # ", of the reading alone"
 _SIGNS = {"-": "−", "*": "·", "<": "&lt;", ">": "&gt;", "+-": "±"}
+_WORD = 4  # letters from which the first part of a name is a word and no symbol
 _CLOSING = {"(": ")", "[": "]", "|": "|"}
-_FORMULA = re.compile(r"[=/^+*(]|\d")
+_FORMULA = re.compile(r"[=/^+*(|]|\d")
 
 
 class _Unreadable(Exception):
@@ -41,6 +42,11 @@ class _Token:
     text: str
     unit: str = ""
     spaced: bool = False
+
+
+def laws_markup(text: str) -> str:
+    """Several laws, or a law and its numbers, between semicolons: each on a line of its own as HTML."""
+    return "".join(f"<div>{law_markup(part)}</div>" for part in text.split("; "))
 
 
 def law_markup(text: str) -> str:
@@ -214,5 +220,7 @@ def _name(name: str) -> str:
         return f'<mrow><mi mathvariant="normal">d</mi>{_name(name[1:])}</mrow>'
     head, _, tail = name.partition("_")
     head = _GREEK.get(head, head)
+    if tail and len(head) >= _WORD:
+        return f"<mtext>{escape(name)}</mtext>"
     letter = f"<mi>{escape(head)}</mi>" if len(head) == 1 else f'<mi mathvariant="normal">{escape(head)}</mi>'
     return f"<msub>{letter}<mtext>{escape(_GREEK.get(tail, tail).replace('_', ','))}</mtext></msub>" if tail else letter

@@ -3,26 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.axes import Axes
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from dieseltwin.atomic import write_bytes, write_text
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
 from dieseltwin.petrol.calibrate import SubmodelFit
 from dieseltwin.petrol.discover import PetrolDiscovery
+from dieseltwin.petrol.effects import HYPOTHESES
 from dieseltwin.petrol.parameters import FaultFreePiece
-from dieseltwin.report import style
+from dieseltwin.report import findings, quantities, style
+from dieseltwin.report.discovery_words import display_unit, magnitude_words
+from dieseltwin.report.interactive import Line, Mark, Panel, Series, over, still
+from dieseltwin.report.law_cards import Told, law_cards
+from dieseltwin.report.page import Page, Section, Table, write_page
 from dieseltwin.report.style import ReportFigure
 
 BEFORE, AFTER, LIMIT = "#D55E00", "#0072B2", "#000000"
-TITLES = {"cylinder": "cylinder flow: air flow against η_vol(ω_e, p_im)", "throttle": "throttle: air flow against A(α)",
-          "boost": "p_ic against p_amb at rest", "cooler": "T_ic against T_amb"}
+TITLES = {"cylinder": "cylinder balance: air flow against η_vol(ω_e, p_im)",
+          "throttle": "throttle balance: air flow against A(α)", "boost": "boost: p_ic against p_amb at rest"}
 SHOWN = ("cylinder", "throttle", "boost")
 CLIP = 0.25  # of a residual in the figures [-]
 SMOOTH_BLOCKS = 15  # running median: structure, not tip-ins
+PALE = {BEFORE: "#f2c4a5", AFTER: "#a9cce3"}
+OVER_TIME = ("Misfit of the balances against the calibrated maps: as read, and with the explanation and the levels "
+             "fitted beside it taken back. Seconds as points (cut at 25 %), running median over 15 s as lines.")
+OVER_PRESSURE = "Seconds after the onset over p_im. A gain shifts evenly, a leak most at low load."
+COLOURS = "Orange: as read; blue: repaired."
+VISIBLE = "Smallest size that this recording shows, had the effect begun after a tenth of it."
+MEANINGS = {
+    "throttle_offset": "The throttle stands elsewhere than its position says, everywhere by as much.",
+    "throttle_gain": "The throttle opens by another share of what its position says.",
+    "_gain": "The sensor shows its quantity times a factor.",
+    "_offset": "The sensor shows its quantity plus a constant.",
+    "_leak": "A hole through which gas flows as through a nozzle.",
+    "volumetric_efficiency_change": "The cylinders take another share of the charge than when they were calibrated.",
+    "throttle_area_change": "The throttle's area is another share of that of the calibration, as by deposits.",
+}  # fmt: skip
+"""Ending of the name of a petrol engine's effect -> what it means."""
 MOST_SHOWN = 8  # effects in the figure of what was weighed
 
 
@@ -50,31 +71,22 @@ def _onset(found: PetrolDiscovery) -> float | None:
     return None if variant is None or found.search.kind != "variant" else variant.onset_s
 
 
-@style.styled
-def residuals_over_time(found: PetrolDiscovery) -> ReportFigure:
-    """Each balance over time, before and after what was found is taken back."""
-    shown = [name for name in SHOWN if name in found.twin.channels]
-    figure = Figure(figsize=(9.0, 2.2 * len(shown)))
-    axes: Sequence[Axes] = list(figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0])
-    onset = _onset(found)
-    for panel, name in zip(axes, shown, strict=True):
+def balances_over_time(found: PetrolDiscovery) -> Series:
+    """Each balance over time, before and after what was found is taken back; points are seconds, lines a running
+    median."""
+    panels = []
+    for name in (name for name in SHOWN if name in found.twin.channels):
         kept, states = _misfits(found, name)
-        time_s = found.twin.time_s[kept]
-        for residual, colour, label in states:
-            panel.plot(time_s, 100.0 * residual, ".", ms=1.5, color=colour, alpha=0.2, zorder=1)
-            if len(residual) > SMOOTH_BLOCKS:
-                panel.plot(time_s, 100.0 * _running_median(residual, SMOOTH_BLOCKS), color=colour, lw=1.3, label=label)
-        panel.axhline(0.0, color=LIMIT, lw=0.6)
-        panel.set_ylabel("misfit [%]")
-        panel.set_title(TITLES[name])
-        if onset is not None:
-            panel.axvline(onset, color=LIMIT, lw=1.0, ls="--")
-    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
-    axes[-1].set_xlabel("time since the recording's start [s]")
-    caption = ("Misfit of the balances against the calibrated maps: as read, and with the explanation and the levels "
-               "fitted beside it taken back. Seconds as points (cut at 25 %), running median over 15 s as lines. "
-               "Dashed: the onset.")
-    return ReportFigure("residuals_over_time", "The balances over time", caption, figure, "png")
+        lines = [Line(f"{label}, each second", PALE[colour], 100.0 * values, dots=True)
+                 for values, colour, label in states]
+        if kept.sum() > SMOOTH_BLOCKS:
+            lines += [Line(label, colour, 100.0 * _running_median(values, SMOOTH_BLOCKS))
+                      for values, colour, label in states]
+        panels.append(Panel(f"misfit of the {TITLES[name]}", "%", found.twin.time_s[kept], tuple(lines)))
+    onset = _onset(found)
+    series = Series(tuple(panels), marks=() if onset is None else (Mark("the onset", onset),))
+    told = ("residuals_over_time", "Misfit of the balances", COLOURS + " Dashed: the onset.")
+    return replace(series, drawn=still(series, told))
 
 
 @style.styled
@@ -101,77 +113,61 @@ def _size(value: float, unit: str) -> str:
     return f"{100 * value:+.1f} %" if unit == "-" else f"{value:.3g} {unit}"
 
 
-@style.styled
-def over_pressure(found: PetrolDiscovery) -> ReportFigure:
+def over_pressure(found: PetrolDiscovery) -> Series:
     """Cylinder and throttle balance over the manifold pressure: gain, leak and offset have other shapes."""
-    shown = [name for name in ("cylinder", "throttle") if name in found.twin.channels]
-    figure = Figure(figsize=(9.0, 3.6))
-    axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
-    onset = _onset(found)
-    for panel, name in zip(axes, shown, strict=True):
+    onset, panels = _onset(found), []
+    for name in (name for name in ("cylinder", "throttle") if name in found.twin.channels):
         kept, states = _misfits(found, name)
         late = np.ones(int(kept.sum()), dtype=bool) if onset is None else found.twin.time_s[kept] >= onset
-        for residual, colour, label in states:
-            panel.plot(1e-3 * found.twin.blocks.p_im[kept][late], 100.0 * residual[late], ".", ms=2.5, alpha=0.35,
-                       color=colour, label=label)
-        panel.axhline(0.0, color=LIMIT, lw=0.6)
-        panel.set_title(TITLES[name].split(":")[0])
-        panel.set_xlabel("p_im [kPa]")
-    axes[0].set_ylabel("misfit [%]")
-    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, markerscale=3)
-    caption = "Seconds after the onset over p_im. A gain shifts evenly, a leak most at low load."
-    return ReportFigure("over_pressure", "Over the operating range", caption, figure, "png")
+        lines = [Line(label, colour, 100.0 * values[late], dots=True) for values, colour, label in states]
+        x = 1e-3 * found.twin.blocks.p_im[kept][late]
+        panels.append(over(f"misfit of the {name} balance", "%", ("p_im", "kPa"), x, lines))
+    series = Series(tuple(panels), linked=False)
+    return replace(series, drawn=still(series, ("over_pressure", "Misfit over the manifold pressure", COLOURS)))
 
 
-def all_figures(found: PetrolDiscovery) -> list[ReportFigure]:
-    """The page's figures."""
-    return [residuals_over_time(found), over_pressure(found), candidates(found)]
+def told(effect: FoundEffect) -> Told | None:
+    """What is known of an effect of a petrol engine."""
+    if effect.magnitude is None or effect.law is None:
+        return None
+    size = magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit, extra=False,
+                           shown=display_unit("", effect.unit))  # fmt: skip
+    site = HYPOTHESES[effect.name].site if effect.name in HYPOTHESES else ""
+    about = next((words for ending, words in MEANINGS.items() if effect.name.endswith(ending)), "")
+    symbol = next((s for s in ("A", "k", "g", "b") if s in effect.law.replace("(", " ").replace(")", " ").split()), "")
+    return Told(f"{effect.name.replace('_', ' ')} of {size}", about, site, (effect.law,), symbol, size)
+
+
+def petrol_page(found: PetrolDiscovery) -> Page:
+    """What the page says."""
+    said = found.document
+    units = {name: known.unit for name, known in found.twin.hypotheses.items()}
+    sections = (
+        Section("readings-over-time", "The balances over time", words=OVER_TIME, series=balances_over_time(found)),
+        Section("law-of-it", "Over the operating range", words=OVER_PRESSURE, series=over_pressure(found)),
+        Section("doubts", "What is doubtful", tables=(findings.doubts(said),)),
+        Section("weighed", "Candidates", (candidates(found),), tables=(findings.weighed(found.candidates, units),)),
+        Section("visible", "What could be seen", words=VISIBLE, tables=(findings.visible(said, units),)),
+    )
+    return Page(
+        title=findings.heading(said), about=f"{found.engine.name} · recording: {Path(said.recording.path).name} · "
+        f"{said.recording.duration_s:.0f} s · {len(said.recording.channels)} sensors",
+        headline=Markup(quantities.with_symbols(found.sentence)), alarm=said.mismatch,
+        findings=findings.findings(said), cards=law_cards(said, told),
+        tables=(findings.places(said), findings.levels(said, "level against the calibration", shift=False), _fit(said)),
+        sections=sections, provenance=findings.provenance(said), source=found.engine.source,
+    )  # fmt: skip
+
+
+def _fit(said: Discrepancy) -> Table:
+    """The first two rows: rms residuals of the balances are relative, and drawn."""
+    whole = findings.fit(said)
+    return replace(whole, rows=whole.rows[:2])
 
 
 def build_petrol_report(found: PetrolDiscovery, path: Path, figures_dir: Path) -> Path:
     """Write one self-contained page and its figures."""
-    figures_dir.mkdir(parents=True, exist_ok=True)
-    pictures = []
-    for figure in all_figures(found):
-        content = figure.encode()
-        write_bytes(figures_dir / f"{figure.name}.{figure.kind}", content)
-        pictures.append({"name": figure.name, "title": figure.title, "caption": figure.caption,
-                         "uri": style.data_uri(content, figure.kind)})
-    d = found.document
-    effects = [{
-        "name": e.name, "law": e.law or "–", "probability": f"{100 * e.probability:.1f} %",
-        "size": "–" if e.magnitude is None else f"{e.magnitude:.4g} ± {e.std or 0.0:.1g} {e.unit}",
-        "equivalent": "; ".join(x for x in (", ".join(e.equivalent_names), e.split_by) if x) or "–",
-    } for e in d.effects]
-    sites = [] if d.location is None else [
-        (s, f"{100 * p:.1f} %") for s, p in
-        [(d.location.site, d.location.probability), *((a.site, a.probability) for a in d.location.alternatives)]]
-    health = [{"symbol": n, "value": f"{v.value:.4f}" + ("" if v.std is None else f" ± {v.std:.4f}"),
-               "before": f"{v.before:.4f}"} for n, v in d.health.items()]
-    fit = [{"name": n, "before": _text(b), "after": _text(a)} for n, b, a in (
-        ("held-out negative log-likelihood per sample [–]", d.fit.held_out_nll_before, d.fit.held_out_nll_after),
-        ("chi-square per sample [–]", d.fit.chi2_per_sample_before, d.fit.chi2_per_sample_after))]
-    known = found.twin.hypotheses
-    visible = [(n, f"{v:.3g} {known[n].unit}", known[n].site) for n, v in d.minimum_detectable.items()]
-    sections = [
-        {"id": "balances", "title": "Balances", "words": "", "figures": pictures, "rows": [], "heads": []},
-        {"id": "visible", "title": "What could be seen", "words": "Smallest size that this recording shows, had the "
-         "effect begun after a tenth of it.", "figures": [], "rows": visible, "heads": ("effect", "from", "place")},
-    ]
-    environment = Environment(loader=PackageLoader("dieseltwin.report"), autoescape=True, undefined=StrictUndefined,
-                              trim_blocks=True)
-    page = environment.get_template("petrol.html.j2").render(
-        title="Discovery on a petrol engine", about=f"{Path(d.recording.path).name}, {d.recording.duration_s:.0f} s",
-        headline=found.sentence, mismatch=d.mismatch, effects=effects, sites=sites, health=health, fit=fit,
-        sections=sections, source=found.engine.source,
-        provenance=[("recording", d.recording.path), ("SHA-256 of the recording", d.recording.sha256),
-                    ("code version", d.provenance.code_version),
-                    ("SHA-256 of the parameters", d.provenance.params_sha256)])
-    return write_text(path, page)
-
-
-def _text(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4f}"
+    return write_page(petrol_page(found), path, figures_dir)
 
 
 @style.styled

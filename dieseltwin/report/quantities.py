@@ -10,6 +10,8 @@ import re
 from html import escape
 
 import numpy as np
+from markupsafe import Markup
+from markupsafe import escape as escape_markup
 from numpy.typing import ArrayLike, NDArray
 
 from dieseltwin.symbols import BY_COLUMN, SYMBOLS, Symbol
@@ -75,6 +77,11 @@ def html_symbol(name: str) -> str:
     head = escape(greek.get(head, head))  # a foreign channel's name may be anything
     tail = re.sub(r"[^A-Za-z0-9_ ]", "", tail).replace("_", ",")
     return f"<i>{head}</i><sub>{tail}</sub>" if tail else f"<i>{head}</i>"
+
+
+def label(name: str) -> Markup:
+    """Symbol for HTML text; a name that the nomenclature doesn't know as it is."""
+    return Markup(html_symbol(name)) if known(name) is not None else escape_markup(name)
 
 
 def decimals_for(std: float) -> int:

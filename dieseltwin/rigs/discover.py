@@ -59,6 +59,7 @@ class Round:
         before, after: rms error of free runs over the last part of the recording, by machines that were fitted to the
             first part, (C,) [units of the readings].
         taken: whether they are good enough.
+        early: the machine of `after`; None where it runs away, and where there was nothing to try.
     """
 
     found: search.Search
@@ -67,6 +68,7 @@ class Round:
     before: Array
     after: Array
     taken: bool
+    early: RigParameters | None = None
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ class RigDiscovery:
         fit_before, fit_after: of their windows.
         rounds: of the search; the last one took nothing, or most were named.
         seconds: wall time.
+        early: the machine without what was found, fitted to the first part; None where it runs away.
     """
 
     recording: RigRecording
@@ -89,6 +92,7 @@ class RigDiscovery:
     fit_after: Linearisation
     rounds: tuple[Round, ...]
     seconds: float
+    early: RigParameters | None = None
 
     @property
     def taken(self) -> tuple[Round, ...]:
@@ -106,18 +110,21 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
     """Name one after another what a rig's file leaves out, and a law for the rest.
 
     Raises:
-        InputError: no fit of the rig stays finite on this recording.
+        InputError: no fit of the rig stays finite on this recording; no effect in its file, or all of them withheld.
     """
     options, began = options or Options(), time.perf_counter()
     settings = options.search
+    if not _left(rig, options):
+        raise InputError(f"{rig.name}: effects", "none to look for", "one or more that may be missing",
+                         "name them in the file, or withhold fewer")  # fmt: skip
     try:
         here, fit = before, fit_before = fitted(rig, recording)
     except np.linalg.LinAlgError:
         raise InputError(recording.path, f"no fit of {rig.name} that stays finite", "a recording of this machine",
                          "check the columns' units, or shorten the file's window_s") from None
-    errors = _foretold(here, recording, settings.checked_share)
+    errors, early = _foretold(here, recording, settings.checked_share)
     rounds: list[Round] = []
-    while len(rounds) < settings.most_effects:
+    while len(rounds) < settings.most_effects and _left(here, options):
         found = _searched(here, fit.residual, recording, options)
         names = _named(found, settings.least_explained)
         law = None
@@ -128,14 +135,19 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
             break
         candidate = _with(here, found, names, law)
         bar = settings.gain_of_law if law is not None else settings.loss_of_name
-        later = _foretold(candidate, recording, settings.checked_share)
+        later, by = _foretold(candidate, recording, settings.checked_share)
         taken = bool(np.isfinite(later).all() and np.mean(later / errors) <= bar)
-        rounds.append(Round(found, names, law, errors, later, taken))
+        rounds.append(Round(found, names, law, errors, later, taken, by))
         if not taken:
             break
         (here, fit), errors = fitted(candidate, recording), later
     seconds = time.perf_counter() - began
-    return RigDiscovery(recording, options, before, here, fit_before, fit, tuple(rounds), seconds)
+    return RigDiscovery(recording, options, before, here, fit_before, fit, tuple(rounds), seconds, early)
+
+
+def _left(rig: RigParameters, options: Options) -> set[str]:
+    """Names that a search can still give."""
+    return set(rig.effects) - {term.effect for term in rig.terms} - set(options.withhold)
 
 
 def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:
@@ -248,12 +260,17 @@ def _written(point: str, coefficient: float, factors: tuple, text: str) -> RigLa
     return RigLaw(at=point, coefficient=float(coefficient), factors=plain, text=text)
 
 
-def _foretold(rig: RigParameters, recording: RigRecording, share: float) -> Array:
-    """Errors of free runs over the last share of the recording, fitted to what comes before; (C,), infinite where the
-    machine runs away."""
-    cut = round((1.0 - share) * len(recording.time_s))
+def checked_rows(recording: RigRecording, share: float) -> slice:
+    """The last share of a recording, which judges what was found."""
+    return slice(round((1.0 - share) * len(recording.time_s)), None)
+
+
+def _foretold(rig: RigParameters, recording: RigRecording, share: float) -> tuple[Array, RigParameters | None]:
+    """Errors of free runs over the last share of the recording, fitted to what comes before, and the machine so
+    fitted; (C,), infinite where it runs away."""
+    last = checked_rows(recording, share)
     try:
-        early, _ = fitted(rig, recording.part(slice(0, cut)))
-        return run_error(early, recording.part(slice(cut, None)))
+        early, _ = fitted(rig, recording.part(slice(0, last.start)))
+        return run_error(early, recording.part(last)), early
     except np.linalg.LinAlgError:
-        return np.full(len(rig.readings), np.inf)
+        return np.full(len(rig.readings), np.inf), None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,8 @@ from dieseltwin.discovery.verdict.document import (
     Location,
     Provenance,
     RecordingInfo,
+    fit_doubts,
+    with_warnings,
 )
 from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.discovery.verdict.findings import effects, site_probabilities, valid_for
@@ -35,7 +37,7 @@ def document(result: RigDiscovery) -> Discrepancy:
     recording, first = result.recording, result.rounds[0]
     entries = _effects(result)
     before, after = result.before.parameters, result.repaired.parameters
-    return Discrepancy(
+    made = Discrepancy(
         schema=1,  # type: ignore[call-arg]  # the alias of schema_version
         recording=RecordingInfo(path=recording.path, sha256=recording.sha256,
                                 duration_s=float(recording.time_s[-1] - recording.time_s[0]),
@@ -47,6 +49,15 @@ def document(result: RigDiscovery) -> Discrepancy:
         minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
+    return with_warnings(made, fit_doubts(made))
+
+
+def shares(result: RigDiscovery) -> list[tuple[tuple[str, ...], float]]:
+    """Names of each round that was taken, and the share of the squared error of free runs that no fit has seen which it
+    takes away [-]."""
+    judged = [item for item in result.taken if item.after.size]
+    return [((NONE_OF_THESE,) if item.law is not None else item.names,
+             float(np.mean((item.before**2 - item.after**2) / judged[0].before**2))) for item in judged]
 
 
 def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
@@ -110,7 +121,15 @@ def _fit(result: RigDiscovery) -> Fit:
         chi2_per_sample_after=float(np.mean((after / scale) ** 2)),
         rmse_before=dict(zip(names, map(float, before), strict=True)),
         rmse_after=dict(zip(names, map(float, after), strict=True)),
+        share_explained=_whole(judged),
     )  # fmt: skip
+
+
+def _whole(judged: Sequence[Round]) -> float | None:
+    """Share of the squared error of free runs that all rounds together take away [-]."""
+    if not judged:
+        return None
+    return float(np.clip(1.0 - np.mean((judged[-1].after / judged[0].before) ** 2), 0.0, 1.0))
 
 
 def _nll(error: Array) -> float:
@@ -134,7 +153,8 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
     text = f"{name}, first at {found.location.site}: {'; '.join(told)}."
     if judged:
         errors = zip(result.fit_before.twin.channels, judged[0].before, judged[-1].after, strict=True)
-        text += " Free runs no fit has seen: " + ", ".join(f"{c} {b:.3g} -> {a:.3g}" for c, b, a in errors) + "."
+        text += " Free runs no fit has seen: " + ", ".join(f"{c} {b:.3g} -> {a:.3g}" for c, b, a in errors)
+        text += f", {100.0 * (found.fit.share_explained or 0.0):.0f} % of the squared error explained."
     return text
 
 

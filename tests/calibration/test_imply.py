@@ -20,7 +20,8 @@ from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
-from dieseltwin.report.calibration import calibration_report, discovery_report, sentence
+from dieseltwin.report.calibration import calibration_report
+from dieseltwin.report.points import build_points_report, sentence
 from dieseltwin.settings.params import default_search
 from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
 
@@ -96,8 +97,9 @@ def test_files_answer_for_inputs_alone(mended: PointsDiscovery, data: SteadyPoin
 
 def test_reports_are_written(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
     pages = calibration_report(mended.calibration, tmp_path / "engine.html")
-    pages += discovery_report(mended, answers_of(mended)(data), sentence(mended), tmp_path / "report.html")
-    assert all(page.stat().st_size > 5000 for page in pages)
+    pages.append(build_points_report(mended, document(mended), sentence(mended), answers_of(mended)(data), tmp_path))
+    pages += (tmp_path / "figures").iterdir()
+    assert len(pages) == 7 and all(page.stat().st_size > 5000 for page in pages)
     assert "exhaust_flap" in (tmp_path / "report.html").read_text()
 
 

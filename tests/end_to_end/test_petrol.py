@@ -10,6 +10,7 @@ import pytest
 from dieseltwin.challenge.petrol_plant import ONSET_S, drive
 from dieseltwin.cli.app import main
 from tests.end_to_end.conftest import Answer, Ask
+from tests.pages import check_page, groups_of
 
 CALIBRATION_S, RECORDING_S = 900.0, 400.0
 FAULTS: dict[str, dict[str, float]] = {"leak": {"leak_m2": 1.5e-5}, "sensor": {"W_af_kg_s": 0.10}, "healthy": {}}
@@ -66,4 +67,7 @@ def test_the_verdict_is_whole(answer: Callable[[str], Answer]) -> None:
     assert {path.name for path in folder.iterdir()} >= {
         "discrepancy.json", "details.json", "report.html", "figures", "engine.yaml", "runtime.json",
     }  # fmt: skip
-    assert "intake_leak" in (folder / "report.html").read_text(encoding="utf-8")
+    check_page(folder / "report.html", "Wleak=ApupRaTupΨ(pdownpup)")
+    over_time, over_pressure = groups_of(folder / "report.html")
+    assert over_time["marks"][0]["at"] == pytest.approx(ONSET_S, abs=2.0) and not over_pressure["linked"]
+    assert (over_time["panels"][0]["axis"], over_pressure["panels"][0]["axis"]) == ("time", "p_im")

@@ -22,8 +22,10 @@ from dieseltwin.discovery.verdict.document import Discrepancy, load_discrepancy
 from dieseltwin.engine import load_engine, we2011
 from dieseltwin.engine.terms import Term
 from dieseltwin.recordings.steady_points import STATES
-from dieseltwin.report.calibration import sentence
+from dieseltwin.report.discovery_words import magnitude_words
+from dieseltwin.report.points import sentence
 from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
+from tests.pages import check_page, groups_of
 
 FLAP_K = FLAP["exhaust_flap"]
 """Back-pressure coefficient of the planted flap at 50 % [Pa/(kg/s)^2]."""
@@ -73,7 +75,19 @@ def test_the_size_is_one_everywhere(flap: Calibrated) -> None:
     (term,) = load_engine(flap.found / "repaired.yaml").terms
     assert isinstance(term, Term) and term.effect == "exhaust_flap"
     assert (term.magnitude, term.std) == (effect.magnitude, effect.std)
-    assert f"{effect.magnitude:.4g}" in (flap.found / "report.html").read_text()
+    assert magnitude_words(effect.name, effect.magnitude or 0.0, effect.std, effect.unit) in (
+        flap.found / "report.html").read_text()  # fmt: skip
+
+
+def test_the_page_shows_points_and_the_law_over_its_argument(flap: Calibrated) -> None:
+    check_page(flap.found / "report.html", "pes=pamb+kexp(−my−qy2)Wt2Tem700K")
+    check_page(flap.engine.with_suffix(".html"))
+    by_point, by_flap, parity, implied = groups_of(flap.found / "report.html")
+    assert by_point["linked"] and len(by_point["panels"]) == 6 and len(parity["panels"]) == 6
+    assert by_flap["panels"][0]["axis"] == "u_flap_pct" and not by_flap["linked"] and len(implied["panels"]) == 4
+    before, after = (np.array(line["y"]) for line in by_flap["panels"][0]["lines"])
+    assert np.sqrt(np.mean(after**2)) < 0.5 * np.sqrt(np.mean(before**2))
+    assert flap.document.fit.share_explained is not None and flap.document.fit.share_explained > 0.9
 
 
 def test_simulate_foretells_settled_points_better_with_the_repaired_machine(flap: Calibrated, tmp_path: Path) -> None:

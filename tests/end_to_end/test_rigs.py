@@ -15,6 +15,7 @@ import pytest
 from dieseltwin.cli.app import main
 from dieseltwin.rigs.parameters import RigParameters, load_rig
 from tests.end_to_end.conftest import Answer
+from tests.pages import check_page, groups_of
 
 RIGS = Path(__file__).resolve().parents[2] / "examples" / "rigs"
 
@@ -140,6 +141,19 @@ def test_tanks_name_the_overflow(tanks: Case) -> None:
     assert found.location is not None and found.location.site == "lower_tank"
     values = [p.value for p in tanks.repaired.parameters.values()]
     assert values == pytest.approx((K_PUMP, K_UPPER, K_LOWER, AREA_RATIO), rel=0.03)
+
+
+def test_the_page_says_it_all(tanks: Case) -> None:
+    page = tanks.answer.folder / "report.html"
+    check_page(page, "over=upper_overflow·max(0,hupper−10)")
+    whole, last = groups_of(page)
+    assert [panel["unit"] for panel in whole["panels"]] == ["V", "V", "V"] and whole["marks"][0]["until"] is not None
+    measured, before, after = (np.array(line["y"]) for line in last["panels"][0]["lines"])
+    assert last["panels"][0]["x"][0] > whole["panels"][0]["x"][0]  # the part that no fit has seen
+    assert np.sqrt(np.mean((after - measured) ** 2)) < 0.2 * np.sqrt(np.mean((before - measured) ** 2))
+    text = page.read_text(encoding="utf-8")
+    share = tanks.answer.document.fit.share_explained
+    assert share is not None and share > 0.9 and "90 % interval" in text and "misfit explained" in text
 
 
 def test_the_repaired_machines_run_free_where_no_fit_has_seen_them(axis: Case, tanks: Case) -> None:

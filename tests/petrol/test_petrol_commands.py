@@ -15,6 +15,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import calibrate
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
+from tests.pages import check_page
 
 Recorder = Callable[..., PetrolRecording]
 
@@ -94,7 +95,7 @@ def test_discover_command(
     assert {p.name for p in (out / "figures").iterdir()} == {
         "residuals_over_time.png", "over_pressure.png", "candidates.svg"
     }  # fmt: skip
-    assert "data:image/png;base64" in (out / "report.html").read_text(encoding="utf-8")
+    check_page(out / "report.html", "reading=Waf(1+g)")
 
 
 def test_engine_of_a_discovery_is_accepted_by_the_next_and_by_simulate(

@@ -30,13 +30,13 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_page_carries_the_readings(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert len(text.encode()) < SMALLER_THAN
-    found = re.search(r'<script type="application/json" id="series">(.*?)</script>', text, re.DOTALL)
+    found = re.search(r'<script type="application/json" class="series">(.*?)</script>', text, re.DOTALL)
     assert found is not None
-    panels = json.loads(found.group(1))
+    panels = json.loads(found.group(1))["panels"]
     curves = synthetic_discovery.discovery().curves
     assert [panel["name"] for panel in panels] == list(curves.channels)
     pressure = panels[0]
-    assert pressure["unit"] == "kPa" and len(pressure["t"]) == curves.time_s.size
+    assert pressure["unit"] == "kPa" and len(pressure["x"]) == curves.time_s.size
     np.testing.assert_allclose(pressure["lines"][0]["y"], curves.measured[:, 0] / 1e3, rtol=1e-4)
     np.testing.assert_allclose(pressure["lines"][2]["y"], curves.after[:, 0] / 1e3, rtol=1e-4)
 
@@ -51,8 +51,9 @@ def test_a_name_of_a_channel_can_not_end_the_script() -> None:
     found = synthetic_discovery.discovery()
     curves = replace(found.curves, channels=("</script><b>", *found.curves.channels[1:]))
     series = discovery_series(replace(found, curves=curves))
-    assert "</script" not in series.data and "<b>" not in "".join(series.titles)  # nor a heading
-    assert json.loads(series.data)[0]["name"] == "</script><b>"
+    titles = "".join(panel.title for panel in series.panels)
+    assert "</script" not in series.data and "<b>" not in titles  # nor a heading
+    assert json.loads(series.data)["panels"][0]["name"] == "</script><b>"
 
 
 def test_long_series_keep_their_spikes() -> None:
@@ -65,7 +66,7 @@ def test_long_series_keep_their_spikes() -> None:
 
 
 def test_a_law_is_told_in_words_with_its_size_and_how_sure_it_is() -> None:
-    card = law_cards(synthetic_discovery.discovery())[0]
+    card = law_cards(synthetic_discovery.document())[0]
     assert card.title == "A boost leak of 41.0 ± 2.0 mm²"
     assert card.meaning.startswith("A hole between compressor and cylinders")
     assert "<math" in card.formula and "41.0 ± 2.0 mm²" in card.size

@@ -1,0 +1,83 @@
+"""Errors of maps that a reference tells stand in the repaired machine's file, and act where it is simulated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import dieseltwin as dt
+from dieseltwin.calibration import calibrate as module
+from dieseltwin.calibration.calibrate import calibrate
+from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
+from dieseltwin.calibration.saved import write_repaired
+from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
+from dieseltwin.engine.map_corrections import basis
+from dieseltwin.engine.terms import CorrectionTerm, corrections_in
+from dieseltwin.recordings.steady_points import STATES, beside_reference
+from dieseltwin.settings.params import default_search
+from tests.calibration.simulated import GEOMETRY, TRUTH, made_points, settle
+
+MAP_RMS = 0.02
+HOLD_S = 60
+AGREE = 1e-3
+
+
+def drawn(rms: float) -> CorrectionTerm:
+    coefficients = rms * np.random.default_rng(4).standard_normal(len(basis().names))
+    return CorrectionTerm(coefficients=tuple(coefficients))
+
+
+@pytest.fixture(scope="module")
+def bent() -> PointsDiscovery:
+    """Points of an engine whose maps are 2 % off beside those of when it was well."""
+    engine = TRUTH.replace(terms=(drawn(MAP_RMS),))
+    well = made_points(engine, 70, 0.003, 5, u_flap_pct=100.0)
+    now = made_points(engine, 40, 0.003, 6, u_flap_pct=100.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "STARTS", 0)
+        search = default_search().points.model_copy(update={"most_effects": 1})
+        first = calibrate(beside_reference(now, [well]), TRUTH, GEOMETRY, believed=search)
+        return discover_points(first, Options(law_search=False, search=search))
+
+
+def told(bent: PointsDiscovery) -> np.ndarray:
+    """Coefficients of the corrections in the repaired machine."""
+    found = corrections_in(bent.engine().terms)
+    assert found is not None
+    return found
+
+
+def in_the_file(bent: PointsDiscovery) -> tuple[SteadyModel, dict[str, float]]:
+    """The calibrated model with its corrections as functions of the maps' arguments, for any state."""
+    model = bent.repaired.model
+    term = CorrectionTerm(coefficients=tuple(told(bent)))
+    values = {name: value for name, value in bent.repaired.start.items() if not name.startswith(MAP_MODE)}
+    return SteadyModel(model.engine.replace(terms=(term,)), extra=model.extra), values
+
+
+def test_the_file_holds_the_errors_that_were_fitted(bent: PointsDiscovery) -> None:
+    assert 0.2 * MAP_RMS < np.sqrt(np.mean(told(bent) ** 2)) < 2.0 * MAP_RMS
+    points, here = bent.calibration.points, bent.repaired
+    corrected, values = in_the_file(bent)
+    for name, predicted in corrected.relations(points, points.states(), values).predicted.items():
+        fitted = here.model.relations(points, points.states(), here.start).predicted[name]
+        np.testing.assert_allclose(predicted, fitted, rtol=AGREE, err_msg=name)
+
+
+def test_simulate_with_the_repaired_file_is_the_calibrated_model(bent: PointsDiscovery, tmp_path: Path) -> None:
+    write_repaired(bent, tmp_path / "repaired.yaml")
+    judged = bent.calibration.points.judged
+    judged = judged.take(np.arange(judged.size) < 6)
+    inputs = pd.DataFrame({name: np.repeat(judged[name], HOLD_S) for name in
+                           ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")})  # fmt: skip
+    inputs.insert(0, "time_s", np.arange(len(inputs), dtype=float))
+    simulated = dt.simulate(inputs, tmp_path / "repaired.yaml").frame[list(STATES)].iloc[HOLD_S - 1 :: HOLD_S]
+    model, values = in_the_file(bent)
+    own = {name: value for name, value in values.items() if not name.startswith(SENSOR_ERROR)}  # true, not as read
+    at_rest = settle(model, judged, own, judged.states())
+    np.testing.assert_allclose(simulated.to_numpy(), at_rest, rtol=AGREE)
+    bare = settle(SteadyModel(bent.repaired.model.engine), judged, own, judged.states())
+    assert np.abs(bare / at_rest - 1.0).max() > 10.0 * AGREE  # what the file would miss without them
