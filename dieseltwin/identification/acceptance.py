@@ -16,6 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.engine import HEALTH, EngineParameters, actuate, bind, constants, parameter_batch, settle
+from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import PAPER_CHANNELS, problems_from_recording
 from dieseltwin.recordings.reader import recording
@@ -98,13 +99,17 @@ def acceptance_tests(
         driving: held-out driving, three minutes or more.
         limits: a test without a limit is left out.
         identify: settings of the identification.
+
+    Raises:
+        InputError: the engine of the maps has no stable rest at a settled point.
     """
     tests = []
     for kind, one in maps.items():
         for test in map_tests(one.replacements("numpy"), one.parameters, driving, limits):
             tests.append(replace(test, name=f"{test.name}/{kind}", sentence=f"{kind} maps: {test.sentence}"))
     if limits.known_engine is not None:
-        tests.append(known_engine(networks, driving, identify, limits.known_engine))
+        laboratory = networks["maps"].parameters
+        tests.append(known_engine(networks, laboratory, driving, identify, limits.known_engine))
     return tests
 
 
@@ -244,19 +249,20 @@ def driving_errors(functions: MapFunctions, driving: HeldOutDriving, limit: floa
 
 
 def known_engine(
-    networks: Mapping[str, Any], driving: HeldOutDriving, identify: IdentifyConfig, limit: float
-) -> AcceptanceTest:
+    networks: Mapping[str, Any], laboratory: EngineParameters, driving: HeldOutDriving, identify: IdentifyConfig,
+    limit: float,
+) -> AcceptanceTest:  # fmt: skip
     """Whether `few-shot-newton` with these networks finds the health of an engine that is known, and says how sure.
 
     The last three minutes of the driving get the paper's noise. The figure is the largest error of a health parameter
     over its stated standard deviation [-]; infinite where none can be told.
 
     Args:
-        networks: "maps", "bodies" and "operators".
+        networks: "maps", "bodies" and "operators"; what isn't given is exact.
+        laboratory: what is known of the engine, with the laboratory's health values.
         driving: see `acceptance_tests`.
         identify: settings of the identification; limit: of the figure.
     """
-    laboratory = networks["maps"].parameters
     made = recording(driving.frame, driving.engine)
     problems = problems_from_recording(made, laboratory, duration_s=SEGMENT_S, channels=PAPER_CHANNELS)[-SEGMENTS:]
     rng = np.random.default_rng(0)
@@ -276,10 +282,13 @@ def known_engine(
 
 @lru_cache(maxsize=32)
 def _settled(engine: EngineParameters, point: Point) -> Rest:
-    """Where the engine itself rests; raises `ValueError` for an engine that is at no stable rest there."""
+    """Where the engine itself rests; raises `InputError` for one that has no stable rest there."""
     found = rest({}, point, engine, settle(*point, engine))
     if found is None:
-        raise ValueError(f"the engine has no stable rest at {_words(point)}")
+        raise InputError(
+            "engine of the maps", f"no stable rest at {_words(point)}", "an engine that comes to rest",
+            "set balances and rest to null in promotion.acceptance of params.yaml",
+        )  # fmt: skip
     return found
 
 

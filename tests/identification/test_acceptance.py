@@ -79,6 +79,15 @@ def test_driving_with_a_map_that_is_off_shows_how_far_it_takes_the_states(drivin
     assert "omega_t" in test.sentence and "3 minutes" in test.sentence
 
 
+def test_a_known_engine_is_found_and_another_one_is_not(driving: HeldOutDriving) -> None:
+    identify = load_params(None, "quick").identify
+    found = acceptance.known_engine({}, ENGINE, driving, identify, LIMITS.known_engine)
+    assert found.passed, found.sentence
+    larger = ENGINE.replace(V_d=1.1 * ENGINE.V_d)
+    missed = acceptance.known_engine({}, larger, driving, identify, LIMITS.known_engine)
+    assert not missed.passed and "of a known engine" in missed.sentence
+
+
 def test_a_test_without_a_limit_is_left_out(driving: HeldOutDriving) -> None:
     limits = LIMITS.model_copy(update={name: None for name in ("balances", "rest", "ranges", "driving")})
     assert [test.name for test in acceptance.map_tests(EXACT, ENGINE, driving, limits)] == ["monotony"]
