@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +14,7 @@ from tasks.model_folder import MODEL_FILE, NETWORKS
 from tasks.registry import CHALLENGER, CHAMPION, NAME, PREVIOUS, Registry, decide
 from tasks.store import Artifact
 from tasks.tracking import Tracker
-from tasks.workspace import Workspace
+from tasks.workspace import PROJECT, Workspace
 
 LIMITS = {"mean_ratio_max": 1.02, "worst_ratio_max": 1.25}
 
@@ -52,6 +55,15 @@ def networks(root: Path, name: str) -> tuple[Artifact, Artifact]:
     (folder / "errors" / "bodies.json").write_text("{}")
     (model / MODEL_FILE).write_text("flavors: {}")
     return Artifact.of(folder), Artifact.of(model)
+
+
+def test_a_registry_without_a_champion_is_not_served(tmp_path: Path) -> None:
+    environment = {**os.environ, "DIESELTWIN_WORKSPACE": str(tmp_path)}
+    command = [sys.executable, "-m", "tasks.serve_champion"]
+    ended = subprocess.run(command, cwd=PROJECT, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    assert "got none; allowed: a model whose networks agree with their checksum" in ended.stderr
+    assert not list(tmp_path.glob("mlruns/mlflow.db"))
 
 
 @pytest.mark.flow
