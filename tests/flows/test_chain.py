@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import psutil
 import pytest
@@ -148,17 +149,19 @@ def test_trained_networks_become_a_version_and_stay_in_use_against_worse_ones(
     new_context(tmp_path)
     assert promote("tiny") and registry.version(CHAMPION) == refused
 
-    # A map that answers its valve the wrong way is registered and never promoted.
+    # A map whose turbine shuts when its vanes open is registered and never promoted.
     path = tmp_path / "models" / "maps_improved.pt"
     maps = EmpiricalMaps.load(path)
-    valve = replace(maps.maps["f_egr"], centre=80.0 - maps.maps["f_egr"].centre, scale=-maps.maps["f_egr"].scale)
-    replace(maps, maps={**maps.maps, "f_egr": valve}).save(path)
+    turbine = maps.maps["F_vgt_Pi_t"]
+    sign = np.array([-1.0, 1.0])  # of the position, about 55 %
+    turned = replace(turbine, centre=[110.0, 0.0] + sign * turbine.centre, scale=sign * turbine.scale)
+    replace(maps, maps={**maps.maps, "F_vgt_Pi_t": turned}).save(path)
     new_context(tmp_path)
     assert not promote("tiny")
     broken = registry.version(CHALLENGER)
     assert registry.version(CHAMPION) == refused and broken is not None and broken.number == 3
     tags = registry.client.get_model_version(NAME, "3").tags
-    assert tags["acceptance"] == "failed" and "f_egr over the EGR valve's position goes the wrong way" in tags["reason"]
+    assert tags["acceptance"] == "failed" and "F_vgt,Pi_t over the VGT's position goes the wrong way" in tags["reason"]
 
 
 def the_champion_answers(folder: Path) -> None:
