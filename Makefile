@@ -33,7 +33,7 @@ export DIESELTWIN_MLFLOW := $(MLFLOW)
 export DIESELTWIN_PREFECT := $(PREFECT)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run repro discover proof evaluate bench promote test check docs ui serve
+.PHONY: help setup run repro discover proof evaluate bench promote test check docs ui champion serve
 
 help:  ## this list
 	@echo "make run    the whole chain: data, pretraining, identification, report (PROFILE=quick or paper)"
@@ -42,11 +42,12 @@ help:  ## this list
 	@echo "make proof  the concealed benchmark: 40 machines, at most 15 minutes (PROFILE=paper: 300)"
 	@echo "make evaluate  the paper's tables and figures, from ensembles of every method (PROFILE=quick or paper)"
 	@echo "make bench  every speed, part by part, into docs/speed.md; goes on where it was stopped (PROFILE=paper: an hour)"
-	@echo "make promote  put newly trained networks into MLflow's registry, in use unless they are worse"
+	@echo "make promote  put newly trained networks into MLflow's registry, in use if physics holds and they aren't worse"
 	@echo "make test   all tests"
 	@echo "make check  style, types, import directions, hygiene"
 	@echo "make docs   the documentation as a site, in site/"
 	@echo "make ui     MLflow with the results (PORT=5000)"
+	@echo "make champion  the networks in use as a service: inputs of a recording in, states out (PORT=5001)"
 	@echo "make serve  retraining on a schedule"
 
 setup: $(READY)  ## .venv with the exact versions of requirements.lock
@@ -103,6 +104,10 @@ docs: $(READY)  ## the documentation's site; a broken link ends the build
 
 ui: $(READY)  ## MLflow with the comparison of the methods
 	@$(BIN)/python -m tasks.ui --port $(PORT)
+
+champion: PORT := $(if $(filter 5000,$(PORT)),5001,$(PORT))
+champion: $(READY)  ## mlflow models serve of the registry's champion
+	@$(BIN)/python -m tasks.serve_champion --port $(PORT)
 
 serve: $(READY)  ## retraining deployment with its schedule
 	@$(BIN)/python -m flows.retrain --serve

@@ -1,4 +1,5 @@
-"""Trained networks -> a version of MLflow's registry; the champion's alias if they are not worse than the champion."""
+"""Trained networks -> a version of MLflow's registry; the champion's alias if they pass the physical tests and are not
+worse than the champion."""
 
 from __future__ import annotations
 
@@ -9,14 +10,18 @@ from prefect import flow
 from tasks import promote as steps
 from tasks.cluster import task_runner
 from tasks.launch import run_alone
+from tasks.model_folder import CODE
 from tasks.publish import published
+from tasks.registry import Candidate
 from tasks.run_context import current
-from tasks.settings import load_settings
+from tasks.settings import load_settings, own_settings
+from tasks.store import Artifact
 
 
 @flow(name="promote", description=__doc__, task_runner=task_runner())
 def promote(profile: str) -> bool:
-    """Compare ``models/`` with the champion on driving that neither was trained on. Returns whether it is in use."""
+    """Test ``models/`` and compare them with the champion on driving that neither was trained on. Returns whether they
+    are in use."""
     settings = load_settings(profile)
     models = published(current().workspace.root / "models", "pretrain")
     recording = steps.validation_driving.submit(
@@ -25,13 +30,21 @@ def promote(profile: str) -> bool:
         seed=settings["promotion"]["seed"],
         minutes=settings["promotion"]["minutes"],
     ).result()
-    figures = steps.figures_of(steps.validate.submit(recording=recording, networks=models))
+    validated = steps.validate.submit(recording=recording, networks=models)
+    tested = steps.acceptance.submit(
+        recording=recording,
+        networks=models,
+        limits=settings["promotion"]["acceptance"],
+        identify=own_settings(settings, steps.KNOWN_ENGINE.name)["identify"],
+    )
+    packed = steps.served_model.submit(recording=recording, networks=models, code=Artifact.of(CODE))
     champion = steps.champion()
     before = None
     if champion is not None:
         pending = steps.validate.submit(recording=recording, networks=champion.artifact)
         before = steps.figures_unless_unreadable(pending)
-    return steps.promote(models, figures, before, settings).promoted
+    candidate = Candidate(models, packed.result() / steps.MODEL, steps.figures_of(validated), steps.tests_of(tested))
+    return steps.promote(candidate, before, settings).promoted
 
 
 if __name__ == "__main__":

@@ -1,18 +1,21 @@
 """MLflow's model registry: every set of trained networks is a version, the one in use carries the alias ``champion``.
 
-A version is known by the hash of its files, so registering the same networks again changes nothing. Promotion compares
-validation figures (errors in per cent, smaller is better) of the new version with the champion's, both on the same
-driving: the new one takes the alias unless it is worse. The one before keeps the alias ``previous``, to go back to.
+A version is an MLflow model that can be served, and is known by the hash of its networks, so registering the same again
+changes nothing. A version that fails a physical test is never promoted. Else validation figures (errors in per cent,
+smaller is better) are compared with the champion's, both on the same driving: the new one takes the alias unless it is
+worse. The one before keeps the alias ``previous``, to go back to.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dieseltwin.atomic import write_json
+from tasks.model_folder import MODEL_FILE, NETWORKS
 from tasks.store import Artifact, content_hash
 from tasks.tracking import Record, Tracker
 
@@ -24,8 +27,31 @@ _DESCRIPTION = (
     f"`{CHAMPION}` marks the version in use; tags say why a version got it or not."
 )
 _HASH = "dieseltwin.sha256"
-_FOLDER = "networks"
+_TESTS = "acceptance.json"
+_FOLDER = "model"
 _SCHEME = "mlflow-artifacts:/"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Newly trained networks and what is known of them.
+
+    Attributes:
+        networks: their folder.
+        model: the folder that MLflow serves.
+        figures: name -> error on validation driving [%].
+        tests: physical tests, as `identification.acceptance` writes them in JSON.
+    """
+
+    networks: Artifact
+    model: Artifact
+    figures: Mapping[str, float]
+    tests: Sequence[Mapping[str, Any]]
+
+    @property
+    def failures(self) -> list[str]:
+        """Sentences of the tests that were failed."""
+        return [str(test["sentence"]) for test in self.tests if not test["passed"]]
 
 
 @dataclass(frozen=True)
@@ -46,16 +72,21 @@ class Decision:
 
 
 def decide(
-    new: Mapping[str, float], champion: Mapping[str, float] | None, *, mean_ratio_max: float, worst_ratio_max: float
-) -> Decision:
-    """Compare validation figures (name -> error, positive, smaller is better).
+    new: Mapping[str, float], champion: Mapping[str, float] | None, *, mean_ratio_max: float, worst_ratio_max: float,
+    failures: Sequence[str] = (),
+) -> Decision:  # fmt: skip
+    """Whether a version takes over: it fails no physical test, and by its validation figures (name -> error, positive,
+    smaller is better) it is not worse than the champion.
 
     Args:
         new: of the new version.
         champion: of the champion on the same driving; None where there is none or today's code can't read it.
         mean_ratio_max: geometric mean of new / champion up to which the new one is "not worse" [-].
         worst_ratio_max: the same for each figure alone [-].
+        failures: sentences of the physical tests that the new version fails; with one it is not promoted.
     """
+    if failures:
+        return Decision(False, f"it fails a physical test: {'; '.join(failures)}")
     wrong = sorted(name for name, value in new.items() if not (math.isfinite(value) and value >= 0.0))
     if wrong or not new:
         return Decision(False, f"no valid figure for {', '.join(wrong)}" if wrong else "no figures")
@@ -84,15 +115,31 @@ def _ratio(new: float, old: float) -> float:
 
 @dataclass(frozen=True)
 class Version:
-    """A registered version: its number, its folder, the hash of its files."""
+    """A registered version.
+
+    Attributes:
+        number: of the version.
+        folder: what was registered: an MLflow model, or the networks alone (versions of before 0.1.0).
+        sha256: hash of its networks.
+    """
 
     number: int
-    path: Path
+    folder: Path
     sha256: str
 
     @property
+    def served(self) -> bool:
+        """Whether it is a model that MLflow can serve."""
+        return (self.folder / MODEL_FILE).is_file()
+
+    @property
+    def path(self) -> Path:
+        """Folder of its networks."""
+        return self.folder / NETWORKS if self.served else self.folder
+
+    @property
     def artifact(self) -> Artifact:
-        """Its folder as a step's input."""
+        """Its networks as a step's input."""
         return Artifact(self.path, self.sha256)
 
 
@@ -125,31 +172,38 @@ class Registry:
         number = client.get_registered_model(NAME).aliases.get(alias)
         return None if number is None else self._checked(client.get_model_version(NAME, str(number)))
 
-    def register(self, models: Artifact, experiment_id: str, tags: Mapping[str, str]) -> Version:
-        """The version of these networks, made if it is new; its files are copied beside MLflow's other artifacts."""
+    def register(self, networks: Artifact, model: Artifact, experiment_id: str, tags: Mapping[str, str]) -> Version:
+        """The version of these networks, made if it is new; the files of the model that holds them are copied beside
+        MLflow's other artifacts."""
         for known in self.client.search_model_versions(f"name='{NAME}'"):
-            if known.tags.get(_HASH) == models.sha256:
+            if known.tags.get(_HASH) == networks.sha256:
                 version = self._checked(known)
-                if version is not None:
+                if version is not None and version.served:
                     return version
-        files = {f"{_FOLDER}/{path.relative_to(models.path).as_posix()}": path for path in _files(models.path)}
+        files = {f"{_FOLDER}/{path.relative_to(model.path).as_posix()}": path for path in _files(model.path)}
         record = Record(
-            "networks", f"registry {models.sha256}", artifacts=files, tags=dict(tags), description="Files of a version."
-        )
+            "networks", f"registry model {networks.sha256}", artifacts=files, tags=dict(tags),
+            description="Files of a version.",
+        )  # fmt: skip
         run_id = self.tracker.log(experiment_id, record)
         source = f"{self.client.get_run(run_id).info.artifact_uri}/{_FOLDER}"
-        made = self.client.create_model_version(NAME, source, run_id, tags={_HASH: models.sha256, **tags})
+        made = self.client.create_model_version(NAME, source, run_id, tags={_HASH: networks.sha256, **tags})
         version = self._checked(made)
         if version is None:
-            raise OSError(f"version {made.version} of {NAME}: its files don't agree with {models.path}")
+            raise OSError(f"version {made.version} of {NAME}: its files don't agree with {model.path}")
         return version
 
-    def record(self, version: Version, decision: Decision) -> None:
-        """Set aliases and tags. Before the alias moves, the champion becomes ``previous``."""
+    def record(self, version: Version, decision: Decision, tests: Sequence[Mapping[str, Any]] = ()) -> None:
+        """Set aliases and tags, write the tests beside the model. Before the alias moves, the champion becomes
+        ``previous``."""
         number = str(version.number)
         tags = {"decision": "promoted" if decision.promoted else "refused", "reason": decision.reason}
         if decision.mean_ratio is not None:
             tags["mean_ratio"] = f"{decision.mean_ratio:.4f}"
+        if tests:
+            write_json(version.folder / _TESTS, list(tests))
+            tags["acceptance"] = "passed" if all(test["passed"] for test in tests) else "failed"
+            tags |= {f"acceptance.{test['name']}": _told(test) for test in tests}
         for key, value in tags.items():
             self.client.set_model_version_tag(NAME, number, key, value)
         if not decision.promoted:
@@ -164,9 +218,14 @@ class Registry:
         place = str(found.source).removeprefix(_SCHEME).lstrip("/")
         path = self.tracker.workspace.mlruns / "artifacts" / place
         wanted = found.tags.get(_HASH)
-        if not path.is_dir() or content_hash(path) != wanted:
-            return None
-        return Version(int(found.version), path, str(wanted))
+        version = Version(int(found.version), path, str(wanted))
+        return version if version.path.is_dir() and content_hash(version.path) == wanted else None
+
+
+def _told(test: Mapping[str, Any]) -> str:
+    """A physical test as a tag."""
+    figure = "no number" if test["figure"] is None else f"{test['figure']:.4g}"
+    return f"{'passed' if test['passed'] else 'failed'}: {figure}, limit {test['limit']:g}"
 
 
 def _files(folder: Path) -> list[Path]:

@@ -10,6 +10,17 @@ from dieseltwin.settings.search import SearchConfig
 from dieseltwin.settings.strict import StrictModel
 
 
+class AcceptanceConfig(StrictModel):
+    """Largest figures with which networks pass the physical tests (`identification.acceptance`); null: not tested."""
+
+    balances: NonNegativeFloat | None = Field(description="imbalance of mass or power at settled points [-]")
+    rest: NonNegativeFloat | None = Field(description="distance of the rest from the engine's own [-]")
+    ranges: NonNegativeFloat | None = Field(description="share of rows with a value that can't be [-]")
+    monotony: NonNegativeFloat | None = Field(description="share of moves of a flow against physics [-]")
+    driving: NonNegativeFloat | None = Field(description="error of a state over its mean in held-out driving [-]")
+    known_engine: NonNegativeFloat | None = Field(description="error of health over its stated standard deviation [-]")
+
+
 class PromotionConfig(StrictModel):
     """When newly trained networks take over from those in use (MLflow's registry)."""
 
@@ -17,6 +28,7 @@ class PromotionConfig(StrictModel):
     minutes: PositiveFloat
     mean_ratio_max: PositiveFloat = Field(description="geometric mean over the errors, new / in use")
     worst_ratio_max: PositiveFloat = Field(description="the same of every single error")
+    acceptance: AcceptanceConfig
 
 
 class DiscoverConfig(StrictModel):

@@ -12,14 +12,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import psutil
 import pytest
 import tiny_settings
 import yaml
 
+from dieseltwin import engine
 from flows.identify import COMPARED
 from tasks import discover, identify, pretrain, prove, report, run_context, simulate
 from tasks.progress import Display
@@ -107,8 +111,9 @@ def test_a_second_run_computes_nothing_and_changes_nothing(finished: tuple[Path,
 def test_trained_networks_become_a_version_and_stay_in_use_against_worse_ones(
     finished: tuple[Path, set[str]], tmp_path: Path
 ) -> None:
+    from dieseltwin.surrogates.empirical import EmpiricalMaps
     from flows.promote import promote
-    from tasks.registry import CHALLENGER, CHAMPION, Registry
+    from tasks.registry import CHALLENGER, CHAMPION, NAME, Registry
     from tasks.tracking import Tracker
 
     for name in ("data", "models", ".cache"):
@@ -119,6 +124,11 @@ def test_trained_networks_become_a_version_and_stay_in_use_against_worse_ones(
     assert promote("tiny")
     first = registry.version(CHAMPION)
     assert first is not None and first.sha256 == content_hash(tmp_path / "models")
+    tests = json.loads((first.folder / "acceptance.json").read_text())
+    kinds, asked = ("improved", "paper"), ("balances", "rest", "ranges", "monotony")
+    assert [test["name"] for test in tests] == [f"{name}/{kind}" for kind in kinds for name in asked]
+    assert all(test["passed"] for test in tests) and all(test["figure"] >= 0.0 for test in tests)
+    the_champion_answers(first.folder)
     again = new_context(tmp_path)
     assert promote("tiny") and not again.timings and registry.version(CHAMPION) == first
 
@@ -138,6 +148,39 @@ def test_trained_networks_become_a_version_and_stay_in_use_against_worse_ones(
     (first.path / "operators.pt").unlink()
     new_context(tmp_path)
     assert promote("tiny") and registry.version(CHAMPION) == refused
+
+    # A map whose turbine shuts when its vanes open is registered and never promoted.
+    path = tmp_path / "models" / "maps_improved.pt"
+    maps = EmpiricalMaps.load(path)
+    turbine = maps.maps["F_vgt_Pi_t"]
+    sign = np.array([-1.0, 1.0])  # of the position, about 55 %
+    turned = replace(turbine, centre=[110.0, 0.0] + sign * turbine.centre, scale=sign * turbine.scale)
+    replace(maps, maps={**maps.maps, "F_vgt_Pi_t": turned}).save(path)
+    new_context(tmp_path)
+    assert not promote("tiny")
+    broken = registry.version(CHALLENGER)
+    assert registry.version(CHAMPION) == refused and broken is not None and broken.number == 3
+    tags = registry.client.get_model_version(NAME, "3").tags
+    assert tags["acceptance"] == "failed" and "F_vgt,Pi_t over the VGT's position goes the wrong way" in tags["reason"]
+
+
+def the_champion_answers(folder: Path) -> None:
+    """MLflow loads it by its own means, and it simulates what the networks' engine does."""
+    import mlflow
+
+    example = json.loads((folder / "serving_input_example.json").read_text())
+    model = mlflow.pyfunc.load_model(str(folder), model_config={"compiled": False})
+    rows = pd.DataFrame(example["dataframe_split"]["data"], columns=example["dataframe_split"]["columns"]).head(6)
+    answer = model.predict(rows)
+    assert list(answer) == model.metadata.get_output_schema().input_names()
+    laboratory = engine.we2011.PARAMETERS
+    exact = engine.simulate(engine.Inputs(*(rows[name].to_numpy() for name in rows)), laboratory, oxygen=False)
+    for name in ("p_im_pa", "p_em_pa", "omega_t_rad_s"):
+        assert answer[name].to_numpy() == pytest.approx(exact[name].to_numpy(), rel=0.1)
+    narrower = model.predict(rows, params={"A_vgtmax": 0.8 * laboratory.A_vgtmax})
+    assert (narrower["p_em_pa"] > answer["p_em_pa"]).all()
+    with pytest.raises(mlflow.MlflowException, match=r"time_s.*allowed: strictly increasing"):
+        model.predict(rows.iloc[::-1])
 
 
 @pytest.mark.flow

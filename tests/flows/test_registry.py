@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from tasks.model_folder import MODEL_FILE, NETWORKS
 from tasks.registry import CHALLENGER, CHAMPION, NAME, PREVIOUS, Registry, decide
 from tasks.store import Artifact
 from tasks.tracking import Tracker
-from tasks.workspace import Workspace
+from tasks.workspace import PROJECT, Workspace
 
 LIMITS = {"mean_ratio_max": 1.02, "worst_ratio_max": 1.25}
 
@@ -34,12 +39,31 @@ def test_not_worse_means_in_the_mean_and_in_each_figure(new, champion, promoted:
     assert decision.promoted is promoted and words in decision.reason
 
 
-def networks(root: Path, name: str) -> Artifact:
-    folder = root / name
+@pytest.mark.parametrize("champion", [None, {"a": 1.0}])
+def test_a_failed_physical_test_decides_whatever_the_errors_say(champion) -> None:
+    decision = decide({"a": 0.1}, champion, **LIMITS, failures=["f_egr goes the wrong way in 98.00 % of its moves"])
+    assert not decision.promoted
+    assert decision.reason == "it fails a physical test: f_egr goes the wrong way in 98.00 % of its moves"
+
+
+def networks(root: Path, name: str) -> tuple[Artifact, Artifact]:
+    """Networks and the model that holds them."""
+    model = root / name
+    folder = model / NETWORKS
     (folder / "errors").mkdir(parents=True)
     (folder / "bodies.pt").write_text(name)
     (folder / "errors" / "bodies.json").write_text("{}")
-    return Artifact.of(folder)
+    (model / MODEL_FILE).write_text("flavors: {}")
+    return Artifact.of(folder), Artifact.of(model)
+
+
+def test_a_registry_without_a_champion_is_not_served(tmp_path: Path) -> None:
+    environment = {**os.environ, "DIESELTWIN_WORKSPACE": str(tmp_path)}
+    command = [sys.executable, "-m", "tasks.serve_champion"]
+    ended = subprocess.run(command, cwd=PROJECT, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    assert "got none; allowed: a model whose networks agree with their checksum" in ended.stderr
+    assert not list(tmp_path.glob("mlruns/mlflow.db"))
 
 
 @pytest.mark.flow
@@ -49,20 +73,33 @@ def test_versions_aliases_and_files(tmp_path: Path) -> None:
     experiment = tracker.experiment("promote", "comparisons")
     assert registry.version(CHAMPION) is None
 
-    first = registry.register(networks(tmp_path, "a"), experiment, {"profile": "tiny"})
-    registry.record(first, decide({"e": 1.0}, None, **LIMITS))
+    made = networks(tmp_path, "a")
+    first = registry.register(*made, experiment, {"profile": "tiny"})
+    tests = [{"name": "rest", "figure": 0.01, "limit": 0.03, "sentence": "it rests", "passed": True}]
+    registry.record(first, decide({"e": 1.0}, None, **LIMITS), tests)
     assert registry.version(CHAMPION) == first and first.number == 1
     assert (first.path / "errors" / "bodies.json").exists()
-    assert registry.register(Artifact.of(tmp_path / "a"), experiment, {}) == first  # the same files, the same version
+    assert first.served and json.loads((first.folder / "acceptance.json").read_text()) == tests
+    tags = registry.client.get_model_version(NAME, "1").tags
+    assert (tags["acceptance"], tags["acceptance.rest"]) == ("passed", "passed: 0.01, limit 0.03")
+    assert registry.register(*made, experiment, {}) == first  # the same files, the same version
 
-    worse = registry.register(networks(tmp_path, "b"), experiment, {})
+    worse = registry.register(*networks(tmp_path, "b"), experiment, {})
     registry.record(worse, decide({"e": 2.0}, {"e": 1.0}, **LIMITS))
     assert registry.version(CHAMPION) == first and registry.version(CHALLENGER) == worse
     assert registry.client.get_model_version(NAME, "2").tags["decision"] == "refused"
 
-    better = registry.register(networks(tmp_path, "c"), experiment, {})
+    better = registry.register(*networks(tmp_path, "c"), experiment, {})
     registry.record(better, decide({"e": 0.5}, {"e": 1.0}, **LIMITS))
     assert registry.version(CHAMPION) == better and registry.version(PREVIOUS) == first
+
+    broken = registry.register(*networks(tmp_path, "d"), experiment, {})
+    failed = [{"name": "rest", "figure": None, "limit": 0.03, "sentence": "no stable rest", "passed": False}]
+    registry.record(broken, decide({"e": 0.1}, {"e": 0.5}, **LIMITS, failures=["no stable rest"]), failed)
+    assert registry.version(CHAMPION) == better and registry.version(CHALLENGER) == broken
+    tags = registry.client.get_model_version(NAME, str(broken.number)).tags
+    assert (tags["acceptance"], tags["acceptance.rest"]) == ("failed", "failed: no number, limit 0.03")
+    assert "no stable rest" in tags["reason"]
 
     # A moved checkout keeps its versions; a spoilt file is no champion.
     (tmp_path / "first").rename(tmp_path / "moved")

@@ -1,0 +1,46 @@
+"""The champion as a service: ``python -m tasks.serve_champion --port 5001`` (``make champion``).
+
+It is `mlflow models serve` of the champion's folder, after its networks were compared with their checksum.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from tasks import databases
+from tasks.registry import CHAMPION, NAME, Registry
+from tasks.tracking import Tracker
+from tasks.workspace import prepare_environment
+
+
+def main() -> int:
+    """Find the champion, become its server; exit status 2 where there is none that can be served."""
+    parser = argparse.ArgumentParser(prog="make champion", description=__doc__)
+    parser.add_argument("--port", type=int, default=5001)
+    parser.add_argument("--host", default="127.0.0.1")
+    arguments = parser.parse_args()
+    tracker = Tracker(prepare_environment())
+    version = None
+    if not tracker.uri.startswith("sqlite") or (tracker.workspace.mlruns / "mlflow.db").exists():
+        version = Registry(tracker).version(CHAMPION)
+    if version is None or not version.served:
+        found = "none" if version is None else f"version {version.number}, which holds networks alone"
+        print(f"error: {NAME}@{CHAMPION} in {databases.shown(tracker.uri)}: got {found}; allowed: a model whose "
+              "networks agree with their checksum; run `make run` and `make promote`", file=sys.stderr)  # fmt: skip
+        return 2
+    print(f"version {version.number} answers at http://{arguments.host}:{arguments.port}/invocations once its "
+          "simulator is compiled (a minute, once a machine); Ctrl-C ends it", flush=True)  # fmt: skip
+    command = [
+        *(sys.executable, "-m", "mlflow", "models", "serve", "--env-manager", "local"),
+        *("--model-uri", str(version.folder), "--host", arguments.host, "--port", str(arguments.port)),
+    ]
+    # MLflow looks for its server on the path
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    os.execve(command[0], command, {**os.environ, "PATH": path})
+
+
+if __name__ == "__main__":
+    sys.exit(main())
