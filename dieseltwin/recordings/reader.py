@@ -42,7 +42,7 @@ RATE_TOLERANCE = 1.15  # time stamps jitter, and a logger that says 5 Hz gives 4
 CRANKING_RPM = 300.0  # the engine is not running below this speed
 SLOW_ROWS = (
     "what happens between them is unknown. Dead times, lags and play of actuators are out of reach, quick transients "
-    "count as noise, and intervals widen with the root of the rate"
+    "count as noise, and intervals widen with the root of the rate and by what the inputs may have done (`classical`)"
 )
 LONGEST_GAP_S = 1.0
 LONGEST_S = 1e6  # eleven days; longer ones are in milliseconds
