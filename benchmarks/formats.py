@@ -283,8 +283,8 @@ def lines_of(rows: list[dict[str, Any]]) -> list[str]:
         size = ""
         if effect is not None and effect["magnitude"] is not None:
             size = f"{1e6 * effect['magnitude']:.2f} ± {1e6 * effect['std']:.2f}"
-        moved = max(abs(row["health"][key][0] - first["health"][key][0]) / first["health"][key][1] for key in HEALTH)
-        fitted = max(abs(row["identify"][k][0] - first["identify"][k][0]) / first["identify"][k][1] for k in HEALTH)
+        moved = max(abs(row["health"][key][0] - first["health"][key][0]) / row["health"][key][1] for key in HEALTH)
+        fitted = max(abs(row["identify"][k][0] - first["identify"][k][0]) / row["identify"][k][1] for k in HEALTH)
         read_off = "0" if row["worst_rel"] == 0.0 else f"{100.0 * row['worst_rel']:.2g} % of {row['worst']}"
         shown.append([row["format"], f"{row['bytes'] / 1e3:.0f} kB", read_off, verdict,
                       (row["site"] or "").replace("_", " "), size, f"{moved:.2g}", f"{fitted:.2g}"])  # fmt: skip

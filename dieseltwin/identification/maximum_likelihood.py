@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.engine import settle
 from dieseltwin.identification.bound import cautious_bound
+from dieseltwin.identification.input_errors import input_errors
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.least_squares import (
     Box,
@@ -31,8 +32,8 @@ from dieseltwin.identification.shooting import (
     ShootingRuns,
     Simulator,
     by_grid,
-    error_directions,
     exact_engine,
+    learned_errors,
     sample_states,
 )
 from dieseltwin.identification.unknowns import START_SIGMA, health_of, start_centre, starts
@@ -140,14 +141,56 @@ def estimate(
         shooting.simulate(np.zeros(2, dtype=np.int64), begin[group[0]][[0, 0]])
         began = time.perf_counter()
         fit = fit_runs(shooting, np.stack([begin[i] for i in group]), settings)
-        if learned is not None and len(learned.variants) > 1:
-            ends = fit.unknowns.reshape(len(group), runs, N_UNKNOWNS)
-            errors = error_directions(shooting, learned, np.median(ends, axis=1))
+        ends = fit.unknowns.reshape(len(group), runs, N_UNKNOWNS)
+        errors = _errors(shooting, learned, np.median(ends, axis=1))
+        if errors is not None:
             fit = fit_runs(shooting, ends, settings, errors)
         seconds = (time.perf_counter() - began) / (runs * len(group))
-        parts = _segments(shooting, fit, runs, [normal[i] for i in group], seconds)
+        ambient = _by_ambient(shooting, fit, settings, errors)
+        parts = [
+            replace(part, ambient_log=change)
+            for part, change in zip(_segments(shooting, fit, runs, [normal[i] for i in group], seconds), ambient,
+                                    strict=True)
+        ]  # fmt: skip
         result.update(zip(group, parts, strict=True))
     return [result[i] for i in range(len(problems))]
+
+
+def _errors(
+    shooting: Shooting, learned: LearnedSimulator | None, unknowns: Array
+) -> list[ErrorDirections] | None:
+    """What learned maps and inputs between the rows may be off by in each segment; None where nothing is."""
+    count, shape = len(shooting.problems), shooting.weights.shape[1:]
+    of_maps = np.zeros((count, 0, *shape))
+    if learned is not None and len(learned.variants) > 1:
+        of_maps = learned_errors(shooting, learned, unknowns)
+    found = [
+        np.concatenate([of_maps[s], input_errors(problem, shooting.simulator, unknowns[s])])
+        for s, problem in enumerate(shooting.problems)
+    ]
+    if not any(len(moved) for moved in found):
+        return None
+    pairs = zip(found, shooting.weights, strict=True)
+    return [ErrorDirections.of((moved * weights).reshape(len(moved), -1).T) for moved, weights in pairs]
+
+
+def _by_ambient(
+    shooting: Shooting, fit: Fit, settings: ClassicalSettings, errors: Sequence[ErrorDirections] | None
+) -> Array:
+    """Changes (S, 4) of the logarithms of the health parameters by one standard deviation of the ambient pressure.
+
+    Weighed like noise, a wrong ambient would be free to take up what the engine lacks; so estimates stay as they are.
+    """
+    count = len(shooting.problems)
+    if not any(problem.p_amb_std_pa for problem in shooting.problems):
+        return np.zeros((count, N_HEALTH))
+    higher = [
+        replace(p, parameters=p.parameters.replace(p_amb=p.parameters.p_amb + p.p_amb_std_pa))
+        for p in shooting.problems
+    ]
+    ends = fit.unknowns.reshape(count, -1, N_UNKNOWNS)
+    there = fit_runs(Shooting(tuple(higher), shooting.simulator), ends, settings, errors).unknowns
+    return np.asarray(np.median(there.reshape(ends.shape) - ends, axis=1)[:, :N_HEALTH])
 
 
 def fit_runs(

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.sensor_effects import undo_sensor_terms
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.held import decimal_step
+from dieseltwin.recordings.noise import STEP_TO_STD, CutOff, cut_offs
 
 if TYPE_CHECKING:
     from dieseltwin.recordings.reader import Recording, Segment
@@ -31,6 +33,9 @@ is far below the paper's percentages wherever a channel carries a signal.
 
 PAPER_CHANNELS: tuple[str, ...] = MEASURED[:5]
 """The five channels that the paper measures; W_c is the optional sixth."""
+
+FINE_AMBIENT_PA, COARSEST_AMBIENT_PA = 100.0, 1000.0
+"""Steps of a recorded ambient pressure that are as good as none, and the coarsest that a message or a display has."""
 
 START_SAMPLES = 3
 """Samples whose mean is the first guess of an initial state."""
@@ -95,6 +100,8 @@ class SegmentProblem:
         truth: true values of the four unknowns, only for simulated recordings.
         noise_draws: (D, n, 6) further readings of the same segment, run r uses draw r modulo D; None =
             `measured` for all.
+        cut_off: column of `measured` -> where its noise is cut off, so that readings are too high on average.
+        p_amb_std_pa: standard deviation of the ambient pressure, which was recorded in coarse steps [Pa].
     """
 
     t0_s: float
@@ -106,6 +113,8 @@ class SegmentProblem:
     true_initial: Array | None = None
     truth: Mapping[str, float] | None = None
     noise_draws: Array | None = field(default=None, repr=False)
+    cut_off: Mapping[int, CutOff] = field(default_factory=dict, repr=False)
+    p_amb_std_pa: float = 0.0
 
     def __post_init__(self) -> None:
         measured = np.asarray(self.measured, dtype=np.float64)
@@ -277,4 +286,13 @@ def problems_from_recording(
     segments = list(recording.segments(duration_s))
     if noise is None:
         noise = NoiseLevels.from_signals(np.concatenate([s.measured for s in segments]))
-    return [problem_from_segment(s, known, noise, channels=channels, truth=truth) for s in segments]
+    missing = np.full(recording.time_s.shape, np.nan)
+    cut_off = cut_offs(np.column_stack([recording.columns.get(name, missing) for name in MEASURED]))
+    problems = [problem_from_segment(s, known, noise, channels=channels, truth=truth) for s in segments]
+    return [replace(p, cut_off=cut_off, p_amb_std_pa=_rounding(recording)) for p in problems]
+
+
+def _rounding(recording: Recording) -> float:
+    """Standard deviation of the recorded ambient pressure where it comes in coarse steps, else 0 [Pa]."""
+    step = decimal_step(np.asarray(recording.columns.get("p_amb_pa", np.nan), dtype=np.float64))
+    return STEP_TO_STD * min(step, COARSEST_AMBIENT_PA) if step > FINE_AMBIENT_PA else 0.0

@@ -40,6 +40,8 @@ class ParameterSummary:
         interval_90: 90 % interval, or None.
         bound: Cramer-Rao standard deviation [same unit]; infinite where there is no information at all.
         identifiable: whether the relative bound is small enough.
+        ambient_log: change of the logarithm by one standard deviation of the ambient pressure, which all segments
+            share; counted in `std` [-].
     """
 
     mean: float | None
@@ -47,6 +49,7 @@ class ParameterSummary:
     interval_90: tuple[float, float] | None
     bound: float
     identifiable: bool
+    ambient_log: float = 0.0
 
     def to_json(self, name: str) -> dict[str, Any]:
         """Strict JSON: an infinite bound becomes null."""
@@ -83,6 +86,8 @@ class SegmentEstimate:
             kept.
         parameter_samples: (K, 4) parameters that belong to `state_samples`.
         curves: named convergence curves for the report, e.g. {"loss": (iterations,)}.
+        ambient_log: (4,) change of the estimates' logarithms by one standard deviation of an ambient pressure that was
+            recorded in coarse steps [-].
     """
 
     t0_s: float
@@ -101,6 +106,7 @@ class SegmentEstimate:
     state_samples: Array | None = field(default=None, repr=False)
     parameter_samples: Array | None = field(default=None, repr=False)
     curves: dict[str, Array] = field(default_factory=dict, repr=False)
+    ambient_log: Array = field(default_factory=lambda: np.zeros(len(HEALTH)), repr=False)
 
     @property
     def runs(self) -> int:
@@ -138,10 +144,11 @@ class SegmentEstimate:
         """
         result = {}
         for i, name in enumerate(HEALTH):
-            values, own = self.parameters[self.used, i], self.std[self.used, i]
+            values, common = self.parameters[self.used, i], float(self.ambient_log[i])
+            own = np.hypot(self.std[self.used, i], common * values)
             mean, std, interval = _combine_runs(values, own)
             known = bool(self.identifiable[i]) and self.trusted
-            result[name] = ParameterSummary(mean, std, interval, float(self.bound[i]), known)
+            result[name] = ParameterSummary(mean, std, interval, float(self.bound[i]), known, common)
         return result
 
     def states_over_time(self, problem: SegmentProblem) -> pd.DataFrame:
@@ -184,7 +191,8 @@ class Identification:
 
         Done in logarithms: a standard deviation is proportional to its value, and weights that follow the value would
         pull the mean down. A weight is never larger than the bound allows, so a lucky small spread of few members
-        doesn't take over. Where no segment is identifiable there is no value, only the bound.
+        doesn't take over. An ambient pressure that is off is off in all segments: its part doesn't average out. Where
+        no segment is identifiable there is no value, only the bound.
 
         Returns:
             Parameter name -> pooled summary.
@@ -317,10 +325,12 @@ def _pool(parts: Sequence[ParameterSummary], threshold: float) -> ParameterSumma
     means = np.array([parts[i].mean for i in usable], dtype=np.float64)
     claimed = np.array([parts[i].std for i in usable], dtype=np.float64) / means
     # A single member has no spread; the bound is the least that it can be off.
-    log_std = np.fmax(claimed, relative[usable])
+    common = np.array([parts[i].ambient_log for i in usable])
+    log_std = np.fmax(np.sqrt(np.maximum(claimed**2 - common**2, 0.0)), relative[usable])
     weight = log_std**-2.0
     mean = float(np.exp(np.sum(weight * np.log(means)) / weight.sum()))
-    std, interval = intervals_from_log_std(np.array(mean), np.array(1.0 / math.sqrt(float(weight.sum()))))
+    shared = float(np.sum(weight * common) / weight.sum())
+    std, interval = intervals_from_log_std(np.array(mean), np.hypot(1.0 / math.sqrt(float(weight.sum())), shared))
     bound = mean / math.sqrt(float(np.sum(relative[usable] ** -2.0)))
     return ParameterSummary(
         mean, float(std), (float(interval[0]), float(interval[1])), bound, bound <= threshold * mean

@@ -96,7 +96,7 @@ class Shooting:
             variant: (B,) variant of the learned maps; None = the nominal maps.
 
         Returns:
-            The engine's observations: states (B, n, 5), measured (B, n, 6).
+            The engine's observations: states (B, n, 5), measured (B, n, 6) on average over the noise.
         """
         values = np.exp(unknowns)
         batches = np.empty((0, 0))
@@ -110,7 +110,11 @@ class Shooting:
         actuations = [self.actuations[s] for s in segment]
         variants = np.zeros(len(segment), dtype=np.int64) if variant is None else variant
         batch = ParameterBatch(batches, self.problems[0].parameters.terms)
-        return self.simulator(actuations, batch, values[:, N_HEALTH:], variants)
+        found = self.simulator(actuations, batch, values[:, N_HEALTH:], variants)
+        for s in np.unique(segment):
+            for j, cut in self.problems[s].cut_off.items():
+                found.measured[segment == s, :, j] = cut.expected(found.measured[segment == s, :, j])
+        return found
 
     def degrees_of_freedom(self) -> Index:
         """(S,) readings minus unknowns of each segment, at least 1."""
@@ -184,7 +188,7 @@ class ShootingRuns:
         return rows
 
 
-def error_directions(shooting: Shooting, learned: LearnedSimulator, unknowns: Array) -> list[ErrorDirections]:
+def learned_errors(shooting: Shooting, learned: LearnedSimulator, unknowns: Array) -> Array:
     """What the uncertainty of learned maps may do to the readings of each segment.
 
     Args:
@@ -193,13 +197,13 @@ def error_directions(shooting: Shooting, learned: LearnedSimulator, unknowns: Ar
         unknowns: (S, 7) logarithms at which to evaluate.
 
     Returns:
-        Directions of each segment.
+        (S, M, n, 6) changes of the readings, a standard deviation of each error [SI].
     """
     count, variants = len(shooting.problems), len(learned.variants)
     segment, variant = np.repeat(np.arange(count), variants), np.tile(np.arange(variants), count)
-    measured = shooting.simulate(segment, unknowns[segment], variant).measured.reshape(count, variants, -1)
-    moved = (measured[:, 1:] - measured[:, :1]) * learned.scale[None, 1:, None]
-    return [ErrorDirections.of((moved[s] * shooting.weights[s].ravel()).T) for s in range(count)]
+    measured = shooting.simulate(segment, unknowns[segment], variant).measured
+    measured = measured.reshape(count, variants, *measured.shape[1:])
+    return np.asarray((measured[:, 1:] - measured[:, :1]) * learned.scale[1:, None, None])
 
 
 def grid_key(problem: SegmentProblem) -> bytes:

@@ -17,6 +17,7 @@ _USUAL_GAP = 2.0  # periods: where most gaps are longer, the value moves seldom,
 _LONGEST_LINE = 3.0  # periods
 _LONGEST_HOLD = 100.0  # rows; beyond, a channel is frozen, not held
 _MOSTLY_REPEATED = 0.5  # of the rows between two readings hold a number where a channel is held
+_DIGITS = 6  # of a number; a step below is none
 _SMALLEST_STEP = 1e-6  # of a channel's range: differences below are rounding
 
 
@@ -85,3 +86,19 @@ def number_step(values: Array) -> float:
         return 0.0
     steps = np.diff(numbers)
     return float(steps[steps > _SMALLEST_STEP * (numbers[-1] - numbers[0])].min())
+
+
+def decimal_step(values: Array) -> float:
+    """Largest of 1, 2 and 5 times a power of ten of which all numbers of a column (n,) are multiples [its unit].
+
+    For a column that never moves, whose step no difference shows; 0 without numbers other than zero.
+    """
+    numbers = np.unique(values[np.isfinite(values)])
+    largest = float(np.abs(numbers).max(initial=0.0))
+    if largest == 0.0:
+        return 0.0
+    top = int(np.floor(np.log10(largest)))
+    for step in (factor * 10.0**power for power in range(top, top - _DIGITS, -1) for factor in (5.0, 2.0, 1.0)):
+        if (np.abs(numbers / step - np.rint(numbers / step)) < _SMALLEST_STEP).all():
+            return step
+    return 0.0

@@ -1,4 +1,8 @@
-"""Noise of each channel, from the data alone (docs/discovery.md): never from a model's residuals."""
+"""Noise of each channel, from the data alone (docs/discovery.md): never from a model's residuals.
+
+Where a message has no number below the lowest reading (a bus without negative flows, boost that is counted from zero),
+noise is cut off on one side: with the EGR valve shut readings lie 0.4 standard deviations too high on average.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from dieseltwin.recordings.held import number_step, rows_between_readings
 
@@ -21,8 +26,34 @@ _LOWEST_EXPLAINED = 0.1  # of the Nyquist frequency, where a model has explained
 _ROWS_FOR_RHO = 512  # fewer rows can't tell little correlation from none
 _RHO_ERROR_OF_FEW = 0.13  # standard deviation of the estimate from 350 rows, 40 draws at three rho
 _LONGEST_BRIDGE = 4  # samples
-_STEP_TO_STD = 12.0**-0.5  # of the error of rounding to a step, which is uniform
+STEP_TO_STD = 12.0**-0.5  # of the error of rounding to a step, which is uniform
 _MAD_TO_STD = 1.482602218505602  # of a Gaussian
+
+_FEWEST_CUT, _SHARE_CUT = 10, 0.005  # readings at the very lowest number, and of all readings
+_OVER_NEXT = 2.0  # times the readings at the next number: noise that isn't cut off thins out towards its end
+_LEAST_SCATTER = 0.2  # of the readings at the lowest number; a shut valve without noise has fewer just above it
+_REACH = 3.0  # standard deviations of the noise, from which next to nothing is cut off
+_BESIDE = 3  # readings on either side, whose medians say how high the channel is: not the reading itself, which is cut
+
+
+@dataclass(frozen=True)
+class CutOff:
+    """Noise that is cut off at the lowest number of a channel.
+
+    Attributes:
+        lowest: that number [unit of the channel].
+        sigma: standard deviation of the noise where it isn't cut off [unit of the channel].
+        near: (n,) rows so near to it that some of their noise is lost.
+    """
+
+    lowest: float
+    sigma: float
+    near: NDArray[np.bool_]
+
+    def expected(self, values: Array) -> Array:
+        """Mean readings where the channel is at `values`: that of a Gaussian whose lower end is put at `lowest`."""
+        z = (values - self.lowest) / self.sigma
+        return np.asarray(self.lowest + self.sigma * (z * ndtr(z) + np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)))
 
 
 @dataclass(frozen=True)
@@ -106,6 +137,37 @@ def _fit_spectrum(omega: Array, power: Array, clean: bool) -> tuple[float, float
     return found
 
 
+def cut_off(values: Array) -> CutOff | None:
+    """Whether and where the noise of a channel is cut off at its lowest number; None where it isn't.
+
+    A channel that rests at its lowest number without scattering above it has no noise there that could be lost.
+
+    Args:
+        values: (n,) one column, NaN where missing.
+    """
+    rows = np.flatnonzero(np.isfinite(values))
+    numbers, counts = np.unique(values[rows], return_counts=True)
+    if numbers.size < 2 or counts[0] < max(_FEWEST_CUT, _SHARE_CUT * rows.size, _OVER_NEXT * counts[1]):
+        return None
+    readings = np.pad(values[rows], _BESIDE, mode="edge")
+    least = np.lib.stride_tricks.sliding_window_view(readings, 2 * _BESIDE + 1).min(axis=1)
+    away = np.full(values.size, np.nan)
+    away[rows] = np.where(least > numbers[0], values[rows], np.nan)
+    sigma = _noise_of(away, np.array([], dtype=int), None)[0]
+    reach = numbers[0] + _REACH * sigma
+    if not np.count_nonzero((values[rows] > numbers[0]) & (values[rows] < reach)) >= _LEAST_SCATTER * counts[0]:
+        return None
+    beside = np.median(np.lib.stride_tricks.sliding_window_view(readings, _BESIDE), axis=1)
+    near = np.zeros(values.size, dtype=bool)
+    near[rows] = np.minimum(beside[: rows.size], beside[_BESIDE + 1 :]) < reach
+    return CutOff(float(numbers[0]), sigma, near)
+
+
+def cut_offs(measured: Array) -> dict[int, CutOff]:
+    """Those columns of readings (n, C) whose noise is cut off, by their number."""
+    return {j: cut for j, values in enumerate(measured.T) if (cut := cut_off(values)) is not None}
+
+
 def estimate_noise(
     measured: Array, breaks: np.ndarray | None = None, floor: Array | None = None, *, explained: Array | None = None
 ) -> Noise:
@@ -114,7 +176,8 @@ def estimate_noise(
     A channel that is read in every second row or less often is judged by its own readings, one after another; they are
     taken as uncorrelated. Where rows are few, noise counts as white before a model explains the signal, and behind it
     as more correlated than it shows by the error of that estimate: taken for white, it would make an offset of a sensor
-    out of chance. No noise is believed smaller than what rounding to the channel's own step leaves.
+    out of chance. No noise is believed smaller than what rounding to the channel's own step leaves. Readings whose
+    noise is cut off don't count.
 
     Args:
         measured: (n, C) readings, NaN where missing.
@@ -127,26 +190,34 @@ def estimate_noise(
     Returns:
         Noise; sigma is NaN for a channel without readings.
     """
-    sigma, rho = np.empty(measured.shape[1]), np.zeros(measured.shape[1])
     breaks = np.array([], dtype=int) if breaks is None else breaks
-    lowest = _LOWEST if explained is None else _LOWEST_EXPLAINED
-    rest = measured if explained is None else measured - explained
-    for j, values in enumerate(rest.T):
-        slow = rows_between_readings(values) > 1.0
-        sigma[j] = _white_sigma(values[np.isfinite(values)] if slow else values)
-        few = values.size < _ROWS_FOR_RHO
-        if slow or (few and explained is None):
-            continue
-        spectrum = _high_frequency_spectrum(_bridged(values), breaks, lowest)
-        if spectrum is not None and sigma[j] > 0.0:
-            rho[j], innovation = _fit_spectrum(*spectrum, clean=explained is not None)
-            sigma[j] = np.sqrt(innovation / (1.0 - rho[j] ** 2))
-            if few:
-                rho[j] = min(rho[j] + _RHO_ERROR_OF_FEW, _LARGEST_RHO)
-        elif few:  # second differences of correlated noise are smaller
-            rho[j] = _USUAL_RHO
-            sigma[j] *= np.sqrt(3.0 / (3.0 - 4.0 * _USUAL_RHO + _USUAL_RHO**2))
-    sigma = np.fmax(sigma, [_STEP_TO_STD * number_step(values) or np.nan for values in measured.T])
+    sigma, rho = np.empty(measured.shape[1]), np.zeros(measured.shape[1])
+    cut = cut_offs(measured)
+    for j, values in enumerate(measured.T):
+        kept = np.where(cut[j].near, np.nan, values) if j in cut else values
+        sigma[j], rho[j] = _noise_of(kept, breaks, None if explained is None else explained[:, j])
+    sigma = np.fmax(sigma, [STEP_TO_STD * number_step(values) or np.nan for values in measured.T])
     if floor is not None:
         sigma = np.fmax(sigma, floor)
     return Noise(sigma, rho)
+
+
+def _noise_of(values: Array, breaks: np.ndarray, explained: Array | None) -> tuple[float, float]:
+    """Standard deviation and correlation of one column (n,), as `estimate_noise` says."""
+    rest = values if explained is None else values - explained
+    slow = rows_between_readings(rest) > 1.0
+    sigma, rho = _white_sigma(rest[np.isfinite(rest)] if slow else rest), 0.0
+    few = values.size < _ROWS_FOR_RHO
+    if slow or (few and explained is None):
+        return sigma, rho
+    lowest = _LOWEST if explained is None else _LOWEST_EXPLAINED
+    spectrum = _high_frequency_spectrum(_bridged(rest), breaks, lowest)
+    if spectrum is not None and sigma > 0.0:
+        rho, innovation = _fit_spectrum(*spectrum, clean=explained is not None)
+        sigma = float(np.sqrt(innovation / (1.0 - rho**2)))
+        if few:
+            rho = min(rho + _RHO_ERROR_OF_FEW, _LARGEST_RHO)
+    elif few:  # second differences of correlated noise are smaller
+        rho = _USUAL_RHO
+        sigma *= float(np.sqrt(3.0 / (3.0 - 4.0 * _USUAL_RHO + _USUAL_RHO**2)))
+    return sigma, rho

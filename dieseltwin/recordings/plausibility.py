@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dieseltwin.errors import InputError
-from dieseltwin.symbols import symbol
+from dieseltwin.recordings.noise import cut_off
+from dieseltwin.symbols import MEASURED, symbol
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,14 @@ def mask_wild(columns: dict[str, np.ndarray]) -> list[str]:
             columns[name] = np.where(wild, np.nan, columns[name])
             notes.append(f"{count} values of {name} are impossible and count as missing")
     return notes
+
+
+def cut_off_notes(columns: Mapping[str, np.ndarray]) -> list[str]:
+    """A note for each sensor that has no number for the lower half of its noise."""
+    found = {name: cut_off(columns[name]) for name in MEASURED if name in columns}
+    return [f"{name} has no number below {cut.lowest:.6g}: its noise is cut off there, in {np.count_nonzero(cut.near)} "
+            "rows; `classical` and `discover` count with the mean that this gives"
+            for name, cut in found.items() if cut is not None]  # fmt: skip
 
 
 def check_plausible(

@@ -33,7 +33,7 @@ from dieseltwin.recordings.channels import (
 )
 from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.named_columns import columns_sha256, import_columns, numbers
-from dieseltwin.recordings.plausibility import check_plausible, mask_wild
+from dieseltwin.recordings.plausibility import check_plausible, cut_off_notes, mask_wild
 from dieseltwin.settings.strict import listed
 
 SLOWEST_HZ, FASTEST_HZ = 1.0, 100.0
@@ -42,7 +42,7 @@ RATE_TOLERANCE = 1.15  # time stamps jitter, and a logger that says 5 Hz gives 4
 CRANKING_RPM = 300.0  # the engine is not running below this speed
 SLOW_ROWS = (
     "what happens between them is unknown. Dead times, lags and play of actuators are out of reach, quick transients "
-    "count as noise, and intervals widen with the root of the rate"
+    "count as noise, and intervals widen with the root of the rate and by what the inputs may have done (`classical`)"
 )
 LONGEST_GAP_S = 1.0
 LONGEST_S = 1e6  # eleven days; longer ones are in milliseconds
@@ -258,7 +258,7 @@ def recording(
     wild = mask_wild(columns)
     t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
     check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
-    notes = [*infinite, *wild, *_held_unread(columns)]
+    notes = [*infinite, *wild, *_held_unread(columns), *cut_off_notes(columns)]
     if not any_rate and 1.0 / float(np.median(np.diff(time))) < FULL_HZ / RATE_TOLERANCE:
         notes.append(f"{1.0 / float(np.median(np.diff(time))):.3g} rows per second: {SLOW_ROWS}")
     for values in columns.values():

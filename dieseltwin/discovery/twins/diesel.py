@@ -41,6 +41,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief
 from dieseltwin.recordings.channels import optional_inputs
 from dieseltwin.recordings.held import between_readings
+from dieseltwin.recordings.noise import cut_offs
 from dieseltwin.recordings.reader import Recording
 
 WINDOW_S = 10.0
@@ -128,9 +129,9 @@ class EngineTwin:
         self.time_s = without_gaps(time, self.pieces)
         self._at = [MEASURED.index(c) for c in self.channels]
         columns = recording.columns
-        readings = np.stack(
-            [columns[c][rows] if c in present else np.full(rows.size, np.nan) for c in MEASURED], axis=1
-        ).astype(np.float64)
+        nothing = np.full(recording.time_s.size, np.nan)
+        readings = np.stack([columns.get(c, nothing)[rows] for c in MEASURED], axis=1).astype(np.float64)
+        self._cut_offs = cut_offs(readings[:, self._at])
         self.all_readings = readings if belief is None else belief.truthful(readings)
         measured = self.all_readings[:, self._at].copy()
         for start in self.pieces[1:]:
@@ -246,26 +247,22 @@ class EngineTwin:
     def _nominal_states(self) -> Array:
         """States of the nominal engine over the whole recording, started at rest, (n, 3)."""
         n_e, u_delta, u_egr, u_vgt = (float(values[0]) for values in self.conditions.values())
-        first = settle(n_e, u_delta, u_egr, u_vgt, self.engine)
-        result = simulate_extended(
-            self._even[0], parameter_batch(self.engine), Extension(corrections=self.corrections),
-            np.asarray(first)[None, None, :],
-        )  # fmt: skip
-        return result.states[0, :, :3]
+        first = np.asarray(settle(n_e, u_delta, u_egr, u_vgt, self.engine))[None, None, :]
+        plain = Extension(corrections=self.corrections)
+        return simulate_extended(self._even[0], parameter_batch(self.engine), plain, first).states[0, :, :3]
 
     def simulate(self, lanes: Lanes) -> Array:
         """Readings of the used channels without noise, (B, n, C)."""
-        return self._simulate(lanes)[0]
+        return self._simulate_signals(self._with_own_laws(lanes))[0]
 
     def simulate_all(self, lanes: Lanes) -> Array:
         """All six columns of `MEASURED` without sensor effects, (B, n, 6)."""
-        return self._simulate(lanes)[1].measured  # type: ignore[attr-defined]
-
-    def _simulate(self, lanes: Lanes) -> tuple[Array, object]:
-        return self._simulate_signals(self._with_own_laws(lanes) if self._laws else lanes)
+        return self._simulate_signals(self._with_own_laws(lanes))[1].measured
 
     def _with_own_laws(self, lanes: Lanes) -> Lanes:
         """The engine's own laws as signals, settled along lane 0 (Picard) and shared by all lanes."""
+        if not self._laws:
+            return lanes
         one = lane_of(lanes, 0)
         start_s, conditions = float(self.recording_time_s[0]), dict(self.conditions)
 
@@ -285,9 +282,15 @@ class EngineTwin:
 
     def _simulate_signals(self, lanes: Lanes) -> tuple[Array, Observations]:
         result = self._memory.trajectories(lanes, self._integrate)
+        return self._shown(result, lanes), result
+
+    def _shown(self, result: Observations, lanes: Lanes) -> Array:
+        """What the sensors show of a simulation on average, their effects and cut-off noise included, (B, n, C)."""
         combined, schedules = self._combined(lanes)
-        measured = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
-        return measured, result
+        shown = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
+        for j, cut in self._cut_offs.items():
+            shown[..., j] = cut.expected(shown[..., j])
+        return shown
 
     def with_coefficients(self, coefficients: Array) -> EngineTwin:
         """The same twin with other corrections of the maps, coefficients (K,) of `map_corrections.basis` [-]."""
@@ -365,15 +368,12 @@ class EngineTwin:
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Variables of ports and tolerances along the trajectory of lane 0, name -> (n,) [SI, %, mg/cycle, rpm]."""
-        one = lane_of(lanes, 0)
-        if self._laws:
-            one = self._with_own_laws(one)
+        one = self._with_own_laws(lane_of(lanes, 0))
         return self._variables(self._simulate_signals(one)[1], 0, one)
 
     def trajectories(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
         """Readings (B, n, C), and `variables` of every lane, by one simulation."""
-        if self._laws:
-            lanes = self._with_own_laws(lanes)
+        lanes = self._with_own_laws(lanes)
         measured, result = self._simulate_signals(lanes)
         return measured, [self._variables(result, b, lane_of(lanes, b)) for b in range(lanes.size)]
 

@@ -14,7 +14,6 @@ from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import ACTUATION_EFFECTS
 from dieseltwin.engine.inputs import INPUT_COLUMNS, Actuation
-from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.learning.belief import Belief
 from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance, applicable, put_right
 from dieseltwin.recordings.reader import Recording
@@ -132,8 +131,7 @@ class LoggedTwin(EngineTwin):
 
     def _run_with(self, lanes: Lanes, names: Sequence[str]) -> Array:
         """Responses to circumstances that act on the engine, a lane each behind one as it is."""
-        if self._laws:
-            lanes = self._with_own_laws(lanes)
+        lanes = self._with_own_laws(lanes)
         many = some_lanes(lanes, np.zeros(1 + len(names), dtype=np.int64))
         steps = np.array([_STEPS[kind or name] for name, kind in ((name, name.rpartition(":")[0]) for name in names)])
         constants = {
@@ -144,8 +142,7 @@ class LoggedTwin(EngineTwin):
         moves = [("", 0.0), *zip(names, steps, strict=True)]
         actuations = [self._actuation_with(name, step, combined, schedules) for name, step in moves]
         result = self._integrate(many, constants, actuations)
-        combined, schedules = self._combined(many)
-        seen = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
+        seen = self._shown(result, many)
         return np.asarray((seen[1:] - seen[0]) / steps[:, None, None])
 
     def _actuation_with(
