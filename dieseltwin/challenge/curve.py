@@ -19,6 +19,7 @@ from dieseltwin.challenge.score import SCORE
 from dieseltwin.errors import InputError
 from dieseltwin.sealed import read_json
 
+_BESIDE = 0.02  # of the longest reference, between sizes of the maps' errors
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
@@ -85,9 +86,11 @@ def write_curve(folders: Sequence[Path], out: Path) -> list[Place]:
     places = sorted((place_of(folder) for folder in folders), key=lambda place: (place.map_rms, place.minutes))
     figure = Figure(figsize=(10.5, 3.6), layout="constrained")
     names, nones, health = figure.subplots(1, 3)
-    for colour, size in zip(_COLOURS, sorted({place.map_rms for place in places}), strict=False):
+    sizes = sorted({place.map_rms for place in places})
+    beside = _BESIDE * max(1.0, max(place.minutes for place in places))  # intervals of two sizes don't cover each other
+    for number, (colour, size) in enumerate(zip(_COLOURS, sizes, strict=False)):
         some = [place for place in places if place.map_rms == size]
-        minutes = np.array([place.minutes for place in some])
+        minutes = np.array([place.minutes for place in some]) + beside * (number - 0.5 * (len(sizes) - 1))
         label = f"maps off by {100 * size:g} %"
         for axes, shares in ((names, [place.named for place in some]), (nones, [place.none for place in some])):
             value = np.array([np.nan if share.value is None else share.value for share in shares])
@@ -96,11 +99,13 @@ def write_curve(folders: Sequence[Path], out: Path) -> list[Place]:
                           color=colour, label=label)  # fmt: skip
         off = [np.nan if place.health is None else 100 * place.health for place in some]
         health.plot(minutes, off, "o-", color=colour, label=label)
-        for place, error in zip(some, off, strict=True):
-            health.annotate(f"{place.cases}", (place.minutes, error), (4, 4), textcoords="offset points", fontsize=8)
+        for place, at, error in zip(some, minutes, off, strict=True):
+            health.annotate(f"{place.cases}", (at, error), (0, 7 if number else -12), textcoords="offset points",
+                            fontsize=8, color=colour, ha="center")  # fmt: skip
     for axes, title in ((names, "true name in the set [%]"), (nones, "false none of these [%]"),
                         (health, "health: median error [%]; cases beside")):  # fmt: skip
         axes.set(xlabel="minutes of reference", ylabel=title, ylim=(0.0, None))
+        axes.spines[["top", "right"]].set_visible(False)
     names.legend(frameon=False, fontsize=8)
     with atomic_path(out) as temporary:
         figure.savefig(temporary, dpi=150, format=out.suffix.lstrip(".") or "png")
