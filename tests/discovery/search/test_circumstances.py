@@ -12,8 +12,8 @@ from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.discovery import fit_test
 from dieseltwin.discovery.discover import as_it_was, discover
-from dieseltwin.discovery.fit_test import tested
 from dieseltwin.discovery.likelihood.fit import first_fit
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
@@ -62,7 +62,7 @@ def test_the_ambient_does_not_bend_to_imitate_a_leak() -> None:
     run = run_plant(driving, we2011.PARAMETERS.model_dump(), faults=(leak,))
     frame = read(run, driving, (leak,), SensorSet.perfect(), 6, np.random.default_rng(4))
     bare = recording(frame.drop(columns=["p_amb_pa", "t_amb_k"], errors="ignore"))
-    found = tested(bare, we2011.PARAMETERS, MEASURED)
+    found = fit_test.tested(bare, we2011.PARAMETERS, MEASURED)
     assert found.shown == () and found.recording is bare
     assert "boost_leak" in next(note for note in found.notes if note.code == "misfit")
 
