@@ -44,7 +44,7 @@ def write(folder: Path) -> None:
     """The three inputs."""
     ten_hours = driving(180_001, 0.2)
     ten_hours.to_csv(folder / "ten_hours.csv", index=False)
-    driving(5_000_000, 0.1).to_csv(folder / "five_million.csv", index=False, float_format="%.6g")
+    driving(5_000_000, 0.1).to_csv(folder / "five_million.csv", index=False, float_format="%.9g")
     (folder / "many").mkdir()
     part = ten_hours.iloc[:600]
     for number in range(MANY):
