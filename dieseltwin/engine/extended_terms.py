@@ -70,7 +70,7 @@ def acting(
     start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
     if actuation.rows is None:
         return of(actuation.time_s, start, conditions)
-    first = np.flatnonzero(np.diff(actuation.rows, prepend=-1))
+    first = actuation.row_starts
     at_rows = of(actuation.time_s[first], start, {name: values[first] for name, values in conditions.items()})
     return at_rows[..., actuation.rows]
 

@@ -144,6 +144,11 @@ class Actuation:
     grid: np.ndarray = field(repr=False)
     rows: np.ndarray | None = field(default=None, repr=False)
 
+    @property
+    def row_starts(self) -> np.ndarray:
+        """The sample at which each row of the recording lies, (rows,)."""
+        return np.arange(self.time_s.size) if self.rows is None else np.flatnonzero(np.diff(self.rows, prepend=-1))
+
     def at_samples(self) -> np.ndarray:
         """n_e, u_delta, u~_egr, u~_vgt at the samples, (4, n)."""
         return self.grid[:, np.concatenate([[0], np.cumsum(2 * self.steps)])]

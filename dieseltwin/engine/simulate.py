@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -165,14 +164,18 @@ def simulate(
     if initial is None:
         initial = settle_first(inputs, parameters)
     initial = np.asarray(initial, dtype=np.float64)
-    fine = _at_steps(actuation, parameters, initial, step_s) if oxygen or law_terms(parameters.terms) else None
-    if fine is None or not law_terms(parameters.terms):
+    laws = bool(law_terms(parameters.terms))
+    if oxygen or laws:
+        fine = actuate_like(actuation, inputs.resampled(step_s))
+        at_steps = _simulated(fine, parameters, initial)
+    if laws:  # between rows of 0.2 s a law is far from linear: 1 % of lambda
+        rows = fine.row_starts
+        observed = Observations(at_steps.states[:, rows], at_steps.measured[:, rows])
+    else:
         observed = _simulated(actuation, parameters, initial)
-    else:  # between rows of 0.2 s a law is far from linear: 1 % of lambda
-        observed = fine.at_rows()
     frame = quantities_frame(observed.states[0], actuation, parameters)
-    if fine is not None and oxygen:
-        frame["x_oim"], frame["x_oem"] = _oxygen(fine, parameters)
+    if oxygen:
+        frame["x_oim"], frame["x_oem"] = _oxygen(fine, at_steps.states[0], parameters)
         after = list(frame)[list(frame).index("torque_nm") + 1 : -2]
         before = [c for c in frame if c not in (*_DRIVER_COLUMNS, *after)]
         frame = frame[[*before, *_DRIVER_COLUMNS, *after]]
@@ -200,37 +203,21 @@ def quantities_frame(states: np.ndarray, actuation: Actuation, parameters: Engin
     return pd.DataFrame(columns)
 
 
-@dataclass(frozen=True)
-class _Fine:
-    """A simulation with samples at every integration step: its actuation, and where the rows are among its samples."""
-
-    actuation: Actuation
-    observed: Observations
-    rows: np.ndarray
-
-    def at_rows(self) -> Observations:
-        """The same at the rows of the inputs."""
-        return Observations(self.observed.states[:, self.rows], self.observed.measured[:, self.rows])
-
-
-def _at_steps(actuation: Actuation, parameters: EngineParameters, initial: np.ndarray, step_s: float) -> _Fine:
-    fine = actuate_like(actuation, actuation.inputs.resampled(step_s))
-    rows = np.concatenate([[0], np.cumsum(actuation.steps)])
-    return _Fine(fine, _simulated(fine, parameters, initial), rows)
-
-
-def _oxygen(fine: _Fine, parameters: EngineParameters) -> tuple[np.ndarray, np.ndarray]:
-    """Oxygen mass fractions X_Oim, X_Oem [-] at the rows, each (n,).
+def _oxygen(fine: Actuation, states: np.ndarray, parameters: EngineParameters) -> tuple[np.ndarray, np.ndarray]:
+    """Oxygen mass fractions X_Oim, X_Oem [-] at the rows of a recording, each (rows,).
 
     They don't feed back, so they are integrated behind the simulation, over its flows at every integration step.
+
+    Args:
+        fine: with samples at the integration steps; states: there, (n, 5 or 6).
+        parameters: of the engine.
     """
-    actuation, states = fine.actuation, fine.observed.states[0]
     c = constants(parameters)
     if parameters.terms:
-        q, _ = along(states, actuation, parameters.terms, c)
+        q, _ = along(states, fine, parameters.terms, c)
     else:
-        q = numpy_model().quantities(*states.T, *actuation.at_samples(), c)
+        q = numpy_model().quantities(*states.T, *fine.at_samples(), c)
     wanted = (states[:, 0], states[:, 1], q.T_em, q.W_c, q.W_egr, q.W_ei, q.W_f, q.W_eo)
-    flows = [np.ascontiguousarray(np.broadcast_to(value, actuation.time_s.shape)) for value in wanted]
-    intake, exhaust = follow_oxygen(actuation.time_s, *flows, parameter_batch(parameters).values[:, 0].copy())
-    return intake[fine.rows], exhaust[fine.rows]
+    flows = [np.ascontiguousarray(np.broadcast_to(value, fine.time_s.shape)) for value in wanted]
+    intake, exhaust = follow_oxygen(fine.time_s, *flows, parameter_batch(parameters).values[:, 0].copy())
+    return intake[fine.row_starts], exhaust[fine.row_starts]
