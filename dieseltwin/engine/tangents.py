@@ -157,8 +157,9 @@ def point_text(function: str) -> str:
     text = Text()
 
     def known(name: str, value: str) -> Symbol:
-        by_itself = {"x": 1.0} if name in (*DIRECTIONS[:3], *FIXED_POINT) else {"x": Symbol(text, value)}
-        return Symbol(text, value, {name: by_itself["x"]} if name in (*DIRECTIONS, *FIXED_POINT) else {})
+        if name in HEALTH:  # a health value moves by itself in the direction of its logarithm
+            return Symbol(text, value, {name: Symbol(text, value)})
+        return Symbol(text, value, {name: 1.0} if name in (*DIRECTIONS, *FIXED_POINT) else {})
 
     c = Constants(*(known(name, text.name(f"c.{name}")) for name in CONSTANT_NAMES))
     q = bind(symbolic_primitives(text)).quantities(*(known(name, name) for name in ARGUMENTS), c)

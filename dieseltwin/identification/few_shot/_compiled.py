@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from dieseltwin.engine import HEALTH, MEASURED
+from dieseltwin.engine._compiled import _OPTIONS as UNCACHED
 from dieseltwin.engine._compiled import numba  # its folder is the project's
 from dieseltwin.engine._fastmath import fast_exp, fast_log
 
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True, "cache": True}
+_OPTIONS: dict[str, Any] = {**UNCACHED, "cache": True}
 
-N_STATES, N_CHANNELS, N_HEALTH = 3, 6, 4
+N_STATES, N_CHANNELS, N_HEALTH = 3, len(MEASURED), len(HEALTH)
 PATH_ROWS = 12
 """Rows of a trajectory: three states, their rates, slopes and bends (`heads.Trajectory`)."""
 ZZ, DZ, DD, ZP, DP = 0, 9, 18, 21, 33
