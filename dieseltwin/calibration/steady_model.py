@@ -106,6 +106,11 @@ class SteadyModel:
         return self.engine.terms[: len(self.engine.terms) - self.added]
 
     @property
+    def since(self) -> tuple[OneTerm, ...]:
+        """The engine's terms that have come since the reference."""
+        return self.engine.terms[len(self.before) :]
+
+    @property
     def rows(self) -> tuple[str, ...]:
         """Names of the R relations, in the order of the last axis of a residual."""
         work = (WORK_ROW,) if WORK_ROW in self.active else ()
@@ -251,26 +256,32 @@ class SteadyModel:
 
     def _with_laws(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
         """Found laws of the engine as signals, of the quantities without them."""
-        since = self.engine.terms[len(self.before) :]
-        bare = replace(self, engine=self.engine.replace(terms=_but(LawTerm, self.engine.terms)),
-                       added=len(_but(LawTerm, since)))
+        bare = self._without(LawTerm)
         variables = law_variables(points, bare.relations(points, x, values).quantities)
         entered = dict(self.signals)
         for law in law_terms(self.engine.terms):
             acts = law.factor(np.zeros(points.size), 0.0, dict(points.columns))
-            acts = acts * points.columns.get(JUDGED, 1.0) if law in since else acts
+            acts = acts * points.columns.get(JUDGED, 1.0) if law in self.since else acts
             entered[law.point] = entered.get(law.point, 0.0) + np.nan_to_num(acts * law.signal(variables))
         return replace(bare, signals=entered).relations(points, x, values)
 
     def _with_corrections(self, points: SteadyPoints, x: Array, values: Mapping[str, Any]) -> Relations:
         """Learned corrections of the engine's maps as signals; none of their arguments depends on them."""
         tables = corrections_of(np.asarray(corrections_in(self.engine.terms))).tables
-        bare = replace(self, engine=self.engine.replace(terms=_but(CorrectionTerm, self.engine.terms)))
+        bare = self._without(CorrectionTerm)
         variables = law_variables(points, bare.relations(points, x, values).quantities)
         entered = dict(self.signals)
         for m, point in enumerate(CORRECTED_POINTS):
             entered[point] = entered.get(point, 0.0) + look_up(tables[m], m, *arguments_of(point, variables))
         return replace(bare, signals=entered).relations(points, x, values)
+
+    def _without(self, kind: type[LawTerm | CorrectionTerm]) -> SteadyModel:
+        """The model without the engine's terms of a kind, those since the reference still told from the others."""
+
+        def others(terms: Sequence[OneTerm]) -> tuple[OneTerm, ...]:
+            return tuple(term for term in terms if not isinstance(term, kind))
+
+        return replace(self, engine=self.engine.replace(terms=others(self.engine.terms)), added=len(others(self.since)))
 
     @staticmethod
     def _exhaust_temperature(p_im: Any, p_em: Any, W_ei: Any, W_f: Any, W_eo: Any, c: Any) -> Any:
@@ -280,10 +291,6 @@ class SteadyModel:
             sweep = _eq.cylinder_sweep(ratio, W_ei, W_f, x_r, T_1, c)
             x_r, T_1 = sweep.x_r, sweep.T_1
         return _eq.exhaust_manifold_temperature(sweep.T_e, W_eo, c)
-
-
-def _but(kind: type[LawTerm | CorrectionTerm], terms: Sequence[OneTerm]) -> tuple[OneTerm, ...]:
-    return tuple(term for term in terms if not isinstance(term, kind))
 
 
 def law_variables(points: SteadyPoints, q: Mapping[str, Array]) -> dict[str, Array]:
