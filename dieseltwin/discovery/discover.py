@@ -136,9 +136,8 @@ def as_it_was(
     found = search.looked_at(twin, options.settings())
     moved = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
     shown = tuple(item for item in estimates(leading(found)) if item.off and item.circumstance.kind != DRIFT)
-    clocks = {item.circumstance.name for item in shown if item.circumstance.kind == TIME_SHIFT}
-    values = {item.circumstance.name: item.value for item in shown if item.circumstance.name not in clocks}
-    applied = {**moved, **values}  # clocks of sensors go by whole rows, as the twin took them
+    beside = {item.circumstance.name: item.value for item in shown if item.circumstance.kind != TIME_SHIFT}
+    applied = {**moved, **beside}  # clocks of sensors go by whole rows, as the twin took them
     return (*put_right(recording, engine, applied), tuple(item for item in shown if item.circumstance.name in applied))
 
 
