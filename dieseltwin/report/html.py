@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dieseltwin.atomic import write_bytes, write_text
+from dieseltwin.atomic import write_text
 from dieseltwin.report import captions, charts, interactive, quantities, style, timeseries, training, violins
 from dieseltwin.report.encoding import encode_all
 from dieseltwin.report.interactive import results_series
@@ -327,8 +327,7 @@ def identification_page(results: Results, out_html: str | Path, figures_dir: str
 
     def encode(figure: ReportFigure) -> bytes:
         content = encoded.get(figure.name) or figure.encode()
-        Path(figures_dir).mkdir(parents=True, exist_ok=True)
-        paths.append(write_bytes(Path(figures_dir) / f"{figure.name}.{figure.kind}", content))
+        paths.append(figure.save(figures_dir, content))
         return content
 
     write_text(Path(out_html), _page(results, sections, encode))

@@ -9,7 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from dieseltwin.atomic import write_bytes, write_text
+from dieseltwin.atomic import write_text
 from dieseltwin.report import interactive, quantities, style
 from dieseltwin.report.encoding import encode_all
 from dieseltwin.report.interactive import Series
@@ -127,9 +127,8 @@ def write_page(page: Page, out_html: str | Path, figures_dir: str | Path | None 
     encoded = encode_all(list({figure.name: figure for figure in (*drawn, *stills.values())}.values()))
     out.parent.mkdir(parents=True, exist_ok=True)
     if figures_dir is not None:
-        Path(figures_dir).mkdir(parents=True, exist_ok=True)
         for figure in drawn:
-            write_bytes(Path(figures_dir) / f"{figure.name}.{figure.kind}", encoded[figure.name])
+            figure.save(figures_dir, encoded[figure.name])
     shown = {name: shown_figure(figure, encoded[figure.name]) for name, figure in stills.items()}
     text = templates().get_template("page.html.j2").render(
         page=page, sections=sections, stills=shown,

@@ -43,16 +43,14 @@ def units_of(rig: RigParameters) -> dict[str, str]:
     return {name: "" if unit == "-" else unit for name, unit in known.items()}
 
 
-def free_runs(rigs: tuple[RigParameters, RigParameters | None], recording: RigRecording, marks: tuple[Mark, ...] = ()
-              ) -> Series:  # fmt: skip
-    """Readings beside free runs of two machines, their errors, and the inputs.
+def free_runs(first: RigParameters, second: RigParameters | None, recording: RigRecording) -> tuple[Panel, ...]:
+    """Readings beside free runs of two machines, and their errors: two panels a reading.
 
     Args:
-        rigs: as the file is, and repaired; None for the latter where nothing was found.
+        first: as the file is.
+        second: repaired; None where nothing was found.
         recording: what they run over.
-        marks: places of the recording.
     """
-    first, second = rigs
     units, readings = units_of(first), {n: v for n, v in recording.readings.items() if np.isfinite(v).any()}
     runs = [simulate_rig(rig, recording) for rig in (first, second) if rig is not None]
     shown: list[list[Array]] = [[run[name].to_numpy(dtype=np.float64) for name in readings] for run in runs]
@@ -65,10 +63,7 @@ def free_runs(rigs: tuple[RigParameters, RigParameters | None], recording: RigRe
             for label, colour, run in zip(("as the file is", "repaired"), (BEFORE, AFTER), shown, strict=False)))
         for j, name in enumerate(readings)
     )  # fmt: skip
-    inputs = tuple(Panel(name, units[name], recording.time_s, (Line("input", MEASURED, values),))
-                   for name, values in recording.inputs.items())
-    series = Series((*panels, *errors, *inputs), marks=marks)
-    return replace(series, drawn=still(series))
+    return (*panels, *errors)
 
 
 def _held_out(found: RigDiscovery) -> Section:
@@ -77,9 +72,7 @@ def _held_out(found: RigDiscovery) -> Section:
     judged = [item for item in found.taken if item.early is not None]
     series = None
     if judged and found.early is not None:
-        last = judged[-1].early
-        drawn = free_runs((found.early, last), found.recording.part(rows))
-        series = Series(drawn.panels[: 2 * len(found.repaired.readings)])
+        series = Series(free_runs(found.early, judged[-1].early, found.recording.part(rows)))
         series = replace(series, drawn=still(series, ("held_out", "Free runs that no fit has seen", COLOURS)))
     channels = list(found.repaired.readings)
     table: list[tuple[str | Markup, ...]] = []
@@ -127,10 +120,11 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
     checked = recording.time_s[checked_rows(recording, found.options.search.checked_share)]
     marks = (Mark("the part that judged each finding, fitted to what comes before", float(checked[0]),
                   float(checked[-1])),) if document.mismatch else ()
-    repaired = rig if document.mismatch else None
+    inputs = tuple(Panel(name, units[name], recording.time_s, (Line("input", MEASURED, values),))
+                   for name, values in recording.inputs.items())
+    over_time = Series((*free_runs(found.before, rig if document.mismatch else None, recording), *inputs), marks=marks)
     sections = (
-        Section("readings-over-time", "Readings over time",
-                series=free_runs((found.before, repaired), recording, marks)),
+        Section("readings-over-time", "Readings over time", series=replace(over_time, drawn=still(over_time))),
         _held_out(found),
         Section("doubts", "What is doubtful", tables=(findings.doubts(document),)),
         Section("weighed", "Candidates", tables=(findings.weighed(candidate_rows(first), units, findings.as_it_is),)),

@@ -132,10 +132,13 @@ class ReportFigure:
             self.figure.savefig(buffer, format="svg", metadata={"Date": None})
             return buffer.getvalue()
 
-    def save(self, directory: Path) -> Path:
-        """Write ``<directory>/<name>.<kind>`` atomically and return its path."""
+    def save(self, directory: str | Path, content: bytes | None = None) -> Path:
+        """Write ``<directory>/<name>.<kind>`` atomically and return its path.
+
+        ``content``: its bytes, where they are at hand; None draws it.
+        """
         Path(directory).mkdir(parents=True, exist_ok=True)
-        return write_bytes(Path(directory) / f"{self.name}.{self.kind}", self.encode())
+        return write_bytes(Path(directory) / f"{self.name}.{self.kind}", self.encode() if content is None else content)
 
 
 def _lay_out(figure: Figure) -> None:
