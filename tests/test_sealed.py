@@ -44,3 +44,5 @@ def test_text_and_objects_round_trip() -> None:
     assert opened_json([1], "x", "") == [1]
     with pytest.raises(InputError, match="SHA-256 differs"):
         opened_json({**sealed_json(content), "a": 1}, "x", "make it again")
+    with pytest.raises(InputError, match="SHA-256 differs"):  # a flipped byte in the checksum's own key
+        opened_json({name.replace("_sha", "_spa"): v for name, v in sealed_json(content).items()}, "x", "")

@@ -7,10 +7,12 @@ recording; "points" are those with readings. Each member has its own noise draw.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
@@ -120,7 +122,19 @@ def save_estimates(path: Path, estimates: Sequence[SegmentEstimate]) -> None:
 
 
 def load_estimates(path: Path, seconds_per_run: Sequence[float]) -> list[SegmentEstimate]:
-    """Read what `save_estimates` wrote, and give each segment its seconds per run [s]."""
+    """Read what `save_estimates` wrote, and give each segment its seconds per run [s].
+
+    Raises:
+        InputError: a file that isn't whole.
+    """
+    try:
+        return _loaded(path, seconds_per_run)
+    except (BadZipFile, zlib.error, OSError, EOFError, KeyError, ValueError) as error:
+        raise InputError(str(path), error, "the estimates of a batch, as they were written",
+                         "put the file back, or delete it and evaluate again") from None
+
+
+def _loaded(path: Path, seconds_per_run: Sequence[float]) -> list[SegmentEstimate]:
     with np.load(path) as stored:
         method, count = str(stored["method"]), int(stored["count"])
         made = []
