@@ -3,7 +3,7 @@
 Column names and units are DISCOVERY's recording format (`channels.known_columns`); foreign names and units come in
 through a channel map. Rows below 300 rpm and gaps over 1 s split a recording into pieces, and pieces are cut into
 segments. Missing values of a sensor are masked (NaN in `Segment.measured`); missing values of an input are
-bridged over at most 1 s, a longer hole splits.
+bridged over at most 1 s when a recording is made, a longer hole splits.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from dieseltwin.atomic import atomic_path
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
+from dieseltwin.recordings.bridged import LONGEST_GAP_S, bridge_inputs, longest_gap
 from dieseltwin.recordings.channels import (
     AMBIENT,
     INPUTS,
@@ -44,10 +45,8 @@ SLOW_ROWS = (
     "what happens between them is unknown. Dead times, lags and play of actuators are out of reach, quick transients "
     "count as noise, and intervals widen with the root of the rate and by what the inputs may have done (`classical`)"
 )
-LONGEST_GAP_S = 1.0
 LONGEST_S = 1e6  # eleven days; longer ones are in milliseconds
 MOST_ROWS = 6_000_000  # of a table; with more, memory for the columns and their text runs out on small machines
-JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
 HISTORY_S = 2.0  # of inputs kept before a segment: dead time and ten time constants of the slowest actuator are 1.4 s
 MINIMUM_ROWS = 10  # of a segment; fewer hold no information on four parameters and three states
 CSV_SUFFIXES, PARQUET_SUFFIXES = (".csv", ".txt"), (".parquet", ".pq")
@@ -132,8 +131,7 @@ class Recording:
         if rows.size == 0:
             return ()
         stopped = np.cumsum(np.asarray(self.columns["n_e_rpm"] < CRANKING_RPM))
-        longest = max(LONGEST_GAP_S, JITTER * float(np.median(np.diff(self.time_s))))
-        breaks = (np.diff(self.time_s[rows]) > longest) | (np.diff(stopped[rows]) > 0)
+        breaks = (np.diff(self.time_s[rows]) > longest_gap(self.time_s)) | (np.diff(stopped[rows]) > 0)
         starts = np.r_[0, np.flatnonzero(breaks) + 1]
         ends = np.r_[np.flatnonzero(breaks), rows.size - 1]
         return tuple(slice(int(rows[a]), int(rows[b]) + 1) for a, b in zip(starts, ends, strict=True))
@@ -183,8 +181,8 @@ class Recording:
         time = self.time_s
         before = int(np.searchsorted(time[piece_start:start], time[start] - HISTORY_S - _ROUNDING_S)) + piece_start
         rows = slice(before, stop)
-        n_e, u_delta, u_egr, u_vgt = (_bridged(time[rows], self.columns[name][rows]) for name in INPUTS)
-        further = {name: _bridged(time[rows], values[rows]) for name, values in optional_inputs(self.columns).items()}
+        n_e, u_delta, u_egr, u_vgt = (self.columns[name][rows].copy() for name in INPUTS)
+        further = {name: values[rows].copy() for name, values in optional_inputs(self.columns).items()}
         columns = {name: values[start:stop] for name, values in self.columns.items()}
         n = stop - start
         measured = np.column_stack([columns.get(name, np.full(n, np.nan)) for name in MEASURED])
@@ -200,13 +198,6 @@ class Recording:
 
 
 _ROUNDING_S = 1e-6  # time stamps are written with few digits
-
-
-def _bridged(time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Linear over missing rows; `pieces` has seen to it that no hole is longer than 1 s."""
-    finite = np.isfinite(values)
-    return values.copy() if finite.all() else np.interp(time_s, time_s[finite], values[finite])
-
 
 def _median_or(values: np.ndarray | None, otherwise: float) -> float:
     if values is None or not np.isfinite(values).any():
@@ -258,7 +249,7 @@ def recording(
     wild = mask_wild(columns)
     t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
     check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
-    notes = [*infinite, *wild, *_held_unread(columns), *cut_off_notes(columns)]
+    notes = [*infinite, *wild, *bridge_inputs(columns), *_held_unread(columns), *cut_off_notes(columns)]
     if not any_rate and 1.0 / float(np.median(np.diff(time))) < FULL_HZ / RATE_TOLERANCE:
         notes.append(f"{1.0 / float(np.median(np.diff(time))):.3g} rows per second: {SLOW_ROWS}")
     for values in columns.values():

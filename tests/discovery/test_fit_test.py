@@ -35,6 +35,12 @@ def test_sound_recordings_raise_no_doubt(clean: pd.DataFrame, project_root: Path
     assert dt.identify(exact, runs=1).warnings == []
 
 
+def test_a_short_hole_in_an_input_is_no_reason_not_to_test(clean: pd.DataFrame) -> None:
+    holes = clean.copy()
+    holes.loc[200:202, "u_delta_mg"] = np.nan
+    assert fit_notes(recording(holes), we2011.PARAMETERS, MEASURED[:5]) == []
+
+
 @pytest.mark.parametrize(
     ("change", "affects"),
     [

@@ -232,6 +232,16 @@ def test_gaps_are_masked_not_refused(drive):
     np.testing.assert_allclose(bridged, known[0] + np.array([1, 2, 3]) / 4 * (known[1] - known[0]))
 
 
+def test_short_holes_of_inputs_are_filled_and_said(drive):
+    holes = drive.copy()
+    holes.loc[700:702, "u_delta_mg"] = np.nan
+    holes.loc[900:910, "n_e_rpm"] = np.nan  # 2.4 s between known values
+    made = recording(holes)
+    assert any("3 missing values of u_delta_mg" in note for note in made.notes)
+    assert np.isfinite(made.columns["u_delta_mg"]).all()
+    assert np.isnan(made.columns["n_e_rpm"][900:911]).all() and len(made.pieces()) == 2
+
+
 def test_absent_channel_is_nan(drive):
     segment = recording(drive.drop(columns="w_c_kg_s")).segments()[0]
     assert np.isnan(segment.measured[:, MEASURED.index("w_c_kg_s")]).all()
