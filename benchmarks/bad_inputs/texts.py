@@ -147,7 +147,7 @@ OPTIONS = (
     "identify D --out O --runs -1", "identify D --out O --runs 0", "identify D --out O --runs 1.5",
     "identify D --out O --runs 1000000000000000000000", "identify D --out O --segment -1",
     "identify D --out O --segment 0", "identify D --out O --segment nan", "identify D --out O --segment inf",
-    "identify D --out O --segment 1e-9", "identify D --out O --seed -1", f"identify D --out O --seed {'9' * 400}",
+    "identify D --out O --segment 1e-9", "identify D --out O --seed -1",
     "identify D --out O --method none", f"identify D --out O --method {'m' * 3000}", "identify D --out O --sensors ,",
     "identify D --out O --sensors nothing", "identify D --out O --sensors p_im_pa,p_im_pa,p_im_pa",
     "identify D --out O --maps none", "identify D --out O --profile none", "identify D --out O --models {}/none",

@@ -28,6 +28,7 @@ GEOMETRY = ("bore_mm", "stroke_mm", "displacement_l")
 STARTS = 3  # of every submodel, besides the base engine's values
 START_SPREAD = 0.7  # prior standard deviations
 HELD_OUT = 3  # every third point of a drawn order is held out
+STANDS_STILL = 1e-6  # of its mean: a quantity that moves less has no variance to explain
 RANGE_MARGIN = 0.02  # input ranges are widened beyond the data by this share
 
 
@@ -309,7 +310,8 @@ def fit_of(residual: Array, measured: Array, predicted: Array, mask: NDArray[np.
 
     held = mask & good
     variance = float(np.var(measured[held])) if held.any() else 0.0
-    determination = 1.0 - float(np.mean((measured - predicted)[held] ** 2)) / variance if variance > 0 else float("nan")
+    moves = variance > (STANDS_STILL * float(np.mean(predicted[held]))) ** 2 if held.any() else False
+    determination = 1.0 - float(np.mean((measured - predicted)[held] ** 2)) / variance if moves else float("nan")
     median = float(100.0 * np.median(np.abs(residual[held]))) if held.any() else float("nan")
     return Fit(rms(~mask), rms(mask), median, determination, tolerance)
 
