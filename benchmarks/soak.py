@@ -347,6 +347,7 @@ def main() -> int:
     parser.add_argument("--flow", action="store_true", help="the flow `discover` in place of commands")
     parser.add_argument("--only", choices=FAULTS, help="one fault")
     parser.add_argument("--seconds", type=float, default=1e9, help="stop after so much time")
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell that starts this behind `&` has it ignored
     asked = parser.parse_args()
     began = time.perf_counter()
     bench = Bench(asked.work)

@@ -84,6 +84,18 @@ _NAME = "dieseltwin: "
 _INTERRUPTED = 130
 
 
+_OUT_OF_MEMORY = "out of memory; no file is half-written: cut the recording, or run it where there is more"
+
+
+def _short_of_memory(error: BaseException | None) -> bool:
+    """Whether a library couldn't be loaded for want of memory, by the linker's words at the root of the error."""
+    while error is not None:
+        if any(words in str(error) for words in ("failed to map segment", "annot allocate memory")):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 def _fail(error: Exception | str, code: int) -> int:
     room = LONGEST_LINE - len(_NAME)
     line = error.line(room) if isinstance(error, InputError) else shortened(one_line(str(error)), room)
@@ -110,14 +122,16 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # `dieseltwin engine show | head`: the flush at the end must not complain either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:  # of an input; outputs are checked where they are written
-        if error.errno not in _OF_A_PATH or error.filename is None:
+    except (OSError, ImportError) as error:  # of an input; outputs are checked where they are written
+        if _short_of_memory(error):
+            return _fail(_OUT_OF_MEMORY, 1)
+        if not isinstance(error, OSError) or error.errno not in _OF_A_PATH or error.filename is None:
             raise
         got = (error.strerror or str(error)).lower()
         unread = InputError(str(error.filename), got, "a file you may read", "check the path")
         return _fail(unread, unread.exit_code)
     except MemoryError:
-        return _fail("out of memory; no file is half-written: cut the recording, or run it where there is more", 1)
+        return _fail(_OUT_OF_MEMORY, 1)
     except (typer.Abort, KeyboardInterrupt):
         result = _INTERRUPTED
     if result == _INTERRUPTED:  # typer makes it of Ctrl-C, without a word
