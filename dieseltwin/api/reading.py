@@ -15,7 +15,8 @@ from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
-from dieseltwin.recordings.channels import INPUTS, TIME, ChannelMap, foreign_hint, read_channel_map
+from dieseltwin.recordings.channels import INPUTS, TIME, ChannelMap, foreign_hint
+from dieseltwin.recordings.named_columns import renamed
 from dieseltwin.recordings.reader import Recording, read_recording, recording
 from dieseltwin.recordings.steady_points import SteadyPoints, has_time, points, quasi_steady, read_points
 from dieseltwin.rigs.parameters import RigParameters
@@ -49,7 +50,7 @@ def read(
     machine = as_engine(engine)
     if isinstance(machine, RigParameters):
         refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
-        return read_rig(source, machine)
+        return rig_recording(source, machine)
     if isinstance(machine, PetrolParameters):
         return petrol_recording(source, channels)
     if timed(source, channels):
@@ -84,16 +85,7 @@ def timed(source: Source | Recording | SteadyPoints, channels: Channels | None =
     source = as_table(source)
     if isinstance(source, Recording | SteadyPoints):
         return isinstance(source, Recording)
-    return TIME in _named(source, channels) if isinstance(source, pd.DataFrame) else has_time(source, channels)
-
-
-def _named(frame: pd.DataFrame, channels: Channels | None) -> dict[str, np.ndarray]:
-    """The columns of a table under our names."""
-    columns = {str(name): frame[name].to_numpy() for name in frame.columns}
-    if channels is None:
-        return columns
-    mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
-    return mapping.apply(columns, "the table")
+    return TIME in renamed(source, channels) if isinstance(source, pd.DataFrame) else has_time(source, channels)
 
 
 def diesel_recording(
@@ -113,7 +105,7 @@ def diesel_recording(
                                  "this column", foreign_hint(name, source.columns))
         return source
     if isinstance(source, pd.DataFrame):
-        return recording(_named(source, channels), engine, sensors=sensors, any_rate=any_rate)
+        return recording(renamed(source, channels), engine, sensors=sensors, any_rate=any_rate)
     return read_recording(source, channels, engine, sensors=sensors, any_rate=any_rate)
 
 
@@ -133,7 +125,7 @@ def settled_points(
         return source
     if not isinstance(source, pd.DataFrame):
         return read_points(source, channels, engine, needed)
-    columns = _named(source, channels)
+    columns = renamed(source, channels)
     if TIME not in columns:
         return points(columns, engine, needed=needed)
     return points(quasi_steady(columns), engine, needed=needed,
@@ -150,6 +142,7 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     Raises:
         InputError: what can't be used.
     """
+    source = as_table(source)
     if not isinstance(source, str | Path | pd.DataFrame | RigRecording):
         raise InputError("recording", "one of an engine", f"one of {rig.name}", "name its file")
     found = source if isinstance(source, RigRecording) else read_rig(source, rig)
@@ -166,10 +159,4 @@ def petrol_recording(source: Source | PetrolRecording, channels: Channels | None
         InputError: one line saying what is wrong with it.
     """
     source = as_table(source)
-    if isinstance(source, PetrolRecording):
-        return source
-    if isinstance(source, pd.DataFrame):
-        raise InputError("petrol recording", "a table", "a CSV or Parquet file", "write the table to a file")
-    if isinstance(channels, ChannelMap):
-        raise InputError("channels", "a map in memory", "its YAML file", "write it to a file for a petrol engine")
-    return read_petrol(source, channels)
+    return source if isinstance(source, PetrolRecording) else read_petrol(source, channels)

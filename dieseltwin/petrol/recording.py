@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
-from dieseltwin.recordings.channels import read_channel_map
+from dieseltwin.recordings.channels import ChannelMap
+from dieseltwin.recordings.named_columns import named_columns
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
@@ -89,39 +90,30 @@ class PetrolRecording:
     columns: tuple[str, ...]
 
 
-def read_petrol(path: str | Path, channels: str | Path | None = None) -> PetrolRecording:
-    """Read a CSV or Parquet recording; column names are compared without regard to case.
+def read_petrol(
+    source: str | Path | pd.DataFrame, channels: ChannelMap | str | Path | None = None
+) -> PetrolRecording:
+    """Read a recording of any format, or take a table of one; names are compared without regard to case.
 
     Args:
-        path: of the recording.
+        source: a file of any format of `recordings.importers`, or a table with its columns.
         channels: map of foreign names and units to ours, see `recordings.channels`.
 
     Raises:
         InputError: missing file or column, no rising time, values that can't be in the unit of the column's name.
     """
-    path = Path(path)
-    try:
-        content = path.read_bytes()
-        table = pd.read_parquet(path) if path.suffix in (".parquet", ".pq") else pd.read_csv(path)
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "a CSV or Parquet recording", "check the path") from None
-    except (ValueError, pd.errors.ParserError) as error:
-        raise InputError(str(path), error, "a CSV or Parquet table", "check the file") from None
-    if channels is not None:
-        foreign = {str(c).strip(): table[c].to_numpy() for c in table.columns}
-        table = pd.DataFrame(read_channel_map(channels).apply(foreign, str(path)))
-    table.columns = [str(c).strip().lower() for c in table.columns]
-    missing = [c for c in ("time_s", *COLUMNS) if c not in table.columns]
+    columns, path, sha256 = named_columns(source, channels)
+    table = {name.strip().lower(): values for name, values in columns.items()}
+    missing = [c for c in ("time_s", *COLUMNS) if c not in table]
     if missing:
         raise InputError(f"{path}: columns", f"no {listed(missing)}", f"time_s, {listed(list(COLUMNS))}",
                          "name the columns so, units as in the names, or give a channel map (--channels)")
     values = {}
     for column in ("time_s", *COLUMNS):
-        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(dtype=np.float64)
-        values[column] = numbers
+        values[column] = np.asarray(pd.to_numeric(pd.Series(table[column]), errors="coerce"), dtype=np.float64)
     good = np.all([np.isfinite(v) for v in values.values()], axis=0)
     if good.sum() < FEWEST_BLOCKS:
-        raise InputError(str(path), f"{int(good.sum())} complete rows", f"at least {FEWEST_BLOCKS} s", "record longer")
+        raise InputError(path, f"{int(good.sum())} complete rows", f"at least {FEWEST_BLOCKS} s", "record longer")
     values = {k: v[good] for k, v in values.items()}
     time = values.pop("time_s")
     if np.any(np.diff(time) <= 0.0):
@@ -137,11 +129,10 @@ def read_petrol(path: str | Path, channels: str | Path | None = None) -> PetrolR
             raise InputError(f"{path}: column {column}", f"median {middle:.4g}", f"{low:g} to {high:g} {unit}",
                              f"convert to {unit}")
     if time[-1] - time[0] < FEWEST_BLOCKS:
-        raise InputError(str(path), f"{time[-1] - time[0]:.0f} s", f"at least {FEWEST_BLOCKS} s", "record longer")
+        raise InputError(path, f"{time[-1] - time[0]:.0f} s", f"at least {FEWEST_BLOCKS} s", "record longer")
     signals = Signals(time - time[0], values["p_ic_pa"], values["t_ic_k"], values["p_im_pa"], values["w_af_kg_s"],
                       values["omega_e_rad_s"], values["alpha_th_pct"], values["p_amb_pa"], values["t_amb_k"])
-    return PetrolRecording(signals, float(time[0]), str(path), hashlib.sha256(content).hexdigest(),
-                           tuple(table.columns))
+    return PetrolRecording(signals, float(time[0]), path, sha256, tuple(table))
 
 
 def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:

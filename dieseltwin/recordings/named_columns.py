@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
+from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import ChannelMap, channel_map, known_columns, read_channel_map
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
@@ -74,6 +75,34 @@ def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = 
         for name, values in columns.items()
     }
     return Imported(mapping.apply(numeric, str(path)), raw.notes, raw.began)
+
+
+def named_columns(
+    source: str | Path | pd.DataFrame, channels: ChannelMap | str | Path | None = None
+) -> tuple[dict[str, np.ndarray], str, str]:
+    """Columns of a file or of a table in our names, its name for messages, and its hash.
+
+    Raises:
+        InputError: one line saying what is wrong with the file or the map.
+    """
+    if not isinstance(source, pd.DataFrame):
+        return dict(import_columns(source, channels).columns), str(source), file_sha256(source)
+    columns = renamed(source, channels)
+    hashed = hashlib.sha256(pd.util.hash_pandas_object(source, index=False).to_numpy().tobytes())
+    return columns, "the table", hashed.hexdigest()
+
+
+def renamed(table: pd.DataFrame, channels: ChannelMap | str | Path | None) -> dict[str, np.ndarray]:
+    """The columns of a table in our names.
+
+    Raises:
+        InputError: a map that can't be read, or that names what isn't there.
+    """
+    columns = {str(name): table[name].to_numpy() for name in table.columns}
+    if channels is None:
+        return columns
+    mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
+    return mapping.apply(columns, "the table")
 
 
 def numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import TIME
+from dieseltwin.recordings.named_columns import named_columns
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.settings.names import listed
 
@@ -50,9 +50,9 @@ def read_rig(source: str | Path | pd.DataFrame, rig: RigParameters) -> RigRecord
     Raises:
         InputError: a file that can't be read, a column that is missing, times that don't increase, gaps in an input.
     """
-    where = "the table" if isinstance(source, pd.DataFrame) else str(source)
-    table, digest = _table(source)
-    columns = {str(name): pd.to_numeric(table[name], errors="coerce").to_numpy(np.float64) for name in table}
+    found, where, digest = named_columns(source)
+    columns = {name: np.asarray(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=np.float64)
+               for name, values in found.items()}  # fmt: skip
     for name in (TIME, *rig.inputs):
         if name not in columns:
             raise InputError(f"{where}: column {name}", f"none ({listed(list(columns))})", f"a column of {rig.name}",
@@ -69,16 +69,3 @@ def read_rig(source: str | Path | pd.DataFrame, rig: RigParameters) -> RigRecord
                              "no number", "a number in every row of an input", "fill in or drop this row")
     readings = {name: columns[name][:n : rig.every].astype(np.float64) for name in rig.readings if name in columns}
     return RigRecording(time_s, inputs, readings, where, digest)
-
-
-def _table(source: str | Path | pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    """The table, and a hash of the file or of its values."""
-    if isinstance(source, pd.DataFrame):
-        return source, hashlib.sha256(pd.util.hash_pandas_object(source).to_numpy().tobytes()).hexdigest()
-    path = Path(source)
-    try:
-        content = path.read_bytes()
-        table = pd.read_parquet(path) if path.suffix in (".parquet", ".pq") else pd.read_csv(path)
-    except (OSError, ValueError) as error:  # what both readers raise for other content is a ValueError
-        raise InputError(str(path), error, "CSV or Parquet", "check the file") from None
-    return table, hashlib.sha256(content).hexdigest()

@@ -142,7 +142,7 @@ def test_effects_are_added_and_replaced(trace: pd.DataFrame) -> None:
 
 
 def test_what_can_not_be_simulated_is_one_line(trace: pd.DataFrame) -> None:
-    with pytest.raises(InputError, match="petrol recording"):
+    with pytest.raises(InputError, match="no p_ic_pa"):
         dt.simulate(trace, "liu_petrol")
     with pytest.raises(InputError, match="u_egr_pct, data row 4"):
         dt.simulate(trace.assign(u_egr_pct=trace["u_egr_pct"].where(trace.index != trace.index[3])))

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
+import dieseltwin as dt
 from dieseltwin.challenge.petrol_plant import drive
 from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import load_discrepancy
@@ -15,6 +17,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import calibrate
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
+from dieseltwin.recordings.channels import channel_map
 from tests.pages import check_page
 
 Recorder = Callable[..., PetrolRecording]
@@ -45,6 +48,22 @@ def _written(frame: pd.DataFrame, tmp_path: Path) -> Path:
 def test_unfit_recordings(table: pd.DataFrame, tmp_path: Path, change, words: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InputError, match=words):
         read_petrol(_written(change(table.copy()), tmp_path))
+
+
+def test_any_format_and_a_table_say_the_same(table: pd.DataFrame, tmp_path: Path) -> None:
+    known = read_petrol(_written(table, tmp_path)).signals
+    german = tmp_path / "german.csv"
+    table.to_csv(german, index=False, sep=";", decimal=",", encoding="utf-16")
+    table.to_excel(tmp_path / "drive.xlsx", index=False)
+    table.to_parquet(tmp_path / "drive.parquet", index=False)
+    foreign = table.rename(columns={"p_im_Pa": "MAP"}).assign(MAP=table["p_im_Pa"] / 1e3)
+    in_kpa = channel_map({"MAP": {"column": "p_im_pa", "unit": "kPa"}})
+    sources = (german, tmp_path / "drive.xlsx", tmp_path / "drive.parquet", table)
+    in_our_names = [dt.read(source, engine=PetrolParameters()) for source in sources]
+    for found in (*in_our_names, dt.read(foreign, in_kpa, engine=PetrolParameters())):
+        assert isinstance(found, PetrolRecording)
+        np.testing.assert_allclose(found.signals.p_im, known.p_im, rtol=1e-12)
+        np.testing.assert_allclose(found.signals.W_af, known.W_af, rtol=1e-12)
 
 
 def test_missing_file(tmp_path: Path) -> None:

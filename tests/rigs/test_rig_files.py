@@ -139,3 +139,11 @@ def test_engines_and_rigs_are_told_apart(tank: RigParameters) -> None:
             wrong()
     fitted = dt.identify(emptying(0.7), tank)
     assert fitted.table().loc["k", "mean"] == pytest.approx(0.7, rel=1e-3)
+
+
+def test_a_rig_reads_any_format(tank: RigParameters, tmp_path: Path) -> None:
+    table = emptying(0.5)
+    table.to_csv(tmp_path / "a.csv", index=False, sep=";", decimal=",")
+    table.to_excel(tmp_path / "a.xlsx", index=False)
+    for source in (tmp_path / "a.csv", tmp_path / "a.xlsx", table):
+        np.testing.assert_allclose(read_rig(source, tank).readings["level"], table["level"], rtol=1e-12)
