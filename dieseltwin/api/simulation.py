@@ -41,11 +41,13 @@ class Simulation(Result):
         frame: one row a time [SI, units in the names].
         engine: with the ambient of the inputs and the effects.
         readings: column -> (n,) what was given, inputs and the readings beside them [SI].
+        notes: what reading did to the inputs, one sentence each.
     """
 
     frame: pd.DataFrame
     engine: Engine
     readings: Mapping[str, np.ndarray]
+    notes: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -112,7 +114,7 @@ def simulate(
         bad = [name for name in frame if not np.isfinite(frame[name]).all()]
         raise InputError(f"simulating {source.path or 'the inputs'}", f"values that are not finite in {bad[0]}",
                          "inputs and parameters of a running engine", "check the inputs and --engine")
-    return Simulation(frame, parameters, source.columns)
+    return Simulation(frame, parameters, source.columns, source.notes)
 
 
 def _inputs(recording: Recording) -> Inputs:

@@ -10,7 +10,7 @@ import typer
 from dieseltwin.atomic import check_writable
 from dieseltwin.cli.early import check_apart, check_there
 from dieseltwin.cli.effects import EffectOption, named_values
-from dieseltwin.cli.options import ChannelsFile, EngineFile
+from dieseltwin.cli.options import ChannelsFile, EngineFile, say
 from dieseltwin.errors import InputError
 
 SUFFIXES = (".csv", ".parquet")
@@ -42,4 +42,4 @@ def simulate_command(
     check_writable(out)  # a place that cannot be written to is better known before the work
     found = simulate(inputs, engine, channels=channels, effects=named_values(effect or ()))
     found.save(out)
-    typer.echo(f"{out}: {len(found.frame)} rows")
+    say([f"{out}: {len(found.frame)} rows", *(f"note: {note}" for note in found.notes)])

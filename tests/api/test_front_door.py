@@ -145,6 +145,8 @@ def test_what_can_not_be_simulated_is_one_line(trace: pd.DataFrame) -> None:
     with pytest.raises(InputError, match="no p_ic_pa"):
         dt.simulate(trace, "liu_petrol")
     with pytest.raises(InputError, match="u_egr_pct, data row 4"):
-        dt.simulate(trace.assign(u_egr_pct=trace["u_egr_pct"].where(trace.index != trace.index[3])))
+        dt.simulate(trace.assign(u_egr_pct=trace["u_egr_pct"].where((trace.index < 3) | (trace.index > 10))))
+    (note,) = dt.simulate(trace.assign(u_egr_pct=trace["u_egr_pct"].where(trace.index != 3))).notes
+    assert "1 missing values of u_egr_pct are bridged" in note
     with pytest.raises(InputError, match="plot"):
         dt.simulate(trace).plot("nothing")
