@@ -132,6 +132,8 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail(unread, unread.exit_code)
     except MemoryError:
         return _fail(_OUT_OF_MEMORY, 1)
+    except SystemError as error:  # of compiled code that forgot to look whether it got its memory
+        return _fail(f"a library failed inside ({error}), as happens when memory is short; {_OUT_OF_MEMORY}", 1)
     except (typer.Abort, KeyboardInterrupt):
         result = _INTERRUPTED
     if result == _INTERRUPTED:  # typer makes it of Ctrl-C, without a word

@@ -75,6 +75,8 @@ def run(
         folder, only=names(only) or (), limit=limit, jobs=jobs or _cores(), progress=_progress
     )
     typer.echo(f"{folder / RESULTS}: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
+    if counts["failed"]:  # each with its failed.json; the next run tries them again
+        raise typer.Exit(1)
 
 
 @challenge_app.command()

@@ -299,6 +299,14 @@ def test_exact_intervals() -> None:
     assert Share(0, 0).value is None and str(Share(0, 0)) == "no cases"
 
 
+def test_cases_that_failed_are_no_success(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    counts = {"done": 3, "failed": 1, "kept": 0, "left": 0}
+    monkeypatch.setattr("dieseltwin.challenge.run.run_challenge", lambda folder, **options: counts)
+    assert main(["challenge", "run", str(tmp_path)]) == 1
+    counts["failed"] = 0
+    assert main(["challenge", "run", str(tmp_path)]) == 0
+
+
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "c"
     options = ["--duration", "60", "--sensors", "5", "--healthy-only", "--jobs", "1"]
