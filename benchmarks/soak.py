@@ -51,6 +51,8 @@ FAILED = "failed.json"  # of a case that had no memory: told, and tried again ne
 
 FAULTS = ("kill", "interrupt", "disk", "memory", "clock")
 
+FLOW_FAULTS = FAULTS[:-1]  # under libfaketime `time.sleep` fails in Python's own `subprocess`: no flow starts
+
 Tree = dict[str, str]
 """Name of a file in a folder -> hash of its content."""
 
@@ -156,7 +158,8 @@ def tree(folder: Path) -> Tree:
     found = {}
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
-        if not path.is_file() or path.name in TIMED or any(part in name for part in KEPT_APART):
+        timed = path.name in TIMED or (name.startswith(".cache/") and path.name == "manifest.json")
+        if not path.is_file() or timed or any(part in name for part in KEPT_APART):
             continue
         if path.name == "history.sqlite":
             from dieseltwin.learning.history import History, to_json
@@ -265,11 +268,16 @@ def disturbed(
     return process.returncode, late, hit, text
 
 
+def faults_of(command: Command) -> tuple[str, ...]:
+    """What it is tried under."""
+    return FLOW_FAULTS if command in FLOW else FAULTS
+
+
 def run(number: int, seed: int, bench: Bench, commands: tuple[Command, ...], only: str | None) -> Ended:
     """One command with one fault, what it left, and the same command again."""
     rng = np.random.default_rng([seed, number])
     cycle = [command for command in commands for _ in range(OFTEN.get(command.name, 1))]
-    command, fault = cycle[number % len(cycle)], only or FAULTS[number % len(FAULTS)]
+    command, fault = cycle[number % len(cycle)], only or faults_of(command)[number % len(faults_of(command))]
     before_folder, before, after, seconds = bench.prepare(command)
     new = sum((bench.work / command.name.replace(" ", "_") / "after" / name.partition(" row ")[0]).stat().st_size
               for name in after if before.get(name) != after[name])  # fmt: skip

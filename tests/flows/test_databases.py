@@ -54,6 +54,9 @@ def test_errors_of_their_databases_are_one_line_and_others_keep_their_traceback(
     line = databases.failure(sqlite3.OperationalError("disk is full"), "sqlite:////work/mlflow.db")
     assert line is not None and line.startswith("MLflow's database sqlite:////work/mlflow.db: disk is full;")
     assert databases.failure(ValueError("ours"), "sqlite://") is None
+    line = databases.failure(RuntimeError("Failed to reach API at http://127.0.0.1:1/api/"), "sqlite://")
+    assert line is not None and "server.log" in line
+    assert "out of memory" in str(databases.failure(MemoryError(), "sqlite://"))
 
 
 @pytest.mark.flow
