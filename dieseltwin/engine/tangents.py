@@ -184,12 +184,12 @@ def _eliminated(x_r_next: Symbol, T_1_next: Symbol) -> dict[str, tuple[Symbol | 
     return found
 
 
-def _total(row: Symbol, inner: Mapping[str, Sequence[Symbol | float]], direction: str) -> Symbol | float:
+def _total(row: Symbol | float, inner: Mapping[str, Sequence[Symbol | float]], direction: str) -> Symbol | float:
     """Total derivative of a quantity, x_r and T_1 eliminated."""
-    result = row.by.get(direction, 0.0)
+    result = _directions(row).get(direction, 0.0)
     for name, moved in zip(FIXED_POINT, inner.get(direction, ()), strict=False):
-        if name in row.by:
-            result = moved * row.by[name] + result
+        if name in _directions(row):
+            result = moved * _directions(row)[name] + result
     return result
 
 

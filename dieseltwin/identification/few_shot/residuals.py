@@ -179,14 +179,14 @@ class PointModel:
         cylinder = self.cylinder(states, health, inputs, start)
         x = [*states.unbind(-1), *cylinder]
         if not derivatives:
-            values = _columns(self.model.quantities(*x, *inputs, self.with_health(health)), VALUES)
+            values = _columns(self.model.quantities(*x, *inputs, self.with_health(health)), VALUES, x[0])
             return Point(torch.stack(values, 1), cylinder)
 
         shape = states.shape[:-1]
         with torch.enable_grad():
             point = [v.detach().expand(shape).clone().requires_grad_() for v in (*x, *health)]
             q = self.model.quantities(*point[:5], *inputs, self.with_health(point[5:]))
-            columns = [column.expand(shape) for column in _columns(q, (*VALUES, *FOLLOWED))]
+            columns = _columns(q, (*VALUES, *FOLLOWED), point[0])
             # Points don't mix: the gradient of a sum over points is each point's own row of the Jacobian.
             rows = [
                 torch.autograd.grad(column.sum(), point, retain_graph=True, materialize_grads=True)
@@ -220,8 +220,10 @@ FOLLOWED = ("x_r_next", "T_1_next")
 """What the fixed point's x_r and T_1 are equal to."""
 
 
-def _columns(q: Any, names: Sequence[str]) -> list[Tensor]:
-    return [getattr(q, name) for name in names]
+def _columns(q: Any, names: Sequence[str], like: Tensor) -> list[Tensor]:
+    """Quantities by name in the shape of another, also those that are a constant of the published model."""
+    found = (getattr(q, name) for name in names)
+    return [value.expand_as(like) if isinstance(value, Tensor) else value + 0.0 * like for value in found]
 
 
 def _eliminate(jacobian: Tensor) -> Tensor:
