@@ -31,6 +31,7 @@ from dieseltwin.paper.evaluation import tables as evaluation
 from dieseltwin.paper.evaluation.ensembles import CASES, case_problems, member_table
 from dieseltwin.recordings.datasets import laboratory_parameters
 from dieseltwin.recordings.reader import read_recording
+from dieseltwin.sensors import relative_noise
 from dieseltwin.settings.methods import EXACT, in_order, names
 from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.bodies import Bodies
@@ -46,7 +47,7 @@ def clean_problems(path: Path, params: Any) -> list[Any]:
     """The first five minutes of the clean field recording, with truth and true initial states."""
     parameters = laboratory_parameters(params.engine)
     frame = pd.read_parquet(path)
-    noise = NoiseLevels.from_signals(frame[list(MEASURED)].to_numpy(), relative=params.noise.channels)
+    noise = NoiseLevels.from_signals(frame[list(MEASURED)].to_numpy(), relative=relative_noise(params.noise))
     truth = {name: float(frame[name].iloc[0]) for name in HEALTH}
     recording = read_recording(path, engine=parameters)
     problems = problems_from_recording(recording, parameters, noise=noise, channels=PAPER_CHANNELS, truth=truth)[:5]

@@ -106,9 +106,6 @@ SYMBOLS: dict[str, Symbol] = {s.name: s for s in _TABLE}
 BY_COLUMN: dict[str, Symbol] = {s.column: s for s in _TABLE}
 
 INPUT_COLUMNS = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
-MEASURED_NAMES = ("p_im", "p_em", "omega_t", "W_egr", "T_em", "W_c")
-MEASURED = tuple(SYMBOLS[name].column for name in MEASURED_NAMES)
-"""Columns that sensors can see, in the order of every array of readings: the paper's five, and the compressor flow."""
 STATES = tuple(SYMBOLS[name].column for name in ("p_im", "p_em", "omega_t", "x_r", "T_1"))
 """Columns of the engine's states, in the order of every array of states."""
 HEALTH_NAMES = ("A_egrmax", "A_vgtmax", "eta_sc", "h_tot")

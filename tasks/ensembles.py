@@ -26,12 +26,13 @@ def _clean_problems(field: Path, settings: dict[str, Any]) -> list[Any]:
 
     from dieseltwin.identification.problem import NoiseLevels
     from dieseltwin.recordings.datasets import MEASURED
+    from dieseltwin.sensors import relative_noise
     from dieseltwin.settings.params import NoiseConfig
     from tasks.identify import problems_of
 
     known, clean = problems_of(field, settings)
     noise = NoiseLevels.from_signals(
-        clean[list(MEASURED)].to_numpy(), relative=NoiseConfig(**settings["noise"]).channels
+        clean[list(MEASURED)].to_numpy(), relative=relative_noise(NoiseConfig(**settings["noise"]))
     )
     rows = np.searchsorted(clean["time_s"], [problem.t0_s - 1e-6 for problem in known])
     made = []

@@ -30,6 +30,7 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, problems_from_recording
     from dieseltwin.recordings.datasets import HEALTH, MEASURED, laboratory_parameters
     from dieseltwin.recordings.reader import read_recording
+    from dieseltwin.sensors import relative_noise
     from dieseltwin.settings.params import EngineConfig, NoiseConfig
     from dieseltwin.symbols import STATES
 
@@ -39,7 +40,7 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     clean = pd.read_parquet(field / "case_v_clean.parquet")
     noise = NoiseLevels.from_signals(
         np.column_stack([recording.columns[name] for name in MEASURED]),
-        relative=NoiseConfig(**settings["noise"]).channels,
+        relative=relative_noise(NoiseConfig(**settings["noise"])),
     )
     truth = {name: float(clean[name].iloc[0]) for name in HEALTH}
     problems = problems_from_recording(

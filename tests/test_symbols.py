@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from dieseltwin.errors import InputError
-from dieseltwin.symbols import BY_COLUMN, HEALTH_NAMES, INPUT_COLUMNS, MEASURED_NAMES, SYMBOLS, label, symbol
+from dieseltwin.sensors import SENSORS
+from dieseltwin.symbols import BY_COLUMN, HEALTH_NAMES, INPUT_COLUMNS, SYMBOLS, label, symbol
 
 UNIT_ENDINGS = {
     "_pa": "Pa", "_kg_s": "kg/s", "_rad_s": "rad/s", "_rpm": "rpm", "_pct": "%", "_mg": "mg/cycle", "_nm": "N m",
@@ -52,7 +53,7 @@ def test_the_usual_wrong_units_lie_outside() -> None:
 def test_lookup_by_name_and_by_column() -> None:
     assert symbol("p_im") is symbol("p_im_pa")
     assert symbol("A_egrmax").unit == "m2"
-    for name in (*MEASURED_NAMES, *HEALTH_NAMES, *INPUT_COLUMNS):
+    for name in (*(sensor.name for sensor in SENSORS), *HEALTH_NAMES, *INPUT_COLUMNS):
         symbol(name)
 
 

@@ -35,6 +35,7 @@ from dieseltwin.report.identification import identification_figures
 from dieseltwin.report.inputs import results_of
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.sealed import sealed_json
+from dieseltwin.sensors import relative_noise
 from dieseltwin.settings.methods import EXACT, Method, find
 from dieseltwin.settings.names import listed, refuse_options, unknown_name
 from dieseltwin.settings.params import DEFAULT_PROFILE, Params, load_params
@@ -294,7 +295,7 @@ def problems_of(
     missing = np.full(source.time_s.shape, np.nan)
     signals = np.column_stack([source.columns.get(name, missing) for name in MEASURED])
     signals = signals[source.columns["n_e_rpm"] >= CRANKING_RPM]  # a standing engine would lower the means
-    noise = NoiseLevels.from_signals(signals, relative=settings.noise.channels)
+    noise = NoiseLevels.from_signals(signals, relative=relative_noise(settings.noise))
     duration_s = settings.identify.segment_s if segment_s is None else segment_s
     return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s, channels=sensors)
 

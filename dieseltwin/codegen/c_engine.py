@@ -30,7 +30,7 @@ LAW_SETTLED = 1e-9  # relative change of a signal that ends the rounds between l
 
 _TUPLES = (
     tuples.OperatingPoint, tuples.Charge, tuples.Signals, tuples.Gas, tuples.Sweep, tuples.IntakeSide,
-    tuples.ExtendedQuantities, tuples.DriverQuantities,
+    tuples.Quantities, tuples.DriverQuantities,
 )  # fmt: skip
 _KNOWN = {
     "with_ambient_pressure": Signature("with_ambient_pressure", (("Constants", "c"), ("double", "pressure")),
@@ -298,6 +298,6 @@ def _expression(column: str, engine: EngineParameters) -> str:
     if column in input_columns(engine):
         return f"e->inputs.{column}"
     symbol = BY_COLUMN.get(column)
-    if symbol is None or symbol.name not in tuples.ExtendedQuantities._fields:
+    if symbol is None or symbol.name not in tuples.Quantities._fields:
         raise DieselTwinError(f"column {column} of `simulate` has no counterpart in C")
     return f"e->q.{symbol.name}"

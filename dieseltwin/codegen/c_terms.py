@@ -183,7 +183,7 @@ class TermsInC:
             words = " ".join(law.text.split()).replace("*/", "* /")
             lines += [f"/* {words or law.point} */",
                       f"s.{law.point} += shares[{k}] * {law_text(law, OperatingPoint._fields)};"]
-        self._function("Signals law_signals(ExtendedQuantities q, OperatingPoint x, double t, const double *shares, "
+        self._function("Signals law_signals(Quantities q, OperatingPoint x, double t, const double *shares, "
                        "Constants c)", ["(void)q, (void)x, (void)t, (void)c;", *lines, "return s;"],
                        "What the found laws say where they enter, at quantities q and operating point x.")
 

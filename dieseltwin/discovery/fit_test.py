@@ -18,11 +18,11 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
-from dieseltwin.engine import MEASURED, EngineParameters
+from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
-from dieseltwin.identification.problem import NOISE_FLOOR
 from dieseltwin.notes import Note
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.sensors import MEASURED, SENSORS
 
 LONGEST_PART_S = 600.0
 """A longer recording is tested in parts of at most this length [s], so that memory stays bounded."""
@@ -32,7 +32,7 @@ SHORTEST_S = 60.0
 
 FEWEST_SENSORS = 3
 BEST_SENSOR = 0.002
-"""Noise of the best sensor, as a share of its channel's level [-], and never below `NOISE_FLOOR`. It is added to every
+"""Noise of the best sensor, as a share of its channel's level [-], and never below its `floor`. It is added to every
 channel: nothing else would hide the errors of integration steps and of windows' starts in a simulation without noise,
 whose quick moves can't be told from noise. What an instrument really has is several times as much."""
 
@@ -165,15 +165,16 @@ def _parts(recording: Recording) -> Iterator[Recording]:
 
 
 def _examined(part: Recording, engine: EngineParameters, sensors: Sequence[str]) -> tuple[Search, list[Suspicion]]:
-    columns = {**part.columns, **{name: _with_noise(part.columns[name], MEASURED.index(name)) for name in sensors}}
+    columns = {**part.columns, **{name: _with_noise(part.columns[name], name) for name in sensors}}
     twin = EngineTwin(replace(part, columns=MappingProxyType(columns)), engine, sensors)
     found = prepare(twin, Options().settings())
     return found, suspicions(found.null, recording_faults(twin, found.null))
 
 
-def _with_noise(values: Array, channel: int) -> Array:
-    """Readings (n,) of a channel of `MEASURED` with the noise of the best sensor besides their own."""
-    least = max(BEST_SENSOR * float(np.nanmean(np.abs(values))), NOISE_FLOOR[channel])
+def _with_noise(values: Array, column: str) -> Array:
+    """Readings (n,) of a sensor's column with the noise of the best sensor besides their own."""
+    channel = MEASURED.index(column)
+    least = max(BEST_SENSOR * float(np.nanmean(np.abs(values))), SENSORS[channel].floor)
     return values + least * np.random.default_rng(channel).standard_normal(values.size)
 
 

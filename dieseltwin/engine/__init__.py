@@ -15,7 +15,8 @@ from dieseltwin.engine.parameters import (
 )
 from dieseltwin.engine.quantities import Quantities, Sweep
 from dieseltwin.engine.simulate import Observations, quantities_frame, settle, simulate, simulate_states
-from dieseltwin.symbols import MEASURED, STATES
+from dieseltwin.sensors import MEASURED
+from dieseltwin.symbols import STATES
 
 __all__ = [
     "DEFAULT_STEP_S", "HEALTH", "HEALTH_UNITS", "INPUT_COLUMNS", "MAPS", "MEASURED", "STATES",

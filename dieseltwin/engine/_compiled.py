@@ -16,8 +16,9 @@ import numpy as np
 from dieseltwin.engine.kernel_cache import kernel_folder
 from dieseltwin.engine.manifolds import X_OC as _OXYGEN_OF_AIR
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, Constants
+from dieseltwin.sensors import READ
 
-_FOLDER = kernel_folder(Path(__file__).parent, (numba.__version__, np.__version__))
+_FOLDER = kernel_folder(Path(__file__).parent, (numba.__version__, np.__version__, *READ))
 numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
 
 from dieseltwin.engine._fastmath import select  # noqa: E402
@@ -29,6 +30,8 @@ LANES = 8
 N_STATES = 5  # p_im, p_em, omega_t, x_r, T_1
 N_CONSTANTS = len(CONSTANT_NAMES)
 CONSTANTS_AT = N_STATES + 12  # of the flat work array, in units of LANES
+N_READ = len(READ)
+N_OUT = N_STATES + N_READ
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
 
@@ -60,6 +63,17 @@ def _make_load_constants() -> Any:
 
 
 load_constants = _make_load_constants()
+
+
+def readings_stored(arguments: str, place: str) -> Any:
+    """A compiled function of `arguments` that writes what the sensors read of quantities q, one `place` for each j."""
+    lines = [f"    {place.format(j=j)} = q.{name}" for j, name in enumerate(READ)]
+    scope: dict[str, Any] = {"__name__": __name__}
+    exec("\n".join((f"def store_readings({arguments}, q):", *lines)), scope)
+    return numba.njit(**_INLINED)(scope["store_readings"])
+
+
+store_readings = readings_stored("out, k, i", f"out[k, i, {N_STATES} + {{j}}]")
 
 
 @numba.njit(**_INLINED)
@@ -122,7 +136,7 @@ def _integrate(grids, grid_of_lane, steps, time, constants, initial, out):  # ty
     """Integrate one block of LANES lanes.
 
     grids (G, 4, 2 N + 1), grid_of_lane (LANES,), steps (n - 1,), time (n,), constants (n_constants, LANES),
-    initial (LANES, 3) -> out (LANES, n, 8): p_im, p_em, omega_t, x_r, T_1, W_egr, T_em, W_c.
+    initial (LANES, 3) -> out (LANES, n, N_OUT): p_im, p_em, omega_t, x_r, T_1, then `sensors.READ`.
     """
     work = np.empty((CONSTANTS_AT + constants.shape[0]) * LANES)
     state = work[: N_STATES * LANES]
@@ -158,9 +172,7 @@ def _integrate(grids, grid_of_lane, steps, time, constants, initial, out):  # ty
             out[k, i, 2] = state[2 * LANES + k]
             out[k, i, 3] = x_r
             out[k, i, 4] = T_1
-            out[k, i, 5] = q.W_egr
-            out[k, i, 6] = q.T_em
-            out[k, i, 7] = q.W_c
+            store_readings(out, k, i, q)
         if i + 1 < time.shape[0]:
             h = (time[i + 1] - time[i]) / steps[i]
             for _step in range(steps[i]):

@@ -15,6 +15,7 @@ from dieseltwin.engine._compiled import (
     _INLINED,
     _OPTIONS,
     LANES,
+    N_READ,
     OMEGA_HIGH,
     OMEGA_LOW,
     P_EM_HIGH,
@@ -29,23 +30,28 @@ from dieseltwin.engine._compiled import (
     _model,
     _variant,
     load_constants,
+    readings_stored,
 )
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import DRIFTS, GAS_LAG, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS
 from dieseltwin.engine.model_constants import CONSTANT_NAMES
 from dieseltwin.engine.quantities import Gas, OperatingPoint, Signals
+from dieseltwin.sensors import READ
 
 N_EFFECTS, N_POINTS = len(STATE_EFFECTS), len(Signals._fields)
 N_CORRECTED = len(CORRECTED_POINTS)
-N_OUT = 9  # p_im, p_em, omega_t, x_r, T_1, T_gas, W_egr, T_em, W_c
+N_STATES = 6  # p_im, p_em, omega_t, x_r, T_1, T_gas
+N_OUT = N_STATES + N_READ
 
 # Rows of the flat work array, in units of LANES.
 GAS, GAIN, CARRY = 5, 6, 7  # behind p_im, p_em, omega_t, x_r, T_1
 INPUT = 8  # n_e, u_delta, u_egr, u_vgt
 RATE = 12  # dp_im, dp_em, domega_t
-STATIC, W_EGR, T_EM, W_C = 15, 16, 17, 18
-EFFECT = 19
+STATIC = 15
+READING = 16  # `sensors.READ`
+T_EM, W_C = READING + READ.index("T_em"), READING + READ.index("W_c")
+EFFECT = READING + N_READ
 SIGNAL = EFFECT + N_EFFECTS  # value at the sample before
 SLOPE = SIGNAL + N_POINTS  # change until the sample after
 CORRECTION = SLOPE + N_POINTS  # relative, at `CORRECTED_POINTS`
@@ -92,6 +98,7 @@ def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
 
 load_magnitudes = _loader("load_magnitudes", Magnitudes, EFFECT)
 load_signals = _loader("load_signals", Signals, SIGNAL, moving=True)
+store_readings = readings_stored("work, k, lanes", f"work[({READING} + {{j}}) * lanes + k]")
 
 
 @numba.njit(**_INLINED)
@@ -164,9 +171,7 @@ def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
         work[(RATE + 1) * LANES + k] = q.dp_em
         work[(RATE + 2) * LANES + k] = q.domega_t
         work[STATIC * LANES + k] = q.T_em_static
-        work[W_EGR * LANES + k] = q.W_egr
-        work[T_EM * LANES + k] = q.T_em
-        work[W_C * LANES + k] = q.W_c
+        store_readings(work, k, LANES, q)
 
 
 evaluate = numba.njit(**_OPTIONS)(_evaluate)
@@ -296,9 +301,8 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
         for k in range(LANES):
             for j in range(3):
                 out[k, i, j] = work[j * LANES + k]
-            out[k, i, 6] = work[W_EGR * LANES + k]
-            out[k, i, 7] = work[T_EM * LANES + k]
-            out[k, i, 8] = work[W_C * LANES + k]
+            for j in range(N_READ):
+                out[k, i, N_STATES + j] = work[(READING + j) * LANES + k]
             carried[k] = work[T_EM * LANES + k]
         if i + 1 == end:
             break

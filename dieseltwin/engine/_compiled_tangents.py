@@ -62,8 +62,8 @@ def linearise_points(states, cylinder, inputs, health, constants, pairs, results
     """Fixed point, values and total derivatives at the points of R runs.
 
     states (R, 3, n), cylinder (R, 2, n): start of x_r and T_1, replaced by their fixed point after `pairs` pairs of
-    sweeps; inputs (R or 1, 4, n), health (R, 4), constants (n_constants,) -> results (R, 48, n): `VALUES`, then their
-    derivatives by `DIRECTIONS`, seven rows for each value.
+    sweeps; inputs (R or 1, 4, n), health (R, 4), constants (n_constants,) -> results (R, 8 V, n): the V `VALUES`, then
+    their derivatives by `DIRECTIONS`, seven rows for each value.
     """
     runs, n = states.shape[0], states.shape[2]
     work = np.empty((RESULTS_AT + N_RESULTS) * LANES)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.engine.array_namespace import Array
 from dieseltwin.engine.model_constants import Constants
+from dieseltwin.sensors import MEASURED
 
 Kind = Literal["physics", "actuator", "input", "sensor"]
 Through = Literal["quantity", "gas", "command", "input", "reading"]
@@ -27,8 +28,7 @@ SITES = (
     "intake_mass_balance", "exhaust_mass_balance", "cylinder_flow", "compressor_flow", "compressor_power",
     "turbine_flow", "turbine_power", "shaft_power", "cylinder_out_temperature", "exhaust_temperature",
     "intake_temperature", "egr_flow", "egr_actuator", "vgt_actuator", "fuel_injection",
-    "sensor:p_im_pa", "sensor:p_em_pa", "sensor:omega_t_rad_s", "sensor:w_egr_kg_s", "sensor:t_em_k",
-    "sensor:w_c_kg_s",
+    *(f"sensor:{column}" for column in MEASURED),
 )  # fmt: skip
 """Where the twin and the engine may differ."""
 
@@ -97,6 +97,7 @@ class Effect:
         at_flow: flow at which a quadratic restriction is also told as a pressure [kg/s].
         needs: optional input columns without which the effect can't act.
         coefficients: of the law beside the magnitude, with nominal values; a term may give its own.
+        about: what it is in a sentence; of a file, the first of its docstring.
         follows: factor (n,) of the magnitude that the inputs (column -> (n,)) make with these coefficients; None: 1.
     """
 
@@ -121,6 +122,7 @@ class Effect:
     at_flow: float | None = None
     needs: tuple[str, ...] = ()
     coefficients: Mapping[str, float] = field(default_factory=dict)
+    about: str = ""
     follows: Callable[..., NDArray[np.float64]] | None = None
 
     def __post_init__(self) -> None:

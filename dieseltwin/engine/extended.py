@@ -8,19 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from dieseltwin.engine._compiled import LANES
-from dieseltwin.engine._compiled_extended import N_OUT, integrate_free, integrate_restricted
+from dieseltwin.engine._compiled_extended import N_OUT, N_STATES, integrate_free, integrate_restricted
 from dieseltwin.engine.effects import GAS_LAG, IMPLICIT, STATE_EFFECTS
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.map_corrections import NO_CORRECTIONS, MapCorrections
-from dieseltwin.engine.observations import Observations, pool, thread_count
+from dieseltwin.engine.observations import Observations, observations, pool, thread_count
 from dieseltwin.engine.parameters import ParameterBatch
 from dieseltwin.engine.quantities import POINTS
 from dieseltwin.errors import InputError
 
 EXTENDED_STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k", "t_gas_k")
 """Order of the states of `simulate_extended`; the last is the gas temperature that heats the EGR or lags."""
-
-_MEASURED_AT = (0, 1, 2, 6, 7, 8)
 
 PARTS = 4
 """Parts into which a recording with restarts is cut, however many threads there are: results don't depend on that."""
@@ -130,7 +128,7 @@ def simulate_extended(
             0.48 the order is three and steps may be almost twice as long before they are unstable.
 
     Returns:
-        `Observations` with states (B, n, 6) in the order of `EXTENDED_STATES` and measured (B, n, 6) as usual. At a
+        `Observations` with states (B, n, 6) in the order of `EXTENDED_STATES` and measured (B, n, C) as usual. At a
         restart the pressures and the speed are the new ones; x_r and T_1 settle there as at every sample, and a
         lagged gas temperature carries on (it is at rest at the first sample).
 
@@ -196,4 +194,4 @@ def simulate_extended(
     else:
         for block in blocks:
             run(block)
-    return Observations(out[..., :6], out[..., _MEASURED_AT])
+    return observations(out, N_STATES)

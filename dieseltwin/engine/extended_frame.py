@@ -12,6 +12,8 @@ from dieseltwin.engine.extended_terms import Terms, along
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.parameters import EngineParameters, constants, parameter_batch
+from dieseltwin.sensors import READ
+from dieseltwin.symbols import SYMBOLS
 
 
 def columns_along(
@@ -51,11 +53,11 @@ def columns_along(
         "u_egr_pct": actuation.inputs.u_egr_pct[rows], "u_vgt_pct": actuation.inputs.u_vgt_pct[rows],
         "p_im_pa": p_im, "p_em_pa": p_em, "omega_t_rad_s": omega_t,
         "u_egr1_pct": actuation.u_egr1, "u_egr2_pct": actuation.u_egr2, "u_vgt_act_pct": actuation.u_vgt,
-        "w_egr_kg_s": q.W_egr, "t_em_k": q.T_em, "w_c_kg_s": q.W_c, "w_t_kg_s": q.W_t, "w_ei_kg_s": q.W_ei,
+        **{SYMBOLS[name].column: getattr(q, name) for name in READ}, "w_t_kg_s": q.W_t, "w_ei_kg_s": q.W_ei,
         "w_eo_kg_s": q.W_eo, "w_f_kg_s": q.W_f, "t_e_k": q.T_e, "t_1_k": T_1, "x_r": x_r, "eta_c": q.eta_c,
         "eta_tm": q.eta_tm, "eta_vol": q.eta_vol, "phi_c": q.Phi_c, "f_vgt_pi_t": q.F_vgt_Pi_t, "f_egr": q.f_egr,
-        "p_t_eta_m_w": q.P_t_eta_m, "p_c_w": q.P_c, "t_c_k": model.compressor_out_temperature(q.eta_c, q.Pi_c, c),
-        "lambda": driver.air_fuel_ratio, "egr_fraction": driver.egr_fraction, "torque_nm": driver.torque, **further,
+        "p_t_eta_m_w": q.P_t_eta_m, "p_c_w": q.P_c, "t_c_k": q.T_c, "lambda": driver.air_fuel_ratio,
+        "egr_fraction": driver.egr_fraction, "torque_nm": driver.torque, **further,
     }  # fmt: skip
     return {name: np.broadcast_to(value, p_im.shape) for name, value in columns.items()}
 

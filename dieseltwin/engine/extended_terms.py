@@ -20,7 +20,7 @@ from dieseltwin.engine.model import NO_SIGNALS
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.observations import Observations
 from dieseltwin.engine.parameters import ParameterBatch
-from dieseltwin.engine.quantities import POINTS, ExtendedQuantities, Gas, OperatingPoint, Signals
+from dieseltwin.engine.quantities import POINTS, Gas, OperatingPoint, Quantities, Signals
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.terms import (
     SENSOR_SLOTS,
@@ -33,7 +33,7 @@ from dieseltwin.engine.terms import (
 )
 from dieseltwin.engine.turbocharger import energy_transfer_coefficient
 from dieseltwin.errors import InputError
-from dieseltwin.symbols import MEASURED
+from dieseltwin.sensors import MEASURED
 
 LAW_SWEEPS = 8
 """Most rounds of the fixed point between laws and trajectory."""
@@ -109,7 +109,7 @@ def simulate_terms(
         sensors: apply sensor terms to `measured`.
 
     Returns:
-        States (B, n, 6) and measured (B, n, 6). Law terms enter as signals that are iterated with the trajectory
+        States (B, n, 6) and measured (B, n, C). Law terms enter as signals that are iterated with the trajectory
         (`LAW_SWEEPS` simulations); between samples they are linear (`simulate.simulate` takes the integration
         steps as samples, where they are as good as continuous).
     """
@@ -231,7 +231,7 @@ def correction_signals(
     return out
 
 
-def law_variables(q: ExtendedQuantities, states: Mapping[str, Any], c: Constants) -> dict[str, Any]:
+def law_variables(q: Quantities, states: Mapping[str, Any], c: Constants) -> dict[str, Any]:
     """Variables that a law may depend on; states: p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, t."""
     p_im, p_em = states["p_im"], states["p_em"]
     return {
@@ -245,7 +245,7 @@ def quantities_under(
     model: Model, states: Mapping[str, Any], gas: Gas, m: Any, laws: Sequence[LawTerm], factors: Sequence[Any],
     c: Constants, power: Power = np.power, sweeps: int = POINT_SWEEPS, secant: bool = False,
     corrections: np.ndarray | None = None,
-) -> tuple[ExtendedQuantities, Signals]:  # fmt: skip
+) -> tuple[Quantities, Signals]:  # fmt: skip
     """`quantities_extended` with law terms evaluated on its own quantities.
 
     Args:
@@ -261,7 +261,7 @@ def quantities_under(
     """
     x = OperatingPoint(*(states[name] for name in OperatingPoint._fields))
 
-    def under(signals: Mapping[str, Any]) -> tuple[ExtendedQuantities, Signals]:
+    def under(signals: Mapping[str, Any]) -> tuple[Quantities, Signals]:
         s = NO_SIGNALS._replace(**signals)
         return model.quantities_extended(x, gas, m, s, c), s
 
@@ -283,7 +283,7 @@ def magnitudes_at(actuation: Actuation, terms: Terms) -> Any:
 
 def along(
     states: np.ndarray, actuation: Actuation, terms: Terms, c: Constants, laws_only: bool = False
-) -> tuple[ExtendedQuantities, Signals]:
+) -> tuple[Quantities, Signals]:
     """All quantities along trajectories under terms, and the signals of laws and corrections.
 
     Args:

@@ -53,7 +53,6 @@ from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.quantities import (
     Charge,
     DriverQuantities,
-    ExtendedQuantities,
     Gas,
     IntakeSide,
     OperatingPoint,
@@ -235,7 +234,7 @@ def charge_constants(i: IntakeSide, x: OperatingPoint, m: Magnitudes, s: Signals
 
 def exhaust_side(
     i: IntakeSide, x: OperatingPoint, gas: Gas, m: Magnitudes, s: Signals, c: Constants
-) -> ExtendedQuantities:
+) -> Quantities:
     """Cylinder, exhaust manifold, turbine and balances behind `intake_side`; x: `driven`."""
     charge = charge_constants(i, x, m, s, c)
     sweep = cylinder_sweep(exhaust_to_intake_ratio(x.p_em, x.p_im), i.W_ei, i.W_f, x.x_r, x.T_1, charge)
@@ -254,7 +253,7 @@ def exhaust_side(
     W_leak_im = 0.0 - at_intake_balance(0.0, x, i.T_im, m, c)
     W_leak_em = 0.0 - at_exhaust_balance(0.0, x, T_em, m, c)
     P_f = 0.0 - at_shaft_power(0.0, x, m, c)
-    return ExtendedQuantities(
+    return Quantities(
         i.eta_vol, i.W_ei, i.W_f, i.W_eo, sweep.T_e, T_em, sweep.x_r, sweep.T_1, i.f_egr, W_egr, Pi_t, turbine_opening,
         W_t, turbine_efficiency, P_t_eta_m, i.Pi_c, i.Phi_c, i.W_c, i.eta_c, i.P_c,
         intake_pressure_rate(added(i.W_c - W_leak_im, s.intake_balance), W_egr, i.W_ei, charge),
@@ -264,7 +263,7 @@ def exhaust_side(
     )  # fmt: skip
 
 
-def driver_quantities(q: ExtendedQuantities, n_e: Array, p_im: Array, p_em: Array, c: Constants) -> DriverQuantities:
+def driver_quantities(q: Quantities, n_e: Array, p_im: Array, p_em: Array, c: Constants) -> DriverQuantities:
     """What a driver or a calibrator reads off; the torque is that of the mass that is really injected."""
     u_injected = q.W_f / fuel_flow(1.0, n_e, c)
     return DriverQuantities(
@@ -272,7 +271,7 @@ def driver_quantities(q: ExtendedQuantities, n_e: Array, p_im: Array, p_em: Arra
     )
 
 
-def quantities_extended(x: OperatingPoint, gas: Gas, m: Magnitudes, s: Signals, c: Constants) -> ExtendedQuantities:
+def quantities_extended(x: OperatingPoint, gas: Gas, m: Magnitudes, s: Signals, c: Constants) -> Quantities:
     """All algebraic quantities of the model under effects and signals at given states and inputs.
 
     Args:
@@ -305,11 +304,7 @@ def quantities(
     fixed point is where they equal x_r and T_1.
     """
     x = OperatingPoint(p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt)
-    q = quantities_extended(x, Gas(T_1, 1.0, 0.0), 0.0, NO_SIGNALS, c)  # of the gas no temperature is asked for
-    return Quantities(
-        q.eta_vol, q.W_ei, q.W_f, q.W_eo, q.T_e, q.T_em, q.x_r_next, q.T_1_next, q.f_egr, q.W_egr, q.Pi_t, q.F_vgt_Pi_t,
-        q.W_t, q.eta_tm, q.P_t_eta_m, q.Pi_c, q.Phi_c, q.W_c, q.eta_c, q.P_c, q.dp_im, q.dp_em, q.domega_t,
-    )  # fmt: skip
+    return quantities_extended(x, Gas(T_1, 1.0, 0.0), 0.0, NO_SIGNALS, c)  # of the gas no temperature is asked for
 
 
 NO_SIGNALS = Signals(*([0.0] * len(Signals._fields)))

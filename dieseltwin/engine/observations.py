@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from dieseltwin.errors import InputError
+from dieseltwin.sensors import N_READ_STATES
 
 
 @dataclass(frozen=True)
@@ -18,11 +19,17 @@ class Observations:
 
     Attributes:
         states: p_im, p_em [Pa], omega_t [rad/s], x_r [-], T_1 [K]; shape (B, n, 5).
-        measured: in the order of `symbols.MEASURED`; shape (B, n, 6).
+        measured: in the order of `sensors.MEASURED`; shape (B, n, C).
     """
 
     states: np.ndarray
     measured: np.ndarray
+
+
+def observations(out: np.ndarray, states: int) -> Observations:
+    """What a kernel wrote (B, n, states + len(READ)): so many states, the sensors' own first, then `sensors.READ`."""
+    measured = [*range(N_READ_STATES), *range(states, out.shape[-1])]
+    return Observations(out[..., :states], out[..., measured])
 
 
 SIMULATOR_THREADS = "dieseltwin"

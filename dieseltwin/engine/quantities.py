@@ -95,7 +95,7 @@ class Sweep(NamedTuple):
 
 
 class IntakeSide(NamedTuple):
-    """What is known before the cylinder: compressor, charge temperature, flows (units as in `ExtendedQuantities`)."""
+    """What is known before the cylinder: compressor, charge temperature, flows (units as in `Quantities`)."""
 
     p_bc: Any
     Pi_c: Any
@@ -116,34 +116,6 @@ class IntakeSide(NamedTuple):
 
 class Quantities(NamedTuple):
     """All algebraic quantities of the model, SI units; rates dp_im, dp_em [Pa/s], domega_t [rad/s2]."""
-
-    eta_vol: Any
-    W_ei: Any
-    W_f: Any
-    W_eo: Any
-    T_e: Any
-    T_em: Any
-    x_r_next: Any
-    T_1_next: Any
-    f_egr: Any
-    W_egr: Any
-    Pi_t: Any
-    F_vgt_Pi_t: Any
-    W_t: Any
-    eta_tm: Any
-    P_t_eta_m: Any
-    Pi_c: Any
-    Phi_c: Any
-    W_c: Any
-    eta_c: Any
-    P_c: Any
-    dp_im: Any
-    dp_em: Any
-    domega_t: Any
-
-
-class ExtendedQuantities(NamedTuple):
-    """All algebraic quantities under effects and signals, SI units; the first 23 are those of `Quantities`."""
 
     eta_vol: Any
     W_ei: Any

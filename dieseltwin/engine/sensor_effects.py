@@ -11,7 +11,7 @@ from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.engine.terms import SENSOR_SLOTS, amounts, effect_terms
-from dieseltwin.symbols import MEASURED
+from dieseltwin.sensors import MEASURED
 
 
 def slot_parts(slot: str) -> tuple[str, str]:
@@ -68,7 +68,7 @@ def undo_sensor_terms(
     """Readings without the offsets and gains that the engine's terms know of, and the engine without these terms.
 
     Args:
-        measured: (.., n, 6) readings in the order of `MEASURED`.
+        measured: (.., n, C) readings in the order of `MEASURED`.
         time_s: sample times, (n,) [s]; start_s: the recording's start; conditions: input columns, (n,) each.
         parameters: with terms; a `thermocouple_lag` can't be undone and stays.
     """

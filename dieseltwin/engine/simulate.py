@@ -7,24 +7,23 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pandas as pd
 
-from dieseltwin.engine._compiled import LANES, follow_oxygen, integrate_block, integrate_one
+from dieseltwin.engine._compiled import LANES, N_OUT, N_STATES, follow_oxygen, integrate_block, integrate_one
 from dieseltwin.engine.actuation import actuate
 from dieseltwin.engine.binding import numpy_model
 from dieseltwin.engine.extended_frame import columns_along
 from dieseltwin.engine.extended_terms import along, simulate_lanes, simulate_terms
 from dieseltwin.engine.inputs import DEFAULT_STEP_S, Actuation, Inputs, actuate_like
-from dieseltwin.engine.observations import Observations, pool, thread_count
+from dieseltwin.engine.observations import Observations, observations, pool, thread_count
 from dieseltwin.engine.parameters import EngineParameters, ParameterBatch, constants, parameter_batch
 from dieseltwin.engine.sensor_effects import slot_parts
 from dieseltwin.engine.terms import SENSOR_SLOTS, effect_terms, law_terms
 from dieseltwin.errors import InputError
-from dieseltwin.symbols import MEASURED
+from dieseltwin.sensors import MEASURED
 
 __all__ = [
     "Observations", "numpy_model", "quantities_frame", "settle", "simulate", "simulate_states", "thread_count",
 ]  # fmt: skip
 
-_MEASURED_AT = (0, 1, 2, 5, 6, 7)
 SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
 SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
 _LAW_ROUNDS = 4  # of coming to rest: laws are linear between the two rows, so they rest where the rows agree
@@ -50,7 +49,7 @@ def simulate_states(
             constants (`surrogates.map_compiled`).
 
     Returns:
-        `Observations` of shapes (B, n, 5) and (B, n, 6). Sensor terms enter `measured`.
+        `Observations` of shapes (B, n, 5) and (B, n, C). Sensor terms enter `measured`.
 
     Raises:
         InputError: shapes that don't fit each other; terms together with other kernels.
@@ -84,17 +83,17 @@ def simulate_states(
     start = np.broadcast_to(np.asarray(initial, dtype=np.float64), (lanes, 3))
     time = first.time_s - first.time_s[0]
 
-    out = np.empty((lanes, time.size, 8))
+    out = np.empty((lanes, time.size, N_OUT))
     if lanes == 1:
         integrate_alone(grids, grid_of_lane, first.steps, time, batch.values, np.ascontiguousarray(start), out)
-        return Observations(out[..., :5], out[..., _MEASURED_AT])
+        return observations(out, N_STATES)
 
     def run(begin: int) -> None:
         rows = np.minimum(
             np.arange(begin, begin + LANES), lanes - 1
         )  # a last block is filled with copies of its last lane
         block = out[begin : begin + LANES]
-        target = block if block.shape[0] == LANES else np.empty((LANES, time.size, 8))
+        target = block if block.shape[0] == LANES else np.empty((LANES, time.size, N_OUT))
         integrate_lanes(
             grids,
             grid_of_lane[rows],
@@ -114,7 +113,7 @@ def simulate_states(
     else:
         for begin in begins:
             run(begin)
-    return Observations(out[..., :5], out[..., _MEASURED_AT])
+    return observations(out, N_STATES)
 
 
 def settle(
@@ -187,7 +186,7 @@ def simulate(
 
 
 def _simulated(actuation: Actuation, parameters: EngineParameters, initial: np.ndarray) -> Observations:
-    """One engine's states (1, n, 5), with terms (1, n, 6), and readings under its sensor terms (1, n, 6)."""
+    """One engine's states (1, n, 5), with terms (1, n, 6), and readings under its sensor terms (1, n, C)."""
     batch = parameter_batch(parameters)
     if parameters.terms:
         return simulate_terms(actuation, batch, initial)

@@ -16,13 +16,14 @@ from dieseltwin.engine.binding import bind
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, Constants
 from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.errors import DieselTwinError
+from dieseltwin.sensors import READ
 
 ARGUMENTS = ("p_im", "p_em", "omega_t", "x_r", "T_1", "n_e", "u_delta", "u_egr", "u_vgt")
 """Of `model.quantities`, before the constants."""
 DIRECTIONS = ("p_im", "p_em", "omega_t", *HEALTH)
 """Derivatives are with respect to these states and the logarithms of these health values."""
 FIXED_POINT = ("x_r", "T_1")
-VALUES = ("dp_im", "dp_em", "domega_t", "W_egr", "T_em", "W_c")
+VALUES = ("dp_im", "dp_em", "domega_t", *READ)
 """What is differentiated: the rates of the states, then the readings that are not states."""
 
 
@@ -152,7 +153,7 @@ def point_text(function: str) -> str:
 
     x_r and T_1 are taken for the fixed point of A.9 and A.10. Their derivatives follow from the implicit function
     theorem, (I - dg/d(x_r, T_1))^-1 dg/d(states, parameters), so that the derivatives returned are those of the
-    equations with x_r and T_1 eliminated: (6,) values, then (6, 7) derivatives, as one tuple.
+    equations with x_r and T_1 eliminated: (V,) values, then (V, 7) derivatives, as one tuple.
     """
     text = Text()
 
@@ -183,12 +184,12 @@ def _eliminated(x_r_next: Symbol, T_1_next: Symbol) -> dict[str, tuple[Symbol | 
     return found
 
 
-def _total(row: Symbol, inner: Mapping[str, Sequence[Symbol | float]], direction: str) -> Symbol | float:
+def _total(row: Symbol | float, inner: Mapping[str, Sequence[Symbol | float]], direction: str) -> Symbol | float:
     """Total derivative of a quantity, x_r and T_1 eliminated."""
-    result = row.by.get(direction, 0.0)
+    result = _directions(row).get(direction, 0.0)
     for name, moved in zip(FIXED_POINT, inner.get(direction, ()), strict=False):
-        if name in row.by:
-            result = moved * row.by[name] + result
+        if name in _directions(row):
+            result = moved * _directions(row)[name] + result
     return result
 
 

@@ -16,6 +16,7 @@ from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.errors import InputError
+from dieseltwin.sensors import SENSORS
 
 Region = dict[str, tuple[float, float]]
 """Input column -> (low, high): where a term acts."""
@@ -129,9 +130,7 @@ class Term(_Limited):
         return EFFECTS[self.effect].unit
 
 
-SENSOR_UNITS = {
-    "p_im_pa": "Pa", "p_em_pa": "Pa", "omega_t_rad_s": "rad/s", "w_egr_kg_s": "kg/s", "t_em_k": "K", "w_c_kg_s": "kg/s",
-}  # fmt: skip
+SENSOR_UNITS = {sensor.column: sensor.symbol.unit for sensor in SENSORS}
 """Columns that a fault of a sensor can change, with their units."""
 
 LARGEST_GAIN = 10.0  # of a sensor's reading [-]; beyond it the column is in another unit

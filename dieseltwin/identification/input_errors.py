@@ -40,7 +40,7 @@ def input_errors(problem: SegmentProblem, simulator: Simulator, unknowns: Array)
         unknowns: (7,) logarithms about which to linearise.
 
     Returns:
-        (M, n, 6) changes of the readings [SI]; M is 0 where rows are fast enough to see the inputs move.
+        (M, n, C) changes of the readings [SI]; M is 0 where rows are fast enough to see the inputs move.
     """
     rows, every = problem.inputs, _NODES + 1
     if float(np.median(np.diff(rows.time_s))) <= RATE_TOLERANCE / FULL_HZ:
@@ -75,7 +75,7 @@ def input_errors(problem: SegmentProblem, simulator: Simulator, unknowns: Array)
 
 
 def _moved(problems: tuple[SegmentProblem, ...], simulator: Simulator, unknowns: Array) -> Array:
-    """Readings (B - 1, n, 6) of all problems but the first one, less those of the first [SI]."""
+    """Readings (B - 1, n, C) of all problems but the first one, less those of the first [SI]."""
     lanes = np.broadcast_to(unknowns, (len(problems), unknowns.size))
     measured = Shooting(problems, simulator, _STEP_S).simulate(np.arange(len(problems)), lanes).measured
     return np.asarray(measured[1:] - measured[0])

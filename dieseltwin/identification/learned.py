@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dieseltwin.engine import Actuation, Observations, ParameterBatch
+from dieseltwin.engine import MEASURED, Actuation, Observations, ParameterBatch
 
 if TYPE_CHECKING:
     from dieseltwin.surrogates.empirical import EmpiricalMaps
@@ -58,10 +58,10 @@ class LearnedSimulator:
             variant: (B,) index into `variants`.
 
         Returns:
-            States (B, n, 5) and measured (B, n, 6).
+            States (B, n, 5) and measured (B, n, C).
         """
         shape = (batch.size, len(actuations[0].time_s))
-        states, measured = np.empty((*shape, 5)), np.empty((*shape, 6))
+        states, measured = np.empty((*shape, 5)), np.empty((*shape, len(MEASURED)))
         for number in np.unique(variant):
             lanes = np.flatnonzero(variant == number)
             chosen = [actuations[i] for i in lanes.tolist()]

@@ -14,25 +14,21 @@ from dieseltwin.engine.sensor_effects import undo_sensor_terms
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.held import decimal_step
 from dieseltwin.recordings.noise import STEP_TO_STD, CutOff, cut_offs
+from dieseltwin.sensors import NEEDED, SENSORS
 
 if TYPE_CHECKING:
     from dieseltwin.recordings.reader import Recording, Segment
 
 Array = NDArray[np.float64]
 
-PAPER_NOISE: tuple[float, ...] = (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
-"""Relative noise of p_im, p_em, omega_t, W_egr, T_em (paper, few-shot noisy case) and, of our own, W_c [-]."""
+PAPER_NOISE: tuple[float, ...] = tuple(sensor.noise for sensor in SENSORS)
+"""Relative noise of the sensors: the paper's noisy few-shot case, and of our own those that it hasn't [-]."""
 
-NOISE_FLOOR: tuple[float, ...] = (200.0, 200.0, 5.0, 5e-4, 1.0, 1e-3)
-"""Smallest noise that is believed [Pa, Pa, rad/s, kg/s, K, kg/s].
+NOISE_FLOOR: tuple[float, ...] = tuple(sensor.floor for sensor in SENSORS)
+"""Smallest noise of each sensor that is believed [SI]."""
 
-About 0.1 % of full scale (0.5 % for the EGR venturi). Noise that is a percentage of a vanishing flow pretends
-information: without a floor a recording with a shut EGR valve would claim to know A_egrmax. The floor
-is far below the paper's percentages wherever a channel carries a signal.
-"""
-
-PAPER_CHANNELS: tuple[str, ...] = MEASURED[:5]
-"""The five channels that the paper measures; W_c is the optional sixth."""
+PAPER_CHANNELS: tuple[str, ...] = NEEDED
+"""The five channels that the paper measures."""
 
 FINE_AMBIENT_PA, COARSEST_AMBIENT_PA = 100.0, 1000.0
 """Steps of a recorded ambient pressure that are as good as none, and the coarsest that a message or a display has."""
@@ -46,7 +42,7 @@ class NoiseLevels:
     """Noise standard deviation of each measured channel.
 
     Attributes:
-        sigma: (6,) in the order of `MEASURED` [Pa, Pa, rad/s, kg/s, K, kg/s].
+        sigma: (C,) in the order of `MEASURED` [SI].
     """
 
     sigma: Array
@@ -69,9 +65,9 @@ class NoiseLevels:
         """Percentages of the mean over the whole recording: the noise that the paper adds.
 
         Args:
-            signals: (n, 6) clean (or measured) channels of the whole recording, NaN where absent.
-            relative: (6,) noise as a share of the mean [-].
-            floor: (6,) smallest standard deviation [Pa, Pa, rad/s, kg/s, K, kg/s]; zeros switch it off.
+            signals: (n, C) clean (or measured) channels of the whole recording, NaN where absent.
+            relative: (C,) noise as a share of the mean [-].
+            floor: (C,) smallest standard deviation [SI]; zeros switch it off.
 
         Returns:
             Levels; a channel that is absent everywhere gets its floor and is never used.
@@ -92,13 +88,13 @@ class SegmentProblem:
     Attributes:
         t0_s, t1_s: start and end of the segment in the recording [s].
         inputs: inputs of n samples, preceded by `inputs.n_history` samples of history.
-        measured: (n, 6) readings in the order of `MEASURED` [Pa, Pa, rad/s, kg/s, K, kg/s]; NaN = masked.
-        sigma: (6,) noise standard deviation, same units.
+        measured: (n, C) readings in the order of `MEASURED` [SI]; NaN = masked.
+        sigma: (C,) noise standard deviation, same units.
         parameters: the known parameters, ambient of the recording included; its health values are the
             starting point.
         true_initial: (5,) p_im, p_em, omega_t, x_r, T_1 at the start, only for simulated recordings.
         truth: true values of the four unknowns, only for simulated recordings.
-        noise_draws: (D, n, 6) further readings of the same segment, run r uses draw r modulo D; None =
+        noise_draws: (D, n, C) further readings of the same segment, run r uses draw r modulo D; None =
             `measured` for all.
         cut_off: column of `measured` -> where its noise is cut off, so that readings are too high on average.
         p_amb_std_pa: standard deviation of the ambient pressure, which was recorded in coarse steps [Pa].
@@ -148,7 +144,7 @@ class SegmentProblem:
 
     @property
     def observed(self) -> NDArray[np.bool_]:
-        """(n, 6) true where a reading exists."""
+        """(n, C) true where a reading exists."""
         return np.isfinite(self.measured)
 
     def readings(self, runs: int) -> Array:
@@ -158,7 +154,7 @@ class SegmentProblem:
             runs: number of runs R.
 
         Returns:
-            (R, n, 6) readings, NaN where masked.
+            (R, n, C) readings, NaN where masked.
         """
         if self.noise_draws is None:
             return np.broadcast_to(self.measured, (runs, *self.measured.shape))
@@ -168,7 +164,7 @@ class SegmentProblem:
         """First guess of p_im, p_em, omega_t at the start: mean of the first readings that exist.
 
         Args:
-            readings: (.., n, 6) readings; None takes `measured`.
+            readings: (.., n, C) readings; None takes `measured`.
             absent: (3,) values of the states whose channel has no reading at all [Pa, Pa, rad/s]; None refuses those.
 
         Returns:

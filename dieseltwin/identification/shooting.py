@@ -63,7 +63,7 @@ class Shooting:
         simulator: engine with the exact formulae, or with learned maps.
         step_s: largest integration step [s].
         actuations: actuator states of each segment.
-        weights: (S, n, 6) one over sigma, 0 where masked.
+        weights: (S, n, C) one over sigma, 0 where masked.
     """
 
     problems: tuple[SegmentProblem, ...]
@@ -96,7 +96,7 @@ class Shooting:
             variant: (B,) variant of the learned maps; None = the nominal maps.
 
         Returns:
-            The engine's observations: states (B, n, 5), measured (B, n, 6) on average over the noise.
+            The engine's observations: states (B, n, 5), measured (B, n, C) on average over the noise.
         """
         values = np.exp(unknowns)
         batches = np.empty((0, 0))
@@ -127,7 +127,7 @@ class ShootingRuns:
     Args:
         shooting: the segments.
         segment: (L,) segment of each run.
-        readings: (L, n, 6) what each run sees [SI], NaN where masked.
+        readings: (L, n, C) what each run sees [SI], NaN where masked.
         errors: what the model itself may be off by in each segment's readings; None = nothing.
     """
 
@@ -197,7 +197,7 @@ def learned_errors(shooting: Shooting, learned: LearnedSimulator, unknowns: Arra
         unknowns: (S, 7) logarithms at which to evaluate.
 
     Returns:
-        (S, M, n, 6) changes of the readings, a standard deviation of each error [SI].
+        (S, M, n, C) changes of the readings, a standard deviation of each error [SI].
     """
     count, variants = len(shooting.problems), len(learned.variants)
     segment, variant = np.repeat(np.arange(count), variants), np.tile(np.arange(variants), count)

@@ -10,6 +10,7 @@ import numpy as np
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import SENSOR_UNITS
+from dieseltwin.sensors import SENSORS
 
 Array = np.ndarray
 
@@ -17,10 +18,8 @@ HEALTH_PRIOR = 0.3
 """Standard deviation of a health parameter about the engine file's value [-]."""
 
 SENSOR_GAIN, SENSOR_OFFSET = 0.005, 0.003
-"""Standard deviation of a sensor's gain [-], and of its offset as a share of the channel's usual reading [-]."""
-
-USUAL_READINGS = (1.5e5, 2.0e5, 5000.0, 0.05, 700.0, 0.2)
-"""Of the columns of `MEASURED` [SI]: an offset is a property of the sensor, not of what was driven."""
+"""Standard deviation of a sensor's gain [-], and of its offset as a share of the channel's usual reading [-]: an
+offset is a property of the sensor, not of what was driven."""
 
 
 def coordinate_names() -> tuple[str, ...]:
@@ -68,12 +67,12 @@ class Belief:
 
     @property
     def gains(self) -> Array:
-        """Mean relative error of every sensor, (6,) [-]."""
+        """Mean relative error of every sensor, (C,) [-]."""
         return self.mean[GAINS_AT]
 
     @property
     def offsets(self) -> Array:
-        """Mean offset of every sensor, (6,) [unit of the column]."""
+        """Mean offset of every sensor, (C,) [unit of the column]."""
         return self.mean[OFFSETS_AT]
 
     @cached_property
@@ -84,7 +83,7 @@ class Belief:
         return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
     def truthful(self, readings: Array) -> Array:
-        """Readings (..., 6) of the sensors -> what they would be without the sensors' mean errors."""
+        """Readings (..., C) of the sensors -> what they would be without the sensors' mean errors."""
         return (readings - self.offsets) / (1.0 + self.gains)
 
 
@@ -100,6 +99,6 @@ def prior_belief(engine: EngineParameters, map_rms: float) -> Belief:
     mean[HEALTH_AT] = health
     std = np.concatenate([
         HEALTH_PRIOR * health, np.full(len(basis().names), map_rms), np.full(len(MEASURED), SENSOR_GAIN),
-        SENSOR_OFFSET * np.array(USUAL_READINGS),
+        SENSOR_OFFSET * np.array([sensor.usual for sensor in SENSORS]),
     ])  # fmt: skip
     return Belief(mean, np.diag(std**2))

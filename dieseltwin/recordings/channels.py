@@ -25,16 +25,16 @@ from pydantic import Field, field_validator
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.derived import DERIVATIONS, DIESEL_KG_L, Constants, Derivation
+from dieseltwin.sensors import MEASURED, NEEDED
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
-from dieseltwin.symbols import MEASURED
 
 TIME = "time_s"
 DATABASE_KEY = "dbc"  # key of a channel map that names a database of CAN messages instead of a channel
 DATABASE_SUFFIXES = (".dbc", ".arxml", ".kcd", ".sym")
 INPUTS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
-SENSORS = MEASURED[:5]
+SENSORS = NEEDED
 OPTIONAL_INPUTS = ("u_flap_pct",)
-OPTIONAL_SENSORS = ("w_c_kg_s", "t_im_k")
+INTAKE = "t_im_k"  # no sensor of the table: the model takes it from the recording
 AMBIENT = ("p_amb_pa", "t_amb_k")
 
 # suffix of our columns -> the unit they are in
@@ -98,7 +98,7 @@ def optional_inputs(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def known_columns() -> tuple[str, ...]:
     """Columns that a recording may carry by DISCOVERY's recording format, required ones first."""
-    return (TIME, *INPUTS, *OPTIONAL_INPUTS, *SENSORS, *OPTIONAL_SENSORS, *AMBIENT, "torque_nm")
+    return (TIME, *INPUTS, *OPTIONAL_INPUTS, *MEASURED, INTAKE, *AMBIENT, "torque_nm")
 
 
 LARGEST_FACTOR = 1e15  # of a scale or an offset

@@ -28,6 +28,7 @@ from dieseltwin.duty_cycles import (
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, Inputs, simulate, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording, Segment, read_recording, recording
+from dieseltwin.sensors import relative_noise
 from dieseltwin.settings.params import CaseConfig, DrivingConfig, EngineConfig, NoiseConfig, Params
 from dieseltwin.settings.strict import unknown_name
 
@@ -200,12 +201,12 @@ def simulated(
 
 
 def noise_sigma(clean: Mapping[str, np.ndarray] | pd.DataFrame, noise: NoiseConfig) -> np.ndarray:
-    """Standard deviation of the noise of each sensor, in the order of `engine.MEASURED`, (6,) [SI].
+    """Standard deviation of the noise of each sensor, in the order of `engine.MEASURED`, (C,) [SI].
 
     A percentage of the mean of the clean signal over the whole recording; NaN for an absent sensor.
     """
     means = np.array([np.nanmean(clean[name]) if name in clean else np.nan for name in MEASURED])
-    return np.asarray(noise.channels) * means
+    return np.asarray(relative_noise(noise)) * means
 
 
 def add_noise(clean: pd.DataFrame, noise: NoiseConfig, draw: int = 0) -> pd.DataFrame:

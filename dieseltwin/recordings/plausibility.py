@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE
 from dieseltwin.recordings.noise import cut_off
-from dieseltwin.symbols import MEASURED, symbol
+from dieseltwin.sensors import MEASURED
+from dieseltwin.symbols import symbol
 
 
 @dataclass(frozen=True)
@@ -26,25 +28,15 @@ class Slip:
     high: float
 
 
-_PRESSURE = (Slip("bar", 0.3, 20.0), Slip("kPa", 30.0, 799.0), Slip("mbar or hPa", 799.0, 2e4))
-_FLOW = (Slip("g/s or kg/h", 2.0, 1e5),)
-_CELSIUS = (Slip("degC", -60.0, 230.0),)
-# columns that are checked, in the order of the complaints, and the wrong units met with; the ranges are in `symbols`
-CHECKED: Mapping[str, tuple[Slip, ...]] = {
-    "n_e_rpm": (),
-    "u_delta_mg": (),
-    "u_egr_pct": (),
-    "u_vgt_pct": (),
-    "p_im_pa": _PRESSURE,
-    "p_em_pa": _PRESSURE,
-    "p_amb_pa": _PRESSURE,
-    "omega_t_rad_s": (Slip("rpm", 2.5e4, 3e5), Slip("krpm", 2.0, 250.0)),
-    "w_egr_kg_s": _FLOW,
-    "w_c_kg_s": _FLOW,
-    "t_em_k": _CELSIUS,
-    "t_im_k": _CELSIUS,
-    "t_amb_k": _CELSIUS,
+# our unit -> the wrong units met with
+SLIPS: Mapping[str, tuple[Slip, ...]] = {
+    "Pa": (Slip("bar", 0.3, 20.0), Slip("kPa", 30.0, 799.0), Slip("mbar or hPa", 799.0, 2e4)),
+    "kg/s": (Slip("g/s or kg/h", 2.0, 1e5),),
+    "K": (Slip("degC", -60.0, 230.0),),
+    "rad/s": (Slip("rpm", 2.5e4, 3e5), Slip("krpm", 2.0, 250.0)),
 }
+# columns that are checked, in the order of the complaints; the ranges are in `symbols`
+CHECKED = (*INPUTS, *MEASURED, INTAKE, *AMBIENT)
 TINY_FUEL_MG = 0.1  # a median below this is no fuel of a running engine in mg/cycle
 
 FRACTION = 1.2  # positions whose largest value is below this are fractions, if the valve is not simply shut
@@ -95,7 +87,7 @@ def check_plausible(
     Raises:
         InputError: a column without values, or values that cannot be in that unit.
     """
-    for name, slips in CHECKED.items():
+    for name in CHECKED:
         values = columns.get(name)
         if values is None:
             continue
@@ -107,17 +99,17 @@ def check_plausible(
                 f"numbers, {symbol(name).allowed}",
                 "record this channel or leave the column out if it is optional",
             )
-        _check_median(name, float(np.median(finite)), slips, where)
+        _check_median(name, float(np.median(finite)), where)
     _check_positions(columns, where)
     _check_exhaust(columns, where, t_amb_k, cylinder_m3)
 
 
-def _check_median(name: str, median: float, slips: tuple[Slip, ...], where: str) -> None:
+def _check_median(name: str, median: float, where: str) -> None:
     range_ = symbol(name)
     low = TINY_FUEL_MG if name == "u_delta_mg" else range_.low
     if low <= median <= range_.high:
         return
-    looks = next((s.unit for s in slips if s.low <= median <= s.high), None)
+    looks = next((s.unit for s in SLIPS.get(range_.unit, ()) if s.low <= median <= s.high), None)
     guess = f" (looks like {looks})" if looks else ""
     raise InputError(
         f"{where}: column {name}",

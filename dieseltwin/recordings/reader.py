@@ -59,7 +59,7 @@ class Segment:
     Attributes:
         t0_s, t1_s: time of its first and last row [s].
         inputs: engine inputs with `inputs.n_history` rows before t0_s (at most 2 s).
-        measured: (n, 6) sensors in the order of `engine.MEASURED` [SI], NaN where masked or absent.
+        measured: (n, C) sensors in the order of `engine.MEASURED` [SI], NaN where masked or absent.
         columns: every column of the recording over the n rows of the segment.
         p_amb_pa, t_amb_k: ambient of this segment [Pa], [K].
     """

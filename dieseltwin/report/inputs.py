@@ -12,7 +12,7 @@ import pandas as pd
 from dieseltwin.atomic import atomic_path, write_json
 from dieseltwin.identification.curves import curves_table
 from dieseltwin.report.results import PARAMETERS, Results, method_from_document
-from dieseltwin.symbols import MEASURED
+from dieseltwin.sensors import MEASURED
 
 if TYPE_CHECKING:
     from dieseltwin.identification.problem import SegmentProblem

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -76,7 +75,7 @@ def diesel(effect: FoundEffect) -> Told | None:
     if entry is None or effect.magnitude is None:
         return None
     size = magnitude_words(effect.name, effect.magnitude, effect.std, effect.unit)
-    return Told(effect_words(effect), _about(effect.name), entry.site, (effect.law or entry.law,), entry.symbol, size)
+    return Told(effect_words(effect), entry.about, entry.site, (effect.law or entry.law,), entry.symbol, size)
 
 
 def law_cards(document: Discrepancy, tell: Teller = diesel, judged: str = "This recording") -> list[LawCard]:
@@ -108,12 +107,6 @@ def _card(effect: FoundEffect, document: Discrepancy, told: Told | None, judged:
 
 def _typeset(laws: Sequence[str]) -> Markup:
     return Markup("").join(Markup(laws_markup(law)) for law in laws)
-
-
-def _about(name: str) -> str:
-    """The first sentence about an effect: that of the file that it stands in."""
-    text = importlib.import_module(f"dieseltwin.engine.effects.{name}").__doc__ or ""
-    return text.split("\n\n")[0].replace("\n", " ").replace("`", "").strip()
 
 
 def _sure(effect: FoundEffect, judged: str) -> str:

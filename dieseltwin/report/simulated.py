@@ -9,8 +9,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from dieseltwin.report import quantities, style
+from dieseltwin.sensors import MEASURED
 
-SHOWN = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s", "w_af_kg_s", "torque_nm")
+SHOWN = (*MEASURED, "w_af_kg_s", "torque_nm")
 WIDTH_IN, PANEL_IN = 9.0, 1.5
 SIMULATED = "#0072B2"
 

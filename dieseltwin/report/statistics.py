@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.report.results import PARAMETERS, Estimate, MethodResult, Results
-from dieseltwin.symbols import MEASURED
+from dieseltwin.sensors import MEASURED
 
 Z_90 = 1.6448536269514722  # half width of a Gaussian 90 % interval in standard deviations
 

@@ -127,11 +127,6 @@ class NoiseConfig(StrictModel):
     label_rel: NonNegativeFloat = Field(description="of the mean absolute label, for the surrogates' labels")
     seed: NonNegativeInt
 
-    @property
-    def channels(self) -> tuple[float, ...]:
-        """Relative sigmas in the order of `engine.MEASURED`, (6,) [-]."""
-        return (self.p_im_rel, self.p_em_rel, self.omega_t_rel, self.w_egr_rel, self.t_em_rel, self.w_c_rel)
-
 
 class OperatorConfig(StrictModel):
     """One causality DeepONet."""

@@ -29,7 +29,9 @@ from dieseltwin.engine._compiled import (
 )
 from dieseltwin.engine.binding import Model, bind
 from dieseltwin.engine.model_constants import Constants
+from dieseltwin.engine.observations import observations
 from dieseltwin.engine.parameters import constants
+from dieseltwin.sensors import READ
 
 Array = NDArray[np.float64]
 MapFunctions = Mapping[str, Callable[..., Any]]
@@ -99,9 +101,8 @@ def numpy_simulator(functions: MapFunctions) -> Callable[..., Observations]:
             states = _states(model, actuations, batch, initial)
             inputs = np.stack([one.at_samples() for one in actuations], axis=1)
             q = model.quantities(*np.moveaxis(states, -1, 0), *inputs, batch.constants())
-        p_im, p_em, omega_t = (states[..., k] for k in range(3))
-        measured = np.broadcast_arrays(p_im, p_em, omega_t, q.W_egr, q.T_em, q.W_c)
-        return Observations(states, np.stack(measured, axis=-1))
+        read = [np.broadcast_to(getattr(q, name), states.shape[:-1])[..., None] for name in READ]
+        return observations(np.concatenate([states, *read], axis=-1), states.shape[-1])
 
     return simulate
 

@@ -12,7 +12,7 @@ from dieseltwin.engine.actuation import actuate_lanes, actuate_with, play
 from dieseltwin.engine.effects import EFFECTS, GAS_LAG, SITES, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.model import quantities
 from dieseltwin.engine.nozzle import leak_flow, nozzle_flow_factor
-from dieseltwin.engine.quantities import POINTS, ExtendedQuantities, Gas, OperatingPoint, Quantities, Signals
+from dieseltwin.engine.quantities import POINTS, Gas, OperatingPoint, Quantities, Signals
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.errors import InputError
 
@@ -45,7 +45,7 @@ SIGNS: dict[str, tuple[int | None, ...]] = {
 }
 
 
-def _at(m: Magnitudes = NONE, s: Signals = QUIET, sweeps: int = 30) -> ExtendedQuantities:
+def _at(m: Magnitudes = NONE, s: Signals = QUIET, sweeps: int = 30) -> Quantities:
     x_r, T_1, T = STATES[3], STATES[4], np.full(2, 700.0)
     for _ in range(sweeps):
         q = MODEL.quantities_extended(OperatingPoint(*STATES[:3], x_r, T_1, *INPUTS), Gas(T, 1.0, 0.0), m, s, C)
@@ -149,7 +149,7 @@ def test_torch_agrees_and_has_gradients() -> None:
     q = model.quantities_extended(OperatingPoint(*states, *inputs), gas, Magnitudes(**sizes), QUIET, C)
     m = Magnitudes(**{name: _magnitude(name) for name in STATE_EFFECTS})
     expected = MODEL.quantities_extended(OperatingPoint(*STATES, *INPUTS), Gas(700.0, 1.0, 0.0), m, QUIET, C)
-    for name in ExtendedQuantities._fields:
+    for name in Quantities._fields:
         np.testing.assert_allclose(getattr(q, name).detach().numpy(), getattr(expected, name), rtol=1e-9, err_msg=name)
     (q.dp_im.sum() / 1e5 + q.dp_em.sum() / 1e5 + q.domega_t.sum()).backward()
     for name, value in sizes.items():

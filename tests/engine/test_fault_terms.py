@@ -12,7 +12,7 @@ from dieseltwin.engine.effects import SENSOR_EFFECTS
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.sensor_effects import slot_parts, undo_sensor_terms
 from dieseltwin.engine.terms import SENSOR_SLOTS, ActuatorTerm, LawTerm, SensorTerm, Term
-from dieseltwin.symbols import MEASURED
+from dieseltwin.sensors import MEASURED
 
 ENGINE = we2011.PARAMETERS
 

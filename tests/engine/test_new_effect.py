@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,23 +18,8 @@ from dieseltwin.engine.effects.intake_heat_pickup import T_WALL
 from dieseltwin.engine.hooks import at_T_im
 from dieseltwin.engine.quantities import Gas, OperatingPoint, Signals
 from dieseltwin.errors import DieselTwinError
+from tests.engine.grown import copied, differences, write_effect
 
-NEW = """
-from dieseltwin.engine.effect import Curve, Effect, Entry
-
-K = 2000.0  # rpm
-
-
-def swirl_loss(eta_vol, k, n_e):
-    return eta_vol * (1.0 - k * n_e / K)
-
-
-EFFECT = Effect(
-    name="swirl_loss", site="cylinder_flow", enters=Entry("quantity", "eta_vol"), change=swirl_loss,
-    law="eta_vol (1 - k n_e/2000 rpm)", symbol="k", unit="-", tolerance=0.01, limits=(0.0, 0.4),
-    curve=Curve("n_e"), phrase="a loss by swirl of {m} at 2000 rpm", source="a test",
-)
-"""
 PROOF = """
 import json
 from dieseltwin.discovery.twins.diesel_points import hypotheses_of
@@ -51,39 +33,29 @@ print(json.dumps({"candidate": h.tolerance, "told": effect_words(found)}))
 """
 
 
-@pytest.fixture(scope="module")
-def copy(tmp_path_factory, project_root: Path) -> Path:  # type: ignore[no-untyped-def]
-    """The library with one file more."""
-    folder = tmp_path_factory.mktemp("copy")
-    shutil.copytree(project_root / "dieseltwin", folder / "dieseltwin", ignore=shutil.ignore_patterns("__pycache__"))
-    (folder / "dieseltwin" / "engine" / "effects" / "swirl_loss.py").write_text(NEW)
-    return folder
-
-
-def _run(copy: Path, *arguments: str) -> str:
-    told = {**os.environ, "PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / "cache")}
-    done = subprocess.run([sys.executable, *arguments], cwd=copy, env=told, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def test_one_file_is_listed_a_candidate_and_told(copy: Path) -> None:
-    lines = _run(copy, "-m", "dieseltwin", "effects").splitlines()
+def test_one_file_is_listed_a_candidate_and_told(run_grown: Callable[..., str]) -> None:
+    lines = run_grown("-m", "dieseltwin", "effects").splitlines()
     assert any(line.startswith("swirl_loss ") and "eta_vol (1 - k n_e/2000 rpm)" in line for line in lines)
-    proof = json.loads(_run(copy, "-c", PROOF))
+    proof = json.loads(run_grown("-c", PROOF))
     assert proof["candidate"] == 0.01 and "a loss by swirl of 5.0 ± 1.0 % at 2000 rpm" in proof["told"]
 
 
-def test_one_file_is_simulated(copy: Path, project_root: Path) -> None:
+def test_one_file_is_simulated(grown: Path, run_grown: Callable[..., str], project_root: Path) -> None:
     columns = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s"]
     table = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv")[columns].iloc[:60]
-    table.to_csv(copy / "in.csv", index=False)
+    table.to_csv(grown / "in.csv", index=False)
     simulate = ("-m", "dieseltwin", "simulate", "in.csv", "--out", "out.csv")
-    _run(copy, *simulate, "--effect", "swirl_loss=0.2")
-    out = pd.read_csv(copy / "out.csv")
+    run_grown(*simulate, "--effect", "swirl_loss=0.2")
+    out = pd.read_csv(grown / "out.csv")
     c = constants(we2011.PARAMETERS)
     published = bind("numpy").eta_vol(out["p_im_pa"], out["n_e_rpm"], c)
     np.testing.assert_allclose(out["eta_vol"], published * (1.0 - 0.2 * out["n_e_rpm"] / 2000.0), rtol=1e-6)
+
+
+def test_the_patch_is_one_file(tmp_path: Path, project_root: Path) -> None:
+    library = copied(project_root, tmp_path)
+    write_effect(library)
+    assert list(differences(project_root / "dieseltwin", library)) == ["engine/effects/swirl_loss.py"]
 
 
 def test_intake_heat_pickup_stands_in_its_file_and_in_the_plant_alone(project_root: Path) -> None:

@@ -21,7 +21,7 @@ from dieseltwin.report.results import load_results
 from dieseltwin.report.statistics import odd_channels, residuals
 from dieseltwin.report.tables import summary_table
 from dieseltwin.report.timeseries import residual_figure
-from dieseltwin.symbols import MEASURED
+from dieseltwin.sensors import MEASURED
 
 RUNS = 6
 SIGMA = np.array([4500.0, 5000.0, 60.0, 0.002, 20.0, 0.006])

@@ -9,6 +9,7 @@ import yaml
 from pydantic import ValidationError
 
 from dieseltwin.errors import InputError
+from dieseltwin.sensors import relative_noise
 from dieseltwin.settings.evaluation import EvaluationConfig
 from dieseltwin.settings.params import Params, default_params_path, load_params, params_sha256
 from dieseltwin.settings.strict import did_you_mean, read_mapping
@@ -45,7 +46,7 @@ def test_the_paper_profile_holds_what_the_paper_prints(project_root: Path) -> No
     assert params.identify.of("few-shot-adam").weights_until_epoch == 20_000
     assert params.identify.runs == 30
     assert params.pretrain.bodies.heads == 240
-    assert params.noise.channels == (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
+    assert relative_noise(params.noise) == (0.03, 0.03, 0.01, 0.05, 0.03, 0.03)
     assert params.driving.cases["case_v"].parameters == "field"
     assert params.engine.field_ratios == {"A_egrmax": 1.333, "A_vgtmax": 1.1663, "eta_sc": 0.9179, "h_tot": 1.0}
 

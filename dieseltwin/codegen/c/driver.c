@@ -25,7 +25,7 @@ typedef struct {
     double law_share[LAWS + 1];                /* where the laws act */
     Signals signals;                           /* of the laws, at the evaluation before */
     Magnitudes m;
-    ExtendedQuantities q;                      /* at time_s */
+    Quantities q;                      /* at time_s */
 } Engine;
 
 static void command_start(Command *k, double t, double u)
@@ -198,10 +198,10 @@ static Gas gas_after(const Engine *e, double tau, double width, double before)
 }
 
 /* Oxygen over a step of h [s] by Heun's method, between the quantities `a` at its start and those at its end. */
-static void oxygen_run(Engine *e, const ExtendedQuantities *a, double p_im, double p_em, double h)
+static void oxygen_run(Engine *e, const Quantities *a, double p_im, double p_em, double h)
 {
     const Constants c = e->c;
-    const ExtendedQuantities *b = &e->q;
+    const Quantities *b = &e->q;
     const double im = e->X_Oim, em = e->X_Oem;
     const double a_im = intake_oxygen_rate(im, em, p_im, a->W_c, a->W_egr, c);
     const double a_em = exhaust_oxygen_rate(em, cylinder_out_oxygen(im, a->W_ei, a->W_f, c), p_em, a->T_em, a->W_eo, c);
@@ -268,7 +268,7 @@ static void engine_step(Engine *e, Inputs begin, Inputs end, double dt)
     const int steps = (int)maximum(ceil(dt / LONGEST_STEP_S - STEP_TOLERANCE), 1.0);
     const double h = dt / steps;
     const double dn = (end.n_e_rpm - begin.n_e_rpm) / steps, du = (end.u_delta_mg - begin.u_delta_mg) / steps;
-    ExtendedQuantities before = e->q;
+    Quantities before = e->q;
     double before_p_im = e->p_im, before_p_em = e->p_em;
     if (f.u_delta_lag <= 0.0)
         e->u_delta = begin.u_delta_mg;
@@ -343,7 +343,7 @@ static void engine_start(Engine *e, double time_s, Inputs u, double p_im, double
     command_start(&e->egr, 0.0, u.u_egr_pct);
     command_start(&e->vgt, 0.0, u.u_vgt_pct);
     e->signals = (Signals){0};
-    e->q = (ExtendedQuantities){0};
+    e->q = (Quantities){0};
     e->m = magnitudes(0.0, 0.0, u, u);
     law_shares(e->law_share, 0.0, 0.0, u, u);
     const double x[3] = {p_im, p_em, omega_t};

@@ -256,7 +256,7 @@ class EngineTwin:
         return self._simulate_signals(self._with_own_laws(lanes))[0]
 
     def simulate_all(self, lanes: Lanes) -> Array:
-        """All six columns of `MEASURED` without sensor effects, (B, n, 6)."""
+        """All columns of `MEASURED` without sensor effects, (B, n, C)."""
         return self._simulate_signals(self._with_own_laws(lanes))[1].measured
 
     def _with_own_laws(self, lanes: Lanes) -> Lanes:

@@ -22,7 +22,7 @@ def variables_along(
     """Name -> (n,) [SI, %, mg/cycle, rpm]; where a signal enters a quantity, `<name>:before` is it without that signal.
 
     Args:
-        states: (n, 6) as of `simulate_extended`; readings: (n, 6) in the order of `MEASURED`, without sensors' faults.
+        states: (n, 6) as of `simulate_extended`; readings: (n, C) in the order of `MEASURED`, without sensors' faults.
         actuation: of the trajectory.
         engine: of the trajectory, without laws: these are among the signals.
         signals_at: point -> signal (n,), and the twin's points.

@@ -197,7 +197,7 @@ class SeveralTwin:
         return self._joined(lanes, lambda part, own: part.simulate(own))
 
     def simulate_all(self, lanes: Lanes) -> Array:
-        """All six columns of `MEASURED` without sensor effects, (B, n, 6)."""
+        """All columns of `MEASURED` without sensor effects, (B, n, C)."""
         return self._joined(lanes, lambda part, own: part.simulate_all(own))
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:

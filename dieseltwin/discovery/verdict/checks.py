@@ -20,6 +20,7 @@ from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import INPUTS, foreign_hint
 from dieseltwin.recordings.held import rows_between_readings
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.sensors import NEEDED
 from dieseltwin.settings.strict import listed, unknown_name
 
 MINIMUM_S = 60.0
@@ -84,7 +85,7 @@ def check_sensors(recording: Recording, sensors: Sequence[str] | None) -> tuple[
         for name in sensors:
             if name not in MEASURED:
                 raise unknown_name("--sensors", name, MEASURED)
-    wanted = tuple(MEASURED[:5]) if sensors is None else tuple(sensors)
+    wanted = NEEDED if sensors is None else tuple(sensors)
     missing = [name for name in wanted if name not in recording.columns]
     if missing:
         there = [name for name in MEASURED if name in recording.columns]

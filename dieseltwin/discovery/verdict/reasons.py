@@ -9,10 +9,8 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.search.run import Search, occam
 from dieseltwin.discovery.verdict.curves import Candidate
-from dieseltwin.engine import MEASURED
+from dieseltwin.sensors import SENSORS
 
-# Of the mean (docs/definitions.md).
-_USUAL_NOISE = dict(zip(MEASURED, (0.03, 0.03, 0.01, 0.05, 0.03, 0.03), strict=True))
 _ENOUGH = 9.0  # squared distance that splits two names
 
 
@@ -72,15 +70,14 @@ def split_by(found: Search, name: str, others: Sequence[str]) -> str:
     mine = next((fit for key, fit in fits.items() if name in key), None)
     rival = next((fit for key, fit in fits.items() if others[0] in key and name not in key), None)
     twin = found.twin
-    missing = [c for c in MEASURED if c not in twin.channels]
+    missing = [(j, s) for j, s in enumerate(SENSORS) if s.column not in twin.channels]
     all_readings = getattr(twin, "simulate_all", None)
     if mine is not None and rival is not None and missing and all_readings is not None:
         a, b = all_readings(mine.lanes())[0], all_readings(rival.lanes())[0]
         worth = {}
-        for column in missing:
-            j = MEASURED.index(column)
-            sigma = _USUAL_NOISE[column] * float(np.mean(np.abs(a[:, j])))
-            worth[column] = float((((a[:, j] - b[:, j]) / sigma) ** 2).sum())
+        for j, sensor in missing:
+            sigma = sensor.noise * float(np.mean(np.abs(a[:, j])))
+            worth[sensor.column] = float((((a[:, j] - b[:, j]) / sigma) ** 2).sum())
         best = max(worth, key=lambda column: worth[column])
         if worth[best] > 4.0 * _ENOUGH:
             return f"a {best} sensor"

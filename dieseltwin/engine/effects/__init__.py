@@ -1,7 +1,7 @@
 """The effects that the published model leaves out: one file each, found by walking this package.
 
 A file is one effect (`effect.Effect`), named like its module. Effects that enter at the same quantity act in the order
-of their names.
+of their names. Gains and offsets of readings are alike but for their sizes, which stand in the table of `sensors`.
 """
 
 from __future__ import annotations
@@ -9,16 +9,47 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections import namedtuple
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
-from dieseltwin.engine.effect import SITES, Effect
+from dieseltwin.engine.effect import SITES, Curve, Effect, Entry
 from dieseltwin.errors import DieselTwinError
+from dieseltwin.sensors import SENSORS
+
+
+def _of_readings() -> Iterator[Effect]:
+    """The named gains and offsets of every sensor."""
+    for sensor in SENSORS:
+        for fault in sensor.faults:
+            gain = fault.kind == "gain"
+            words = f"{'a gain error' if gain else 'an offset'} of the {sensor.name} reading"
+            yield Effect(
+                name=f"{sensor.name.lower()}_{fault.kind}",
+                site=f"sensor:{sensor.column}",
+                enters=Entry("reading", sensor.column, fault.kind),
+                law="reading (1 + g)" if gain else "reading + b",
+                symbol="g" if gain else "b",
+                unit="-" if gain else sensor.symbol.unit,
+                tolerance=fault.tolerance,
+                limits=(-fault.limit, fault.limit),
+                kind="sensor",
+                curve=Curve(sensor.name),
+                phrase=f"{words} of {{m}}",
+                source="offset and gain errors of data sheets",
+                about=f"{words[0].upper()}{words[1:]}.",
+            )
+
+
+def _first_sentence(text: str) -> str:
+    return text.split("\n\n")[0].replace("\n", " ").replace("`", "").strip()
 
 
 def _found() -> dict[str, Effect]:
-    found: dict[str, Effect] = {}
+    found = {effect.name: effect for effect in _of_readings()}
     for name in sorted(module.name for module in pkgutil.iter_modules(__path__)):
-        effect = importlib.import_module(f"{__name__}.{name}").EFFECT
+        module = importlib.import_module(f"{__name__}.{name}")
+        effect = replace(module.EFFECT, about=_first_sentence(module.__doc__ or ""))
         if effect.name != name or effect.site not in SITES:
             raise DieselTwinError(f"effect {effect.name!r} at {effect.site!r} in {name}.py: name it so, at a site")
         found[name] = effect
@@ -26,7 +57,7 @@ def _found() -> dict[str, Effect]:
         unknown = sorted(set(effect.confused_with) - set(found))
         if unknown:
             raise DieselTwinError(f"effect {effect.name}: confused with {unknown}, which are no effects")
-    return found
+    return dict(sorted(found.items()))
 
 
 EFFECTS: dict[str, Effect] = _found()

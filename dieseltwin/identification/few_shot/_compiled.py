@@ -17,6 +17,8 @@ from dieseltwin.engine._fastmath import fast_exp, fast_log
 _OPTIONS: dict[str, Any] = {**UNCACHED, "cache": True}
 
 N_STATES, N_CHANNELS, N_HEALTH = 3, len(MEASURED), len(HEALTH)
+N_READ = N_CHANNELS - N_STATES
+N_ROWS = max(N_STATES, N_READ)  # of equations, and of readings beside them
 PATH_ROWS = 12
 """Rows of a trajectory: three states, their rates, slopes and bends (`heads.Trajectory`)."""
 ZZ, DZ, DD, ZP, DP = 0, 9, 18, 21, 33
@@ -44,10 +46,10 @@ def transform(z, scale, path):  # type: ignore[no-untyped-def]
 
 @numba.njit(**_OPTIONS)
 def residuals(rows, path, values, readings, weights, noise, rate_defect, reading_defect, dof, cost, physics, misfit):  # type: ignore[no-untyped-def]
-    """Cost (K,), physics (K, 3, n) and data (K, 6, n) residuals over their noise at K runs, those `rows` of the data.
+    """Cost (K,), physics (K, 3, n) and data (K, C, n) residuals over their noise at K runs, those `rows` of the data.
 
-    path (K, 12, n), values (K, 6, n): rates, then readings that are not states; readings (R, 6, n), weights (R, 6, n),
-    noise (R, 3, n), rate_defect (R, 3, n), reading_defect (R, 6, n); dof of the physics residuals' Student tails.
+    path (K, 12, n), values (K, C, n): rates, then readings that are not states; readings (R, C, n), weights (R, C, n),
+    noise (R, 3, n), rate_defect (R, 3, n), reading_defect (R, C, n); dof of the physics residuals' Student tails.
     """
     n = path.shape[2]
     for k in range(rows.shape[0]):
@@ -71,13 +73,13 @@ def residuals(rows, path, values, readings, weights, noise, rate_defect, reading
 def curvature(rows, path, slopes, weights, noise, dof, physics, misfit, gradient, by_health, points, corner):  # type: ignore[no-untyped-def]
     """Gauss-Newton curvature and gradient of each point; tails of the physics residuals enter as weights.
 
-    slopes (K, 6, 7, n): derivatives of `values` by states and log-parameters; others as in `residuals`. -> gradient
+    slopes (K, C, 7, n): derivatives of `values` by states and log-parameters; others as in `residuals`. -> gradient
     (K, 3, 2 n) by z and dz, by_health (K, 4), points (K, 45, n), corner (K, 4, 4): log-parameters among each other.
     """
     n = path.shape[2]
-    equation = np.empty((N_STATES, N_STATES + N_HEALTH))  # of a physics residual: by z, by log-parameters
-    reading = np.empty((N_STATES, N_STATES + N_HEALTH))
-    state, inertia, pulled = np.empty(N_STATES), np.empty(N_STATES), np.empty(N_STATES)
+    equation = np.zeros((N_ROWS, N_STATES + N_HEALTH))  # of a physics residual: by z, by log-parameters
+    reading = np.zeros((N_ROWS, N_STATES + N_HEALTH))
+    state, inertia, pulled, read = np.empty(N_STATES), np.empty(N_STATES), np.zeros(N_ROWS), np.zeros(N_ROWS)
     for k in range(rows.shape[0]):
         r = rows[k]
         by_health[k], corner[k] = 0.0, 0.0
@@ -89,21 +91,25 @@ def curvature(rows, path, slopes, weights, noise, dof, physics, misfit, gradient
                 inertia[j] = over * path[k, 6 + j, i]
                 pulled[j] = pull * v
                 state[j] = weights[r, j, i] * path[k, 6 + j, i]
-                w = weights[r, N_STATES + j, i]
                 for m in range(N_STATES):
                     equation[j, m] = -over * slopes[k, j, m, i] * path[k, 6 + m, i]
-                    reading[j, m] = w * slopes[k, N_STATES + j, m, i] * path[k, 6 + m, i]
                 for m in range(N_STATES, N_STATES + N_HEALTH):
                     equation[j, m] = -over * slopes[k, j, m, i]
-                    reading[j, m] = w * slopes[k, N_STATES + j, m, i]
                 equation[j, j] += over * path[k, 9 + j, i]
+            for j in range(N_READ):
+                w, read[j] = weights[r, N_STATES + j, i], misfit[k, N_STATES + j, i]
+                for m in range(N_STATES):
+                    reading[j, m] = w * slopes[k, N_STATES + j, m, i] * path[k, 6 + m, i]
+                for m in range(N_STATES, N_STATES + N_HEALTH):
+                    reading[j, m] = w * slopes[k, N_STATES + j, m, i]
             for j in range(N_STATES):
                 g = state[j] * misfit[k, j, i]
+                for e in range(N_ROWS):
+                    g += equation[e, j] * pulled[e] + reading[e, j] * read[e]
                 for m in range(N_STATES):
-                    g += equation[m, j] * pulled[m] + reading[m, j] * misfit[k, N_STATES + m, i]
                     points[k, DZ + 3 * j + m, i] = inertia[j] * equation[j, m]
                     s = state[j] * state[j] if m == j else 0.0
-                    for e in range(N_STATES):
+                    for e in range(N_ROWS):
                         s += equation[e, j] * equation[e, m] + reading[e, j] * reading[e, m]
                     points[k, ZZ + 3 * j + m, i] = s
                 gradient[k, j, i] = g
@@ -112,14 +118,14 @@ def curvature(rows, path, slopes, weights, noise, dof, physics, misfit, gradient
                 for m in range(N_HEALTH):
                     at = N_STATES + m
                     s = 0.0
-                    for e in range(N_STATES):
+                    for e in range(N_ROWS):
                         s += equation[e, j] * equation[e, at] + reading[e, j] * reading[e, at]
                     points[k, ZP + 4 * j + m, i] = s
                     points[k, DP + 4 * j + m, i] = inertia[j] * equation[j, at]
             for m in range(N_HEALTH):
-                for e in range(N_STATES):
+                for e in range(N_ROWS):
                     a, b = equation[e, N_STATES + m], reading[e, N_STATES + m]
-                    by_health[k, m] += a * pulled[e] + b * misfit[k, N_STATES + e, i]
+                    by_health[k, m] += a * pulled[e] + b * read[e]
                     for o in range(N_HEALTH):
                         corner[k, m, o] += a * equation[e, N_STATES + o] + b * reading[e, N_STATES + o]
 

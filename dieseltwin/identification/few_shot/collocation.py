@@ -36,11 +36,11 @@ class Data:
     """Readings of R runs on one segment and what corrects the model for the basis.
 
     Attributes:
-        readings: (R, n, 6) in the order of `MEASURED` [SI]; any finite value where masked.
-        weights: (n, 6) or (R, n, 6) one over sigma, 0 where masked.
+        readings: (R, n, C) in the order of `MEASURED` [SI]; any finite value where masked.
+        weights: (n, C) or (R, n, C) one over sigma, 0 where masked.
         process_noise: (3,), (n, 3) or (R, n, 3) standard deviation of the physics residuals [Pa/s, Pa/s, rad/s2].
         rate_defect: (R or 1, n, 3) residual that the projected exact solution leaves [Pa/s, Pa/s, rad/s2].
-        reading_defect: (R or 1, n, 6) exact minus projected solution as the sensors see it [SI].
+        reading_defect: (R or 1, n, C) exact minus projected solution as the sensors see it [SI].
     """
 
     readings: Tensor
@@ -51,7 +51,7 @@ class Data:
 
     @cached_property
     def rows(self) -> dict[str, Array]:
-        """The same for the compiled kernels: (R, 3 or 6, n) each."""
+        """The same for the compiled kernels: (R, 3 or C, n) each."""
         runs, n = self.readings.shape[:2]
         return {name: value.expand(runs, n, -1).mT.contiguous().numpy() for name, value in vars(self).items()}
 
@@ -78,7 +78,7 @@ class Objective:
         gradient: (R, m).
         curvature: of the Gauss-Newton Hessian, tails of the physics residuals included as weights.
         physics: (R, 3, n) physics residuals over process noise [-].
-        data: (R, 6, n) data residuals over sigma [-].
+        data: (R, C, n) data residuals over sigma [-].
         cylinder: x_r and T_1 at the points.
     """
 

@@ -110,7 +110,7 @@ class Defects:
 
     Attributes:
         rate: (R, n, 3) [Pa/s, Pa/s, rad/s2].
-        reading: (R, n, 6) [SI].
+        reading: (R, n, C) [SI].
         states: (R, n, 3) simulated p_im, p_em, omega_t [Pa, Pa, rad/s].
         valid: (R,) whether the simulation stayed with the trajectory.
     """

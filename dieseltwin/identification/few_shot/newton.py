@@ -148,7 +148,7 @@ def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, 
     Args:
         setting: the segment.
         model: the estimator's equations.
-        readings: (R, n, 6), NaN where masked.
+        readings: (R, n, C), NaN where masked.
         begin: (R, 4) log-parameters to start from.
         settings: settings.
 

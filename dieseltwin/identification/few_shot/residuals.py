@@ -7,7 +7,7 @@ differentiated by torch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,6 +18,7 @@ from torch import Tensor
 from dieseltwin.engine import HEALTH, Actuation, Constants, EngineParameters, Inputs, bind, constants
 from dieseltwin.engine._compiled_tangents import N_RESULTS, linearise_points
 from dieseltwin.engine.egr import egr_valve_position
+from dieseltwin.engine.tangents import VALUES
 from dieseltwin.identification.few_shot.term_model import TermModel
 
 if TYPE_CHECKING:
@@ -78,10 +79,10 @@ class Point:
     """The model at given states with x_r and T_1 eliminated.
 
     Attributes:
-        values: (R, 6, n) dp_im/dt, dp_em/dt [Pa/s], domega_t/dt [rad/s2], and W_egr [kg/s], T_em [K], W_c [kg/s]: the
-            readings that are not states.
+        values: (R, V, n) `tangents.VALUES`: dp_im/dt, dp_em/dt [Pa/s], domega_t/dt [rad/s2], and the readings that are
+            not states [SI].
         cylinder: x_r and T_1, also the warm start of the next call.
-        slopes: (R, 6, 7, n) derivatives of the values with respect to p_im, p_em, omega_t and the log-parameters; None
+        slopes: (R, V, 7, n) derivatives of the values with respect to p_im, p_em, omega_t and the log-parameters; None
             if not asked.
     """
 
@@ -96,7 +97,7 @@ class Point:
 
     @property
     def readings(self) -> Tensor:
-        """(R, n, 3) readings that are not states."""
+        """(R, n, V - 3) readings that are not states."""
         return self.values[:, 3:].mT
 
 
@@ -178,14 +179,14 @@ class PointModel:
         cylinder = self.cylinder(states, health, inputs, start)
         x = [*states.unbind(-1), *cylinder]
         if not derivatives:
-            rates, readings, _ = _columns(self.model.quantities(*x, *inputs, self.with_health(health)))
-            return Point(torch.stack([*rates, *readings], 1), cylinder)
+            values = _columns(self.model.quantities(*x, *inputs, self.with_health(health)), VALUES, x[0])
+            return Point(torch.stack(values, 1), cylinder)
 
         shape = states.shape[:-1]
         with torch.enable_grad():
             point = [v.detach().expand(shape).clone().requires_grad_() for v in (*x, *health)]
             q = self.model.quantities(*point[:5], *inputs, self.with_health(point[5:]))
-            columns = [column.expand(shape) for group in _columns(q) for column in group]
+            columns = _columns(q, (*VALUES, *FOLLOWED), point[0])
             # Points don't mix: the gradient of a sum over points is each point's own row of the Jacobian.
             rows = [
                 torch.autograd.grad(column.sum(), point, retain_graph=True, materialize_grads=True)
@@ -194,7 +195,7 @@ class PointModel:
         # A health value moves by itself in the direction of its logarithm.
         size = [1.0] * 5 + [v.detach() for v in point[5:]]
         jacobian = torch.stack([torch.stack([g * s for g, s in zip(row, size, strict=True)], -1) for row in rows], -2)
-        values = torch.stack([column.detach() for column in columns[:6]], 1)
+        values = torch.stack([column.detach() for column in columns[: len(VALUES)]], 1)
         return Point(values, cylinder, _eliminate(jacobian).movedim(1, -1).contiguous())
 
     def _compiled(
@@ -211,27 +212,34 @@ class PointModel:
             torch.exp(log_health).expand(runs, -1).contiguous().numpy(), np.array(self.constants),
             COLD_SWEEPS if start is None else WARM_SWEEPS, results.numpy(),
         )  # fmt: skip
-        slopes = results[:, 6:].unflatten(1, (6, -1)) if derivatives else None
-        return Point(results[:, :6], Cylinder(*cylinder.unbind(1)), slopes)
+        slopes = results[:, len(VALUES) :].unflatten(1, (len(VALUES), -1)) if derivatives else None
+        return Point(results[:, : len(VALUES)], Cylinder(*cylinder.unbind(1)), slopes)
 
 
-def _columns(q: Any) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], tuple[Tensor, ...]]:
-    return (q.dp_im, q.dp_em, q.domega_t), (q.W_egr, q.T_em, q.W_c), (q.x_r_next, q.T_1_next)
+FOLLOWED = ("x_r_next", "T_1_next")
+"""What the fixed point's x_r and T_1 are equal to."""
+
+
+def _columns(q: Any, names: Sequence[str], like: Tensor) -> list[Tensor]:
+    """Quantities by name in the shape of another, also those that are a constant of the published model."""
+    found = (getattr(q, name) for name in names)
+    return [value.expand_as(like) if isinstance(value, Tensor) else value + 0.0 * like for value in found]
 
 
 def _eliminate(jacobian: Tensor) -> Tensor:
-    """Total derivatives (R, n, 6, 7) from partial ones (R, n, 8, 9), rows 6-7 and columns 3-4 being the
-    fixed point."""
+    """Total derivatives (R, n, V, 7) from partial ones (R, n, V + 2, 9), the last rows and columns 3-4 being the fixed
+    point."""
     outer = torch.cat([jacobian[..., :3], jacobian[..., 5:]], -1)
-    gain = jacobian[..., 6:, 3:5]
+    last = len(VALUES)
+    gain = jacobian[..., last:, 3:5]
     a, b = 1.0 - gain[..., 0, 0], -gain[..., 0, 1]
     c, d = -gain[..., 1, 0], 1.0 - gain[..., 1, 1]
     det = (a * d - b * c).unsqueeze(-1)
-    rhs_x, rhs_t = outer[..., 6, :], outer[..., 7, :]
+    rhs_x, rhs_t = outer[..., last, :], outer[..., last + 1, :]
     d_x = (d.unsqueeze(-1) * rhs_x - b.unsqueeze(-1) * rhs_t) / det
     d_t = (a.unsqueeze(-1) * rhs_t - c.unsqueeze(-1) * rhs_x) / det
-    inner = jacobian[..., :6, 3:5]
-    return outer[..., :6, :] + inner[..., :1] * d_x.unsqueeze(-2) + inner[..., 1:] * d_t.unsqueeze(-2)
+    inner = jacobian[..., :last, 3:5]
+    return outer[..., :last, :] + inner[..., :1] * d_x.unsqueeze(-2) + inner[..., 1:] * d_t.unsqueeze(-2)
 
 
 class PhysicsResiduals(NamedTuple):

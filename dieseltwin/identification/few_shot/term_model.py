@@ -18,7 +18,7 @@ from dieseltwin.engine.actuators import actuator_update
 from dieseltwin.engine.effect import Entry
 from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, HEATED_BY_GAS, STATE_EFFECTS, Magnitudes, effects_at
 from dieseltwin.engine.extended_terms import conditions_of, quantities_under
-from dieseltwin.engine.quantities import ExtendedQuantities, Gas
+from dieseltwin.engine.quantities import Gas, Quantities
 from dieseltwin.engine.terms import LAGGING_SENSOR, amounts, corrections_in, law_terms
 from dieseltwin.errors import InputError
 
@@ -88,7 +88,7 @@ class TermModel:
     def quantities(
         self, p_im: Any, p_em: Any, omega_t: Any, x_r: Any, T_1: Any,
         n_e: Any, u_delta: Any, u_egr: Any, u_vgt: Any, c: Constants,
-    ) -> ExtendedQuantities:  # fmt: skip
+    ) -> Quantities:  # fmt: skip
         """All quantities; `T_em` is what the sensor reads: behind the gas's and the thermocouple's lags.
 
         The last axis runs over the samples, all of them or the first alone.
@@ -105,7 +105,7 @@ class TermModel:
             "n_e": n_e, "u_delta": u_delta, "u_egr": u_egr, "u_vgt": u_vgt, "t": cut(self._time),
         }  # fmt: skip
 
-        def at(gas: Gas) -> ExtendedQuantities:
+        def at(gas: Gas) -> Quantities:
             return quantities_under(self.model, states, gas, m, self.laws, factors, c, torch.pow, LAW_SWEEPS)[0]
 
         T_gas: Any = torch.full_like(p_im, GAS_START_K)

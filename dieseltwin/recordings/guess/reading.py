@@ -21,6 +21,8 @@ ENGINE_RPM = (300.0, 5000.0)
 FRACTION_HIGH = 1.2
 SHARE_RANGE = (-12.0, 130.0)  # %: sensors of positions drift beyond their ends
 TURBO_RPM = 2.5e4  # rad/s: no turbocharger turns faster, so larger values are rpm
+USUAL_K = {"t_em_k": (330.0, 1250.0), "t_im_k": (225.0, 430.0), "t_amb_k": (220.0, 335.0)}
+"""Of a median, where it is narrower than what the nomenclature allows."""
 COLD_EXHAUST = 330.0  # a value below this is in degC: exhaust gas of a running engine is hotter than 330 K
 HOT_AIR = 180.0  # an air temperature above this is in K, below in degC
 
@@ -187,7 +189,8 @@ def _says_gauge(facts: Facts, unit: Unit | None, words: str) -> bool | None:
 
 def _temperature(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Reading | None:
     column = meaning.column
-    low, high = (330.0, 1250.0) if column == "t_em_k" else (225.0, 430.0) if column == "t_im_k" else (220.0, 335.0)
+    range_ = symbol(column)
+    low, high = USUAL_K.get(column, (range_.low, range_.high))
     celsius, kelvin, fahrenheit = (ChannelEntry(column=column, unit=name) for name in ("degC", "K", "degF"))
     order = [celsius, kelvin]
     if facts.low >= (COLD_EXHAUST if column == "t_em_k" else HOT_AIR):

@@ -6,32 +6,23 @@ from collections.abc import Iterator, Mapping
 
 import yaml
 
-from dieseltwin.recordings.channels import AMBIENT, INPUTS, SENSORS, TIME
+from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, TIME
 from dieseltwin.recordings.derived import DIESEL_KG_L
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.propose import Candidate, Proposal
+from dieseltwin.sensors import MEASURED, SENSORS
 from dieseltwin.symbols import symbol
 
-ORDER = (*INPUTS, *SENSORS, "w_c_kg_s", "t_im_k", *AMBIENT, "torque_nm")
+ORDER = (*INPUTS, *MEASURED, INTAKE, *AMBIENT, "torque_nm")
 NAME_WIDTH = 44
 
-# What the twin cannot tell without a channel. Factors: smallest visible size of each effect with five sensors over that
-# with six, ten minutes of simulated driving with the paper's noise (docs/formats.md).
+# What the twin cannot tell without a channel.
 COSTS: Mapping[str, str] = {
     "n_e_rpm": "without engine speed nothing can be simulated or fitted",
     "u_delta_mg": "without fuel nothing can be simulated or fitted; fuel per hour would do, or air flow and lambda",
     "u_egr_pct": "without the EGR valve's position nothing can be simulated; if there is none, add a column of zeros",
     "u_vgt_pct": "without the VGT's position nothing can be simulated; for a fixed turbine, add a constant column",
-    "p_im_pa": "identify needs it to start; for discover an offset of the sensor is out of reach, and filter and "
-    "cooler must be 1.1 times as bad to show",
-    "p_em_pa": "identify needs it to start; for discover offset and gain of the sensor are out of reach, other effects "
-    "show as before (within 5 %)",
-    "omega_t_rad_s": "identify needs it to start; for discover the air filter must be 4.4 times as bad to show, an "
-    "exhaust leak 1.8, compressor flow, blow-by and VGT offset 1.5, bearings 1.4",
-    "w_egr_kg_s": "a leaking, late or worn EGR valve must be twice as bad to show, volumetric efficiency 1.3 times",
-    "t_em_k": "injector drift, EGR heating and the exhaust's inertia must be 1.5 times as large to show, back-pressure "
-    "1.3; eta_sc and h_tot get intervals 1.1 times as wide",
-    "w_c_kg_s": "a boost leak must be 1.2 times as large to show, and then looks like a loss of compressor efficiency",
+    **{sensor.column: sensor.without for sensor in SENSORS},
     "t_im_k": "the engine file's constant stands in; charge cooler loss and EGR heating show through flows only",
     "p_amb_pa": "the engine file's value stands in: at 1000 m that is 11 kPa wrong in every pressure ratio",
     "t_amb_k": "the engine file's value stands in: 10 K change compressor flow and speed by 1.7 %",

@@ -23,7 +23,7 @@ from dieseltwin.engine.inputs import INPUT_COLUMNS
 from dieseltwin.recordings.dates import MODIFIED, Dated
 from dieseltwin.recordings.reader import recording
 from dieseltwin.report.discovery_words import sentence
-from dieseltwin.symbols import MEASURED
+from dieseltwin.sensors import MEASURED
 
 LATE_S = 0.28
 
