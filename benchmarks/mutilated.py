@@ -1,7 +1,7 @@
 """What `identify` says of recordings that were mutilated on purpose, and of clean ones.
 
     python benchmarks/mutilated.py --cases 100 --seed 1
-    python benchmarks/mutilated.py --clean 100 --seed 1
+    python benchmarks/mutilated.py --only clean --cases 100 --seed 1
 
 A case is five minutes of random driving of an engine with other health parameters (`datasets.make_validation`), with
 the paper's noise or three tenths of it, and one fault of one channel (or of the clock) of random severity. Counted are

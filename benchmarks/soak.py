@@ -277,7 +277,9 @@ def run(number: int, seed: int, bench: Bench, commands: tuple[Command, ...], onl
     """One command with one fault, what it left, and the same command again."""
     rng = np.random.default_rng([seed, number])
     cycle = [command for command in commands for _ in range(OFTEN.get(command.name, 1))]
-    command, fault = cycle[number % len(cycle)], only or faults_of(command)[number % len(faults_of(command))]
+    command = cycle[number % len(cycle)]
+    faulty = faults_of(command)
+    fault = only or faulty[number % len(faulty)]
     before_folder, before, after, seconds = bench.prepare(command)
     new = sum((bench.work / command.name.replace(" ", "_") / "after" / name.partition(" row ")[0]).stat().st_size
               for name in after if before.get(name) != after[name])  # fmt: skip

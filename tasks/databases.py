@@ -68,8 +68,8 @@ def failure(error: BaseException, mlflow_uri: str) -> str | None:
     What was computed lies in the cache and in the published folders by then, so the next run goes on from there.
     """
     if isinstance(error, RuntimeError) and "Failed to reach API" in str(error):  # Prefect's, of a builtin class
-        return ("Prefect's server doesn't answer (.prefect/server.log): is memory short, or the machine very busy? What "
-                "was computed is kept, run again")  # fmt: skip
+        return ("Prefect's server doesn't answer (.prefect/server.log): is memory short, or the machine very busy? "
+                "What was computed is kept, run again")  # fmt: skip
     if isinstance(error, MemoryError):
         return "out of memory; what was computed is kept: run again where there is more"
     if not {base.__module__.partition(".")[0] for base in type(error).__mro__} & _THEIRS:
