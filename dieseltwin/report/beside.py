@@ -19,6 +19,7 @@ from dieseltwin.engine.observations import SIMULATOR_THREADS, thread_count
 P = ParamSpec("P")
 
 _PATIENCE_S = 120.0  # for a page, of which ten seconds on a busy machine are usual
+_LOADING_S = 10.0  # that it may still load when it is wanted; who never says that it is ready would never read its task
 _ready: list[Connection] = []
 
 
@@ -57,20 +58,23 @@ def begin_beside(task: Callable[P, object], *arguments: P.args, **options: P.kwa
     Where none waits, or the task failed there, that function does it in this process: its errors are raised here.
     """
     here = _ready.pop() if _ready else None
-    if here is not None:
+    if here is not None and _said(here, _LOADING_S):
         with suppress(OSError):  # it was killed: `finish` will know
             here.send((task, arguments, options))
+    else:
+        here = None
 
     def finish() -> None:
-        if here is None or not _done(here):
+        if here is None or not _said(here, _PATIENCE_S):
             task(*arguments, **options)
 
     return finish
 
 
-def _done(here: Connection) -> bool:
+def _said(here: Connection, patience_s: float) -> bool:
+    """Whether the process that waits says in time that it is ready, or done."""
     try:
-        return here.poll(_PATIENCE_S) and bool(here.recv())
+        return here.poll(patience_s) and bool(here.recv())
     except (EOFError, OSError):
         return False
 
@@ -78,12 +82,9 @@ def _done(here: Connection) -> bool:
 def _wait(here: Connection, there: Connection, load: Callable[[], object]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who waits for it ends it
     here.close()
-    load()
-    with suppress(EOFError):
-        task, arguments, options = there.recv()  # no more than EOFError where the first process has ended
-        try:
-            task(*arguments, **options)
-        except Exception:  # whatever it is: the first process tries again and says so
-            there.send(False)
-        else:
-            there.send(True)
+    with suppress(Exception):  # whatever it is: the first process does it all itself, and says what it meets
+        load()
+        there.send(True)
+        task, arguments, options = there.recv()
+        task(*arguments, **options)
+        there.send(True)

@@ -63,6 +63,13 @@ def test_without_a_process_beside_it_is_done_here(tmp_path: Path, monkeypatch: p
         assert (tmp_path / name).read_text(encoding="utf-8") == f"by {os.getpid()} None"
 
 
+def test_a_process_that_never_gets_ready_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dieseltwin.report.beside._LOADING_S", 0.1)
+    with ready_beside(threading.Event().wait):
+        begin_beside(_write, tmp_path / "page", "by")()
+    assert (tmp_path / "page").read_text(encoding="utf-8") == f"by {os.getpid()} None"
+
+
 def test_an_error_is_raised_here_and_a_task_that_died_is_done_here(tmp_path: Path) -> None:
     with ready_beside(_load), pytest.raises(InputError, match="choose another"):
         begin_beside(_refuse, tmp_path / "page")()
