@@ -11,10 +11,11 @@ import pandas as pd
 from dieseltwin.api.driving import ask_driving
 from dieseltwin.api.engines import Engine
 from dieseltwin.api.findings import Asked, Discovered, Question
-from dieseltwin.api.learning import known_engine
 from dieseltwin.api.reading import Channels, Source, as_engine, timed
 from dieseltwin.api.rigs import ask_rig
 from dieseltwin.errors import InputError
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of
+from dieseltwin.notes import Note
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.recordings.reader import Recording
@@ -77,7 +78,7 @@ def ask(
     if not isinstance(recording, _ONE):
         if len(recording) != 1:
             _check_together(recording, machine, channels)
-            return ask_driving(recording, engine, channels, asked, known_engine(engine, asked.reference, channels))
+            return ask_driving(recording, engine, channels, asked, _known(engine, asked, channels))
         recording = recording[0]
     if isinstance(machine, RigParameters):
         refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
@@ -97,11 +98,22 @@ def ask(
         raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
                          "name the engine that it belongs to")
     if timed(recording, channels):
-        return ask_driving([recording], engine, channels, asked, known_engine(engine, asked.reference, channels))
+        return ask_driving([recording], engine, channels, asked, _known(engine, asked, channels))
     refuse_options({"--map-tolerance": asked.map_tolerance, "--time": asked.time_s}, "for settled points")
     from dieseltwin.api.points import ask_points
 
     return ask_points(recording, engine, channels, asked)
+
+
+def _known(
+    engine: Engine | str | Path | None, asked: Asked, channels: Channels | None
+) -> tuple[LearnedEngine | None, Sequence[Note]]:
+    """What is known of a diesel engine, as `learning.known_engine`."""
+    if not asked.reference:
+        return learned_engine_of(engine), ()
+    from dieseltwin.api.learning import known_engine  # with what calibration needs, a third of a second
+
+    return known_engine(engine, asked.reference, channels)
 
 
 def _check_together(recordings: Sequence[AnyRecording], machine: Engine, channels: Channels | None) -> None:

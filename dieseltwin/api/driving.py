@@ -6,6 +6,7 @@ import hashlib
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -35,7 +36,7 @@ from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.liveliest import liveliest
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.report import discovery_figures, discovery_page
+from dieseltwin.report.beside import begin_beside, ready_beside
 from dieseltwin.report.discovery_words import alike_words, circumstances_words, magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.sealed import sealed_json, sealed_text
@@ -84,6 +85,8 @@ class DrivingDiscovered(Discovered):
 
     def plot(self, name: str | None = None) -> Figure:
         """`candidates`, `evidence_time`, `law`, `health`, `minimum_detectable` or `score`."""
+        from dieseltwin.report import discovery_figures
+
         drawings = {
             "candidates": discovery_figures.candidates, "evidence_time": discovery_figures.evidence_time,
             "law": discovery_figures.law_curves, "health": discovery_figures.health,
@@ -99,6 +102,7 @@ class DrivingDiscovered(Discovered):
             details = details_of(self.found, self.question.asked, list(self.question.notes))
             write_json(folder / DETAILS, sealed_json(details))
             write_text(folder / "engine.yaml", engine_yaml(self.engine))
+            written = begin_beside(_write_page, replace(self.found, document=self.document), folder)
             stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
             sensors = self.question.options.sensors
             judged, whole = self.question.recording, self.question.whole
@@ -108,14 +112,26 @@ class DrivingDiscovered(Discovered):
             source, _ = put_right(whole, self.engine, {item.name: item.value for item in apart})
             implied = implied_frame(source, self.engine, stds, sensors=sensors, starts=starts, local=local)
             implied.to_parquet(folder / "implied.parquet", index=False, write_page_checksum=True)
-            told = replace(self.found, document=self.document)
-            discovery_page.build_discovery_report(told, folder / "report.html", figures_dir=folder / "figures")
+            written()
             seconds = self.seconds + time.perf_counter() - began
             write_json(folder / "runtime.json", plain({**self.found.runtime, "seconds": seconds, **machine()}))
         return Path(out)
 
     def lines(self) -> list[str]:
         return ["", self.sentence]
+
+
+def _write_page(found: Discovery, folder: Path) -> None:
+    from dieseltwin.report.discovery_page import build_discovery_report  # loads matplotlib
+
+    build_discovery_report(found, folder / "report.html", figures_dir=folder / "figures")
+
+
+def _load_page() -> None:
+    import dieseltwin.report.discovery_page  # noqa: F401
+    from dieseltwin.report import style
+
+    style.load()
 
 
 @dataclass(frozen=True)
@@ -181,6 +197,9 @@ class DrivingQuestion(Question):
     @property
     def catalogue(self) -> Mapping[str, Known]:
         return EFFECTS
+
+    def getting_ready(self) -> AbstractContextManager[None]:
+        return ready_beside(_load_page)
 
     def answered_in(self, folder: Path) -> bool:
         judged = [day.recording for day in self.days] or [self.recording]

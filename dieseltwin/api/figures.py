@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TypeVar
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, TypeVar
 
 from dieseltwin.errors import InputError
-from dieseltwin.report.style import ReportFigure
 from dieseltwin.settings.names import unknown_name
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from dieseltwin.report.style import ReportFigure
 
 Found = TypeVar("Found")
 

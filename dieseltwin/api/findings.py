@@ -6,6 +6,7 @@ import os
 import platform
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -98,6 +99,10 @@ class Question(ABC):
     def catalogue(self) -> Mapping[str, Known]:
         """Effects that an answer can be asked about; none where answers aren't explained."""
         return {}
+
+    def getting_ready(self) -> AbstractContextManager[None]:
+        """While it is open, what the answer's files need is got ready beside the search, where a core is idle."""
+        return nullcontext()
 
     def answered_in(self, folder: Path) -> bool:
         """Whether a folder holds the answer to just this question."""

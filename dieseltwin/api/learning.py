@@ -24,7 +24,7 @@ from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import HEALTH_AT, Belief, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
-from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, save_learned
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note
 from dieseltwin.petrol.recording import PetrolRecording
@@ -141,7 +141,7 @@ def _learn_diesel(
     low, high = MAP_ERRORS
     if map_error is not None and not low <= map_error <= high:
         raise InputError("--map-error", f"{map_error:g}", f"{low:g} to {high:g}", "choose another")
-    before = _known(engine)
+    before = learned_engine_of(engine)
     base = diesel_engine(engine) if before is None else before.base
     if before is not None and map_error is not None and map_error != before.map_rms:
         raise InputError("--map-error", f"{map_error:g}", f"{before.map_rms:g}, as {engine} says", "leave it out")
@@ -174,7 +174,7 @@ def known_engine(
     if reference:
         result = _learn_diesel(reference, engine, channels)
         return result.known, [Note(note.removeprefix("note: "), "reference") for note in result.notes]
-    return _known(engine), ()
+    return learned_engine_of(engine), ()
 
 
 def _siblings(
@@ -187,7 +187,7 @@ def _siblings(
     """
     found: dict[str, LearnedEngine] = {}
     for name in siblings:
-        one = _known(name)
+        one = learned_engine_of(name)
         if one is None:
             raise InputError(f"--siblings {name}", "no learned engine", "a file of `dieseltwin learn`",
                              "learn it first")
@@ -208,10 +208,6 @@ def _maps_of(engine: EngineParameters) -> EngineParameters:
     """An engine but for what each of a type has of its own: health and ambient."""
     health = dict(zip(HEALTH, we2011.PARAMETERS.health(), strict=True))
     return engine.replace(**health, p_amb=we2011.PARAMETERS.p_amb, T_amb=we2011.PARAMETERS.T_amb)
-
-
-def _known(engine: Engine | str | Path | None) -> LearnedEngine | None:
-    return load_learned(Path(engine)) if isinstance(engine, str | Path) and Path(engine).is_file() else None
 
 
 def summary(learned: LearnedEngine) -> list[str]:

@@ -94,14 +94,16 @@ def discover_command(
     if pdf:
         check_printable()
     check_folder(out)  # a place that cannot be written to is better known before the work
-    progress(question.about)
-    say(question.preview())
-    progress("fitting ...")
-    found = question.answer()
-    found.save(out)
+    with question.getting_ready():
+        progress(question.about)
+        say(question.preview())
+        progress("fitting ...")
+        found = question.answer()
+        say(found.lines())  # who waits reads it while the files are written
+        found.save(out)
     if pdf:
         print_report(out)
-    say([*found.lines(), f"results: {out}"])
+    say([f"results: {out}"])
     if name is not None:
         say(["", *explain(name, out, question.catalogue)])
     strictly(strict, found.warnings)

@@ -109,6 +109,11 @@ def load_learned(path: Path) -> LearnedEngine | None:
     return _parsed(learned_bytes(path, document), path.with_name(str(document[LEARNED])))
 
 
+def learned_engine_of(engine: object) -> LearnedEngine | None:
+    """The same of the file that `engine` names; None where it names none."""
+    return load_learned(Path(engine)) if isinstance(engine, str | Path) and Path(engine).is_file() else None
+
+
 def _parquet(learned: LearnedEngine) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq

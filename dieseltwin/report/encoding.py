@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Sequence
-from multiprocessing import get_all_start_methods, get_context
+from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
-from dieseltwin.engine.observations import SIMULATOR_THREADS, thread_count
+from dieseltwin.report.beside import may_fork
 from dieseltwin.report.style import ReportFigure
 
 _LEAST = 4  # figures from which a second process is worth its start
@@ -18,13 +17,9 @@ _PATIENCE, _PATIENCE_S = 3.0, 5.0  # times the own half's time, and seconds: a s
 def encode_all(figures: Sequence[ReportFigure]) -> dict[str, bytes]:
     """Name -> bytes of the file, of every figure; the same bytes as one by one.
 
-    A second process takes every other figure where a second core may be used (DIESELTWIN_THREADS, the process's own
-    processors). It is a fork, so that nothing is imported or copied again. A fork inherits the locks that other
-    threads hold (one that reads standard input holds it for ever), so a process with threads other than the
-    simulator's, such as a server or a worker of the flows, doesn't fork. What the second process doesn't send in time
-    is drawn here.
+    A fork takes every other figure where there may be one (`beside`). What it doesn't send in time is drawn here.
     """
-    beside = figures[1::2] if len(figures) >= _LEAST and thread_count() > 1 and _may_fork() else []
+    beside = figures[1::2] if len(figures) >= _LEAST and may_fork() else []
     if not beside:
         return {figure.name: figure.encode() for figure in figures}
     context = get_context("fork")
@@ -45,12 +40,6 @@ def encode_all(figures: Sequence[ReportFigure]) -> dict[str, bytes]:
         process.kill()  # it has sent all, or never will
         process.join()
     return encoded | ({figure.name: figure.encode() for figure in beside} if sent is None else sent)
-
-
-def _may_fork() -> bool:
-    others = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
-    return (threading.current_thread() is threading.main_thread() and "fork" in get_all_start_methods()
-            and all(thread.name.startswith(SIMULATOR_THREADS) for thread in others))  # fmt: skip
 
 
 def _send(sender: Connection, figures: Sequence[ReportFigure]) -> None:

@@ -19,6 +19,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -99,6 +100,14 @@ def styled(function: Callable[P, R]) -> Callable[P, R]:
     return drawn
 
 
+def load() -> None:
+    """Have fonts and the reader of formulae at hand before the first figure wants them, a quarter of a second."""
+    with mpl.rc_context(RC):
+        figure = Figure(figsize=(2.0, 2.0))
+        figure.subplots().set_title("$x_1$ x")
+        ReportFigure("", "", "", figure).encode()
+
+
 def plain_text(text: str) -> str:
     """Somebody else's text for a figure: dollar signs are no mathematics, and it ends after 80 letters."""
     return text[:80].replace("$", r"\$")
@@ -127,10 +136,7 @@ class ReportFigure:
         with mpl.rc_context(RC):
             if self.kind == "png":
                 return _png(self.figure, dpi)
-            _lay_out(self.figure)
-            buffer = io.BytesIO()
-            self.figure.savefig(buffer, format="svg", metadata={"Date": None})
-            return buffer.getvalue()
+            return _svg(self.figure)
 
     def save(self, directory: str | Path, content: bytes | None = None) -> Path:
         """Write ``<directory>/<name>.<kind>`` atomically and return its path.
@@ -141,12 +147,16 @@ class ReportFigure:
         return write_bytes(Path(directory) / f"{self.name}.{self.kind}", self.encode() if content is None else content)
 
 
-def _lay_out(figure: Figure) -> None:
-    """Give every panel its place, for good: `savefig` would draw the whole figure once more for a layout of its own."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
+def _svg(figure: Figure) -> bytes:
+    """An SVG, laid out once and drawn once: `savefig` would draw it all once more in case its layout changes."""
+    layout, dpi = figure.get_layout_engine(), figure.dpi
+    if layout is not None:
+        layout.execute(figure)
         figure.set_layout_engine("none")
+    buffer = io.BytesIO()
+    FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
+    figure.set_dpi(dpi)
+    return buffer.getvalue()
 
 
 def _png(figure: Figure, dpi: int) -> bytes:

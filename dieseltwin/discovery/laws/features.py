@@ -18,6 +18,8 @@ _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
 _LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
 _RAREST = 12.0  # largest value of a signal of unit mean square: what acts on fewer samples hangs on a moment
 _STEP = 0.005  # of a point's scale: small enough to be linear
+_MATTERS = 3.0  # gain by responses at another fit from which a feature is simulated: a third of what chance leaves
+_MATTERS_AT_LEAST = 8  # features, which are simulated together
 
 
 @dataclass(frozen=True)
@@ -128,8 +130,32 @@ def _of_form(index: int, text: str, form: Form, site: str, variables: Mapping[st
 
 def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Structure]:
     """Linear gains of all features, strongest first."""
-    if not features:
-        return []
+    return _scored(at, features, _responses(at, features)) if features else []
+
+
+def score_what_is_left(
+    at: Linearisation, features: Sequence[Feature], before: Sequence[Structure]
+) -> list[Structure]:
+    """Linear gains beside an explanation, strongest first, of the features that may gain something there.
+
+    Which these are is judged by the responses that they had without the explanation, `before`: a response turns little
+    from one fit to another, and what a feature gains by it alone can't come near what decides.
+    """
+    known = {_key(item.feature): item.response for item in before if item.response.shape == at.simulated.shape}
+    old = [feature for feature in features if _key(feature) in known]
+    if not old:
+        return score_features(at, features)
+    judged = _scored(at, old, np.stack([known[_key(feature)] for feature in old]))
+    idle = {_key(item.feature) for item in judged[_MATTERS_AT_LEAST:] if item.gain < _MATTERS}
+    return score_features(at, [feature for feature in features if _key(feature) not in idle])
+
+
+def _key(feature: Feature) -> tuple[int | None, int | None, str]:
+    return feature.point, feature.channel, feature.text
+
+
+def _responses(at: Linearisation, features: Sequence[Feature]) -> Array:
+    """Responses of the readings to features, a unit of each, (F, n, C)."""
     twin = at.twin
     responses = np.zeros((len(features), *at.simulated.shape))
     inside = [k for k, f in enumerate(features) if f.point is not None]
@@ -143,6 +169,10 @@ def score_features(at: Linearisation, features: Sequence[Feature]) -> list[Struc
         if feature.channel is not None:
             j = feature.channel
             responses[k, :, j] = at.simulated[:, j] if feature.text == "gain" else np.mean(at.simulated[:, j])
+    return responses
+
+
+def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) -> list[Structure]:
     projected = without_parameters(at, at.metric.project(responses))
     found = []
     for feature, vector, response in zip(features, projected, responses, strict=True):

@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
+from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_what_is_left
 from dieseltwin.discovery.laws.final_fit import signals_of
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.twin import LawTwin
@@ -260,8 +260,9 @@ def choose(found: Search, first: Linearisation) -> None:
     found.kind, found.variant = kind, variant
     found.best = first if kind == "single" else recentred(found, fit)
     # a confident lie is what nearly fits: look at what the explanation leaves
-    found.left = score_features(found.best, generic_features(found.twin, found.best.fit))
-    found.left_local = score_features(found.best, local_features(found.twin, found.best.fit))
+    kinds = generic_features(found.twin, found.best.fit), local_features(found.twin, found.best.fit)
+    found.left = score_what_is_left(found.best, kinds[0], found.structure)
+    found.left_local = score_what_is_left(found.best, kinds[1], found.local)
     left = found.left[0].gain if found.left else 0.0
     place = {"single": 0, "pair": 1}.get(kind, 2)
     gained = found.gain(fit)
@@ -339,7 +340,7 @@ def beyond_law(found: Search, law: Law) -> tuple[list[Structure], list[Structure
     responses = tolerance_responses(twin, at, found.settings)
     at = Linearisation(twin, found.whitening, fit, None, responses)
     kinds = generic_features(twin, fit), local_features(twin, fit)
-    return score_features(at, kinds[0]), score_features(at, kinds[1])
+    return score_what_is_left(at, kinds[0], found.structure), score_what_is_left(at, kinds[1], found.local)
 
 
 def _one_term_explains_more(found: Search, value: float) -> bool:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dieseltwin.discovery.laws.features import Structure, generic_features, score_features
+from dieseltwin.discovery.laws.features import Structure, generic_features, score_features, score_what_is_left
 from dieseltwin.discovery.laws.unnamed import best_term, leading, refit_terms
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, fit_fully
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.twins.interface import Point
 from tests.discovery.toy import SETTINGS, Toy
@@ -46,6 +46,24 @@ def test_a_term_outdoes_the_wrong_name(withheld: _Withheld) -> None:
     found = withheld.found
     wrong = withheld.gain("drag")
     assert best_term(withheld.toy, found.whitening, found.null, withheld.structure, wrong + 15.0) > wrong + 15.0
+
+
+def test_what_is_left_is_scored_as_without_the_scores_before(withheld: _Withheld) -> None:
+    """Beside a health parameter that is off: scores at the fit tell which terms are worth a simulation, and no more."""
+    found = withheld.found
+    start = replace(found.null.fit, parameters=found.null.fit.parameters * 1.05)
+    at = Linearisation(withheld.toy, found.whitening, start)
+    features = generic_features(withheld.toy, start)
+    alone = score_features(at, features)
+    beside = score_what_is_left(at, features, withheld.structure)
+    strong = [item for item in alone if item.gain > 9.0]
+    assert len(strong) > 3
+    assert [item.feature.text for item in beside[: len(strong)]] == [item.feature.text for item in strong]
+    assert [item.gain for item in beside[: len(strong)]] == pytest.approx([item.gain for item in strong])
+    bent = [replace(item, response=np.zeros_like(item.response)) for item in withheld.structure]
+    assert score_what_is_left(at, features, bent)[0].gain <= alone[0].gain  # responses that gain nothing are left out
+    short = [replace(item, response=item.response[1:]) for item in withheld.structure]  # of another recording
+    assert len(score_what_is_left(at, features, short)) == len(alone)
 
 
 def test_leading_terms_are_of_several_points(withheld: _Withheld) -> None:
