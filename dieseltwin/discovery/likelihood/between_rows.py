@@ -18,7 +18,8 @@ _LEAST = 0.05  # of the noise that is seen: below, what the inputs may have done
 _HALVINGS = 40
 
 _FREEDOM = 4.0  # of Student's distribution of a window's errors: tails as heavy as a fourth moment allows
-_FACTORS = np.geomspace(1.0, 25.0, 33)  # of a window's variance; beyond, it is the engine that isn't understood
+_FACTORS = np.geomspace(1.0, 25.0, 33)  # of a window's variance; beyond, something else happens
+_MOST_BEYOND = 1.0 / 3.0  # of the windows; with more, it is the engine that isn't understood
 
 
 @runtime_checkable
@@ -77,7 +78,7 @@ def noise_beside(noise: Noise, residual: Array, starts: np.ndarray, windows: tup
     return Noise(sigma, np.zeros_like(noise.rho))
 
 
-def widened(at: Linearisation, noise: Noise, scatter: ModelScatter) -> ModelScatter:
+def widened(at: Linearisation, noise: Noise, scatter: ModelScatter) -> tuple[ModelScatter, np.ndarray]:
     """Inputs that erred more in some windows than their channels let expect, by what a fit leaves there.
 
     The paths of inputs have heavy tails: between two rows a pedal is kicked and let go. So the variance of a window is
@@ -85,23 +86,27 @@ def widened(at: Linearisation, noise: Noise, scatter: ModelScatter) -> ModelScat
 
     Args:
         at: fit of health alone; noise: of the sensors; scatter: as it was there.
+
+    Returns:
+        The scatter with these factors, and (W,) windows in which no believable factor is enough, at most a third of
+        all: rows as slow as these don't tell what happened there.
     """
-    if not scatter.windows:
-        return scatter
     residual = np.nan_to_num(at.residual)
     if at.nuisance_response is not None:
         residual = residual - np.tensordot(at.metric.nuisance_estimate(residual), at.nuisance_response, 1)
     apart = Whitening.of(at.twin.measured, noise, at.twin.starts, replace(scatter, windows=()))
     left = apart.apply(residual[None])[0]
     prior = (_FREEDOM + 2.0) * np.log(_FACTORS) + _FREEDOM / _FACTORS
-    windows = []
+    chosen = []
     whitened = apart.whitened(at.twin.starts, scatter.windows)
-    for (block, spread), covariance in zip(whitened, scatter.windows, strict=True):
+    for block, spread in whitened:
         sizes, directions = np.linalg.eigh(spread)
         variance = 1.0 + _FACTORS[:, None] * np.maximum(sizes, 0.0)
         cost = (np.log(variance) + (directions.T @ left[block]) ** 2 / variance).sum(axis=1)
-        windows.append(_FACTORS[np.argmin(cost + prior)] * covariance)
-    return replace(scatter, windows=tuple(windows))
+        chosen.append(int(np.argmin(cost + prior)))
+    beyond = np.array(chosen) == _FACTORS.size - 1
+    windows = tuple(_FACTORS[k] * covariance for k, covariance in zip(chosen, scatter.windows, strict=True))
+    return replace(scatter, windows=windows), beyond & (beyond.mean() <= _MOST_BEYOND)
 
 
 def _smallest(square: Array, variance: Array, seen: float) -> float:

@@ -68,7 +68,9 @@ def prepare(twin: Twin, settings: SearchSettings) -> Search:
         whitening = _whitening(twin, noise, scatter)
     null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance, loadings=loadings_of(nuisances)))
     if scatter.windows:
-        scatter = widened(null, noise, scatter)
+        scatter, beyond = widened(null, noise, scatter)
+        crooked |= beyond
+        twin.measured[rows_of(twin, crooked)] = np.nan
         whitening = _whitening(twin, noise, scatter)
         null = settle_local(fit_fully(twin, whitening, null.fit, nuisance, loadings=loadings_of(nuisances)))
     found = _scored(null, noise, settings)

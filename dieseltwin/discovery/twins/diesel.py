@@ -12,7 +12,7 @@ import numpy as np
 
 from dieseltwin.discovery.twins.diesel_between import covariance_between_rows
 from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, signals_of_lane
-from dieseltwin.discovery.twins.diesel_points import POINT_FACTS, hypotheses_of
+from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, OPERATORS, POINT_FACTS, hypotheses_of
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.diesel_variables import variables_along
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
@@ -40,6 +40,7 @@ from dieseltwin.engine.terms import (
 )
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief
+from dieseltwin.recordings.between_rows import rows_are_slow
 from dieseltwin.recordings.channels import optional_inputs
 from dieseltwin.recordings.held import between_readings
 from dieseltwin.recordings.noise import cut_offs
@@ -81,11 +82,8 @@ class EngineTwin:
         InputError: no sensor, or no stretch with the engine running.
     """
 
-    law_kinds = (
-        "power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "bump", "lag", "dead_time",
-        "play",
-    )  # fmt: skip
-    """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
+    law_kinds: tuple[str, ...] = (*LAW_KINDS, *OPERATORS)
+    """Factors of laws that may be found."""
 
     command_operators: Mapping[tuple[str, str], str] = {
         (e.enters.operator, f"u_{e.enters.name}"): e.name for e in EFFECTS.values() if e.enters.through == "command"
@@ -156,7 +154,9 @@ class EngineTwin:
                   map_tolerance if facts.over else 0.0, facts.over, facts.also)
             for name, facts in ((name, POINT_FACTS[name]) for name in POINTS)
         )  # fmt: skip
-        self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels, further)
+        slow = rows_are_slow(self.time_s)
+        self.law_kinds = LAW_KINDS if slow else self.law_kinds
+        self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels, further, slow)
         self._driven = {name: Term(effect=name, magnitude=0.0).factor(self.time_s, 0.0, inputs)
                         for name in self.hypotheses if EFFECTS[name].follows is not None}  # fmt: skip
         self._known = known_terms(self.engine.terms, self.recording_time_s, inputs)

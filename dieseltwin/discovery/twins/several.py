@@ -78,7 +78,6 @@ class SeveralTwin:
         InputError: fewer than two recordings, or other channels in one of them.
     """
 
-    law_kinds = EngineTwin.law_kinds
     command_operators = EngineTwin.command_operators
     own_schedules = EngineTwin.own_schedules
     law_variables = EngineTwin.law_variables
@@ -95,6 +94,7 @@ class SeveralTwin:
                                  "name sensors that all recordings have")  # fmt: skip
         self.parts, self.occasions = tuple(parts), tuple(occasions)
         self.channels, self.states, self.state_scales = first.channels, first.states, first.state_scales
+        self.law_kinds = min((part.law_kinds for part in parts), key=len)  # slow rows of one recording show less
         self.points: tuple[Point, ...] = first.points
         self.belief = first.belief
         self.parameters = tuple(
