@@ -64,8 +64,8 @@ class LearnedResult(Result):
     def sentence(self) -> str:
         maps = self.table()
         learned = ", ".join(f"{point} by {row.corrected_pct:.1f} %" for point, row in maps.iterrows())
-        return (f"Learned from {self.known.minutes:.1f} minutes of {counted(len(self.known.recordings), 'recording')}; maps "
-                f"corrected: {learned or 'none'}.")  # fmt: skip
+        heard = counted(len(self.known.recordings), "recording")
+        return f"Learned from {self.known.minutes:.1f} minutes of {heard}; maps corrected: {learned or 'none'}."
 
     def table(self) -> pd.DataFrame:
         """One row a map: what was believed of its error before, the correction, how well it is known now (rms) [%]."""
