@@ -45,3 +45,8 @@ def warnings_of(notes: Iterable[str]) -> list[dict[str, Any]]:
     """Notes as they stand in a document: code, text, affects."""
     return [{"code": note.code if isinstance(note, Note) else "reference", "text": note.removeprefix("note: "),
              "affects": list(note.affects) if isinstance(note, Note) else []} for note in notes]  # fmt: skip
+
+
+def counted(number: int, thing: str) -> str:
+    """A number with its noun: "1 recording", "3 recordings"."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

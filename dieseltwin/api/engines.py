@@ -120,6 +120,9 @@ def parameter_changes(engine: Engine, other: Engine | None = None) -> list[tuple
     other = NAMED[PUBLISHED] if other is None else other
     here, there = engine.model_dump(mode="json"), other.model_dump(mode="json")
     fields = type(engine).model_fields
+    for values in (here, there):  # a learned engine's corrections are of maps, and their numbers say nothing by eye
+        terms = values.get("terms") or []
+        values["terms"] = [{"corrections": "of maps"} if "coefficients" in term else term for term in terms]
     return [(name, _in_words(value), _in_words(there.get(name)), fields[name].description or "")
             for name, value in here.items() if value != there.get(name)]
 

@@ -26,7 +26,7 @@ from dieseltwin.learning.belief import HEALTH_AT, Belief, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of, save_learned
 from dieseltwin.learning.siblings import belief_from_siblings
-from dieseltwin.notes import Note
+from dieseltwin.notes import Note, counted
 from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.discovery_words import magnitude_words
@@ -64,8 +64,8 @@ class LearnedResult(Result):
     def sentence(self) -> str:
         maps = self.table()
         learned = ", ".join(f"{point} by {row.corrected_pct:.1f} %" for point, row in maps.iterrows())
-        return (f"Learned from {self.known.minutes:.1f} minutes of {len(self.known.recordings)} recording(s); maps "
-                f"corrected: {learned or 'none'}.")  # fmt: skip
+        heard = counted(len(self.known.recordings), "recording")
+        return f"Learned from {self.known.minutes:.1f} minutes of {heard}; maps corrected: {learned or 'none'}."
 
     def table(self) -> pd.DataFrame:
         """One row a map: what was believed of its error before, the correction, how well it is known now (rms) [%]."""
@@ -214,7 +214,7 @@ def summary(learned: LearnedEngine) -> list[str]:
     """What is known, as lines of text: health, and of every map how much it was corrected, how well, and where."""
     belief = learned.belief
     std = np.sqrt(np.diag(belief.covariance))[HEALTH_AT]
-    lines = [f"learned from {learned.minutes:.1f} minutes of {len(learned.recordings)} recording(s)"]
+    lines = [f"learned from {learned.minutes:.1f} minutes of {counted(len(learned.recordings), 'recording')}"]
     lines += [
         f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)

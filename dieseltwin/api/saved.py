@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from dieseltwin.discovery.verdict.document import FILE_NAME, load_discrepancy
 from dieseltwin.errors import InputError
@@ -18,6 +17,7 @@ from dieseltwin.sealed import opened_json
 
 IDENTIFICATION = "identification.json"
 _EMPTY = "–"
+_READING = "reading"  # code of notes (`notes.Note`)
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ class Saved:
         levels: health parameters.
         effects: strongest first.
         doubts: what is doubtful, one sentence each.
+        read: what was done to the file on reading, one sentence each; nothing that need be doubted.
     """
 
     kind: str
@@ -72,6 +73,7 @@ class Saved:
     levels: tuple[Level, ...]
     effects: tuple[Effect, ...]
     doubts: tuple[str, ...]
+    read: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -149,11 +151,14 @@ def _discovered(folder: Path) -> Saved:
         for effect in document.effects
     )  # fmt: skip
     about = f"{document.recording.duration_s:.0f} s, {len(document.recording.channels)} sensors"
-    return Saved("discover", document.mismatch, about, levels, effects, _sentences(document.warnings))
+    said = [(note.code, note.text) for note in document.warnings]
+    return Saved("discover", document.mismatch, about, levels, effects, *_apart(said))
 
 
-def _sentences(doubts: Sequence[Any]) -> tuple[str, ...]:
-    return tuple(doubt.text for doubt in doubts)
+def _apart(said: Sequence[tuple[str, str]]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Doubts, and what was done on reading, of codes and texts."""
+    read = tuple(text for code, text in said if code == _READING)
+    return tuple(text for code, text in said if code != _READING), read
 
 
 def _identified(folder: Path) -> Saved:
@@ -163,11 +168,11 @@ def _identified(folder: Path) -> Saved:
         levels = tuple(_level(name, entry["mean"], entry["std"], None)
                        for name, entry in document["parameters"].items())
         about = f"method {document['method']}; segments: {len(document['segments'])}, runs: {len(document['runs'])}"
-        doubts = tuple(str(warning["text"]) for warning in document.get("warnings", ()))
+        said = [(str(warning.get("code")), str(warning["text"])) for warning in document.get("warnings", ())]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(str(path), f"{type(error).__name__} {error}", "what `dieseltwin identify` wrote",
                          "identify again") from None
-    return Saved("identify", None, about, levels, (), doubts)
+    return Saved("identify", None, about, levels, (), *_apart(said))
 
 
 def _level(name: str, value: float | None, std: float | None, before: float | None) -> Level:

@@ -40,6 +40,7 @@ from dieseltwin.app.kept import (
 from dieseltwin.app.workplace import GIGABYTE, Limits, Workplace
 from dieseltwin.atomic import atomic_path, write_json, write_text
 from dieseltwin.errors import DieselTwinError, InputError, one_line
+from dieseltwin.notes import counted
 from dieseltwin.sealed import sealed_json, sealed_text
 
 MOST_LINES = 200  # of progress
@@ -170,7 +171,7 @@ def _learn(worker: Worker) -> str:
     from dieseltwin.api.reading import diesel_recording
 
     base = worker.engine()
-    worker.stage(f"Reading {len(worker.job.recordings)} recordings")
+    worker.stage(f"Reading {counted(len(worker.job.recordings), 'recording')}")
     sources = []
     for key in worker.job.recordings:
         kept = worker.kept(key)

@@ -11,6 +11,7 @@ from dieseltwin.atomic import check_folder
 from dieseltwin.cli.early import check_there
 from dieseltwin.cli.options import ChannelsFile, ParamsFile, Profile, help_without_command, names, progress, say
 from dieseltwin.errors import InputError, Refused
+from dieseltwin.notes import counted
 
 if TYPE_CHECKING:
     from dieseltwin.settings.watch import WatchConfig
@@ -45,7 +46,7 @@ def add_command(
     """Judge recordings, add each to the history once, and say whether the engine has changed."""
     for path in recordings:
         check_there(path)
-    progress(f"{len(recordings)} recording(s) ...")
+    progress(f"{counted(len(recordings), 'recording')} ...")
     from dieseltwin.api.watch import watch
 
     settings = _settings(params, profile, alarms_per_year)

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
+from dieseltwin.discovery.likelihood.between_rows import windows_between_rows
 from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit
-from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.score import effect_responses, minimum_detectable, score, secant_sizes
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search
@@ -62,7 +63,8 @@ def prepare(
 
 def _visible_sizes(twin: EngineTwin | SeveralTwin, settings: SearchSettings) -> dict[str, float]:
     start = first_fit(twin)
-    whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
+    scatter = ModelScatter(None, windows_between_rows(twin, start.lanes()))
+    whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts, scatter)
     bare = Linearisation(twin, whitening, start)
     at = Linearisation(twin, whitening, start, None, search.tolerance_responses(twin, bare, settings))
     wanted = secant_sizes(twin, [name for name in twin.hypotheses if name not in settings.withhold])

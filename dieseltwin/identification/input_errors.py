@@ -15,17 +15,10 @@ from numpy.typing import NDArray
 from dieseltwin.engine import Inputs
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.shooting import Shooting, Simulator
-from dieseltwin.recordings.reader import FULL_HZ, RATE_TOLERANCE
+from dieseltwin.recordings.between_rows import BRIDGE, DIFFERENCE, NODES, rows_are_slow, unseen, with_nodes
 
 Array = NDArray[np.float64]
 
-_NODES = 2  # between two rows: an input that jumps early and one that jumps late act differently
-_AT = np.arange(1, _NODES + 1) / (_NODES + 1)
-_BRIDGE = 4.0 * (np.minimum.outer(_AT, _AT) - np.outer(_AT, _AT))
-"""Covariance of what an input does at the nodes beside a straight line, 1 in the middle: that of a Brownian bridge,
-which is also that of a step at any time."""
-
-_STEP = 0.1  # of a standard deviation: the EGR flow has a kink
 _STEP_S = 0.025  # of integration [s]
 _FORGOTTEN_S = 20.0  # until the turbo's speed has forgotten what an input did for a moment [s]
 _TOGETHER = 128  # simulations; the inputs of one take 300 kB
@@ -42,11 +35,11 @@ def input_errors(problem: SegmentProblem, simulator: Simulator, unknowns: Array)
     Returns:
         (M, n, C) changes of the readings [SI]; M is 0 where rows are fast enough to see the inputs move.
     """
-    rows, every = problem.inputs, _NODES + 1
-    if float(np.median(np.diff(rows.time_s))) <= RATE_TOLERANCE / FULL_HZ:
+    rows, every = problem.inputs, NODES + 1
+    if not rows_are_slow(rows.time_s):
         return np.zeros((0, *problem.measured.shape))
     time = rows.time_s
-    fine_s = np.interp(np.arange(every * (time.size - 1) + 1) / every, np.arange(time.size), time)
+    fine_s = with_nodes(time)
     columns = {name: np.interp(fine_s, time, values) for name, values in rows.columns.items()}
     before = every * rows.n_history
     nothing = np.full((fine_s.size - before, problem.measured.shape[1]), np.nan)
@@ -64,13 +57,14 @@ def input_errors(problem: SegmentProblem, simulator: Simulator, unknowns: Array)
         for first in range(apart):
             for node in range(1, every):
                 moved = values.copy()
-                moved[every * first + node :: every * apart] += _STEP * std[first::apart]
+                moved[every * first + node :: every * apart] += DIFFERENCE * std[first::apart]
                 lanes.append(driven_by({**columns, name: moved}))
     base = driven_by(columns)
     parts = [_moved((base, *lanes[k : k + _TOGETHER]), simulator, unknowns) for k in range(0, len(lanes), _TOGETHER)]
-    changes = np.concatenate(parts)[:, ::every].reshape(len(columns), apart, _NODES, *problem.measured.shape) / _STEP
+    changes = np.concatenate(parts)[:, ::every] / DIFFERENCE
+    changes = changes.reshape(len(columns), apart, NODES, *problem.measured.shape)
     single = changes[:, np.arange(time.size - 1) % apart] * own[:, None, :, None]
-    found = np.einsum("cikab,kj->cijab", single, np.linalg.cholesky(_BRIDGE))
+    found = np.einsum("cikab,kj->cijab", single, np.linalg.cholesky(BRIDGE))
     return np.asarray(found.reshape(-1, *problem.measured.shape))
 
 
@@ -79,21 +73,3 @@ def _moved(problems: tuple[SegmentProblem, ...], simulator: Simulator, unknowns:
     lanes = np.broadcast_to(unknowns, (len(problems), unknowns.size))
     measured = Shooting(problems, simulator, _STEP_S).simulate(np.arange(len(problems)), lanes).measured
     return np.asarray(measured[1:] - measured[0])
-
-
-def unseen(values: Array) -> Array:
-    """How far a channel may be from a straight line in the middle between two rows, (n - 1,) standard deviations.
-
-    It bends there as it does at the two rows. How much of that, the channel says itself: each row is foretold by the
-    same rule from every second row.
-
-    Args:
-        values: (n,) the channel.
-    """
-    bend = np.zeros(values.size)
-    bend[1:-1] = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    wide = np.zeros(values.size)
-    wide[2:-2] = values[2:-2] - 0.5 * (values[:-4] + values[4:])
-    foretold = 0.5 * float((wide[2:-4] ** 2 + wide[4:-2] ** 2).sum())
-    share = float((bend[3:-3] ** 2).sum()) / foretold if foretold > 0.0 else 1.0
-    return np.asarray(np.sqrt(0.5 * min(share, 1.0) * (bend[:-1] ** 2 + bend[1:] ** 2)))

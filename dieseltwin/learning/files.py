@@ -28,6 +28,7 @@ from dieseltwin.engine.learned_file import LEARN_AGAIN, LEARNED, SHA256, WITHOUT
 from dieseltwin.engine.terms import CorrectionTerm
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief
+from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.sealed import sealed_text
@@ -90,7 +91,7 @@ def save_learned(learned: LearnedEngine, path: Path) -> Path:
     values: dict[str, Any] = learned.engine.model_dump(mode="json")
     values["terms"] = [term.model_dump(mode="json") for term in learned.base.terms]
     values |= {LEARNED: target.name, SHA256: hashlib.sha256(content).hexdigest()}
-    minutes = f"{learned.minutes:.0f} minutes of {len(learned.recordings)} recording(s)"
+    minutes = f"{learned.minutes:.0f} minutes of {counted(len(learned.recordings), 'recording')}"
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
     heading = f"# Learned by `dieseltwin learn` from {minutes}; --engine accepts it.\n"
     write_text(path, sealed_text(heading + text))

@@ -43,7 +43,8 @@ RATE_TOLERANCE = 1.15  # time stamps jitter, and a logger that says 5 Hz gives 4
 CRANKING_RPM = 300.0  # the engine is not running below this speed
 SLOW_ROWS = (
     "what happens between them is unknown. Dead times, lags and play of actuators are out of reach, quick transients "
-    "count as noise, and intervals widen with the root of the rate and by what the inputs may have done (`classical`)"
+    "count as noise, and intervals widen with the root of the rate and by what the inputs may have done (`classical`, "
+    "`discover`)"
 )
 LONGEST_S = 1e6  # eleven days; longer ones are in milliseconds
 MOST_ROWS = 6_000_000  # of a table; with more, memory for the columns and their text runs out on small machines

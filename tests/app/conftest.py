@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 
+import pandas as pd
 import pytest
 from fastapi.testclient import TestClient
 
@@ -22,13 +23,16 @@ FOREIGN = {
 }  # fmt: skip
 
 
+def logged(table: pd.DataFrame, decimal: str = ",") -> bytes:
+    """What a German logger would have written: other names, other units, semicolons, a name full of HTML."""
+    foreign = table.assign(p_im_pa=table.p_im_pa / 1e3, p_em_pa=table.p_em_pa / 1e3, t_em_k=table.t_em_k - 273.15)
+    return foreign.rename(columns=FOREIGN).to_csv(index=False, sep=";", decimal=decimal).encode()
+
+
 @pytest.fixture(scope="session")
-def logger_csv(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """What a German logger would have written of 65 s: other names, other units, semicolons, a name full of HTML."""
-    table = drive(65.0)
-    table[["p_im_pa", "p_em_pa"]] /= 1e3
-    table["t_em_k"] -= 273.15
-    return table.rename(columns=FOREIGN).to_csv(index=False, sep=";").encode()
+def logger_csv() -> bytes:
+    """65 s of it."""
+    return logged(drive(65.0), ".")
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,9 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests.api.simulated import drive
+from tests.app.conftest import logged
+
 playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright")
 CHROMIUM = Path("/usr/bin/chromium")
 pytestmark = pytest.mark.skipif(not CHROMIUM.is_file(), reason=f"no browser at {CHROMIUM}")
@@ -129,6 +132,50 @@ def test_from_drop_to_verdict(server: Server, browser: playwright.Browser, logge
     page.close()
     assert not foreign  # it works offline
     assert problems == []
+
+
+def test_an_engine_is_learned_and_judges_by_keyboard_and_on_a_phone(
+    server: Server, browser: playwright.Browser, tmp_path: Path
+) -> None:
+    page = browser.new_page(viewport={"width": 390, "height": 800})
+    page.set_default_timeout(SLOW_MS)
+    (tmp_path / "well.csv").write_bytes(logged(drive(65.0, seed=6)))
+    page.goto(server.url)
+    page.set_input_files("#file", tmp_path / "well.csv")
+    page.click("#drop button")
+    page.wait_for_selector("#map-title")
+
+    page.get_by_role("link", name="Engines").first.focus()
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#learn-title")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.get_by_role("checkbox", name="well.csv").focus()
+    page.keyboard.press("Space")
+    page.focus("#name")
+    page.keyboard.type("truck 7")
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/jobs/*")
+    page.wait_for_selector(".verdict")
+    assert page.inner_text(".verdict").startswith("Learned from 1.1 minutes of 1 recording;")
+    page.click("text=Open the kept engine")
+    page.wait_for_selector("text=What was learned")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert "corrections of maps" in page.inner_text("#file-title ~ .scroll")
+
+    # it can be chosen, and judges
+    page.click("#history-title ~ p a")
+    page.click("text=well.csv")
+    page.check("[value=identify]")
+    page.select_option("#engine", label="truck 7 (learned)")
+    page.click("text=Start")
+    page.wait_for_selector(".verdict")
+    assert "missing" not in str(page.get_attribute(".verdict", "class"))  # a decimal comma is no doubt
+    assert "decimal comma" in page.inner_text("#health-title ~ p")
+    page.click("nav >> text=Engines")
+    page.click("text=truck 7")
+    page.wait_for_selector("#history-title ~ table")
+    assert "well.csv" in page.inner_text("#history-title ~ table")
+    page.close()
 
 
 def test_a_killed_server_says_what_it_interrupted(server: Server, browser: playwright.Browser) -> None:

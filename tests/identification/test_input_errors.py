@@ -10,7 +10,7 @@ import pytest
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.identification.identify import identify_segments
-from dieseltwin.identification.input_errors import input_errors, unseen
+from dieseltwin.identification.input_errors import input_errors
 from dieseltwin.identification.problem import SegmentProblem, problems_from_recording
 from dieseltwin.identification.shooting import exact_engine
 from dieseltwin.recordings.reader import recording
@@ -25,21 +25,6 @@ def slow(fast: SegmentProblem, every: int) -> SegmentProblem:
     columns = {name: values[rows.n_history :: every] for name, values in rows.columns.items()}
     inputs = Inputs(rows.segment_time_s[::every], **columns)
     return replace(fast, inputs=inputs, measured=fast.measured[::every])
-
-
-def test_a_straight_line_hides_nothing_and_a_step_half_of_its_size_in_all() -> None:
-    np.testing.assert_allclose(unseen(np.arange(20.0)), 0.0, atol=1e-12)
-    jump = np.repeat([0.0, 1.0], 10)
-    found = unseen(jump)
-    assert np.sum(found**2) == pytest.approx(0.5**2) and found.argmax() == 9 and not found[:8].any()
-
-
-def test_the_channel_itself_says_how_much_lies_between_its_rows() -> None:
-    time = np.arange(400.0)
-    smooth, rough = np.sin(0.1 * time), np.random.default_rng(5).standard_normal(400)
-    middle = np.sin(0.1 * (time[:-1] + 0.5)) - 0.5 * (smooth[:-1] + smooth[1:])
-    assert unseen(smooth).std() < 2.0 * middle.std()
-    assert np.sqrt(np.mean(unseen(rough) ** 2)) == pytest.approx(np.sqrt(1.5), rel=0.2)
 
 
 def test_fast_rows_leave_nothing_open_and_slow_ones_widen_the_intervals(simulated: Make, drive: Drive) -> None:

@@ -67,6 +67,7 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
     losses of a shaft; dead time, lag and play of each actuator, which no function of the moment comes near; offset and
     gain per sensor."""
     variables = {**twin.variables(fit.lanes()), "time_s": twin.time_s}
+    kinds = getattr(twin, "law_kinds", None)
     found = []
     for index, point in enumerate(twin.points):
         found.append(Feature(index, "constant", np.ones(twin.time_s.size), point.site, form=Form(point.name)))
@@ -87,6 +88,8 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                     found += _of_form(index, f"{port}^{power:g}", form, point.site, variables)
         if point.unit == "%" and point.name in variables:
             for factor in operators(point.name, point.unit, point.relative):
+                if kinds is not None and factor.kind not in kinds:
+                    continue
                 form = Form(point.name, (factor,), 1.0)
                 text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
                 effect = getattr(twin, "command_operators", {}).get((factor.kind, point.name))

@@ -9,6 +9,7 @@ constant that all hypotheses share.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,30 +23,66 @@ _LOCAL_PRIOR = 1.0  # of a state's scale: weak, only holds states that no readin
 
 
 @dataclass(frozen=True)
+class ModelScatter:
+    """What readings scatter by beside the noise of their sensors.
+
+    Attributes:
+        readings: (n, C) variance of each reading, uncorrelated; None for nothing.
+        windows: of each window of r rows the covariance (r C, r C) of its readings, row by row; none for nothing.
+    """
+
+    readings: Array | None = None
+    windows: tuple[Array, ...] = ()
+
+
+@dataclass(frozen=True)
 class Whitening:
     """Rows of readings -> independent unit variance.
 
     Attributes:
         present: (n, C) readings that exist.
         previous: (n, C) 0 where the sample before is missing or in another window, else rho.
-        scale: (n, C) factor of each whitened row, 0 where there is no reading.
+        scale: (n, C) factor of each row behind that, 0 where there is no reading.
+        lower: of each window its readings, row by row, and the lower triangular matrix (r C, r C) that makes
+            independent what the model's scatter ties together; none where nothing does.
     """
 
     present: np.ndarray
     previous: Array
     scale: Array
+    lower: tuple[tuple[slice, Array], ...] = ()
 
     @classmethod
-    def of(cls, measured: Array, noise: Noise, starts: np.ndarray, more: Array | None = None) -> Whitening:
-        """Of readings (n, C) with their noise; `more`: further variance of each reading (n, C), uncorrelated."""
+    def of(cls, measured: Array, noise: Noise, starts: np.ndarray, scatter: ModelScatter | None = None) -> Whitening:
+        """Of readings (n, C) with their noise and what they scatter by beside it."""
+        scatter = scatter or ModelScatter()
         present = np.isfinite(measured)
         linked = np.zeros_like(present)
         linked[1:] = present[1:] & present[:-1]
         linked[starts] = False
         previous = np.where(linked, noise.rho, 0.0)
-        variance = noise.sigma**2 * (1.0 - previous**2) + (0.0 if more is None else more)
+        variance = noise.sigma**2 * (1.0 - previous**2) + (0.0 if scatter.readings is None else scatter.readings)
         scale = np.where(present, 1.0 / np.sqrt(variance), 0.0)
-        return cls(present, previous, scale)
+        apart = cls(present, previous, scale)
+        if not scatter.windows:
+            return apart
+        lower = []
+        for block, spread in apart.whitened(starts, scatter.windows):
+            factor = cholesky(np.eye(len(spread)) + spread, lower=True)
+            lower.append((block, solve_triangular(factor, np.eye(len(spread)), lower=True)))
+        return cls(present, previous, scale, tuple(lower))
+
+    def whitened(self, starts: np.ndarray, windows: Sequence[Array]) -> Iterator[tuple[slice, Array]]:
+        """Which readings each window holds, row by row, and its covariance (r C, r C) behind the noise's whitening."""
+        channels = self.present.shape[1]
+        for start, covariance in zip(starts.tolist(), windows, strict=True):
+            size = len(covariance)
+            block = slice(start * channels, start * channels + size)
+            behind = np.eye(size)  # what `apply` does to these readings without `lower`
+            later = np.arange(channels, size)
+            behind[later, later - channels] = -self.previous.reshape(-1)[block][channels:]
+            behind *= self.scale.reshape(-1)[block][:, None] * self.present.reshape(-1)[block]
+            yield block, behind @ covariance @ behind.T
 
     def apply(self, values: Array) -> Array:
         """(..., n, C) -> (..., n * C)."""
@@ -53,11 +90,17 @@ class Whitening:
         out = values.copy()
         out[..., 1:, :] -= self.previous[1:] * values[..., :-1, :]
         out *= self.scale
-        return out.reshape(*out.shape[:-2], out.shape[-2] * out.shape[-1])
+        out = out.reshape(*out.shape[:-2], out.shape[-2] * out.shape[-1])
+        for block, lower in self.lower:
+            out[..., block] = out[..., block] @ lower.T
+        return out
 
     def log_normaliser(self, present: np.ndarray) -> float:
-        """Log of what normalises the Gaussian density of some readings, (n, C) True."""
-        return float(-np.log(self.scale[present]).sum() + 0.5 * np.log(2 * np.pi) * present.sum())
+        """Log of what normalises the Gaussian density of some readings, (n, C) True: of whole windows."""
+        scale = self.scale.copy()
+        for block, lower in self.lower:
+            scale.reshape(-1)[block] *= np.diag(lower)
+        return float(-np.log(scale[present]).sum() + 0.5 * np.log(2 * np.pi) * present.sum())
 
 
 class Metric:

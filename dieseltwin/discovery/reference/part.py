@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dieseltwin.discovery.likelihood.between_rows import noise_beside
 from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
-from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import secant_sizes
 from dieseltwin.discovery.search.preparation import split_growing
@@ -65,7 +66,9 @@ class Part:
         start = split_growing(rough) or rough.fit
         self.local = start.local
         self.health = rough.fit.parameters
-        self.whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
+        lanes = single(self.health, self.local)
+        self._scatter = ModelScatter(None, twin.covariance_between_rows(lanes))
+        self.whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts, self._scatter)
         self.left_out = np.zeros(twin.starts.size, dtype=bool)
 
     @property
@@ -75,8 +78,10 @@ class Part:
 
     def whiten_anew(self, explained: Array) -> None:
         """Estimate the noise from what a model leaves; explained (n, C)."""
-        measured = self.twin.measured
-        self.whitening = Whitening.of(measured, estimate_noise(measured, explained=explained), self.twin.starts)
+        measured, starts = self.twin.measured, self.twin.starts
+        noise = estimate_noise(measured, explained=explained)
+        noise = noise_beside(noise, measured - explained, starts, self._scatter.windows)
+        self.whitening = Whitening.of(measured, noise, starts, self._scatter)
 
     def leave_out(self, windows: np.ndarray) -> None:
         """Use some windows (W,) no longer."""

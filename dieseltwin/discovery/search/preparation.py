@@ -9,7 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.circumstances import circumstance_nuisances, clock_scatter
+from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_of, widened
+from dieseltwin.discovery.likelihood.circumstances import circumstance_nuisances
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import (
@@ -20,7 +21,7 @@ from dieseltwin.discovery.likelihood.learned import (
     loadings_of,
     rebased_learned,
 )
-from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.nuisance import (
     Nuisance,
     Rebased,
@@ -53,10 +54,11 @@ def prepare(twin: Twin, settings: SearchSettings) -> Search:
     if start is not None:
         whitening = _whitening(twin, noise)
         rough = fit_fully(twin, whitening, start, rounds=5)
+    scatter = scatter_of(rough)
     if not isinstance(twin, KnownErrors):
         # correlation can only be told once the signal is explained; only the fast part of the misfit is used
         noise = estimate_noise(twin.measured, explained=rough.simulated)
-    scatter = clock_scatter(rough)
+        noise = noise_beside(noise, rough.residual, twin.starts, scatter.windows)
     whitening = _whitening(twin, noise, scatter)
     nuisances = tolerances(twin, rough, settings)
     nuisance = nuisance_responses(twin, rough.fit.lanes(), rough.simulated, nuisances)
@@ -65,14 +67,20 @@ def prepare(twin: Twin, settings: SearchSettings) -> Search:
         twin.measured[rows_of(twin, crooked)] = np.nan
         whitening = _whitening(twin, noise, scatter)
     null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance, loadings=loadings_of(nuisances)))
+    if scatter.windows:
+        scatter, beyond = widened(null, noise, scatter)
+        crooked |= beyond
+        twin.measured[rows_of(twin, crooked)] = np.nan
+        whitening = _whitening(twin, noise, scatter)
+        null = settle_local(fit_fully(twin, whitening, null.fit, nuisance, loadings=loadings_of(nuisances)))
     found = _scored(null, noise, settings)
     found.left_out, found.nuisances, found.scatter = crooked, nuisances, scatter
     found.seconds["prepare"] = time.perf_counter() - clock
     return found
 
 
-def _whitening(twin: Twin, noise: Noise, scatter: Array | None = None) -> Whitening:
-    """Whitening by what a calibration knows of each sample, else by stationary noise and further scatter (n, C)."""
+def _whitening(twin: Twin, noise: Noise, scatter: ModelScatter | None = None) -> Whitening:
+    """Whitening by what a calibration knows of each sample, else by stationary noise and further scatter."""
     if isinstance(twin, KnownErrors):
         return twin.whitening()
     return Whitening.of(twin.measured, noise, twin.starts, scatter)

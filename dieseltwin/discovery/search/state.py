@@ -11,11 +11,11 @@ from scipy.special import logsumexp
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
-from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.likelihood.score import Chance, Scored
 from dieseltwin.discovery.search.variants import Variant
-from dieseltwin.discovery.twins.interface import Array, Twin
+from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.recordings.noise import Noise
 from dieseltwin.settings.search import SearchSettings
 
@@ -55,7 +55,7 @@ class Search:
     law: Law | None = None
     refused: str = ""
     nuisances: list[Nuisance] = field(default_factory=list)
-    scatter: Array | None = None
+    scatter: ModelScatter | None = None
     left_out: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     seconds: dict[str, float] = field(default_factory=dict)
     stage: str = ""

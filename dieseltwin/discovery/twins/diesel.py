@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from dieseltwin.discovery.twins.diesel_between import covariance_between_rows
 from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, signals_of_lane
-from dieseltwin.discovery.twins.diesel_points import POINT_FACTS, hypotheses_of
+from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, OPERATORS, POINT_FACTS, hypotheses_of
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.diesel_variables import variables_along
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
@@ -39,6 +40,7 @@ from dieseltwin.engine.terms import (
 )
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief
+from dieseltwin.recordings.between_rows import rows_are_slow
 from dieseltwin.recordings.channels import optional_inputs
 from dieseltwin.recordings.held import between_readings
 from dieseltwin.recordings.noise import cut_offs
@@ -80,11 +82,8 @@ class EngineTwin:
         InputError: no sensor, or no stretch with the engine running.
     """
 
-    law_kinds = (
-        "power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "bump", "lag", "dead_time",
-        "play",
-    )  # fmt: skip
-    """Factors of laws that an engine file can carry (`engine.terms.LawTerm`), and operators of actuators and gas."""
+    law_kinds: tuple[str, ...] = (*LAW_KINDS, *OPERATORS)
+    """Factors of laws that may be found."""
 
     command_operators: Mapping[tuple[str, str], str] = {
         (e.enters.operator, f"u_{e.enters.name}"): e.name for e in EFFECTS.values() if e.enters.through == "command"
@@ -155,7 +154,9 @@ class EngineTwin:
                   map_tolerance if facts.over else 0.0, facts.over, facts.also)
             for name, facts in ((name, POINT_FACTS[name]) for name in POINTS)
         )  # fmt: skip
-        self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels, further)
+        slow = rows_are_slow(self.time_s)
+        self.law_kinds = LAW_KINDS if slow else self.law_kinds
+        self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels, further, slow)
         self._driven = {name: Term(effect=name, magnitude=0.0).factor(self.time_s, 0.0, inputs)
                         for name in self.hypotheses if EFFECTS[name].follows is not None}  # fmt: skip
         self._known = known_terms(self.engine.terms, self.recording_time_s, inputs)
@@ -179,12 +180,12 @@ class EngineTwin:
 
     def _choose_steps(self) -> None:
         """Steps, and the actuators without effects on them."""
-        self._step_s: float | Array = self.step_s
+        self.steps_s: float | Array = self.step_s
         self._late, self._plain = 1.0, self._even
         if self._even_steps:
             return
-        self._step_s, self._late = step_lengths(self._stiffness, self.starts), LATE
-        self._plain = actuate_lanes(self.inputs, self.engine, {}, 1, None, self._step_s)
+        self.steps_s, self._late = step_lengths(self._stiffness, self.starts), LATE
+        self._plain = actuate_lanes(self.inputs, self.engine, {}, 1, None, self.steps_s)
 
     def _begin(self) -> None:
         """Readings without the first moments of each window, and the states at the windows' starts."""
@@ -253,18 +254,17 @@ class EngineTwin:
 
     def simulate(self, lanes: Lanes) -> Array:
         """Readings of the used channels without noise, (B, n, C)."""
-        return self._simulate_signals(self._with_own_laws(lanes))[0]
+        return self._simulate_signals(self.with_own_laws(lanes))[0]
 
     def simulate_all(self, lanes: Lanes) -> Array:
         """All columns of `MEASURED` without sensor effects, (B, n, C)."""
-        return self._simulate_signals(self._with_own_laws(lanes))[1].measured
+        return self._simulate_signals(self.with_own_laws(lanes))[1].measured
 
-    def _with_own_laws(self, lanes: Lanes) -> Lanes:
+    def with_own_laws(self, lanes: Lanes) -> Lanes:
         """The engine's own laws as signals, settled along lane 0 (Picard) and shared by all lanes."""
         if not self._laws:
             return lanes
-        one = lane_of(lanes, 0)
-        start_s, conditions = float(self.recording_time_s[0]), dict(self.conditions)
+        one, start_s, conditions = lane_of(lanes, 0), float(self.recording_time_s[0]), dict(self.conditions)
 
         def answer(signals: dict[str, Array]) -> dict[str, Array]:
             entered = replace(one, signals=joined(one.signals, signals))
@@ -286,8 +286,7 @@ class EngineTwin:
 
     def _shown(self, result: Observations, lanes: Lanes) -> Array:
         """What the sensors show of a simulation on average, their effects and cut-off noise included, (B, n, C)."""
-        combined, schedules = self._combined(lanes)
-        shown = apply_sensor_effects(result.measured[..., self._at], self.time_s, combined, schedules, self.channels)
+        shown = apply_sensor_effects(result.measured[..., self._at], self.time_s, *self.combined(lanes), self.channels)
         for j, cut in self._cut_offs.items():
             shown[..., j] = cut.expected(shown[..., j])
         return shown
@@ -305,8 +304,8 @@ class EngineTwin:
         other = copy(self)
         longer = np.diff(inputs.time_s) / np.diff(self.time_s)
         other.inputs, other.time_s, other._memory = inputs.clipped(self.engine), inputs.time_s, Memory()
-        other._step_s = longer * self._step_s
-        other._plain = actuate_lanes(other.inputs, self.engine, {}, 1, None, other._step_s)
+        other.steps_s = longer * self.steps_s
+        other._plain = actuate_lanes(other.inputs, self.engine, {}, 1, None, other.steps_s)
         other._law_signals = dict(self._law_signals)
         return other
 
@@ -319,12 +318,12 @@ class EngineTwin:
         return other
 
     def _integrate(self, lanes: Lanes, constants: Mapping[str, Array] | None = None,
-                   actuation: list[Actuation] | None = None) -> Observations:  # fmt: skip
+                   drive: list[Actuation] | None = None) -> Observations:  # fmt: skip
         size, n = lanes.size, self.time_s.size
         columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
         batch = parameter_batch(self.engine, **columns, **dict[str, Any](constants or {}))
         magnitudes = np.zeros((len(STATE_EFFECTS), size))
-        combined, schedules = self._combined(lanes)
+        combined, schedules = self.combined(lanes)
         own = any(values.ndim > 1 for values in schedules.values())  # a schedule per lane
         schedule = np.ones((size if own else 1, len(STATE_EFFECTS), n))
         for j, name in enumerate(STATE_EFFECTS):
@@ -336,22 +335,27 @@ class EngineTwin:
             signals = np.zeros((len(POINTS), n))
             for name, values in lanes.signals.items():
                 signals[POINTS.index(name)] = values
-        actuation = actuation or self._actuations(combined, schedules)
+        drive = drive or self._actuations(combined, schedules)
         extension = Extension(
             magnitudes, None, signals, lanes.lane_points, lanes.lane_signals, self.starts, None,
             schedule, np.arange(size) if own else np.zeros(size, dtype=np.int64), self.corrections,
         )  # fmt: skip
-        initial = self.initial(lanes.local)
-        return simulate_extended(actuation or self._plain[0], batch, extension, initial, late=self._late)
+        return simulate_extended(drive or self._plain[0], batch, extension, self.initial(lanes.local), late=self._late)
+
+    def driven(self, lanes: Lanes, actuations: list[Actuation], constants: Mapping[str, Array] | None = None) -> Array:
+        """Readings (B, n, C) of lanes that have actuators of their own, and constants of the engine (B,)."""
+        return self._shown(self._integrate(lanes, constants, actuations), lanes)
+
+    def covariance_between_rows(self, lanes: Lanes) -> tuple[Array, ...]:
+        """`likelihood.between_rows.WithOpenInputs`."""
+        return covariance_between_rows(self, lanes)
 
     def _actuations(self, combined: Mapping[str, Array], schedules: Mapping[str, Array]) -> list[Actuation] | None:
         """Of every lane where an effect acts on a command; None where none does."""
-        moving = {name: combined[name] for name in ACTUATION_EFFECTS if name in combined and np.any(combined[name])}
-        if not moving:
-            return None
-        return lane_actuations(self.inputs, self.engine, moving, schedules, self._plain, self._step_s)
+        moved = {name: combined[name] for name in ACTUATION_EFFECTS if name in combined and np.any(combined[name])}
+        return lane_actuations(self.inputs, self.engine, moved, schedules, self._plain, self.steps_s) if moved else None
 
-    def _combined(self, lanes: Lanes) -> tuple[dict[str, Array], dict[str, Array]]:
+    def combined(self, lanes: Lanes) -> tuple[dict[str, Array], dict[str, Array]]:
         """Magnitudes and schedules of the lanes together with the engine's own terms."""
         magnitudes = {name: np.asarray(value, dtype=np.float64) for name, value in lanes.magnitudes.items()}
         schedules = dict(lanes.schedules)
@@ -368,19 +372,17 @@ class EngineTwin:
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Variables of ports and tolerances along the trajectory of lane 0, name -> (n,) [SI, %, mg/cycle, rpm]."""
-        one = self._with_own_laws(lane_of(lanes, 0))
-        return self._variables(self._simulate_signals(one)[1], 0, one)
+        return self.trajectories(lane_of(lanes, 0))[1][0]
 
     def trajectories(self, lanes: Lanes) -> tuple[Array, list[dict[str, Array]]]:
         """Readings (B, n, C), and `variables` of every lane, by one simulation."""
-        lanes = self._with_own_laws(lanes)
+        lanes = self.with_own_laws(lanes)
         measured, result = self._simulate_signals(lanes)
         return measured, [self._variables(result, b, lane_of(lanes, b)) for b in range(lanes.size)]
 
     def _variables(self, result: object, b: int, one: Lanes) -> dict[str, Array]:
         """Of lane `b` of a result; where a signal enters a quantity, `<name>:before` is it without its own signal."""
-        moved = self._actuations(*self._combined(one))
-        actuation = moved[0] if moved else self._plain[0]
+        actuation = (self._actuations(*self.combined(one)) or self._plain)[0]
         engine = self.engine_of(one)
         if self._laws:  # they are among the signals
             coefficients, terms = corrections_in(engine.terms), effect_terms(engine.terms)
@@ -392,8 +394,6 @@ class EngineTwin:
     def engine_of(self, lanes: Lanes) -> EngineParameters:
         """The engine of lane 0: health parameters and constant effects as terms (schedules aside)."""
         values = {p.name: float(lanes.parameters[0, j]) for j, p in enumerate(self.parameters)}
-        terms = list(self.engine.terms)
-        for name, magnitude in lanes.magnitudes.items():
-            if magnitude[0] != 0.0:
-                terms.append(Term(effect=name, magnitude=float(np.clip(magnitude[0], *EFFECTS[name].limits))))
-        return self.engine.replace(**values, terms=tuple(terms))
+        more = [Term(effect=name, magnitude=float(np.clip(size[0], *EFFECTS[name].limits)))
+                for name, size in lanes.magnitudes.items() if size[0] != 0.0]  # fmt: skip
+        return self.engine.replace(**values, terms=(*self.engine.terms, *more))

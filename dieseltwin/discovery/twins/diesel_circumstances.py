@@ -131,18 +131,17 @@ class LoggedTwin(EngineTwin):
 
     def _run_with(self, lanes: Lanes, names: Sequence[str]) -> Array:
         """Responses to circumstances that act on the engine, a lane each behind one as it is."""
-        lanes = self._with_own_laws(lanes)
+        lanes = self.with_own_laws(lanes)
         many = some_lanes(lanes, np.zeros(1 + len(names), dtype=np.int64))
         steps = np.array([_STEPS[kind or name] for name, kind in ((name, name.rpartition(":")[0]) for name in names)])
         constants = {
             key: getattr(self.engine, key) + np.array([0.0, *(steps * [name == column for name in names])])
             for column, key in _CONSTANT.items()
         }
-        combined, schedules = self._combined(lanes)
+        combined, schedules = self.combined(lanes)
         moves = [("", 0.0), *zip(names, steps, strict=True)]
         actuations = [self._actuation_with(name, step, combined, schedules) for name, step in moves]
-        result = self._integrate(many, constants, actuations)
-        seen = self._shown(result, many)
+        seen = self.driven(many, actuations, constants)
         return np.asarray((seen[1:] - seen[0]) / steps[:, None, None])
 
     def _actuation_with(
@@ -164,4 +163,4 @@ class LoggedTwin(EngineTwin):
             }
             inputs = replace(inputs, **earlier)
         own = {key: values for key, values in schedules.items() if key in moving}
-        return actuate_lanes(inputs, self.engine, moving, 1, own, self._step_s)[0]
+        return actuate_lanes(inputs, self.engine, moving, 1, own, self.steps_s)[0]

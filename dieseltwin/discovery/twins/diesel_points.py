@@ -7,7 +7,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from dieseltwin.discovery.twins.interface import Hypothesis
-from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
+
+LAW_KINDS = ("power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "bump")
+"""Factors of laws that an engine file can carry (`engine.terms.LawTerm`)."""
+
+OPERATORS = ("lag", "dead_time", "play")
+"""Operators of laws, of actuators and gas: no slow rows show them."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +53,18 @@ POINT_FACTS: dict[str, PointFacts] = {
 """By the names of `engine.quantities.POINTS`."""
 
 
-def hypotheses_of(channels: Sequence[str], further: Collection[str] = ()) -> dict[str, Hypothesis]:
-    """The effects that may explain a recording with these sensors and further inputs, by name."""
+def hypotheses_of(
+    channels: Sequence[str], further: Collection[str] = (), slow_rows: bool = False
+) -> dict[str, Hypothesis]:
+    """The effects that may explain a recording with these sensors and further inputs, by name.
+
+    Slow rows don't say what the inputs did in between, so that lags, dead times and play of them are out of reach.
+    """
     return {
         e.name: Hypothesis(
             e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with
         )
         for e in EFFECTS.values()
         if (e.enters.through != "reading" or e.enters.name in channels) and set(e.needs) <= set(further)
+        and not (slow_rows and e.name in ACTUATION_EFFECTS)
     }

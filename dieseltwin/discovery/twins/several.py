@@ -78,7 +78,6 @@ class SeveralTwin:
         InputError: fewer than two recordings, or other channels in one of them.
     """
 
-    law_kinds = EngineTwin.law_kinds
     command_operators = EngineTwin.command_operators
     own_schedules = EngineTwin.own_schedules
     law_variables = EngineTwin.law_variables
@@ -95,6 +94,7 @@ class SeveralTwin:
                                  "name sensors that all recordings have")  # fmt: skip
         self.parts, self.occasions = tuple(parts), tuple(occasions)
         self.channels, self.states, self.state_scales = first.channels, first.states, first.state_scales
+        self.law_kinds = min((part.law_kinds for part in parts), key=len)  # slow rows of one recording show less
         self.points: tuple[Point, ...] = first.points
         self.belief = first.belief
         self.parameters = tuple(
@@ -242,6 +242,16 @@ class SeveralTwin:
         other.measured = self.measured - self.moved + moved
         return other
 
+    def covariance_between_rows(self, lanes: Lanes) -> tuple[Array, ...]:
+        """`likelihood.between_rows.WithOpenInputs`, of all windows where the rows of any recording are slow."""
+        found = [part.covariance_between_rows(self._lanes_of(r, lanes)) for r, part in enumerate(self.parts)]
+        if not any(found):
+            return ()
+        sizes = [np.diff(np.append(part.starts, part.time_s.size)) * len(self.channels) for part in self.parts]
+        return tuple(
+            covariance for own, size in zip(found, sizes, strict=True)
+            for covariance in own or [np.zeros((count, count)) for count in size]
+        )  # fmt: skip
 
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> SeveralTwin:
         """The twin under other circumstances, as `LoggedTwin.under`; recordings in which nothing changes stay."""

@@ -17,6 +17,8 @@ _SPN = re.compile(r"\bspn[ :#-]*(\d{2,6})\b", re.IGNORECASE)
 _BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]")
 _PART = re.compile(r"<([A-Z_]+)>")
 LATER_SPN = 0.03  # of the score for each number that stands before it
+COMMANDS = ("u_delta_mg", "u_egr_pct", "u_vgt_pct")  # what a control unit wants of these it nearly gets
+WANTED_ONLY = 0.65  # of the score, where only what was wanted is recorded
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class Meaning:
         says: (pattern over the words, score 0 to 1).
         rules_out: pattern over the words.
         spns: numbers of J1939 that are this, best first.
+        commanded: words of a wanted value.
     """
 
     name: str
@@ -38,6 +41,7 @@ class Meaning:
     says: tuple[tuple[re.Pattern[str], float], ...]
     rules_out: re.Pattern[str]
     spns: tuple[int, ...]
+    commanded: re.Pattern[str]
 
     def score(self, name: str, words: str, spn: int | None) -> float:
         """How clearly a channel's number or name says this, 0 to 1."""
@@ -45,9 +49,15 @@ class Meaning:
             return 1.0 - LATER_SPN * self.spns.index(spn) if spn in self.spns else 0.0
         if name == self.column:
             return 1.0
+        if self.wanted(words):
+            return WANTED_ONLY * self.score(name, self.commanded.sub("cmd", words), None)
         if self.rules_out.search(words):
             return 0.0
         return max((score for pattern, score in self.says if pattern.search(words)), default=0.0)
+
+    def wanted(self, words: str) -> bool:
+        """Whether the name is of a wanted value that may stand for what was given."""
+        return self.column in COMMANDS and self.commanded.search(words) is not None
 
     def unread(self, words: str, plain: re.Pattern[str]) -> list[str]:
         """Words that no pattern of this meaning takes in and that aren't plain: it may be another thing."""
@@ -86,6 +96,7 @@ def vocabulary() -> Vocabulary:
             tuple((pattern(each), float(score)) for score, patterns in entry["says"].items() for each in patterns),
             pattern(entry["rules_out"]),
             tuple(entry.get("spns", ())),
+            re.compile(content["commanded"]),
         )
         for name, entry in content["meanings"].items()
     )

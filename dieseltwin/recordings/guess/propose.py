@@ -215,7 +215,9 @@ def _warned(candidate: Candidate, fact: Facts, candidates: Sequence[Candidate], 
     if doubts:
         reading = reading.with_warning(f"the name could also mean {doubts[0].meaning.name}")
     unread = candidate.meaning.unread(words_of(fact.name), vocabulary().plain)
-    if unread and spn_of(fact.name, fact.spn) is None and fact.name != candidate.column:
+    if candidate.meaning.wanted(words_of(fact.name)):
+        reading = reading.with_warning("a wanted value, as no channel says what was given: check that it follows")
+    elif unread and spn_of(fact.name, fact.spn) is None and fact.name != candidate.column:
         reading = reading.with_warning(f"nothing is known of {listed(unread)} in the name: check")
     if candidate.score < 0.7 and not reading.warnings:
         reading = reading.with_warning("the name says little: check")

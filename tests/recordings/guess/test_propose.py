@@ -14,8 +14,8 @@ from foreign_later import LATER
 from dieseltwin.cli.app import main
 from dieseltwin.recordings.channels import channel_map
 from dieseltwin.recordings.guess.facts import clock_of, facts_of, signals_of
-from dieseltwin.recordings.guess.names import words_of
-from dieseltwin.recordings.guess.propose import Proposal, propose
+from dieseltwin.recordings.guess.names import vocabulary, words_of
+from dieseltwin.recordings.guess.propose import LEAST_SCORE, Proposal, propose
 from dieseltwin.recordings.guess.units import understood
 from dieseltwin.recordings.guess.words import map_text
 from dieseltwin.recordings.importers.read import read_raw
@@ -197,3 +197,11 @@ def test_nothing_is_written_for_a_file_that_cannot_be_read(tmp_path, capsys):
     assert not (tmp_path / "map.yaml").exists()
     assert main(["channels", str(tmp_path / "drive.csv"), "--out", str(tmp_path / "map.txt")]) == 2
     assert "\n" not in capsys.readouterr().err.strip().split("\n")[0]
+
+
+def test_a_wanted_position_stands_in_where_none_was_read_and_behind_one_that_was() -> None:
+    vgt = next(meaning for meaning in vocabulary().meanings if meaning.column == "u_vgt_pct")
+    wanted, read = (vgt.score(name, words_of(name), None) for name in ("VTG Sollwert [%]", "VTG Stellung [%]"))
+    assert LEAST_SCORE < wanted < read - 0.2
+    boost = next(meaning for meaning in vocabulary().meanings if meaning.column == "p_im_pa")
+    assert boost.score("Ladedruck Soll", words_of("Ladedruck Soll"), None) == 0.0
