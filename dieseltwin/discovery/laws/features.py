@@ -87,7 +87,7 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                     form = Form(point.name, (Factor("signed_power", (port,), (size,), power, (unit_of(port, {}),)),))
                     found += _of_form(index, f"{port}^{power:g}", form, point.site, variables)
         if point.unit == "%" and point.name in variables:
-            for factor in operators(point.name, point.unit, point.relative):
+            for factor in operators(point, point.unit):
                 if kinds is not None and factor.kind not in kinds:
                     continue
                 form = Form(point.name, (factor,), 1.0)

@@ -273,14 +273,18 @@ class Form:
         return " ".join(factor.text(shape if i == 0 else None) for i, factor in enumerate(self.factors))
 
 
-def operators(name: str, unit: str, relative: bool) -> list[Factor]:
+def operators(point: Point, unit: str) -> list[Factor]:
     """Lags, dead times and play of the quantity of a point itself: of actuators (%) and temperatures (K).
 
     They replace the quantity, so that their coefficient is 1 [unit] and their time or width is what is estimated.
+    Of a quantity whose clock isn't known only its play shows.
+
+    Args:
+        point: of which the quantity is; unit: of the quantity itself, whatever a signal there is measured in.
     """
     out: list[Factor] = []
-    one = ((name,), (0.0 if relative else 1.0,))
-    if unit in ("%", "K"):
+    one = ((point.name,), (0.0 if point.relative else 1.0,))
+    if unit in ("%", "K") and point.timed:
         for kind, times in _TIMES.items():
             if kind == "lag" or unit == "%":
                 slow = _SLOW_LAGS if kind == "lag" and unit == "K" else ()

@@ -187,7 +187,7 @@ def _of_point(
         everything += products
         count += len(forms)
     own_unit = unit_of(point.name, units) if point.name in variables else "-"
-    everything += scored([Form(point.name, (f,), 1.0) for f in operators(point.name, own_unit, point.relative)
+    everything += scored([Form(point.name, (f,), 1.0) for f in operators(point, own_unit)
         if kinds is None or f.kind in kinds])
     kept = _distinct(response, sorted(everything, key=lambda s: -s.score)[: 3 * _KEPT])
     ranked = [Ranked(index, point.site, (_placed(s),), s.gain, s.charge, s.worth) for s in kept]

@@ -12,7 +12,7 @@ from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes, some_lanes
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.actuation import actuate_lanes
-from dieseltwin.engine.effects import ACTUATION_EFFECTS
+from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
 from dieseltwin.engine.inputs import INPUT_COLUMNS, Actuation
 from dieseltwin.learning.belief import Belief
 from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance, applicable, put_right
@@ -95,8 +95,17 @@ class LoggedTwin(EngineTwin):
         self.beliefs = beliefs or default_search().circumstances
         self.opened = opened
         self.circumstances = circumstances_of(recording, engine, self.channels, self.beliefs)
+        self._leave_delays_to_clocks()
         pressure = recording.columns.get("p_amb_pa")
         self._drift = _course(self.recording_time_s, None if pressure is None else pressure[self.rows])
+
+    def _leave_delays_to_clocks(self) -> None:
+        """Where a command's clock is open, its dead time is the same, and what is left of it a kink between rows."""
+        untimed = [item for item in self.circumstances if item.kind == TIME_SHIFT and item.name in self.opened]
+        columns = {item.column for item in untimed}
+        self.points = tuple(replace(point, timed=f"{point.name}_pct" not in columns) for point in self.points)
+        delays = {name for item in untimed for name in item.effects if EFFECTS[name].enters.operator == "dead_time"}
+        self.hypotheses = {name: item for name, item in self.hypotheses.items() if name not in delays}
 
     def under(self, values: Mapping[str, float], opened: frozenset[str], like: bool = False) -> LoggedTwin:
         """The twin of the recording under other circumstances; `like`: with the windows and holes of this one."""

@@ -53,6 +53,7 @@ class Point:
         tolerance: smooth relative error that is believed of the quantity's map (0 for balances) [-].
         tolerance_over: the map's own arguments, names of variables; a tolerance is a smooth function of them.
         tolerance_also: other arguments over which the map may be thought of; the two then share the tolerance.
+        timed: when it was recorded is known; else a delay of it is no finding.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Point:
     tolerance: float = 0.0
     tolerance_over: tuple[str, ...] = ()
     tolerance_also: tuple[str, ...] = ()
+    timed: bool = True
 
 
 @dataclass(frozen=True)
