@@ -10,7 +10,7 @@ from dieseltwin.duty_cycles import Driving, limit_breaks
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.paper.comparison.driving import set_figure
-from dieseltwin.recordings.datasets import (
+from dieseltwin.paper.datasets import (
     FIELD_CASE,
     LAB_CASES,
     add_noise,
