@@ -118,7 +118,7 @@ def simulator(full: bool) -> Rows:
     from peers import REFERENCE, SEGMENT, measure, timed
 
     from dieseltwin.engine import actuate, parameter_batch, simulate_states, we2011
-    from dieseltwin.recordings.datasets import benchmark_segments
+    from dieseltwin.paper.datasets import benchmark_segments
 
     rows = [
         [row.name, row.setting, f"{row.error_pct:.4f} %", f"{1e3 * row.seconds:.4g} ms", f"{row.times_real_time:,.0f}"]

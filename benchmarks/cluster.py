@@ -48,6 +48,7 @@ def run(where: str, root: Path, members: int, *, kill: bool = False) -> tuple[st
 
     from tasks import ensembles, run_context
     from tasks.cluster import task_runner
+    from tasks.prefect_task import submit
     from tasks.publish import published
     from tasks.settings import load_settings, own_settings
 
@@ -67,7 +68,7 @@ def run(where: str, root: Path, members: int, *, kill: bool = False) -> tuple[st
                 }  # fmt: skip
                 own, step = own_settings(settings, "classical"), ensembles.STEPS["classical"]
                 pending.append(
-                    step.submit(method="classical", field=field, settings=own, what=what, kind=f"{case}-{name}")
+                    submit(step, method="classical", field=field, settings=own, what=what, kind=f"{case}-{name}")
                 )
         return hashlib.sha256(" ".join(waiting.result().sha256 for waiting in pending).encode()).hexdigest()
 

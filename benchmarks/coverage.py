@@ -23,7 +23,7 @@ from dieseltwin.engine import HEALTH, MEASURED, Inputs, simulate, we2011
 from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, SegmentProblem, problems_from_recording
-from dieseltwin.recordings.datasets import make_validation
+from dieseltwin.paper.datasets import make_validation
 from dieseltwin.recordings.reader import recording
 from dieseltwin.settings.params import Params, load_params
 

@@ -27,9 +27,9 @@ from dieseltwin.engine import HEALTH, MEASURED
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, problems_from_recording
+from dieseltwin.paper.datasets import laboratory_parameters
 from dieseltwin.paper.evaluation import tables as evaluation
 from dieseltwin.paper.evaluation.ensembles import CASES, case_problems, member_table
-from dieseltwin.recordings.datasets import laboratory_parameters
 from dieseltwin.recordings.reader import read_recording
 from dieseltwin.sensors import relative_noise
 from dieseltwin.settings.methods import EXACT, in_order, names

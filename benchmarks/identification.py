@@ -25,7 +25,7 @@ from dieseltwin.identification.bound import Bound, cramer_rao
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, SegmentProblem, problem_from_segment
 from dieseltwin.identification.result import Identification
-from dieseltwin.recordings.datasets import benchmark_segments
+from dieseltwin.paper.datasets import benchmark_segments
 from dieseltwin.settings.params import load_params
 
 TRACE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"

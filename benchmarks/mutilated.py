@@ -26,7 +26,7 @@ from kept import keep
 import dieseltwin as dt
 from dieseltwin.engine import HEALTH, MEASURED
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.datasets import make_validation
+from dieseltwin.paper.datasets import make_validation
 from dieseltwin.settings.params import load_params
 
 SECONDS, STEP_S, PARTS = 300.0, 0.2, 4

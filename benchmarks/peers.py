@@ -26,7 +26,7 @@ from scipy.integrate import solve_ivp
 from dieseltwin.engine import Actuation, actuate, bind, constants, parameter_batch, simulate_states, we2011
 from dieseltwin.engine.array_namespace import with_ambient_pressure, with_charge
 from dieseltwin.engine.inputs import half_step_times
-from dieseltwin.recordings.datasets import benchmark_segments
+from dieseltwin.paper.datasets import benchmark_segments
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 import torch
 
-from dieseltwin.recordings.datasets import laboratory_parameters, make_case, make_validation
+from dieseltwin.paper.datasets import laboratory_parameters, make_case, make_validation
 from dieseltwin.settings.params import Params, load_params
 from dieseltwin.surrogates.bodies import PAPER_TRAINING_ERROR_PCT, Kind, pod_floor, train_bodies
 from dieseltwin.surrogates.operators import (

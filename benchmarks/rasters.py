@@ -28,7 +28,7 @@ from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.sensors import NOISE_REL, SENSORS, shown
 from dieseltwin.engine import HEALTH, we2011
-from dieseltwin.recordings.datasets import make_validation, simulated
+from dieseltwin.paper.datasets import make_validation, simulated
 from dieseltwin.settings.params import Params, load_params
 
 FINE_HZ = 50

@@ -26,7 +26,7 @@ from dieseltwin.engine import (
 from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.simulate import thread_count
-from dieseltwin.recordings.datasets import benchmark_segments
+from dieseltwin.paper.datasets import benchmark_segments
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
 FINE_STEP_S = 0.0005

@@ -11,6 +11,7 @@ from tasks import prove
 from tasks import records_discovery as records
 from tasks.cluster import task_runner
 from tasks.launch import run_alone
+from tasks.prefect_task import submit
 from tasks.publish import publish
 from tasks.run_context import WORKERS, current
 from tasks.settings import load_settings
@@ -30,7 +31,8 @@ def discover(
     if recordings:
         inputs = steps.named_recordings(recordings)
     else:
-        made = prove.benchmark.submit(
+        made = submit(
+            prove.benchmark,
             cases=1,
             seed=config["concealed_seed"],
             tier="main",
@@ -40,7 +42,8 @@ def discover(
         ).result()
         inputs = {"concealed": prove.recording_of(made, prove.cases_of(made)[0])}
     pending = {
-        name: steps.discover.submit(
+        name: submit(
+            steps.discover,
             recording=recording,
             kind=name,
             sensors=sensors,

@@ -14,6 +14,7 @@ from tasks import evaluation_records as records
 from tasks.cluster import task_runner
 from tasks.evaluation_plan import Plan, ensembles_of
 from tasks.launch import run_alone
+from tasks.prefect_task import submit
 from tasks.publish import publish, published
 from tasks.run_context import Pending, current, seed_for
 from tasks.settings import about, load_settings, network_files, own_settings, source_of
@@ -46,7 +47,8 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
     assembled = {}
     for plan in plans:
         parts = {f"part_{first:04d}": waiting.result() for first, waiting in pending[plan.trained_as].items()}
-        assembled[plan.slug] = after.ensemble.submit(
+        assembled[plan.slug] = submit(
+            after.ensemble,
             field=field,
             settings=own_settings(settings, plan.method),
             what=plan.what,
@@ -61,7 +63,8 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
     found = {f"ensemble_{i:03d}": assembled[plan.slug].result() for i, plan in enumerate(plans)}
     times = _times(list(found.values()))
     classical = own_settings(settings, "classical")
-    common = after.tables.submit(
+    common = submit(
+        after.tables,
         errors=models / "errors",
         bootstrap=settings["evaluation"]["bootstrap"],
         field=field,
@@ -69,7 +72,8 @@ def evaluate(profile: str, only: list[str] | None = None) -> str:
         **found,
         **{name: waiting.result() for name, waiting in trainings.items()},
     ).result()
-    page = after.page.submit(
+    page = submit(
+        after.page,
         field=field,
         common=common,
         settings=classical,
@@ -116,13 +120,14 @@ def _submit_ensembles(
     for plan in plans:
         if source_of(plan.method) is None:
             for first, runs in plan.batches:
-                pending[plan.slug][first] = steps.STEPS[plan.method].submit(**batch(plan, first, runs))
+                pending[plan.slug][first] = submit(steps.STEPS[plan.method], **batch(plan, first, runs))
     trained = {(plan.method, plan.case): pending[plan.slug] for plan in plans if not plan.variant}
     for plan in plans:
         source = source_of(plan.method)
         if source is not None:
             for first, runs in plan.batches:
-                pending[plan.slug][first] = steps.STEPS[plan.method].submit(
+                pending[plan.slug][first] = submit(
+                    steps.STEPS[plan.method],
                     **batch(plan, first, runs), source=trained[source, plan.case][first].result()
                 )
     return pending
@@ -134,7 +139,8 @@ def _submit_trainings(settings: dict[str, Any], lab: Artifact, field: Artifact) 
     config = settings["pretrain"]
     for number in range(settings["evaluation"]["trainings"]):
         for labels, share in LABELS.items():
-            pending[f"training_{labels}_{number:02d}"] = steps.operators_training.submit(
+            pending[f"training_{labels}_{number:02d}"] = submit(
+                steps.operators_training,
                 lab=lab,
                 field=field,
                 config=config["operators"],
@@ -143,7 +149,8 @@ def _submit_trainings(settings: dict[str, Any], lab: Artifact, field: Artifact) 
                 label_noise_rel=share * settings["noise"]["label_rel"],
                 kind=f"{labels}-{number}",
             )
-        pending[f"training_bodies_{number:02d}"] = steps.bodies_training.submit(
+        pending[f"training_bodies_{number:02d}"] = submit(
+            steps.bodies_training,
             lab=lab,
             config=config["bodies"],
             seed=seed_for(settings["seed"], f"evaluation bodies {number}") % 2**40,

@@ -11,6 +11,7 @@ from tasks import identify as methods
 from tasks import records
 from tasks import report as steps
 from tasks.launch import run_alone
+from tasks.prefect_task import submit
 from tasks.publish import publish, published
 from tasks.run_context import WORKERS, current, seed_for
 from tasks.settings import about, load_settings, network_files, own_settings, runs_of
@@ -36,28 +37,29 @@ def identify(profile: str) -> str:
 
     # One after the other: seconds per run are those of an idle machine.
     found = {
-        name: methods.STEPS[name]
-        .submit(
+        name: submit(
+            methods.STEPS[name],
             method=name,
             field=field,
             settings=own_settings(settings, name),
             runs=runs_of(settings, name),
             seed=seed_for(settings["seed"], short(name)),
             **network_files(name, models),
-        )
-        .result()
+        ).result()
         for name in COMPARED
     }
-    pending = steps.driving_pictures.submit(sets=sets, driving=settings["driving"], dpi=settings["report"]["dpi"])
+    pending = submit(steps.driving_pictures, sets=sets, driving=settings["driving"], dpi=settings["report"]["dpi"])
     by_name = {short(name): artifact for name, artifact in found.items()}
-    common = steps.comparison.submit(
+    common = submit(
+        steps.comparison,
         **by_name,
         field=field,
         errors=models / "errors",
         settings=own_settings(settings, "classical"),
         about=about(settings, field, ("seed", "engine", "noise", "identify")),
     ).result()
-    page = steps.report.submit(
+    page = submit(
+        steps.report,
         **by_name, common=common, pictures=pending.result(), run_times=steps.run_times(found)
     ).result()
     parts = {name: artifact.path for name, artifact in found.items()}

@@ -10,6 +10,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 from tasks import pretrain as steps
 from tasks import records
 from tasks.launch import run_alone
+from tasks.prefect_task import submit
 from tasks.publish import publish, published
 from tasks.run_context import WORKERS, current, seed_for
 from tasks.settings import load_settings
@@ -30,18 +31,21 @@ def pretrain(profile: str) -> str:
 
     # The longest first: two at a time.
     pending = {
-        "operators": steps.operators.submit(
+        "operators": submit(
+            steps.operators,
             lab=lab, field=field, config=config["operators"], engine=engine, seed=seed("operators")
         )
     }
-    labels = steps.eta_tm_labels.submit(sets=sets, driving=driving, engine=engine)
+    labels = submit(steps.eta_tm_labels, sets=sets, driving=driving, engine=engine)
     for kind in steps.BODY_KINDS:
-        pending[f"bodies_{kind}"] = steps.bodies.submit(
+        pending[f"bodies_{kind}"] = submit(
+            steps.bodies,
             lab=lab, kind=kind, config=config["bodies"], seed=seed(f"bodies {kind}")
         )
     fine = labels.result()
     for kind in steps.MAP_KINDS:
-        pending[f"maps_{kind}"] = steps.maps.submit(
+        pending[f"maps_{kind}"] = submit(
+            steps.maps,
             lab=lab,
             fine=fine,
             field=field,

@@ -11,6 +11,7 @@ from tasks import promote as steps
 from tasks.cluster import task_runner
 from tasks.launch import run_alone
 from tasks.model_folder import CODE
+from tasks.prefect_task import submit
 from tasks.publish import published
 from tasks.registry import Candidate
 from tasks.run_context import current
@@ -24,24 +25,26 @@ def promote(profile: str) -> bool:
     are in use."""
     settings = load_settings(profile)
     models = published(current().workspace.root / "models", "pretrain")
-    recording = steps.validation_driving.submit(
+    recording = submit(
+        steps.validation_driving,
         driving=settings["driving"],
         engine=settings["engine"],
         seed=settings["promotion"]["seed"],
         minutes=settings["promotion"]["minutes"],
     ).result()
-    validated = steps.validate.submit(recording=recording, networks=models)
-    tested = steps.acceptance.submit(
+    validated = submit(steps.validate, recording=recording, networks=models)
+    tested = submit(
+        steps.acceptance,
         recording=recording,
         networks=models,
         limits=settings["promotion"]["acceptance"],
         identify=own_settings(settings, steps.KNOWN_ENGINE.name)["identify"],
     )
-    packed = steps.served_model.submit(recording=recording, networks=models, code=Artifact.of(CODE))
+    packed = submit(steps.served_model, recording=recording, networks=models, code=Artifact.of(CODE))
     champion = steps.champion()
     before = None
     if champion is not None:
-        pending = steps.validate.submit(recording=recording, networks=champion.artifact)
+        pending = submit(steps.validate, recording=recording, networks=champion.artifact)
         before = steps.figures_unless_unreadable(pending)
     candidate = Candidate(models, packed.result() / steps.MODEL, steps.figures_of(validated), steps.tests_of(tested))
     return steps.promote(candidate, before, settings).promoted

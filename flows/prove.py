@@ -10,6 +10,7 @@ from tasks import prove as steps
 from tasks import records_discovery as records
 from tasks.cluster import task_runner
 from tasks.launch import run_alone
+from tasks.prefect_task import submit
 from tasks.publish import publish
 from tasks.run_context import WORKERS, current
 from tasks.settings import load_settings
@@ -22,10 +23,11 @@ def prove(profile: str) -> str:
     settings = load_settings(profile)
     config = dict(settings["proof"])
     baselines = config.pop("baseline_cases")
-    made = steps.benchmark.submit(**config, jobs=WORKERS).result()
+    made = submit(steps.benchmark, **config, jobs=WORKERS).result()
     entries = steps.cases_of(made)
     pending = {
-        entry["case"]: steps.case.submit(
+        entry["case"]: submit(
+            steps.case,
             recording=steps.recording_of(made, entry),
             kind=entry["case"],
             withhold=entry["withhold"],
@@ -36,17 +38,17 @@ def prove(profile: str) -> str:
     opened, parts = {}, {}
     for name, waiting in pending.items():
         parts[f"result_{name}"] = waiting.result()
-        opened[name] = steps.opened.submit(benchmark=made, result=parts[f"result_{name}"], kind=name)
+        opened[name] = submit(steps.opened, benchmark=made, result=parts[f"result_{name}"], kind=name)
     compared = {}
     if baselines:
-        bands = steps.bands.submit(benchmark=made, jobs=WORKERS).result()
+        bands = submit(steps.bands, benchmark=made, jobs=WORKERS).result()
         compared = {
-            entry["case"]: steps.baseline.submit(benchmark=made, bands=bands, kind=entry["case"])
+            entry["case"]: submit(steps.baseline, benchmark=made, bands=bands, kind=entry["case"])
             for entry in entries[:baselines]
         }
     parts |= {f"opened_{name}": waiting.result() for name, waiting in opened.items()}
     parts |= {f"baseline_{name}": waiting.result() for name, waiting in compared.items()}
-    scored = steps.score.submit(benchmark=made, **parts).result()
+    scored = submit(steps.score, benchmark=made, **parts).result()
     proof = publish(context.workspace.root / "proof", steps.files_to_publish(scored))
     publish(context.workspace.reports / "proof", steps.files_to_show(scored))
     records.proved(scored, made, settings)

@@ -10,6 +10,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 from tasks import records, report
 from tasks import simulate as steps
 from tasks.launch import run_alone
+from tasks.prefect_task import submit
 from tasks.publish import publish
 from tasks.run_context import WORKERS, current
 from tasks.settings import load_settings
@@ -20,9 +21,9 @@ def simulate(profile: str) -> str:
     """Make the data. Returns the folder's hash."""
     settings = load_settings(profile)
     known = {name: settings[name] for name in ("driving", "engine")}
-    sets = steps.driving_sets.submit(**known).result()
-    pending = steps.case_recordings.submit(sets=sets, **known, noise=settings["noise"])
-    pictures = report.driving_pictures.submit(sets=sets, driving=settings["driving"], dpi=settings["report"]["dpi"])
+    sets = submit(steps.driving_sets, **known).result()
+    pending = submit(steps.case_recordings, sets=sets, **known, noise=settings["noise"])
+    pictures = submit(report.driving_pictures, sets=sets, driving=settings["driving"], dpi=settings["report"]["dpi"])
     recordings = pending.result()
     data = publish(current().workspace.root / "data", {"sets": sets.path, "": recordings.path})
     records.simulated(sets, recordings, pictures.result(), settings)

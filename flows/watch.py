@@ -12,6 +12,7 @@ from tasks import records_watch as records
 from tasks import watch as steps
 from tasks.cluster import task_runner
 from tasks.launch import run_alone, serve
+from tasks.prefect_task import submit
 from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.store import Artifact
 
@@ -22,7 +23,7 @@ def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
     settings = load_settings(profile)
     files = steps.engine_files(engine)
     pending = {
-        name: steps.watched.submit(recording=Artifact.of(path), kind=path.stem, name=name, **files)
+        name: submit(steps.watched, recording=Artifact.of(path), kind=path.stem, name=name, **files)
         for name, path in steps.new_recordings(folder, engine, history).items()
     }
     found, refused = discover.gathered(pending)

@@ -25,7 +25,7 @@ def _clean_problems(field: Path, settings: dict[str, Any]) -> list[Any]:
     import numpy as np
 
     from dieseltwin.identification.problem import NoiseLevels
-    from dieseltwin.recordings.datasets import MEASURED
+    from dieseltwin.paper.datasets import MEASURED
     from dieseltwin.sensors import relative_noise
     from dieseltwin.settings.params import NoiseConfig
     from tasks.identify import problems_of
@@ -231,7 +231,7 @@ def operators_training(
     import numpy as np
     import pandas as pd
 
-    from dieseltwin.recordings.datasets import laboratory_parameters
+    from dieseltwin.paper.datasets import laboratory_parameters
     from dieseltwin.settings.params import EngineConfig, OperatorsConfig
     from dieseltwin.surrogates.operators import OPERATORS, TRAINING_CASES, train_operators
     from tasks.pretrain import _cases, _symbol

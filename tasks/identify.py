@@ -28,7 +28,7 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
     import pandas as pd
 
     from dieseltwin.identification.problem import PAPER_CHANNELS, NoiseLevels, problems_from_recording
-    from dieseltwin.recordings.datasets import HEALTH, MEASURED, laboratory_parameters
+    from dieseltwin.paper.datasets import HEALTH, MEASURED, laboratory_parameters
     from dieseltwin.recordings.reader import read_recording
     from dieseltwin.sensors import relative_noise
     from dieseltwin.settings.params import EngineConfig, NoiseConfig

@@ -1,26 +1,21 @@
-"""The Prefect side of a step: one task, whose cache key is the step's key and whose result is a path and a hash."""
+"""How a step runs in a flow: one Prefect task, whose cache key is the step's key and whose result is a path and a hash.
+
+Prefect keeps the record of what ran, tries again what was killed, and knows by the key what need not run. What it
+doesn't do by itself is ours (:mod:`tasks.run_context`, :mod:`tasks.sources`, :mod:`tasks.store`): its own keys, like
+joblib's ``Memory``, see the text of the task's function and no module that this imports, and its result files are
+neither written in one piece nor checked when they are read.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 from prefect import task
-from prefect.cache_policies import CachePolicy
 
 from tasks import run_context
 from tasks.failures import WorkerKilled
+from tasks.run_context import Pending, Step
 from tasks.store import Artifact
-
-
-class ContentPolicy(CachePolicy):
-    """Prefect's cache key is the step's key: contents, parameters, code."""
-
-    def compute_key(
-        self, task_ctx: Any, inputs: dict[str, Any], flow_parameters: dict[str, Any], **kwargs: Any
-    ) -> str | None:
-        """Called by Prefect with the task's arguments."""
-        step, artifacts = _resolve(inputs["step"], inputs["inputs"])
-        return f"{step.name}-{step.key(run_context.current(), artifacts, inputs['parameters'])}"
 
 
 def _was_killed(_task: Any, _run: Any, state: Any) -> bool:
@@ -29,7 +24,6 @@ def _was_killed(_task: Any, _run: Any, state: Any) -> bool:
 
 
 @task(
-    cache_policy=ContentPolicy(),
     persist_result=True,
     result_serializer="json",
     cache_result_in_memory=False,
@@ -39,10 +33,25 @@ def _was_killed(_task: Any, _run: Any, state: Any) -> bool:
 def run_step(step: str, inputs: dict[str, dict[str, str]], parameters: dict[str, Any]) -> dict[str, str]:
     """Run the step of that reference. Returns its result as path and hash."""
     context = run_context.current()
-    found, artifacts = _resolve(step, inputs)
-    return run_context.execute(found, context, artifacts, parameters).to_dict(context.workspace.root)
+    root = context.workspace.root
+    artifacts = {name: Artifact.from_dict(value, root) for name, value in inputs.items()}
+    return run_context.execute(run_context.find_step(step), context, artifacts, parameters).to_dict(root)
 
 
-def _resolve(step: str, inputs: dict[str, dict[str, str]]) -> tuple[run_context.Step, dict[str, Artifact]]:
-    root = run_context.current().workspace.root
-    return run_context.find_step(step), {name: Artifact.from_dict(value, root) for name, value in inputs.items()}
+def submit(step: Step, /, **arguments: Any) -> Pending:
+    """Start a step in the running flow; :meth:`Pending.result` waits for it."""
+    context = run_context.current()
+    inputs, parameters = run_context.split_arguments(arguments)
+    key = step.key(context, inputs, parameters)
+    hit = context.store.find(step.name, key)
+    record = f"{step.name}-{key}"
+    named = run_step.with_options(
+        name=step.name,
+        task_run_name=step.instance(parameters),
+        cache_key_fn=lambda _context, _arguments: record,
+        # Prefect's record is refused where the files it names are gone or changed.
+        refresh_cache=hit is None,
+    )
+    plain = {name: artifact.to_dict(context.workspace.root) for name, artifact in inputs.items()}
+    future = named.submit(step.reference, plain, dict(parameters))
+    return Pending(step, dict(parameters), future, context, cached=hit is not None)

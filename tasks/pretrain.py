@@ -70,7 +70,7 @@ def eta_tm_labels(out: Path, progress: Any, *, sets: Path, driving: dict[str, An
 
     import pandas as pd
 
-    from dieseltwin.recordings.datasets import make_case
+    from dieseltwin.paper.datasets import make_case
     from dieseltwin.recordings.reader import write_recording
     from dieseltwin.settings.params import DrivingConfig, EngineConfig
 
@@ -97,7 +97,7 @@ def maps(
     seed: int,
 ) -> None:
     """``maps.pt``, one kind of the six maps."""
-    from dieseltwin.recordings.datasets import laboratory_parameters
+    from dieseltwin.paper.datasets import laboratory_parameters
     from dieseltwin.settings.maps import MapsConfig
     from dieseltwin.settings.params import EngineConfig
     from dieseltwin.surrogates.empirical_training import MapData, train_maps
@@ -139,7 +139,7 @@ def operators(
     import numpy as np
     import pandas as pd
 
-    from dieseltwin.recordings.datasets import laboratory_parameters
+    from dieseltwin.paper.datasets import laboratory_parameters
     from dieseltwin.settings.params import EngineConfig, OperatorsConfig
     from dieseltwin.surrogates.operators import OPERATORS, TRAINING_CASES, train_operators
 

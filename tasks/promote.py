@@ -33,7 +33,7 @@ def validation_driving(
     import json
     from types import SimpleNamespace
 
-    from dieseltwin.recordings.datasets import make_validation
+    from dieseltwin.paper.datasets import make_validation
     from dieseltwin.recordings.reader import write_recording
     from dieseltwin.settings.params import DrivingConfig, EngineConfig
 

@@ -23,7 +23,7 @@ def driving_pictures(out: Path, progress: Any, *, sets: Path, driving: dict[str,
     """``set_i.png`` ...: what each set looks like."""
     import pandas as pd
 
-    from dieseltwin.report.driving import set_figure
+    from dieseltwin.paper.comparison.driving import set_figure
     from dieseltwin.settings.params import EcuConfig
 
     ecu = EcuConfig(**driving["ecu"])
@@ -116,7 +116,7 @@ def report(
     import shutil
     import tempfile
 
-    from dieseltwin.report.html import build_report
+    from dieseltwin.paper.comparison.page import build_report
     from dieseltwin.report.results import load_results
     from dieseltwin.report.tables import summary_table, summary_text
 

@@ -8,8 +8,8 @@ A step's key is the hash of
   * the versions of the packages those modules import.
 
 Results lie in ``.cache/<step>/<key>/`` (:mod:`tasks.store`); Prefect's own cache holds the path and the hash alone,
-under the same key, and is believed only after the files were hashed again. Steps run in processes of their own
-(:mod:`tasks.worker`), so that two heavy ones use two cores.
+under the same key, and is believed only after the files were hashed again (:mod:`tasks.prefect_task`). Steps run in
+processes of their own (:mod:`tasks.worker`), so that two heavy ones use two cores; those never need Prefect.
 """
 
 from __future__ import annotations
@@ -154,22 +154,6 @@ class Step:
     def title(self, parameters: Mapping[str, Any]) -> str:
         """The same in words."""
         return f"{self.label}, {parameters['kind']}" if "kind" in parameters else self.label
-
-    def submit(self, **arguments: Any) -> Pending:
-        """Start the step in the running flow; :meth:`Pending.result` waits for it."""
-        context = current()
-        inputs, parameters = split_arguments(arguments)
-        key = self.key(context, inputs, parameters)
-        hit = context.store.find(self.name, key)
-        task = _prefect_task().with_options(
-            name=self.name,
-            task_run_name=self.instance(parameters),
-            # Prefect's record is refused where the files it names are gone or changed.
-            refresh_cache=hit is None,
-        )
-        plain = {name: artifact.to_dict(context.workspace.root) for name, artifact in inputs.items()}
-        future = task.submit(self.reference, plain, dict(parameters))
-        return Pending(self, dict(parameters), future, context, cached=hit is not None)
 
     def __call__(self, **arguments: Any) -> Artifact:
         """Run the step now, with the cache but without Prefect."""
@@ -377,13 +361,6 @@ def _failed(step: Step, context: RunContext, log: Path, failure: Mapping[str, An
     last = tail[-1] if tail else "no output"
     kind = WorkerKilled if status < 0 and not _stopping else StepFailed
     return kind(f"{step.name}: the worker ended with status {status}: {last} (log in {where})")
-
-
-def _prefect_task() -> Any:
-    """The one Prefect task that every step runs as (imported late: a worker never needs Prefect)."""
-    from tasks.prefect_task import run_step
-
-    return run_step
 
 
 def seed_for(seed: int, *names: str) -> int:

@@ -39,7 +39,7 @@ def _settings(**sections: dict[str, Any]) -> Any:
 @step("driving-sets", "driving: Set-I to Set-IV", expected_s=30.0)
 def driving_sets(out: Path, progress: Any, *, driving: dict[str, Any], engine: dict[str, Any]) -> None:
     """``set_i.parquet`` ...: the inputs of every set; ``response/``: what the engine did while they were made."""
-    from dieseltwin.recordings.datasets import drive_set, laboratory_parameters
+    from dieseltwin.paper.datasets import drive_set, laboratory_parameters
     from dieseltwin.recordings.reader import write_recording
 
     settings = _settings(driving=driving, engine=engine)
@@ -61,7 +61,7 @@ def case_recordings(
     """``lab/case_*.parquet`` and, for the field engine, ``field/case_v_clean.parquet`` (with truth), ``..._noisy``."""
     import pandas as pd
 
-    from dieseltwin.recordings.datasets import HEALTH, add_noise, case_parameters, make_case
+    from dieseltwin.paper.datasets import HEALTH, add_noise, case_parameters, make_case
     from dieseltwin.recordings.reader import write_recording
 
     settings = _settings(driving=driving, engine=engine, noise=noise)

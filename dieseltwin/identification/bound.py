@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dieseltwin.identification.least_squares import covariance
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.shooting import (
     N_HEALTH,
@@ -19,6 +18,7 @@ from dieseltwin.identification.shooting import (
     exact_engine,
     sample_states,
 )
+from dieseltwin.least_squares import covariance
 
 Array = NDArray[np.float64]
 

@@ -14,14 +14,6 @@ from dieseltwin.engine import settle
 from dieseltwin.identification.bound import cautious_bound
 from dieseltwin.identification.input_errors import input_errors
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
-from dieseltwin.identification.least_squares import (
-    Box,
-    Fit,
-    concatenated,
-    covariance,
-    keep_better,
-    levenberg_marquardt,
-)
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
 from dieseltwin.identification.shooting import (
@@ -37,6 +29,15 @@ from dieseltwin.identification.shooting import (
     sample_states,
 )
 from dieseltwin.identification.unknowns import START_SIGMA, health_of, start_centre, starts
+from dieseltwin.least_squares import (
+    Box,
+    Fit,
+    Problems,
+    concatenated,
+    covariance,
+    keep_better,
+    levenberg_marquardt,
+)
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -156,9 +157,7 @@ def estimate(
     return [result[i] for i in range(len(problems))]
 
 
-def _errors(
-    shooting: Shooting, learned: LearnedSimulator | None, unknowns: Array
-) -> list[ErrorDirections] | None:
+def _errors(shooting: Shooting, learned: LearnedSimulator | None, unknowns: Array) -> list[ErrorDirections] | None:
     """What learned maps and inputs between the rows may be off by in each segment; None where nothing is."""
     count, shape = len(shooting.problems), shooting.weights.shape[1:]
     of_maps = np.zeros((count, 0, *shape))
@@ -226,7 +225,7 @@ def fit_runs(
         low, high = lower[rows], upper[rows]
         low[:, pinned] = high[:, pinned] = at[:, pinned]
         return levenberg_marquardt(
-            ShootingRuns(shooting, segment[rows], readings[rows], errors),
+            Problems(ShootingRuns(shooting, segment[rows], readings[rows], errors)),
             at,
             Box(low, high, STEP_MAX),
             tolerance=settings.tolerance,

@@ -19,8 +19,8 @@ from dieseltwin.engine import (
 )
 from dieseltwin.errors import InputError
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
-from dieseltwin.identification.least_squares import Linearisation
 from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.least_squares import Linearisation
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 
-
-def _line(text: str) -> str:
+def line(text: str) -> str:
+    """A text of several lines as one."""
     return " ".join(text.split())
 
 
-VIOLINS = _line("""
+VIOLINS = line("""
     Each dot is one run, divided by {centre}; the horizontal stroke is the segment's estimate, the vertical bar at its
     left end the stated 90 % interval. Grey: ±7.5 %. Violins end at the smallest and largest run; where all runs
     agree, one larger dot stands for them and only the interval shows the uncertainty. Numbers with an arrow count
@@ -18,52 +17,46 @@ VIOLINS = _line("""
 CENTRE_TRUTH = "the true value"
 CENTRE_POOLED = "the pooled estimate of the first method (the truth is not known)"
 
-VIOLINS_CLOSE = _line("""
+VIOLINS_CLOSE = line("""
     The same as above with each axis fitted to the sharpest method (the ±7.5 % band is wider than most panels).
     Vertical bars: stated 90 % intervals{expectation}. Numbers with an arrow count runs outside the panel.
 """)
 EXPECTATION = ", which should hold the dashed line in nine cases of ten"
 
-BOUND_KNOWN = _line("""
+BOUND_KNOWN = line("""
     Filled: root-mean-square error of the runs against the truth; hollow: the standard deviation that the method states.
 """)
 BOUND_UNKNOWN = "Hollow: the standard deviation that the method states."
-BOUND = _line("""
+BOUND = line("""
     {marks} 1 is the smallest standard deviation that any unbiased method can have with this noise. An efficient and
     honest method has hollow marks near 1 and filled marks below about 2, many of them below 1 (all runs see one noise
     draw); filled marks far above the hollow ones are a bias that the method does not admit. Marks below 0.1 are drawn
     at 0.1. Segments where a parameter is not identifiable are left out.
 """)
-TOO_SURE = _line("""
+TOO_SURE = line("""
     {label} states well below the bound for {places}: no unbiased method can be that sure, so its intervals are too
     narrow there.
 """)
 
-IDENTIFIABILITY = _line("""
+IDENTIFIABILITY = line("""
     Smallest relative standard deviation that any unbiased method can reach in each segment (Cramér–Rao bound, four
     parameters and three initial states free). Hatched: too large, the method says “not identifiable here”, and the
     segment is left out of the pooled value. The remedy is other driving (an open EGR valve for A_egrmax, load for
     h_tot), not another method.
 """)
 
-RUN_TIMES = _line("""
-    Wall seconds per run (one start on one 60 s segment): total wall time of the batch divided by its runs. One step of
-    the grid is a factor of ten. Grey: the paper's printed times for noisy data, 301 points, one core of another
-    computer; they are shown for scale, not as a race on equal terms.
-""")
-
 STATES = "The states that the methods estimate. x_r and T_1 are never measured: they follow from the model."
 FLOWS = "Mass flows and gas temperatures that follow from the estimated states and parameters."
 EMPIRICAL = "The six empirical maps of the engine model, evaluated along the estimated states."
 SEGMENTS = "Dotted lines separate the segments, each of which is estimated on its own."
-ERRORS = _line("""
+ERRORS = line("""
     Below each quantity: estimate minus truth in % of the true signal's mean over the identified part; note its scale.
 """)
-BLIND = _line("""
+BLIND = line("""
     Hatched: a segment in which some parameter is not identifiable; its bands don't count for the scale.
 """)
 
-RESIDUALS = _line("""
+RESIDUALS = line("""
     Measured minus predicted, divided by the standard deviation of the sensor's noise (σ). If the model and the noise
     level are right, the dots fill the grey band evenly, the histogram follows the black curve (std 1) and the
     autocorrelation stays inside its grey band. A wave over time or a slowly falling autocorrelation means that the
@@ -76,41 +69,21 @@ ODD = {
     "coloured": "Not white in {channels}: neighbouring residuals go together, so something slow is missing.",
 }
 
-CONVERGENCE = _line("""
+CONVERGENCE = line("""
     The loss, and the four unknowns by segment; bands span the smallest and the largest run. Named loss terms are
     without their self-adaptive weights. A parameter that still moves at the last epoch has not converged, whatever
     the loss says.
 """)
 
-PRETRAINING = _line("""
-    Relative L2 errors of the learned parts: marks are this run, grey bars with a whisker (one std) the paper's printed
-    numbers. POD floor: what as many fixed shapes, taken straight from the training minutes (singular vectors), reach
-    on the held-out minutes; a good body comes near it or below. Floor and held-out errors are taken before the output
-    transformation, training errors are those of the states.
-""")
-
-BESIDE_PAPER = _line("""
-    Error of each cell in % of the truth, sqrt((mean − truth)² + std²) over the runs; paper: few-shot table, noisy
-    data, 301 points, its own driving and starts near the truth. Cells in brackets are not identifiable here and not
-    scored.
-""")
-
-SUMMARY = _line("""
+SUMMARY = line("""
     Each method's value pools the segments where the parameter is identifiable, weighted by their certainty. {ratio}
     Seconds per run: wall time of one start on one segment.
 """)
-SUMMARY_KNOWN = _line("""
+SUMMARY_KNOWN = line("""
     “Error over bound”: root mean square over the identifiable segments and their runs of (estimate − truth) divided by
     the segment's Cramér–Rao bound; an efficient method scores about 1.
 """)
-SUMMARY_UNKNOWN = _line("""
+SUMMARY_UNKNOWN = line("""
     “Std over bound”: root mean square over the identifiable segments of the stated standard deviation divided by the
     segment's Cramér–Rao bound; an efficient method scores about 1.
 """)
-
-SET_TITLES: Mapping[str, str] = {
-    "set_i": "Set-I: WHSC, WHTC seconds 1-900, random driving",
-    "set_ii": "Set-II: minutes 0-1 and 3-5 drive, 1-2 enters idle, 2-3 idles; WHTC seconds 901-1800",
-    "set_iii": "Set-III: WHSC, WHTC and random driving, u_egr modified for a wider range",
-    "set_iv": "Set-IV: WHSC, WHTC and random driving, u_vgt modified for a wider range",
-}

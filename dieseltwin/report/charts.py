@@ -1,4 +1,4 @@
-"""Charts over segments and methods: estimate against Cramer-Rao bound, identifiability map, run times."""
+"""Charts over segments and methods: estimate against Cramer-Rao bound, identifiability map."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogLocator
 
 from dieseltwin.report import captions, quantities, style
-from dieseltwin.report.printed import mean_seconds
 from dieseltwin.report.results import PARAMETERS, Results
 from dieseltwin.report.segment_axis import MOST_NAMES, WIDTH_IN, method_handles, offsets_of, segment_axis
 from dieseltwin.report.statistics import error_over_bound, relative_bound, std_over_bound
@@ -170,42 +169,3 @@ def _cell(column: int, row: int) -> Patch:
         1,
         **{**style.BLIND, "edgecolor": "#9a9a9a"},
     )
-
-
-@style.styled
-def run_times(results: Results) -> style.ReportFigure:
-    """Seconds per run of each method on a logarithmic axis, beside the paper's printed times."""
-    rows: list[tuple[str, float, str, str]] = []
-    for method in results.methods:
-        look = style.method_style(method.method)
-        seconds = method.seconds_per_run
-        if not math.isfinite(seconds) or seconds <= 0:
-            continue
-        count = method.number_of_runs * len(method.segments)
-        rows.append((look.label, seconds, look.colour, f"{seconds:.3g} s per run, {count} runs"))
-    printed = [
-        (f"paper: {name}", s, style.PAPER, f"{s:.0f} s per run") for name, s in mean_seconds().items()
-    ]
-    figure = Figure(figsize=(WIDTH_IN, 0.5 * (len(rows) + len(printed)) + 1.4))
-    axes = figure.subplots()
-    everything = rows + printed
-    start = min([seconds for _, seconds, _, _ in everything], default=1.0) / 4
-    for place, (_, seconds, colour, text) in enumerate(everything):
-        axes.plot([start, seconds], [place, place], color=colour, linewidth=7, solid_capstyle="butt")
-        axes.text(seconds * 1.12, place, text, va="center", fontsize=9.5)
-    axes.set_yticks(range(len(everything)), [name for name, *_ in everything])
-    axes.set_ylim(len(everything) - 0.5, -0.5)
-    axes.set_xscale("log")
-    axes.set_xlim(start, 15 * max([seconds for _, seconds, _, _ in everything], default=1.0))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xlabel("wall time per run of one 60 s segment [s], logarithmic")
-    axes.set_ylabel("method")
-    axes.grid(False, axis="y")
-    axes.legend(
-        handles=[
-            Patch(color="#555555", label="this computer"),
-            Patch(color=style.PAPER, label="paper (other computer, printed)"),
-        ],
-        loc="upper right",
-    )
-    return style.ReportFigure("run_times", "Run times", captions.RUN_TIMES, figure)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,80 +13,59 @@ from dieseltwin.report import captions, charts, interactive, quantities, style, 
 from dieseltwin.report.encoding import encode_all
 from dieseltwin.report.interactive import results_series
 from dieseltwin.report.page import shown_figure, templates
-from dieseltwin.report.results import PARAMETERS, Results, load_results
+from dieseltwin.report.results import PARAMETERS, Results
 from dieseltwin.report.style import ReportFigure
-from dieseltwin.report.tables import headline, paper_table, segment_table, summary_table
-
-SIZE_LIMIT_BYTES = 8 * 1024 * 1024
-_SMALLER_DPI = (110, 85, 60)  # the page is drawn again more coarsely rather than grow beyond the limit
+from dieseltwin.report.tables import headline, segment_table, summary_table
 
 Rows = list[dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class Section:
-    """One section of the page: its anchor, heading, a sentence, and its figures."""
+    """One section of the page: its anchor, heading, a sentence, its figures and finished pictures, and its tables."""
 
     id: str
     title: str
     words: str
     figures: tuple[ReportFigure, ...]
-    pictures: tuple[Path, ...] = ()
+    pictures: tuple[Mapping[str, str], ...] = ()
     table: Mapping[str, Any] | None = field(default=None)
     beside_paper: Mapping[str, Any] | None = field(default=None)
 
 
-def result_figures(results: Results) -> list[ReportFigure]:
-    """All figures that ``results`` has data for, in the order of the page."""
-    return [figure for section in _sections(results) for figure in section.figures]
-
-
-def _kept(*figures: ReportFigure | None) -> tuple[ReportFigure, ...]:
+def kept(*figures: ReportFigure | None) -> tuple[ReportFigure, ...]:
+    """Those that there is data for."""
     return tuple(figure for figure in figures if figure is not None)
 
 
-def _sections(results: Results) -> list[Section]:
-    times = (
-        _kept(charts.run_times(results))
-        if any(math.isfinite(m.seconds_per_run) for m in results.methods)
-        else ()
-    )
-    residuals = _kept(*(timeseries.residual_figure(results, m) for m in results.methods))
-    sections = [
+def sections(results: Results) -> list[Section]:
+    """What the page of any identification shows; :func:`page` leaves out what has nothing to show."""
+    residuals = kept(*(timeseries.residual_figure(results, m) for m in results.methods))
+    return [
         Section("summary", "Summary", "", ()),
-        Section("driving", "Driving", "The driving that the data sets are made of.", (), results.pictures),
         Section(
             "parameters",
             "Health parameters",
             "",
-            _kept(
+            kept(
                 charts.identifiability_map(results),
                 violins.violins(results),
                 violins.violins(results, close=True),
             ),
             table=_segment_rows(results),
         ),
-        Section(
-            "accuracy", "Accuracy", "", _kept(charts.bound_ratio(results)), beside_paper=_paper_rows(results)
-        ),
+        Section("accuracy", "Accuracy", "", kept(charts.bound_ratio(results))),
         Section(
             "states",
             "States and flows",
             "",
-            _kept(timeseries.states(results), timeseries.flows(results), timeseries.empirical(results)),
+            kept(timeseries.states(results), timeseries.flows(results), timeseries.empirical(results)),
         ),
         Section("residuals", "Residuals", captions.RESIDUALS, residuals),
-        Section("times", "Run times", "", times),
         Section(
-            "training",
-            "Training",
-            "",
-            _kept(
-                *(training.convergence(results, m) for m in results.methods), training.pretraining(results)
-            ),
+            "training", "Training", "", kept(*(training.convergence(results, m) for m in results.methods))
         ),
     ]
-    return [s for s in sections if s.id == "summary" or s.figures or s.pictures]
 
 
 def _summary_rows(results: Results) -> Rows:
@@ -164,34 +142,6 @@ def _given(results: Results) -> list[tuple[str, str]]:
     return [(labels[name], _plain(text)) for name, text in words.items() if name in labels]
 
 
-def _paper_rows(results: Results) -> dict[str, Any] | None:
-    """The cells beside the paper's table, as text; None where there is nothing to compare."""
-    table = paper_table(results)
-    if table.empty:
-        return None
-    methods = [m.method for m in results.methods if m.method in table]
-    rows = []
-    for minute, part in table.groupby("minute", sort=True):
-        for name, label in (("paper", "paper"), *((m, style.method_style(m).label) for m in methods)):
-            cells = []
-            for parameter in PARAMETERS:
-                cell = part[part["parameter"] == parameter].iloc[0]
-                text = quantities.percent(cell[name])
-                cells.append(
-                    {"text": text if cell["identifiable"] else f"({text})", "none": not cell["identifiable"]}
-                )
-            colour = style.PAPER if name == "paper" else style.method_style(name).colour
-            rows.append(
-                {
-                    "minute": minute if name == "paper" else "",
-                    "label": label,
-                    "colour": colour,
-                    "cells": cells,
-                }
-            )
-    return {"heads": [quantities.html_symbol(p) for p in PARAMETERS], "rows": rows}
-
-
 def _provenance(results: Results) -> list[tuple[str, str]]:
     about = results.about
     names = {
@@ -263,15 +213,14 @@ def _about_line(results: Results) -> str:
     return " · ".join(part for part in parts if part)
 
 
-def _picture(path: Path) -> dict[str, str]:
-    kind = path.suffix.removeprefix(".")
-    plain = path.stem.replace("_", " ").replace("-", " ")
-    # the picture carries its whole title itself
-    title = captions.SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:]).partition(":")[0]
-    return {"name": path.stem, "title": title, "caption": "", "uri": style.data_uri(path.read_bytes(), kind)}
+def page(results: Results, chosen: Sequence[Section], encode: Callable[[ReportFigure], bytes]) -> str:
+    """The whole page as text, without the sections that have nothing to show.
 
-
-def _page(results: Results, sections: Sequence[Section], encode: Callable[[ReportFigure], bytes]) -> str:
+    Args:
+        results: of one method or several.
+        chosen: sections in their order.
+        encode: a figure's file.
+    """
     known = results.truth is not None
     series = results_series(results)
     whole = None if series is None else series.still
@@ -286,7 +235,6 @@ def _page(results: Results, sections: Sequence[Section], encode: Callable[[Repor
         headline=headline(results),
         summary_note=captions.SUMMARY.format(ratio=note),
         given=_given(results),
-        paper_words=captions.BESIDE_PAPER,
         known_truth=known,
         known_nominal=bool(results.nominal),
         ratio_title="error over bound" if known else "std over bound",
@@ -298,31 +246,20 @@ def _page(results: Results, sections: Sequence[Section], encode: Callable[[Repor
                 "words": s.words,
                 "table": s.table,
                 "beside_paper": s.beside_paper,
-                "figures": [_picture(p) for p in s.pictures] + [shown_figure(f, encode(f)) for f in s.figures],
+                "figures": [*s.pictures, *(shown_figure(f, encode(f)) for f in s.figures)],
             }
-            for s in sections
+            for s in chosen
+            if s.id == "summary" or s.figures or s.pictures
         ],
         provenance=_provenance(results),
         machine=_machine(results),
     )
 
 
-def _fitting_page(results: Results, sections: Sequence[Section]) -> str:
-    page = ""
-    for dpi in _SMALLER_DPI:
-        page = _page(results, sections, partial(ReportFigure.encode, dpi=dpi))
-        if len(page.encode("utf-8")) < SIZE_LIMIT_BYTES:
-            break
-    return page
-
-
 def identification_page(results: Results, out_html: str | Path, figures_dir: str | Path) -> list[Path]:
-    """Write the page of one identification and its figures as files, each drawn once; returns the figures' paths.
-
-    The paper's printed run times stay out: they belong to the comparison of methods.
-    """
-    sections = [section for section in _sections(results) if section.id != "times"]
-    encoded = encode_all([figure for section in sections for figure in section.figures])
+    """Write the page of one identification and its figures as files, each drawn once; returns the figures' paths."""
+    chosen = sections(results)
+    encoded = encode_all([figure for section in chosen for figure in section.figures])
     paths: list[Path] = []
 
     def encode(figure: ReportFigure) -> bytes:
@@ -330,32 +267,5 @@ def identification_page(results: Results, out_html: str | Path, figures_dir: str
         paths.append(figure.save(figures_dir, content))
         return content
 
-    write_text(Path(out_html), _page(results, sections, encode))
+    write_text(Path(out_html), page(results, chosen, encode))
     return paths
-
-
-def render(results: Results) -> str:
-    """The whole page as text; time series are drawn more coarsely where the page would exceed its size limit."""
-    return _fitting_page(results, _sections(results))
-
-
-def build_report(
-    results_dir: str | Path, out_html: str | Path, *, figures_dir: str | Path | None = None
-) -> Path:
-    """Build the report from stored results and write it atomically.
-
-    ``results_dir`` holds one folder per method as ``dieseltwin identify --out`` writes it, and optionally report.json,
-    truth.json, truth.parquet, measured.parquet with measured.json, pretraining.json and driving/. Returns the path.
-    ``figures_dir``: where to save the page's figures as files too (drawn once for both).
-
-    Errors: InputError where there are no results or a file is broken.
-    """
-    out = Path(out_html)
-    results = load_results(Path(results_dir))
-    sections = _sections(results)
-    page = _fitting_page(results, sections)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if figures_dir is not None:
-        for figure in (figure for section in sections for figure in section.figures):
-            figure.save(Path(figures_dir))
-    return write_text(out, page)

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from dieseltwin.report import printed, quantities, style
+from dieseltwin.report import quantities, style
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results, SegmentResult
 from dieseltwin.report.statistics import (
     agree,
-    error_of_runs,
     relative_bound,
     relative_error,
     typical_ratio,
@@ -89,40 +88,6 @@ def segment_table(results: Results) -> pd.DataFrame:
                         "truth_inside": within(estimate.interval_90, truth) if math.isfinite(truth) else None,
                     }
                 )
-    return pd.DataFrame(rows)
-
-
-def paper_table(results: Results) -> pd.DataFrame:
-    """Root-mean-square error of each cell beside the paper's noisy few-shot table, in units of the truth.
-
-    A cell is one parameter in one minute, its error sqrt((mean - 1)^2 + std^2) over the runs, for the paper and for us.
-    Columns: minute, parameter, paper, one per method, identifiable (by every method). Empty without truth or where
-    the segments are not the paper's five minutes.
-    """
-    rows: list[dict[str, object]] = []
-    cells = printed.PARAMETER_TABLES[printed.FEW_SHOT]["noisy-301"]
-    minutes = [minute.replace("-", "–") for minute in printed.MINUTES]  # as results write them
-    for minute, row_of in zip(minutes, cells, strict=True):
-        for (mean, std), parameter in zip(row_of, PARAMETERS, strict=True):
-            truth = results.true_value(parameter)
-            places = [
-                next((i for i, s in enumerate(m.segments) if s.minutes == minute), None)
-                for m in results.methods
-            ]
-            if not math.isfinite(truth) or all(place is None for place in places):
-                continue
-            row: dict[str, object] = {
-                "minute": minute,
-                "parameter": parameter,
-                "paper": math.hypot(mean - 1, std),
-            }
-            flags = []
-            for method, place in zip(results.methods, places, strict=True):
-                if place is None:
-                    continue
-                row[method.method] = error_of_runs(method, place, parameter, truth) / truth
-                flags.append(method.segments[place].parameters[parameter].identifiable)
-            rows.append({**row, "identifiable": all(flags)})
     return pd.DataFrame(rows)
 
 

@@ -35,7 +35,7 @@ from dieseltwin.surrogates.small_networks import (
     Output,
     Structure,
     evaluate,
-    levenberg_marquardt,
+    fit_networks,
     make_cells,
     masked_parameters,
     n_parameters,
@@ -254,7 +254,7 @@ def finish(
         share.append(np.full(at_once, settings.finish_missing * k / at_once))
     rows = np.concatenate(chosen)
     doubt = LIMIT_SIGMAS * sigma / np.sqrt(cells.count)
-    found = levenberg_marquardt(
+    found = fit_networks(
         _packed(network),
         Structure(widths, tanh, masked),
         Labels(
@@ -266,7 +266,7 @@ def finish(
         steps=settings.finish_steps,
         ridge=settings.finish_ridge,
     )
-    return _as_mlp(found.parameters, widths, "tanh", network.dropout).to(network.weights[0].dtype)
+    return _as_mlp(found.unknowns, widths, "tanh", network.dropout).to(network.weights[0].dtype)
 
 
 # --- improved ----------------------------------------------------------------------------------------------------
@@ -319,31 +319,31 @@ def _fit_map(
 
     first = start(widths, at, settings.starts, settings.first_layer_scale, settings.start_level, rng)
     structure, labels = Structure(widths), Labels(at, mean_label[None], weight, output)
-    tried = levenberg_marquardt(first, structure, labels, steps=settings.steps, ridge=settings.ridge)
-    order = np.argsort(tried.cost)
-    good = order[tried.cost[order] <= settings.accepted_cost_ratio * tried.cost[order[0]]]
-    nominal = tried.parameters[order[:1]]
+    tried = fit_networks(first, structure, labels, steps=settings.steps, ridge=settings.ridge)
+    order = np.argsort(tried.linear.cost)
+    good = order[tried.linear.cost[order] <= settings.accepted_cost_ratio * tried.linear.cost[order[0]]]
+    nominal = tried.unknowns[order[:1]]
     bend = np.zeros_like(mean_label)
     for _ in range(settings.rounds):
         # what averaging did to the map itself: mean over the cell's rows less value at the mean of its inputs
         by_row = form.output(evaluate(nominal, widths, scaled.T)[0], tuple(x.T))
         bend = cells.mean(by_row) - output(evaluate(nominal, widths, at))[0][0]
-        nominal = levenberg_marquardt(
+        nominal = fit_networks(
             nominal,
             structure,
             replace(labels, y=(mean_label - bend)[None]),
             steps=settings.refine_steps,
             ridge=settings.ridge,
-        ).parameters
+        ).unknowns
     redrawn = (mean_label - bend) + rng.standard_normal((settings.members, mean_label.size)) / np.sqrt(weight)
-    from_starts = tried.parameters[good[np.arange(settings.members) % good.size]]
-    members = levenberg_marquardt(
+    from_starts = tried.unknowns[good[np.arange(settings.members) % good.size]]
+    members = fit_networks(
         from_starts,
         structure,
         replace(labels, y=redrawn),
         steps=settings.refine_steps,
         ridge=settings.ridge,
-    ).parameters
+    ).unknowns
     network = _as_mlp(np.concatenate([nominal, members]), widths)
     return MapNetwork(network, low, high, centre, scale, spread=settings.spread)
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dieseltwin.errors import DieselTwinError
+from dieseltwin.least_squares import Box, DampingRule, Fit, Linearisation, Problems, levenberg_marquardt
 
 Widths = Sequence[int]
 Output = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -27,10 +28,11 @@ Activation = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 Masked = Sequence[tuple[slice, np.ndarray]]
 """Rows and the factor (P,) that dropout puts on the parameters there; all rows, one after the other."""
 
-DAMPING_START, DAMPING_UP, DAMPING_DOWN, DAMPING_MIN = 1e-2, 4.0, 3.0, 1e-9
 DAMPING_FLOOR = 1e-3  # of the mean curvature: weights without effect must not run away
-TRIES = 5  # dampings tried in one step
-STALL_STEPS = 4  # steps without progress after which all networks are taken as converged
+RULE = DampingRule(
+    good_gain=0.0, down=1 / 3, up=4.0, of=lambda curvature: curvature + DAMPING_FLOOR * curvature.mean(1, keepdims=True)
+)
+CONVERGED = 0.1  # a network that is so many standard deviations from its minimum stays where it is
 
 
 @dataclass(frozen=True)
@@ -167,20 +169,12 @@ def evaluate_with_jacobian(
     blocks: list[np.ndarray] = []
     delta = np.ones((len(p), 1, x.shape[1]))
     for number in range(len(layers) - 1, -1, -1):
-        by_weights = (delta[:, :, None] * values[number][:, None]).reshape(len(p), -1, x.shape[1])
+        size = delta.shape[1] * values[number].shape[1]
+        by_weights = (delta[:, :, None] * values[number][:, None]).reshape(len(p), size, x.shape[1])
         blocks[:0] = [by_weights, delta]
         if number > 0:
             delta = (layers[number][0].transpose(0, 2, 1) @ delta) * slopes[number - 1]
     return z, np.concatenate(blocks, axis=1)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Fitted parameters (M, P), their cost (M,) and the steps taken."""
-
-    parameters: np.ndarray
-    cost: np.ndarray
-    steps: int
 
 
 @dataclass(frozen=True)
@@ -215,71 +209,47 @@ class Labels:
     output: Output
 
 
-def levenberg_marquardt(
-    p: np.ndarray,
-    structure: Structure,
-    labels: Labels,
-    *,
-    steps: int,
-    ridge: float,
-    tolerance: float = 1e-6,
-    damping: float = DAMPING_START,
-) -> Fit:
-    """Minimise sum(weight (y - output(network(x)))^2) + ridge |p|^2 for M networks at once, each with its damping.
+def fit_networks(p: np.ndarray, structure: Structure, labels: Labels, *, steps: int, ridge: float) -> Fit:
+    """Minimise sum(weight (y - output(network(x)))^2) + ridge |p|^2 for M networks at once.
 
     Args:
         p: start (M, P).
         structure, labels: the networks, and what they are fitted to.
         steps: at most so many.
         ridge: pulls all parameters towards zero.
-        tolerance: relative decrease of the cost that counts as progress.
-        damping: first factor.
+
+    Returns:
+        Their parameters as unknowns (M, P), with half of what is minimised as cost.
 
     Raises:
-        DieselTwinError: the start has no finite cost.
+        DieselTwinError: a start has no finite cost.
     """
-    p = p.copy()
-    widths, activate, masked = structure.widths, structure.activate, structure.masked
-    x, output, root_weight = labels.x, labels.output, np.sqrt(labels.weight)
-    y = np.broadcast_to(labels.y, (len(p), x.shape[1]))
+    root_weight = np.sqrt(labels.weight)
+    y = np.broadcast_to(labels.y, (len(p), labels.x.shape[1]))
 
-    def cost_of(q: np.ndarray) -> np.ndarray:
-        residual = root_weight * (y - output(evaluate(q, widths, x, activate, masked))[0])
-        return (residual * residual).sum(1) + ridge * (q * q).sum(1)
+    def cost_of(q: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        return np.asarray(0.5 * ((residual * residual).sum(1) + ridge * (q * q).sum(1)))
 
-    cost = cost_of(p)
-    if not np.all(np.isfinite(cost)):
-        raise DieselTwinError("Levenberg-Marquardt: the start has no finite cost; scale the inputs")
-    lam = np.full(len(p), damping)
-    stalled = np.zeros(len(p), dtype=np.int64)
-    diagonal = np.arange(p.shape[1])
-    taken = 0
-    for taken in range(1, steps + 1):  # noqa: B007  reported
-        z, jacobian = evaluate_with_jacobian(p, widths, x, activate, masked)
-        value, slope = output(z)
+    def linearise(networks: np.ndarray, q: np.ndarray, _renew: np.ndarray) -> Linearisation:
+        z, jacobian = evaluate_with_jacobian(q, structure.widths, labels.x, structure.activate, structure.masked)
+        value, slope = labels.output(z)
         jacobian *= (root_weight * slope)[:, None]
-        residual = root_weight * (y - value)
-        curvature = jacobian @ jacobian.transpose(0, 2, 1)
-        gradient = (jacobian @ residual[..., None])[..., 0] - ridge * p
-        d = curvature[:, diagonal, diagonal]
-        d = d + DAMPING_FLOOR * d.mean(1, keepdims=True)
-        better = np.zeros(len(p), dtype=bool)
-        best, best_cost = p.copy(), cost.copy()
-        for _ in range(TRIES):
-            damped = curvature.copy()
-            damped[:, diagonal, diagonal] += lam[:, None] * d + ridge
-            trial = p + np.linalg.solve(damped, gradient[..., None])[..., 0]
-            trial_cost = cost_of(trial)
-            new = ~better & (trial_cost < cost)
-            best[new], best_cost[new] = trial[new], trial_cost[new]
-            better |= new
-            if better.all():
-                break
-            lam[~better] *= DAMPING_UP
-        lam[better] = np.maximum(lam[better] / DAMPING_DOWN, DAMPING_MIN)
-        progress = (cost - best_cost) > tolerance * cost
-        stalled = np.where(progress, 0, stalled + 1)
-        p, cost = best, best_cost
-        if np.all(stalled >= STALL_STEPS):
-            break
-    return Fit(p, cost, taken)
+        residual = root_weight * (value - y[networks])
+        hessian = jacobian @ jacobian.transpose(0, 2, 1) + ridge * np.eye(q.shape[1])
+        return Linearisation(cost_of(q, residual), (jacobian @ residual[..., None])[..., 0] + ridge * q, hessian)
+
+    def cost_alone(networks: np.ndarray, q: np.ndarray) -> np.ndarray:
+        z = evaluate(q, structure.widths, labels.x, structure.activate, structure.masked)
+        return cost_of(q, root_weight * (labels.output(z)[0] - y[networks]))
+
+    anywhere = np.full(p.shape[1], np.inf)
+    fit = levenberg_marquardt(
+        Problems(linearise, cost_alone, RULE),
+        p,
+        Box(-anywhere, anywhere, anywhere),
+        tolerance=CONVERGED,
+        iterations_max=steps,
+    )
+    if not np.all(np.isfinite(fit.linear.cost)):
+        raise DieselTwinError("small networks: a start has no finite cost; scale the inputs")
+    return fit

@@ -22,7 +22,7 @@ from dieseltwin.engine import MEASURED
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.identification.few_shot._compiled import N_CHANNELS, curvature, residuals
-from dieseltwin.recordings.datasets import add_noise
+from dieseltwin.paper.datasets import add_noise
 from dieseltwin.recordings.reader import recording
 from dieseltwin.report.simulated import beside_readings
 from dieseltwin.settings.params import load_params

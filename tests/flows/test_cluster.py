@@ -44,14 +44,16 @@ def ensemble(runner, hold: str | None = None) -> str:
     """Three members and their mean with a task runner. Returns the hash of the mean."""
     from prefect import flow
 
+    from tasks.prefect_task import submit
+
     @flow(name="cluster-ensemble", task_runner=runner)
     def chain() -> str:
         pending = [
-            cluster_steps.member.submit(kind=f"{seed}", seed=seed, hold=hold if seed == 1 else None)
+            submit(cluster_steps.member, kind=f"{seed}", seed=seed, hold=hold if seed == 1 else None)
             for seed in range(3)
         ]
         first, second, third = (waiting.result() for waiting in pending)
-        return cluster_steps.mean.submit(first=first, second=second, third=third).result().sha256
+        return submit(cluster_steps.mean, first=first, second=second, third=third).result().sha256
 
     return chain()
 

@@ -173,12 +173,14 @@ def test_kill_9_in_the_middle_then_resume_gives_the_same_hash(context: RunContex
 def test_prefect_caches_paths_and_hashes_and_doubts_them(context: RunContext, prefect: None) -> None:
     from prefect import flow
 
+    from tasks.prefect_task import submit
+
     states: list[str] = []
 
     @flow(name="toy-chain")
     def chain() -> list[str]:
-        numbers = toy_steps.make.submit(count=5, seed=1)
-        total = toy_steps.total.submit(numbers=numbers.result(), scale=2.0)
+        numbers = submit(toy_steps.make, count=5, seed=1)
+        total = submit(toy_steps.total, numbers=numbers.result(), scale=2.0)
         digest = total.result().sha256
         states[:] = [numbers.future.state.name, total.future.state.name]
         return [numbers.result().sha256, digest]

@@ -11,7 +11,7 @@ import pytest
 from dieseltwin.engine import MAPS, bind, we2011
 from dieseltwin.identification import acceptance
 from dieseltwin.identification.acceptance import AcceptanceTest, HeldOutDriving
-from dieseltwin.recordings.datasets import make_validation
+from dieseltwin.paper.datasets import make_validation
 from dieseltwin.settings.params import load_params
 
 ENGINE = we2011.PARAMETERS

@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from dieseltwin.errors import InputError
+from dieseltwin.paper import printed
 from dieseltwin.paper.evaluation import tables as evaluation
 from dieseltwin.paper.evaluation.page import build_page, headline
 from dieseltwin.paper.evaluation.variants import variant_scores
-from dieseltwin.report import printed
 
 PAPER = Path(__file__).parents[3] / "shared" / "paper" / "paper.tex"
 

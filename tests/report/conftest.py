@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import synthetic_results as synthetic
 
-from dieseltwin.report.html import result_figures
+from dieseltwin.paper.comparison.page import sections
 from dieseltwin.report.results import Results, load_results
 from dieseltwin.report.style import ReportFigure
 
@@ -26,4 +26,4 @@ def results(stored: Path) -> Results:
 @pytest.fixture(scope="session")
 def figures(results: Results) -> dict[str, ReportFigure]:
     """Every figure of the full report by its name; drawing them is most of the time of these tests."""
-    return {figure.name: figure for figure in result_figures(results)}
+    return {figure.name: figure for section in sections(results) for figure in section.figures}

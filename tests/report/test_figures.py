@@ -13,13 +13,14 @@ import synthetic_results as synthetic
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
+from dieseltwin.paper.comparison.beside_paper import run_times
+from dieseltwin.paper.comparison.pretraining import pretraining
+from dieseltwin.paper.printed import BODY_ERRORS
 from dieseltwin.report import quantities
-from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map, run_times
-from dieseltwin.report.printed import BODY_ERRORS
+from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map
 from dieseltwin.report.results import PARAMETERS, Results, method_from_document
 from dieseltwin.report.style import TRUTH, ReportFigure, method_style
 from dieseltwin.report.timeseries import RESIDUAL_LIMIT, states, trajectories
-from dieseltwin.report.training import pretraining
 from dieseltwin.report.violins import swarm, violins
 from dieseltwin.settings.methods import in_order
 

@@ -11,8 +11,8 @@ import pytest
 import synthetic_results as synthetic
 
 from dieseltwin.errors import InputError
+from dieseltwin.paper.comparison.page import SIZE_LIMIT_BYTES, build_report
 from dieseltwin.report import quantities
-from dieseltwin.report.html import SIZE_LIMIT_BYTES, build_report
 from dieseltwin.report.results import load_results
 
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import synthetic_results as synthetic
 
+from dieseltwin.paper.comparison.beside_paper import paper_table
 from dieseltwin.report import quantities
 from dieseltwin.report.results import PARAMETERS, Results, load_results, method_from_document
 from dieseltwin.report.statistics import autocorrelation
-from dieseltwin.report.tables import headline, paper_table, segment_table, summary_table, summary_text
+from dieseltwin.report.tables import headline, segment_table, summary_table, summary_text
 
 
 def test_summary_equals_the_documents(stored: Path, results: Results) -> None:

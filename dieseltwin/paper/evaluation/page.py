@@ -12,10 +12,11 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dieseltwin.atomic import write_text
+from dieseltwin.paper import printed
 from dieseltwin.paper.evaluation import words as words
 from dieseltwin.paper.evaluation.ensembles import CASES
 from dieseltwin.paper.evaluation.figures import over_epochs_figure, ratios_figure
-from dieseltwin.report import printed, quantities, style, timeseries, training, violins
+from dieseltwin.report import quantities, style, timeseries, training, violins
 from dieseltwin.report.results import PARAMETERS, Results
 from dieseltwin.report.style import ReportFigure
 from dieseltwin.settings.methods import find

@@ -23,7 +23,7 @@ from scipy import stats
 
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
-from dieseltwin.report import printed
+from dieseltwin.paper import printed
 
 BOUND_SCORED = 0.10
 """Relative bound below which a cell is scored (issue: "cells with a bound below 10 %")."""

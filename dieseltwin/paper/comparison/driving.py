@@ -15,10 +15,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dieseltwin.duty_cycles import full_load_torque
-from dieseltwin.report.captions import SET_TITLES
 from dieseltwin.report.style import ReportFigure, note, styled
 from dieseltwin.settings.params import EcuConfig
 from dieseltwin.symbols import label
+
+SET_TITLES: Mapping[str, str] = {
+    "set_i": "Set-I: WHSC, WHTC seconds 1-900, random driving",
+    "set_ii": "Set-II: minutes 0-1 and 3-5 drive, 1-2 enters idle, 2-3 idles; WHTC seconds 901-1800",
+    "set_iii": "Set-III: WHSC, WHTC and random driving, u_egr modified for a wider range",
+    "set_iv": "Set-IV: WHSC, WHTC and random driving, u_vgt modified for a wider range",
+}
 
 SPEED, FUEL = "#0072B2", "#D55E00"
 EGR, VGT = "#009E73", "#CC79A7"

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dieseltwin.identification.least_squares import (
+from dieseltwin.least_squares import (
     Box,
     Linearisation,
+    Problems,
     covariance,
     keep_better,
     levenberg_marquardt,
@@ -32,20 +33,20 @@ WIDE = Box(np.full(2, -10.0), np.full(2, 10.0), np.full(2, 2.0))
 
 def test_every_problem_of_a_batch_reaches_its_minimum() -> None:
     start = np.random.default_rng(3).uniform(-2.0, 2.0, (40, 2))
-    fit = levenberg_marquardt(rosenbrock, start, WIDE, tolerance=1e-6, iterations_max=200)
+    fit = levenberg_marquardt(Problems(rosenbrock), start, WIDE, tolerance=1e-6, iterations_max=200)
     assert fit.converged.all()
     np.testing.assert_allclose(fit.unknowns, 1.0, atol=1e-5)
 
 
 def test_an_unfinished_problem_says_so() -> None:
-    fit = levenberg_marquardt(rosenbrock, np.array([[-1.2, 1.0]]), WIDE, tolerance=1e-6, iterations_max=2)
+    fit = levenberg_marquardt(Problems(rosenbrock), np.array([[-1.2, 1.0]]), WIDE, tolerance=1e-6, iterations_max=2)
     assert not fit.converged[0]
     assert fit.iterations[0] == 3
 
 
 def test_the_box_holds_and_a_pinned_unknown_stays() -> None:
     box = replace(WIDE, lower=np.array([-10.0, 0.25]), upper=np.array([10.0, 0.25]))
-    fit = levenberg_marquardt(rosenbrock, np.array([[0.1, 0.25]]), box, tolerance=1e-8, iterations_max=100)
+    fit = levenberg_marquardt(Problems(rosenbrock), np.array([[0.1, 0.25]]), box, tolerance=1e-8, iterations_max=100)
     assert fit.unknowns[0, 1] == 0.25
     # best x_0 on the line x_1 = 1/4: 200 x^3 - 49 x - 1 = 0
     assert 200.0 * fit.unknowns[0, 0] ** 3 - 49.0 * fit.unknowns[0, 0] - 1.0 == pytest.approx(0.0, abs=1e-4)
@@ -56,7 +57,7 @@ def test_a_failing_model_is_never_accepted() -> None:
         good = rosenbrock(index, x, renew)
         return Linearisation(np.where(x[:, 0] > 0.5, np.inf, good.cost), good.gradient, good.hessian)
 
-    fit = levenberg_marquardt(fails_right, np.array([[0.0, 0.0]]), WIDE, tolerance=1e-6, iterations_max=60)
+    fit = levenberg_marquardt(Problems(fails_right), np.array([[0.0, 0.0]]), WIDE, tolerance=1e-6, iterations_max=60)
     assert fit.unknowns[0, 0] <= 0.5
     assert np.isfinite(fit.linear.cost[0])
 
@@ -70,8 +71,8 @@ def test_missing_information_gives_a_huge_variance_and_leaves_the_others_alone()
 
 def test_the_better_of_two_fits_is_kept() -> None:
     start = np.array([[-1.2, 1.0], [0.9, 0.9]])
-    short = levenberg_marquardt(rosenbrock, start, WIDE, tolerance=1e-6, iterations_max=1)
-    long = levenberg_marquardt(rosenbrock, start[:1], WIDE, tolerance=1e-6, iterations_max=100)
+    short = levenberg_marquardt(Problems(rosenbrock), start, WIDE, tolerance=1e-6, iterations_max=1)
+    long = levenberg_marquardt(Problems(rosenbrock), start[:1], WIDE, tolerance=1e-6, iterations_max=100)
     both = keep_better(short, long, np.array([0]))
     np.testing.assert_array_equal(both.unknowns[0], long.unknowns[0])
     np.testing.assert_array_equal(both.unknowns[1], short.unknowns[1])

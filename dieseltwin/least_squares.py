@@ -26,6 +26,10 @@ class Linearisation:
     gradient: Array
     hessian: Array
 
+    def take(self, rows: NDArray[np.bool_]) -> Linearisation:
+        """The same of some of the problems."""
+        return Linearisation(self.cost[rows], self.gradient[rows], self.hessian[rows])
+
 
 Linearise = Callable[[Index, Array, NDArray[np.bool_]], Linearisation]
 """(K indices, (K, m) unknowns, (K,) renew) -> cost, gradient, Hessian; without `renew` the last Jacobian serves."""
@@ -34,8 +38,6 @@ CHORD_DISTANCE = 1.0
 """A move of fewer standard deviations than this keeps its Jacobian, which changes by some tenths of a per cent."""
 ACCEPT_GAIN = 1e-3
 """Smallest share of the predicted decrease that a step must bring."""
-GOOD_GAIN, DAMPING_DOWN, DAMPING_UP = 0.5, 0.1, 8.0
-"""Damping falls after a step that brought at least half of what was predicted, and rises after a refused one."""
 DAMPING_MIN, DAMPING_MAX = 1e-9, 1e9
 CONVERGED_BELOW = 0.1
 """Remaining move of an unknown that counts as converged [standard deviations]: it adds 1 % to a variance at most."""
@@ -44,6 +46,11 @@ NEGLIGIBLE = 1e-4
 ALL = slice(None)
 CURVATURE_MIN = 1.0
 """Least curvature that damping acts on: a log standard deviation of 1 counts as no knowledge at all."""
+
+
+def of_logarithms(curvature: Array) -> Array:
+    """What damping acts on where the unknowns are logarithms, from the Hessian's diagonal (L, m)."""
+    return np.maximum(curvature, CURVATURE_MIN)
 
 
 @dataclass(frozen=True)
@@ -83,8 +90,40 @@ class Box:
     step_max: Array
 
 
+@dataclass(frozen=True)
+class DampingRule:
+    """When damping changes, and what it acts on.
+
+    Attributes:
+        good_gain: share of the predicted decrease from which a step lets the damping fall [-].
+        down, up: factors after a good step and after a refused one [-].
+        of: the Hessian's diagonal (L, m) -> the curvatures that the damping multiplies.
+    """
+
+    good_gain: float = 0.5
+    down: float = 0.1
+    up: float = 8.0
+    of: Callable[[Array], Array] = of_logarithms
+
+
+@dataclass(frozen=True)
+class Problems:
+    """What is minimised, and how.
+
+    Attributes:
+        linearise: cost, gradient and Hessian of chosen problems.
+        cost_alone: their cost (K,) from (K indices, (K, m) unknowns), where that is much cheaper: then what a trial
+            refuses is never linearised, and only linearised points count as iterations.
+        rule: of the damping.
+    """
+
+    linearise: Linearise
+    cost_alone: Callable[[Index, Array], Array] | None = None
+    rule: DampingRule = DampingRule()
+
+
 def levenberg_marquardt(
-    linearise: Linearise,
+    problems: Problems,
     start: Array,
     box: Box,
     *,
@@ -95,12 +134,16 @@ def levenberg_marquardt(
 ) -> Fit:
     """Minimise L sums of squares, each with its own damping; a problem leaves the batch once it has converged.
 
-    A trial point is linearised together with its cost: almost every trial is accepted, and then nothing is computed
-    twice. Converged means a Newton decrement sqrt(g' H^-1 g) below `tolerance`: the rest of the way is that share of
-    a standard deviation, whatever the units.
+    A trial point is linearised together with its cost, unless the cost alone is cheap: almost every trial is accepted,
+    and then nothing is computed twice. Converged means a Newton decrement sqrt(g' H^-1 g) below `tolerance`: the rest
+    of the way is that share of a standard deviation, whatever the units.
+
+    The few-shot estimator's heads are minimised elsewhere (`identification.few_shot.damped_newton`): there the gradient
+    costs a hundredth of the Hessian, so that a point is seen first and its Hessian renewed after; here one
+    integration gives both, and what is renewed has to be chosen before.
 
     Args:
-        linearise: evaluates chosen problems.
+        problems: what is minimised.
         start: (L, m) first values.
         box: where the unknowns may go.
         tolerance: largest decrement that counts as converged [standard deviations].
@@ -111,6 +154,7 @@ def levenberg_marquardt(
     Returns:
         The best point of each problem.
     """
+    linearise, cost_alone, rule = problems.linearise, problems.cost_alone, problems.rule
     lower, upper, step_max = box.lower, box.upper, box.step_max
     count = len(start)
     everything = np.arange(count)
@@ -119,41 +163,47 @@ def levenberg_marquardt(
     first = linearise(everything, x, np.ones(count, dtype=bool))
     cost, gradient, hessian = first.cost.copy(), first.gradient.copy(), first.hessian.copy()
     factor = np.broadcast_to(damping, (count,)).astype(np.float64)
-    decrement, _ = _newton(gradient, hessian, x, lower, upper)
+    decrement = _newton(gradient, hessian, x, lower, upper)[0]
     iterations = np.ones(count, dtype=np.int64)
     stale = np.zeros(count, dtype=bool)  # the Jacobian belongs to an earlier point
     renewal = np.zeros(count, dtype=bool)  # no step next: the Jacobian is renewed where the problem stands
     active = everything[np.isfinite(cost) & (decrement > tolerance)]
-    for _ in range(iterations_max):
-        if not len(active):
-            break
+    while len(active):
         again = renewal[active]
         blocked = _blocked(gradient[active], x[active], lower[active], upper[active])
         reduced = _reduced(gradient[active], hessian[active], blocked)
-        step = np.where(again[:, None], 0.0, _step(*reduced, factor[active], step_max))
+        added = factor[active, None] * rule.of(np.diagonal(reduced[1], axis1=1, axis2=2))
+        step = np.where(again[:, None], 0.0, _step(*reduced, added, step_max))
         trial = np.clip(x[active] + step, lower[active], upper[active])
         step = trial - x[active]
         square = np.einsum("lj,ljk,lk->l", step, hessian[active], step)
         predicted = -np.einsum("lk,lk->l", gradient[active], step) - 0.5 * square
-        renew = again | (square > CHORD_DISTANCE**2)
-        there = linearise(active, trial, renew)
-        iterations[active] += 1
-        gain = np.where(predicted > 0.0, (cost[active] - there.cost) / np.maximum(predicted, _TINY), -1.0)
-        accepted = again | (np.isfinite(there.cost) & (gain > ACCEPT_GAIN))
+        renew = again | (square > CHORD_DISTANCE**2) | (cost_alone is not None)
+        there: Linearisation | None = None
+        if cost_alone is None:
+            there = linearise(active, trial, renew)
+            cost_there = there.cost
+        else:
+            cost_there = cost_alone(active, trial)
+        gain = np.where(predicted > 0.0, (cost[active] - cost_there) / np.maximum(predicted, _TINY), -1.0)
+        accepted = again | (np.isfinite(cost_there) & (gain > ACCEPT_GAIN))
         # A refused step with a Jacobian from elsewhere says little: renew it before taking shorter steps.
         ask = ~accepted & stale[active]
-        rises, falls = ~accepted & ~ask, accepted & ~again & (gain > GOOD_GAIN)
-        factor[active] *= np.where(falls, DAMPING_DOWN, np.where(rises, DAMPING_UP, 1.0))
+        rises, falls = ~accepted & ~ask, accepted & ~again & (gain > rule.good_gain)
+        factor[active] *= np.where(falls, rule.down, np.where(rises, rule.up, 1.0))
         factor = np.clip(factor, DAMPING_MIN, DAMPING_MAX)
         moved = active[accepted]
-        x[moved], cost[moved] = trial[accepted], there.cost[accepted]
-        gradient[moved], hessian[moved] = there.gradient[accepted], there.hessian[accepted]
+        now = linearise(moved, trial[accepted], renew[accepted]) if there is None else there.take(accepted)
+        iterations[moved if there is None else active] += 1
+        x[moved], cost[moved], gradient[moved], hessian[moved] = trial[accepted], now.cost, now.gradient, now.hessian
         stale[moved], renewal[active] = ~renew[accepted], ask
-        decrement[moved], _ = _newton(gradient[moved], hessian[moved], x[moved], lower[moved], upper[moved])
+        decrement[moved] = _newton(now.gradient, now.hessian, x[moved], lower[moved], upper[moved])[0]
         # A refused step that promised next to nothing: a kink of the model, not a way on.
         stuck = rises & ((predicted < NEGLIGIBLE) | (factor[active] >= DAMPING_MAX))
-        active = active[(decrement[active] > tolerance) & ~stuck]
-    remaining = _newton(gradient, hessian, x, lower, upper)[1][:, interest].max(axis=1)
+        active = active[(decrement[active] > tolerance) & ~stuck & (iterations[active] <= iterations_max)]
+    _, way, curvature = _newton(gradient, hessian, x, lower, upper)
+    std = np.sqrt(np.diagonal(covariance(curvature), axis1=1, axis2=2))
+    remaining = (np.abs(way) / std)[:, interest].max(axis=1)
     converged = np.isfinite(cost) & (remaining <= CONVERGED_BELOW)
     return Fit(x, Linearisation(cost, gradient, hessian), factor, decrement, remaining, iterations, converged)
 
@@ -227,6 +277,8 @@ def concatenated(parts: Sequence[Fit]) -> Fit:
 EQUAL_COST = 0.01
 """Negative log likelihoods this close are one minimum."""
 
+ROUNDING = 1e-12
+"""Added to a correlation's diagonal: with more unknowns than readings it is singular, and rounding decides whether."""
 _TINY = 1e-12
 """A predicted decrease below this is rounding."""
 
@@ -243,24 +295,24 @@ def _reduced(gradient: Array, hessian: Array, blocked: NDArray[np.bool_]) -> tup
     return np.where(blocked, 0.0, gradient), coupled + blocked[:, :, None] * np.eye(hessian.shape[-1])
 
 
-def _step(gradient: Array, hessian: Array, factor: Array, step_max: Array) -> Array:
-    diagonal = np.maximum(np.diagonal(hessian, axis1=1, axis2=2), CURVATURE_MIN)
-    damped = hessian + (factor[:, None] * diagonal)[:, :, None] * np.eye(hessian.shape[-1])
+def _step(gradient: Array, hessian: Array, added: Array, step_max: Array) -> Array:
+    """The step (L, m) of Hessians with something added to their diagonals, no unknown moved by more than its most."""
+    damped = hessian + added[:, :, None] * np.eye(hessian.shape[-1])
     step = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
     # Shortening the whole step keeps its direction; clipping single unknowns would not.
     return np.asarray(step / np.maximum(1.0, np.max(np.abs(step) / step_max, axis=1))[:, None])
 
 
-def _newton(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Newton decrement (L,), and the Newton step of each unknown over its standard deviation (L, m)."""
+def _newton(gradient: Array, hessian: Array, x: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
+    """Newton decrement (L,), Newton step (L, m) and the Hessian without blocked unknowns (L, m, m)."""
     reduced, curvature = _reduced(gradient, hessian, _blocked(gradient, x, lower, upper))
     finite = np.isfinite(reduced).all(axis=1) & np.isfinite(curvature).all(axis=(1, 2))
-    decrement, remaining = np.full(len(x), np.inf), np.full(x.shape, np.inf)
-    variance = covariance(curvature[finite])
-    step = np.einsum("ljk,lk->lj", variance, reduced[finite])
-    decrement[finite] = np.sqrt(np.maximum(np.einsum("lj,lj->l", step, reduced[finite]), 0.0))
-    remaining[finite] = np.abs(step) / np.sqrt(np.diagonal(variance, axis1=1, axis2=2))
-    return decrement, remaining
+    decrement, step = np.full(len(x), np.inf), np.full(x.shape, np.inf)
+    correlation, scale = _scaled(curvature[finite])
+    step[finite] = np.linalg.solve(correlation, (reduced[finite] / scale)[:, :, None])[:, :, 0] / scale
+    decrement[finite] = np.sqrt(np.maximum(np.einsum("lj,lj->l", step[finite], reduced[finite]), 0.0))
+    curvature[~finite] = np.eye(x.shape[1])
+    return decrement, step, curvature
 
 
 def covariance(hessian: Array) -> Array:
@@ -275,10 +327,15 @@ def covariance(hessian: Array) -> Array:
     Returns:
         (.., m, m) covariance [-].
     """
+    correlation, scale = _scaled(hessian)
+    return np.asarray(np.linalg.inv(correlation) / (scale[..., :, None] * scale[..., None, :]))
+
+
+def _scaled(hessian: Array) -> tuple[Array, Array]:
+    """Fisher information (.., m, m) with a diagonal of ones, and the roots (.., m) of what its diagonal was."""
     information = hessian + UNINFORMED**-2.0 * np.eye(hessian.shape[-1])
     scale = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
-    outer = scale[..., :, None] * scale[..., None, :]
-    return np.asarray(np.linalg.inv(information / outer) / outer)
+    return information / (scale[..., :, None] * scale[..., None, :]) + ROUNDING * np.eye(hessian.shape[-1]), scale
 
 
 UNINFORMED = 1e3

@@ -9,7 +9,8 @@ import pytest
 from dieseltwin.duty_cycles import Driving, limit_breaks
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.datasets import (
+from dieseltwin.paper.comparison.driving import set_figure
+from dieseltwin.paper.datasets import (
     FIELD_CASE,
     LAB_CASES,
     add_noise,
@@ -26,7 +27,6 @@ from dieseltwin.recordings.datasets import (
     simulated,
 )
 from dieseltwin.recordings.reader import read_recording, recording, write_recording
-from dieseltwin.report.driving import set_figure
 from dieseltwin.settings.params import Params, load_params
 
 LAB = we2011.PARAMETERS

@@ -1,0 +1,1 @@
+"""The identification methods beside one another and beside the paper's printed numbers."""

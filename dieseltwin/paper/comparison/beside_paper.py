@@ -1,0 +1,127 @@
+"""What one identification of the field engine is set beside: the paper's printed run times and few-shot table."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from dieseltwin.paper import printed
+from dieseltwin.report import captions, quantities, style
+from dieseltwin.report.results import PARAMETERS, Results
+from dieseltwin.report.segment_axis import WIDTH_IN
+from dieseltwin.report.statistics import error_of_runs
+
+RUN_TIMES = captions.line("""
+    Wall seconds per run (one start on one 60 s segment): total wall time of the batch divided by its runs. One step of
+    the grid is a factor of ten. Grey: the paper's printed times for noisy data, 301 points, one core of another
+    computer; they are shown for scale, not as a race on equal terms.
+""")
+
+BESIDE_PAPER = captions.line("""
+    Error of each cell in % of the truth, sqrt((mean − truth)² + std²) over the runs; paper: few-shot table, noisy
+    data, 301 points, its own driving and starts near the truth. Cells in brackets are not identifiable here and not
+    scored.
+""")
+
+
+@style.styled
+def run_times(results: Results) -> style.ReportFigure:
+    """Seconds per run of each method on a logarithmic axis, beside the paper's printed times."""
+    rows: list[tuple[str, float, str, str]] = []
+    for method in results.methods:
+        look = style.method_style(method.method)
+        seconds = method.seconds_per_run
+        if not math.isfinite(seconds) or seconds <= 0:
+            continue
+        count = method.number_of_runs * len(method.segments)
+        rows.append((look.label, seconds, look.colour, f"{seconds:.3g} s per run, {count} runs"))
+    theirs = [(f"paper: {name}", s, style.PAPER, f"{s:.0f} s per run") for name, s in printed.mean_seconds().items()]
+    figure = Figure(figsize=(WIDTH_IN, 0.5 * (len(rows) + len(theirs)) + 1.4))
+    axes = figure.subplots()
+    everything = rows + theirs
+    start = min([seconds for _, seconds, _, _ in everything], default=1.0) / 4
+    for place, (_, seconds, colour, text) in enumerate(everything):
+        axes.plot([start, seconds], [place, place], color=colour, linewidth=7, solid_capstyle="butt")
+        axes.text(seconds * 1.12, place, text, va="center", fontsize=9.5)
+    axes.set_yticks(range(len(everything)), [name for name, *_ in everything])
+    axes.set_ylim(len(everything) - 0.5, -0.5)
+    axes.set_xscale("log")
+    axes.set_xlim(start, 15 * max([seconds for _, seconds, _, _ in everything], default=1.0))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("wall time per run of one 60 s segment [s], logarithmic")
+    axes.set_ylabel("method")
+    axes.grid(False, axis="y")
+    axes.legend(
+        handles=[
+            Patch(color="#555555", label="this computer"),
+            Patch(color=style.PAPER, label="paper (other computer, printed)"),
+        ],
+        loc="upper right",
+    )
+    return style.ReportFigure("run_times", "Run times", RUN_TIMES, figure)
+
+
+def paper_table(results: Results) -> pd.DataFrame:
+    """Root-mean-square error of each cell beside the paper's noisy few-shot table, in units of the truth.
+
+    A cell is one parameter in one minute, its error sqrt((mean - 1)^2 + std^2) over the runs, for the paper and for us.
+    Columns: minute, parameter, paper, one per method, identifiable (by every method). Empty without truth or where
+    the segments are not the paper's five minutes.
+    """
+    rows: list[dict[str, object]] = []
+    cells = printed.PARAMETER_TABLES[printed.FEW_SHOT]["noisy-301"]
+    minutes = [minute.replace("-", "–") for minute in printed.MINUTES]  # as results write them
+    for minute, row_of in zip(minutes, cells, strict=True):
+        for (mean, std), parameter in zip(row_of, PARAMETERS, strict=True):
+            truth = results.true_value(parameter)
+            places = [
+                next((i for i, s in enumerate(m.segments) if s.minutes == minute), None)
+                for m in results.methods
+            ]
+            if not math.isfinite(truth) or all(place is None for place in places):
+                continue
+            row: dict[str, object] = {
+                "minute": minute,
+                "parameter": parameter,
+                "paper": math.hypot(mean - 1, std),
+            }
+            flags = []
+            for method, place in zip(results.methods, places, strict=True):
+                if place is None:
+                    continue
+                row[method.method] = error_of_runs(method, place, parameter, truth) / truth
+                flags.append(method.segments[place].parameters[parameter].identifiable)
+            rows.append({**row, "identifiable": all(flags)})
+    return pd.DataFrame(rows)
+
+
+def paper_rows(results: Results) -> dict[str, Any] | None:
+    """The cells beside the paper's table, as text; None where there is nothing to compare."""
+    table = paper_table(results)
+    if table.empty:
+        return None
+    methods = [m.method for m in results.methods if m.method in table]
+    rows = []
+    for minute, part in table.groupby("minute", sort=True):
+        for name, label in (("paper", "paper"), *((m, style.method_style(m).label) for m in methods)):
+            cells = []
+            for parameter in PARAMETERS:
+                cell = part[part["parameter"] == parameter].iloc[0]
+                text = quantities.percent(cell[name])
+                cells.append(
+                    {"text": text if cell["identifiable"] else f"({text})", "none": not cell["identifiable"]}
+                )
+            colour = style.PAPER if name == "paper" else style.method_style(name).colour
+            rows.append(
+                {
+                    "minute": minute if name == "paper" else "",
+                    "label": label,
+                    "colour": colour,
+                    "cells": cells,
+                }
+            )
+    return {"heads": [quantities.html_symbol(p) for p in PARAMETERS], "rows": rows, "words": BESIDE_PAPER}
