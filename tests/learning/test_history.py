@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from dieseltwin.errors import InputError
-from dieseltwin.learning.alarm import Score
+from dieseltwin.learning.alarm import Alarm, Course, Score
 from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, to_json
+from dieseltwin.report.history import sentence
 
 ENGINE = "e" * 64
 
@@ -110,3 +111,13 @@ def test_a_history_belongs_to_one_engine(tmp_path: Path):
 
 def test_dates_are_compared_as_moments():
     assert replace(entry(0), date="2026-01-01T01:00:00+01:00").moment == entry(0).moment
+
+
+def test_an_alarm_says_where_the_last_recording_by_itself_says_another_name() -> None:
+    entries = [entry(0), entry(1)]
+    alarm = Alarm(1, "exhaust_leak", "exhaust_mass_balance", "m2", 1.0, (), 13e-6, 1e-6, True, entries[0].moment,
+                  entries[0].moment, entries[1].moment, 400.0)  # fmt: skip
+    told = Course(np.array([0.3, 400.0]), 50.0, alarm)
+    for verdict, said in (("boost_leak", True), ("healthy", False), ("exhaust_leak", False)):
+        words = sentence([entries[0], replace(entries[1], verdict=verdict)], told, 0.02)
+        assert ("by itself shows boost_leak" in words) is said and "most likely exhaust_leak" in words
