@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.discover import judge
-from dieseltwin.petrol.effects import CLOCKS, undo_all
+from dieseltwin.petrol.effects import undo_all
 from dieseltwin.petrol.least_squares import FREEDOM, normal_equations
 from dieseltwin.petrol.maps import sum_roughness, tensor_roughness
 from dieseltwin.petrol.model import (
@@ -34,7 +34,7 @@ BEND = 0.3  # standard deviation of a map's second differences: a wavy eta_vol (
 REACH = 3.0  # standard deviation of a coefficient, where nothing else is known [-]
 SUMMAND_REACH = 1.0  # the same of the second summand of the throttle's map: fixes the constant between the two
 FIRST_SPREAD = Spread(base=0.02, rates=(0.1, 0.1, 0.1, 0.02))
-LEARNED_CLOCKS = tuple(name for name in CLOCKS if name != "p_im_late")  # against the manifold pressure's
+LEARNED_CLOCKS = ("w_af_late", "throttle_late")  # against the pressures'; that of p_ic shows too little to be learned
 CLOCK_ROUNDS, CLOCK_STEP_S, CLOCK_REACH_S = 3, 0.05, 0.1  # of the delays; their prior standard deviation
 FOLDS, FOLD_S = 5, 20.0  # cross-validation of the scatter
 ROUNDS = 3  # of maps and scatter in turn
@@ -184,7 +184,7 @@ def fit_maps(signals: Signals, base: PetrolParameters, without: tuple[float, flo
 
 
 def learned_clocks(signals: Signals, grid: Grid, geometry: Geometry, kept: Bool) -> dict[str, float]:
-    """Delay of each channel against the manifold pressure [s]: both flow balances scatter least, the maps fitted along.
+    """Delays of air flow and throttle against the pressures [s]: both flow balances scatter least, maps fitted along.
 
     A logger reads its channels in turn and a hot film answers late; a row of 50 ms is 5 % of the air flow in a tip-in.
     """
