@@ -64,6 +64,7 @@ class Fault:
 NOTHING = Fault("", "", 0.0, "healthy")
 SENSORS = {"p_im": "p_im_gain", "p_ic": "p_ic_gain", "W_af": "w_af_gain", "T_ic": "t_ic_offset",
            "alpha": "throttle_gain", "p_amb": "p_amb_gain", "omega_e": "", "T_amb": "t_amb_offset"}
+LATE = {"p_im": "p_im_late", "W_af": "w_af_late", "alpha": "throttle_late"}
 PLANTED: tuple[Fault, ...] = (
     *(Fault(name, column, sign * GAIN) for column, name in SENSORS.items() for sign in (1.0, -1.0)),
     *(Fault("intake_leak", "intake", 1e-6 * size, "leak") for size in LEAKS_MM2),
@@ -71,7 +72,7 @@ PLANTED: tuple[Fault, ...] = (
     Fault("p_im_offset", "p_im", 5e3, "offset"), Fault("p_ic_offset", "p_ic", 5e3, "offset"),
     Fault("w_af_offset", "W_af", 5e-4, "offset"), Fault("throttle_offset", "alpha", 0.5, "offset"),
     *(Fault("", column, 0.0, "frozen") for column in ("p_im", "p_ic", "W_af", "T_ic")),
-    *(Fault("", column, LAG_S, "lag") for column in ("p_im", "W_af", "alpha")),
+    *(Fault(name, column, LAG_S, "lag") for column, name in LATE.items()),
 )  # fmt: skip
 
 

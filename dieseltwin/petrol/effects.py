@@ -15,14 +15,25 @@ from numpy.typing import NDArray
 
 from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.petrol.components import nozzle_flow, signed_leak
-from dieseltwin.petrol.recording import Signals
+from dieseltwin.petrol.recording import Signals, gaps
 
 Array = NDArray[np.float64]
 Undo = Callable[[Signals, "Array | float"], Signals]
 
+
+def later(time_s: Array, values: Array, delay_s: Array | float) -> Array:
+    """A channel (n,) as it is read `delay_s` [s] later, linear between its rows; no piece between gaps sees another."""
+    starts = gaps(time_s)
+    piece = np.searchsorted(starts, np.arange(len(time_s)), side="right") - 1
+    ends = np.append(starts[1:], len(time_s)) - 1
+    return np.interp(np.clip(time_s - delay_s, time_s[starts][piece], time_s[ends][piece]), time_s, values)
+
+
+
 _NOZZLE = "A p_up/sqrt(R_a T_up) Psi(p_down/p_up)"
 LEAST_PRESSURE = 1e3  # Pa, what an undone offset leaves at least
 LEAST_FLOW = 1e-5  # kg/s
+LATE_S = (-1.0, 3.0)  # s, a channel's delay; negative where the reference channel is late
 NEEDS: Mapping[str, tuple[str, ...]] = {
     "cylinder": ("w_af_kg_s", "p_im_pa", "omega_e_rad_s", "p_ic_pa", "t_ic_k"),
     "throttle": ("w_af_kg_s", "p_im_pa", "alpha_th_pct", "p_ic_pa", "t_ic_k"),
@@ -48,6 +59,10 @@ def _offset(field: str, least: float = -np.inf) -> Undo:
     return lambda s, m: replace(s, **{field: np.maximum(getattr(s, field) - m, least)})
 
 
+def _late(field: str) -> Undo:
+    return lambda s, m: replace(s, **{field: later(s.time_s, getattr(s, field), -m)})
+
+
 Kind = Literal["physics", "actuator", "input", "sensor"]
 
 
@@ -55,7 +70,9 @@ def _effect(
     name: str, kind: Kind, site: str, law: str, tolerance: tuple[float, str], limits: tuple[float, float], undo: Undo
 ) -> PetrolEffect:
     size, unit = tolerance
-    return PetrolEffect(Hypothesis(name, site, law, unit, size, limits, True, (size,), kind), undo)
+    late = unit == "s"  # a signal pulsates from row to row: its derivative to a delay says nothing of a longer one
+    sizes = (-size, size) if late else (size,)
+    return PetrolEffect(Hypothesis(name, site, law, unit, size, limits, not late, sizes, kind), undo)
 
 
 _ALL = (
@@ -74,6 +91,10 @@ _ALL = (
             _offset("T_amb")),
     _effect("p_amb_gain", "sensor", "sensor:p_amb_pa", "reading = p_amb (1 + g)", (0.01, "-"), (-0.3, 0.3),
             _gain("p_amb")),
+    _effect("p_im_late", "sensor", "sensor:p_im_pa", "reading = p_im(t - d)", (0.3, "s"), LATE_S, _late("p_im")),
+    _effect("p_ic_late", "sensor", "sensor:p_ic_pa", "reading = p_ic(t - d)", (0.6, "s"), LATE_S, _late("p_ic")),
+    _effect("w_af_late", "sensor", "sensor:w_af_kg_s", "reading = W_af(t - d)", (0.3, "s"), LATE_S, _late("W_af")),
+    _effect("throttle_late", "actuator", "throttle_actuator", "alpha(t - d)", (0.3, "s"), LATE_S, _late("alpha")),
     _effect("throttle_offset", "actuator", "throttle_actuator", "alpha + b", (0.3, "%"), (-5.0, 5.0), _offset("alpha")),
     _effect("throttle_gain", "actuator", "throttle_actuator", "alpha (1 + g)", (0.03, "-"), (-0.5, 1.0),
             _gain("alpha")),
@@ -94,6 +115,8 @@ HYPOTHESES: Mapping[str, Hypothesis] = {name: e.hypothesis for name, e in EFFECT
 LOG_PRIOR: Mapping[str, float] = dict.fromkeys(("p_im_offset", "p_ic_offset", "w_af_offset", "t_ic_offset"), -3.0)
 """Log-probability of names that a recording can't tell apart: the recordings' documentation names gains of sensors and
 a leak as what happens (Jung, Frisk, Krysander 2024); the others 0."""
+CLOCKS = ("p_im_late", "w_af_late", "throttle_late", "p_ic_late")
+"""Effects that are the clock of a channel."""
 AIR_FLOW = ("w_af_gain", "w_af_offset")
 """Faults of the air-flow sensor: the balances foretell what it reads."""
 

@@ -79,6 +79,8 @@ class Tolerances(StrictModel):
         throttle_zero_pct: of the throttle's closed position, which the controller learns anew [%].
         boost_level: of p_ic against p_amb at rest [-].
         cooler_level: of T_ic against T_amb [-].
+        p_im_gain, p_im_offset_pa: of the manifold's pressure sensor [-], [Pa].
+        clock: of the delay of each channel, share of the one that is of interest: a part of a row [-].
     """
 
     cylinder_level: float = 0.02
@@ -91,6 +93,9 @@ class Tolerances(StrictModel):
     throttle_zero_pct: float = 0.15
     boost_level: float = 0.002
     cooler_level: float = 0.03
+    p_im_gain: float = 0.005
+    p_im_offset_pa: float = 200.0
+    clock: float = 0.1
 
 
 class FaultFreePiece(StrictModel):
@@ -131,7 +136,7 @@ class PetrolTerm(StrictModel):
 
 
 class PetrolParameters(StrictModel):
-    """A calibrated petrol engine."""
+    """A calibrated petrol engine; `clocks` are delays of its channels by their effects' names [s]."""
 
     kind: Literal["petrol"] = "petrol"
     name: str = "liu_petrol"
@@ -139,6 +144,7 @@ class PetrolParameters(StrictModel):
     cylinder: SplineMap | None = None
     throttle: SplineMap | None = None
     boost_level: float = 0.0
+    clocks: dict[str, float] = Field(default_factory=dict)
     cylinder_spread: Spread = Spread(base=0.015)
     throttle_spread: Spread = Spread(base=0.015)
     boost_spread: Spread = Spread(base=0.0004)

@@ -24,7 +24,7 @@ from dieseltwin.settings.strict import listed
 Array = NDArray[np.float64]
 
 BLOCK_S = 1.0
-EDGE_ROWS = 7  # rows averaged for a block's end pressure: the manifold pulsates by 5 % at idle
+EDGE_ROWS = 6  # rows averaged for a block's end pressure: the manifold pulsates by 5 % at idle
 FULLEST_HOLE = 0.5  # blocks with fewer than this part of the usual rows are left out
 GAP_S = 0.9  # a longer step of the time stamps ends one piece and begins another: no block is without rows then
 APART_S = 10.0  # between recordings that are pooled: a gap
@@ -217,7 +217,7 @@ def make_grid(time_s: Array) -> Grid:
         edges = a + np.searchsorted(own, np.arange(size + 1) * BLOCK_S).clip(0, b - a - 1)
         ends = np.stack([edges[:-1], edges[1:]], axis=1)
         low.append(np.maximum(ends - half, a))
-        high.append(np.minimum(ends + half + 1, b))
+        high.append(np.minimum(ends + half, b))
         middle = time_s[a] + (np.arange(size, dtype=np.float64) + 0.5) * BLOCK_S
         lasted = np.maximum(np.diff(time_s[edges]), 0.5 * BLOCK_S)
         parts.append((edges, lasted, middle, np.arange(size) < size - 1))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.components import CHOKED_FACTOR, CRITICAL, GAMMA, LINEAR_ABOVE, R_A, displaced_flow, storage_flow
-from dieseltwin.petrol.effects import HYPOTHESES, metered, undo_all
+from dieseltwin.petrol.effects import HYPOTHESES, later, metered, undo_all
 from dieseltwin.petrol.maps import spline_basis, tensor_value
 from dieseltwin.petrol.model import ALPHA_SHIFT
 from dieseltwin.petrol.parameters import PetrolParameters
@@ -31,7 +31,7 @@ SPEEDS, PRESSURES, FACTORS = 60, 160, 80  # points of the tables that the maps a
 LEAST_PRESSURE, ABOVE_P_IC = 5e3, 1.02  # Pa; largest p_im over p_ic [-]: the solution is looked for between
 HALVINGS = 40
 SLOPE_S = 0.35  # over which the filling of the volume before the throttle is taken, as in the balances
-READ = ("p_im_gain", "p_im_offset")  # faults of the state's sensor
+READ = ("p_im_gain", "p_im_offset", "p_im_late")  # faults of the state's sensor
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
@@ -116,7 +116,7 @@ def simulate_petrol(engine: PetrolParameters, recording: PetrolRecording, start_
     sizes = active_sizes(engine, recording)
     of_inputs = {n: v for n, v in sizes.items() if n not in READ and HYPOTHESES[n].kind in ("sensor", "actuator")}
     of_inputs = {n: v for n, v in of_inputs.items() if not n.startswith("w_af")}
-    s = undo_all(of_inputs, recording.signals)
+    s = undo_all(engine.clocks, undo_all(of_inputs, recording.signals))
     inputs, tables = _inputs(engine, s, sizes)
     starts = gaps(s.time_s)
     true = undo_all({n: v for n, v in sizes.items() if n in READ}, recording.signals)
@@ -128,11 +128,14 @@ def simulate_petrol(engine: PetrolParameters, recording: PetrolRecording, start_
     filling = storage_flow(_rate(s.p_ic, s.time_s, starts), s.T_ic, engine.volumes.V_ic)
     W_af = np.maximum(through + filling + (0.0 if leak_before is None else leak_before), LEAST_FLOW)
     read = p_im * (1.0 + sizes.get("p_im_gain", 0.0)) + sizes.get("p_im_offset", 0.0)
+    read = later(s.time_s, read, sizes.get("p_im_late", 0.0))
+    late = sizes.get("w_af_late", 0.0) + engine.clocks.get("w_af_late", 0.0)
+    metered_late = later(s.time_s, metered(sizes, W_af), late)
     raw = recording.signals
     table = pd.DataFrame({
         "time_s": raw.time_s + recording.time0_s, "p_ic_pa": raw.p_ic, "t_ic_k": raw.T_ic, "omega_e_rad_s": raw.omega_e,
         "alpha_th_pct": raw.alpha, "p_amb_pa": raw.p_amb, "t_amb_k": raw.T_amb, "p_im_pa": read,
-        "w_af_kg_s": metered(sizes, W_af), "p_im_true_pa": p_im, "w_th_kg_s": through, "w_ei_kg_s": taken_in,
+        "w_af_kg_s": metered_late, "p_im_true_pa": p_im, "w_th_kg_s": through, "w_ei_kg_s": taken_in,
         "w_leak_kg_s": inward, "eta_vol": taken_in / displaced_flow(p_im, s.omega_e, s.T_ic, engine.volumes.V_d),
     })  # fmt: skip
     if not np.isfinite(table.to_numpy(dtype=np.float64)).all():

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.discovery.likelihood.metric import Whitening
-from dieseltwin.discovery.likelihood.nuisance import Nuisance
+from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined
-from dieseltwin.petrol.effects import AIR_FLOW, HYPOTHESES, NEEDS, metered, undo_all
+from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
 from dieseltwin.petrol.model import (
+    ALPHA_SHIFT,
     BALANCES,
     at_rest,
     cylinder_basis,
@@ -63,9 +64,9 @@ class PetrolTwin:
     own_schedules = True
 
     def __init__(self, engine: PetrolParameters, signals: Signals, columns: Sequence[str] | None = None) -> None:
-        self.engine, self.signals = engine, signals
+        self.engine, self.signals = engine, undo_all(engine.clocks, signals)
         self.grid = make_grid(signals.time_s)
-        self.blocks = blocks_of(signals, self.grid, engine.volumes.geometry)
+        self.blocks = blocks_of(self.signals, self.grid, engine.volumes.geometry)
         used = [n for n in BALANCES if columns is None or set(NEEDS[n]) <= set(columns)]
         self.channels = tuple(used)
         self.parameters = tuple(p for p in _parameters(engine) if _BALANCE_OF[p.name] in used)
@@ -154,8 +155,9 @@ class PetrolTwin:
         maps = self._maps_at(b)
         taken_in = np.exp(maps["cylinder"] + b.log_eta) * b.W_d + b.before_cylinders
         let_through = np.exp(maps["throttle"] + b.log_area) * b.unit_flow + b.before_throttle
+        late = self.blocks.W_af - b.W_af
         return self._misfits(
-            metered(effects, taken_in), metered(effects, let_through), self.blocks.boost - b.boost,
+            metered(effects, taken_in + late), metered(effects, let_through + late), self.blocks.boost - b.boost,
             self.blocks.cooler - b.cooler,
         )  # fmt: skip
 
@@ -196,19 +198,34 @@ class PetrolTwin:
         t, blocks = self.engine.tolerances, self._corrected(*self._entered(lanes, 0))
         cylinder, throttle = self.engine.maps
         bases = {
-            "cylinder": (cylinder_basis(blocks, cylinder), cylinder.covariance, t.cylinder_field),
-            "throttle": (throttle_basis(blocks, throttle), throttle.covariance, t.throttle_field),
+            "cylinder": (cylinder_basis(blocks, cylinder), cylinder.covariance),
+            "throttle": (throttle_basis(blocks, throttle), throttle.covariance),
+        }
+        opening = np.log(np.maximum(blocks.alpha, 0.0) + ALPHA_SHIFT)
+        fields = {
+            "cylinder": t.cylinder_field * tolerance_modes([blocks.omega_e, np.log(blocks.p_im)]),
+            "throttle": t.throttle_field * tolerance_modes([opening, blocks.p_im / blocks.p_ic]),
         }
         drifts = {"cylinder": t.drift, "throttle": t.drift, "boost": t.boost_drift, "cooler": t.cooler_drift}
         hats = drift_basis(self.time_s)
         out = []
         for j, name in enumerate(self.channels):
             if name in bases:
-                basis, covariance, field = bases[name]
-                modes = self._modes(basis, covariance + field**2 * np.eye(len(covariance)), j)
+                modes = [*self._modes(*bases[name], j), *fields[name]]
                 out += [self._direction(f"map of {name}, mode {k + 1}", j, mode) for k, mode in enumerate(modes)]
             out += [self._direction(f"drift of {name}", j, drifts[name] * hat) for hat in hats.T]
-        return out
+        return [*out, *self._sensors(*self._entered(lanes, 0))]
+
+    def _sensors(self, effects: Mapping[str, Array], added: Mapping[str, Array]) -> list[Nuisance]:
+        """Clocks and the pressure sensor as far off as on healthy days, next to effects (sizes (n,)) and signals."""
+        t, none = self.engine.tolerances, np.zeros(len(self.time_s))
+        sizes = {name: t.clock * self.hypotheses[name].tolerance for name in CLOCKS}
+        sizes |= {"p_im_gain": t.p_im_gain, "p_im_offset": t.p_im_offset_pa}
+        here, found = self._expected(effects, added), []
+        for name, size in sizes.items():
+            moved = {**effects, name: effects.get(name, none) + size}
+            found.append(Nuisance(f"healthy {name}", response=self._expected(moved, added) - here))
+        return found
 
     def _modes(self, basis: Array, covariance: Array, channel: int) -> Array:
         """(K, n) independent directions of a map's error along the recording, those that can be seen."""

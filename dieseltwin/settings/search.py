@@ -46,6 +46,7 @@ class SearchSettings(StrictModel):
     missing_share: NonNegativeFloat = Field(description="of an explanation's gain that it may leave before more is "
                                             "said to be missing [-]")
     equivalent_gain: NonNegativeFloat = Field(description="within which names can't be told apart")
+    equivalent_share: NonNegativeFloat = Field(description="the same as a share of the gain [-]")
     edges_share: NonNegativeFloat = Field(description="of the gain of an effect in a region: closer names can't be "
                                           "told apart [-]")
     chance_leaves: PositiveFloat = Field(description="gain of the best term without a name beyond a right explanation")

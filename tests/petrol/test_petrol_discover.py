@@ -102,6 +102,33 @@ def test_repaired_engine_is_quiet_and_simulates_the_readings(engine: PetrolParam
         assert after["w_af_kg_s"] == pytest.approx(before["w_af_kg_s"], rel=0.01)
 
 
+def test_a_late_channel_is_named_and_simulated(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
+    """Half a second late from a moment on: told by name, size and onset, and the repaired engine foretells it."""
+    table = pd.read_csv(record(16, 500.0).path)
+    late = table.time_s.to_numpy() >= ONSET_S
+    shifted = np.interp(table.time_s - 0.5, table.time_s, table.W_af_kg_s)
+    table["W_af_kg_s"] = np.where(late, shifted, table.W_af_kg_s)
+    table.to_csv(tmp_path / "late.csv", index=False)
+    recording = read_petrol(tmp_path / "late.csv")
+    found = discover_petrol(recording, engine)
+    effect, location = found.document.effects[0], found.document.location
+    assert effect.name == "w_af_late" and effect.magnitude == pytest.approx(0.5, abs=0.1)
+    assert location is not None and location.onset_s == pytest.approx(ONSET_S, abs=30.0)  # an idle shows no delay
+    assert not discover_petrol(recording, found.engine).document.mismatch
+    before, after = (errors(simulate_petrol(e, recording), recording.signals) for e in (engine, found.engine))
+    assert after["w_af_kg_s"] < 0.8 * before["w_af_kg_s"]
+
+
+def test_clocks_are_learned(record: Recorder, tmp_path: Path) -> None:
+    """An air flow that was late on healthy days, too, is a property of the engine's logger and no finding."""
+    table = pd.read_csv(record(17, 700.0).path)
+    table["W_af_kg_s"] = np.interp(table.time_s - 0.08, table.time_s, table.W_af_kg_s)
+    table.to_csv(tmp_path / "late.csv", index=False)
+    signals = read_petrol(tmp_path / "late.csv").signals
+    clocks = [fit_maps(s, PetrolParameters())[0].clocks["w_af_late"] for s in (signals, record(17, 700.0).signals)]
+    assert clocks[0] - clocks[1] == pytest.approx(0.08, abs=0.01)
+
+
 def test_what_stands_still_is_not_judged(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
     table = pd.read_csv(record(15, 500.0).path)
     table.loc[table.time_s >= ONSET_S, "p_im_Pa"] = table.p_im_Pa[table.time_s >= ONSET_S].iloc[0]

@@ -18,13 +18,14 @@ from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
 from dieseltwin.discovery.search.preparation import in_own_metrics, null_about, recentred, tolerance_responses
 from dieseltwin.discovery.search.state import Search, set_probabilities
-from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, rescan, same_region
+from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, redated, rescan, same_region
 from dieseltwin.discovery.twins.interface import Twin, WithSignals
 
 _PAIRS = 10
 VARIANTS = 6  # are refitted
 _OTHER_LEADS = 3  # of pairs, behind the best single effect
 _SECONDS = 4  # that join each of them
+_ONSET_REACH_S = 8.0  # about the first estimate of an onset
 _RIVALS = 4  # other effects that act in the best region
 _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
 _POLISHED = 4  # of the best fits get sensitivities of their own
@@ -46,7 +47,8 @@ def try_variants(found: Search) -> None:
     if found.gain(fit) < top + 0.5 * freedom_cost(found, best):
         return
     if best.onset_s is not None:
-        for reach, count in ((8.0, 5), (2.0, 5)):
+        _date_anew(found)
+        for reach, count in ((_ONSET_REACH_S, 5), (2.0, 5)):
             best, _ = found.variants[0]
             _refit_variants(found, [
                 _since(found, best, t) for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
@@ -74,6 +76,17 @@ def try_variants(found: Search) -> None:
             if moved.region != variant.region:
                 _refit_variants(found, [moved], fit)
         _polish_variants(found)
+
+
+def _date_anew(found: Search) -> None:
+    """Onsets of the leading effects by their responses at the sizes found; the scan takes effects linearly."""
+    moved = []
+    for variant, fit in _leaders(found):
+        if variant.onset_s is not None:
+            other = redated(found.null, variant.name, float(fit.magnitudes[0]), found.settings.least_share)
+            if abs(float(other.onset_s or 0.0) - variant.onset_s) > _ONSET_REACH_S:
+                moved.append(other)
+    _refit_variants(found, moved)
 
 
 def freedom_cost(found: Search, variant: Variant) -> float:
@@ -268,7 +281,7 @@ def choose(found: Search, first: Linearisation) -> None:
     gained = found.gain(fit)
     limit = max(settings.left_gain[place], settings.left_share[place] * gained)
     held = max((item.held for item in found.left), default=0.0)
-    ahead = held - found.second_effect_gain if kind == "single" else np.inf
+    ahead = held - _second_gain(found) if held > limit and kind != "pair" else np.inf
     bumps = max((item.held for item in found.left_local), default=0.0)
     if (
         (held > limit and ahead > settings.left_ahead)
@@ -279,6 +292,13 @@ def choose(found: Search, first: Linearisation) -> None:
         return
     _widen(found.best, left / settings.chance_leaves)
     set_probabilities(found, kind)
+
+
+def _second_gain(found: Search) -> float:
+    """What the best other name would gain beside the chosen explanation: what the catalogue says isn't nameless."""
+    if found.kind == "single" or found.best is None:
+        return found.second_effect_gain
+    return next((item.gain for item in _beyond(found, found.best)), 0.0)
 
 
 def led_once_more(found: Search) -> list[tuple[str, ...]]:

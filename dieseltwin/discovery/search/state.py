@@ -154,13 +154,15 @@ def set_probabilities(found: Search, kind: str) -> None:
         return
     keys = [" + ".join(fit.candidate.names) for fit in pool]
     evidence = np.array([occam(found, fit) for fit in pool])
+    share = found.settings.equivalent_share * found.gain(pool[0])
+    evidence /= max(1.0, share / found.settings.equivalent_gain)
     weights = np.exp(evidence - logsumexp(evidence))
     found.probabilities = {}
     for key, weight in zip(keys, weights, strict=True):
         found.probabilities[key] = found.probabilities.get(key, 0.0) + float(weight)
     best = min(fit.objective for fit in pool)
     # what an explanation leaves is the size of what the twin can't describe: closer names can't be told apart
-    reach = max(found.settings.equivalent_gain, found.left[0].gain if found.left else 0.0)
+    reach = max(found.settings.equivalent_gain, share, found.left[0].gain if found.left else 0.0)
     if found.variant is not None and found.variant.region is not None:  # nor can those whose regions' edges decide
         reach = max(reach, found.settings.edges_share * found.gain(pool[0]))
     seen: list[tuple[str, ...]] = []

@@ -14,7 +14,13 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
-from dieseltwin.discovery.likelihood.score import Scored, best_of_each, without_parameters
+from dieseltwin.discovery.likelihood.score import (
+    Scored,
+    best_of_each,
+    effect_responses,
+    score,
+    without_parameters,
+)
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 
 _BINS = 20  # of a condition, with equal numbers of samples
@@ -274,6 +280,12 @@ def _profiled(sums: _Sums) -> list[Variant]:
         response = schedule[:, None] * item.response
         found.append(Variant(item.name, None, None, schedule, response, float(gains[best, h]), 0, names[best]))
     return found
+
+
+def redated(at: Linearisation, name: str, size: float, least_share: float) -> Variant:
+    """The best onset of an effect by its response at a size that a refit found [unit]; windows start anew, so exact."""
+    wanted = [(name, size)]
+    return _onsets(_Sums(at, score(at, wanted, effect_responses(at.twin, at, wanted)), least_share))[0]
 
 
 def onset_candidates(twin: Twin, around_s: float, reach_s: float, count: int) -> list[float]:
