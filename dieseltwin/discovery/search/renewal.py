@@ -39,7 +39,7 @@ def about_the_leader(found: Search) -> bool:
         _, kind, lead, _ = leading_kind(found)
         if kind == "single" or found.gain(lead) < BENDS:
             return renewal > 0
-        _renew(found, kind, lead, again=renewal > 0)
+        _renew(found, kind, lead)
         after = leading_kind(found)[2]
         same = after.candidate.names == lead.candidate.names
         if same and _alike(lead, after, len(found.twin.parameters)):
@@ -54,11 +54,8 @@ def _alike(one: Fit, other: Fit, parameters: int) -> bool:
     return bool(np.all(away < _SETTLED * np.nan_to_num(other.std[parameters:])))
 
 
-def _renew(found: Search, kind: str, lead: Fit, again: bool) -> None:
-    """Everything that was compared, in the metric of a health-only fit with the maps about one explanation.
-
-    The first time, where and when an effect acts is read off anew: it was read off bent maps.
-    """
+def _renew(found: Search, kind: str, lead: Fit) -> None:
+    """Everything that was compared, in the metric of a health-only fit with the maps about one explanation."""
     fresh = prepared_about(found, lead)
     higher = fresh.null.fit.objective - found.null.fit.objective
     fresh.singles = _by_objective(_moved(fresh, found.singles, higher))
@@ -66,7 +63,7 @@ def _renew(found: Search, kind: str, lead: Fit, again: bool) -> None:
     moved = _moved(fresh, [fit for _, fit in found.variants], higher)
     timed = [(variant, fit) for (variant, _), fit in zip(found.variants, moved, strict=True)]
     fresh.variants = sorted(timed, key=lambda pair: pair[1].objective)
-    if kind == "variant" and not again:
+    if kind == "variant":  # where and when it acts was read off bent maps
         fresh.scanned = scan(fresh.null, fresh.scored, VARIANTS, found.settings.least_share)
         try_variants(fresh)
     structure = score_features(fresh.null, generic_features(fresh.twin, fresh.null.fit))
