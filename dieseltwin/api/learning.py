@@ -22,9 +22,10 @@ from dieseltwin.discovery.verdict.checks import check_recording
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import HEALTH_AT, Belief, prior_belief
+from dieseltwin.learning.belief import Belief, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of, save_learned
+from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
 from dieseltwin.petrol.recording import PetrolRecording
@@ -213,7 +214,7 @@ def _maps_of(engine: EngineParameters) -> EngineParameters:
 def summary(learned: LearnedEngine) -> list[str]:
     """What is known, as lines of text: health, and of every map how much it was corrected, how well, and where."""
     belief = learned.belief
-    std = np.sqrt(np.diag(belief.covariance))[HEALTH_AT]
+    std = np.sqrt(np.diag(health_covariance(learned)))
     lines = [f"learned from {learned.minutes:.1f} minutes of {counted(len(learned.recordings), 'recording')}"]
     lines += [
         f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"

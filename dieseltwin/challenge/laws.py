@@ -20,7 +20,7 @@ from dieseltwin.challenge.sensors import NOISE_REL, SENSORS, SensorSet, shown
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, load_discrepancy
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.engine_files import load_engine
-from dieseltwin.engine.terms import OneTerm, Term
+from dieseltwin.engine.terms import CorrectionTerm, OneTerm, Term
 
 SETTLED_ROWS = 25  # of the start, left out
 
@@ -36,14 +36,15 @@ def law_error(result: Path, clean: pd.DataFrame, fault: Fault, health: Mapping[s
 
     Returns:
         None where no law was found, or the answer isn't `none_of_these`. Whatever terms the engine file of such an
-        answer carries are the law, in whichever words, save those of effects that the answer names beside it.
+        answer carries are the law, in whichever words, save those of effects that the answer names beside it and what
+        was learned of the engine's maps: both sides run on the published maps.
     """
     named = {effect.name for effect in load_discrepancy(result).effects}
     if NONE_OF_THESE not in named:
         return None
     terms = [
         term for term in load_engine(result / "engine.yaml").terms
-        if not (isinstance(term, Term) and term.effect in named)
+        if not (isinstance(term, CorrectionTerm) or (isinstance(term, Term) and term.effect in named))
     ]  # fmt: skip
     return error_of(terms, clean, fault, health) if terms else None
 

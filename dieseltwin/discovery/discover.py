@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
+import numpy as np
+
 from dieseltwin.discovery.likelihood.between_rows import windows_between_rows
 from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit
@@ -25,6 +27,7 @@ from dieseltwin.discovery.verdict.document import Reference, fit_doubts, with_wa
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
+from dieseltwin.learning.levels import health_covariance
 from dieseltwin.notes import Note
 from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, put_right
 from dieseltwin.recordings.dates import ORDER, Dated
@@ -96,7 +99,8 @@ def discover(
     days = _dated(recordings)
     twin = _twin_over(days, engine, options, learned) if prepared is None else prepared.twin.fresh()
     found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
-    result = assemble(days, found, options, _reference(found, learned), time_s)
+    then = None if learned is None else np.sqrt(np.diag(health_covariance(learned))) / learned.belief.health
+    result = assemble(days, found, options, _reference(found, learned), time_s, then)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
     return replace(_with_doubts(result, found, engine, [day.recording for day in days]), runtime=runtime)
 

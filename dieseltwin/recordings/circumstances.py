@@ -33,6 +33,7 @@ class Circumstance:
         notable: distance from what is assumed that is worth a word [unit].
         unknown: no column gives it, so that it is always open; else it is taken as assumed unless plainly off.
         effects: effects of the catalogue that do the same.
+        read: a column gives it, so that it is as sure as that sensor, and no more open than that.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Circumstance:
     notable: float
     unknown: bool
     effects: tuple[str, ...] = ()
+    read: bool = False
 
     @property
     def kind(self) -> str:

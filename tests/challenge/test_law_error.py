@@ -14,7 +14,8 @@ from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.engine import HEALTH, we2011
-from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
+from dieseltwin.engine.map_corrections import basis
+from dieseltwin.engine.terms import ActuatorTerm, CorrectionTerm, LawTerm, SensorTerm, Term
 from tests.report import synthetic_discovery as synthetic
 
 ENGINE = we2011.PARAMETERS
@@ -51,8 +52,11 @@ def test_half_the_fault_is_half_wrong(clean: pd.DataFrame) -> None:
     assert error_of((half,), clean, Fault("w_egr_gain", 0.08), HEALTHY) == pytest.approx(0.5, abs=0.02)
 
 
-def test_whatever_terms_an_unnamed_answer_carries_are_its_law(tmp_path: Path, clean: pd.DataFrame) -> None:
-    lag = ENGINE.replace(terms=(Term(effect="exhaust_thermal_inertia", magnitude=0.6),))
+def test_whatever_terms_an_unnamed_answer_carries_are_its_law_but_for_learned_maps(
+    tmp_path: Path, clean: pd.DataFrame
+) -> None:
+    maps = CorrectionTerm(coefficients=(0.02,) * len(basis().names))
+    lag = ENGINE.replace(terms=(maps, Term(effect="exhaust_thermal_inertia", magnitude=0.6)))
     fault = Fault("exhaust_thermal_inertia", 0.6)
     (tmp_path / "engine.yaml").write_text(yaml.safe_dump(lag.model_dump(mode="json")))
     unnamed = synthetic.document(effects=[synthetic.UNNAMED])
@@ -62,7 +66,7 @@ def test_whatever_terms_an_unnamed_answer_carries_are_its_law(tmp_path: Path, cl
     beside = [synthetic.UNNAMED, {**synthetic.LEAK, "name": "exhaust_thermal_inertia", "equivalent_names": []}]
     synthetic.document(effects=beside).write(tmp_path / "discrepancy.json")
     assert law_error(tmp_path, clean, fault, HEALTHY) is None
-    (tmp_path / "engine.yaml").write_text(yaml.safe_dump(ENGINE.model_dump(mode="json")))
+    (tmp_path / "engine.yaml").write_text(yaml.safe_dump(ENGINE.replace(terms=(maps,)).model_dump(mode="json")))
     unnamed.write(tmp_path / "discrepancy.json")
     assert law_error(tmp_path, clean, fault, HEALTHY) is None
 

@@ -20,7 +20,7 @@ from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_alo
 from dieseltwin.engine.quantities import POINTS
 from dieseltwin.learning.belief import GAINS_AT, MAPS_AT, OFFSETS_AT, Belief
 
-_SMALL = 1e-3  # of a coefficient, for its response
+_SMALL = 1e-5  # of a coefficient, for its response: as of health, which it is one product with, at kinks too
 _SEEN = 1e-2  # of squared whitened response to one standard deviation: a tenth of the noise of one reading
 
 

@@ -20,6 +20,7 @@ from dieseltwin.discovery.likelihood.circumstances import (
     open_circumstances,
 )
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import score, without_parameters
 from dieseltwin.discovery.search.state import Search
@@ -70,9 +71,18 @@ def leading(found: Search) -> Linearisation:
 
 
 def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
-    """The twin about the estimates of what is open, where these are far from where it is."""
+    """The twin about the estimates of what is open, where these are far from where it is.
+
+    From there on they are believed to be there. Beside a learned engine what a column gives stays where it is: it is
+    linear as far as its sensor may be off, and a first explanation that lacks a second one would bend it (a clogged
+    air filter beside another fault was met by an ambient 17 K from its reading).
+    """
     lead = leading(found)
-    movable = [item for item in open_circumstances(found.twin) if item.kind not in (DRIFT, SCALE)]
+    held = belief_of(found.twin) is not None
+    movable = [
+        item for item in open_circumstances(found.twin)
+        if item.kind not in (DRIFT, SCALE) and not (held and item.read)
+    ]  # fmt: skip
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
     values: dict[str, float] = {}
     if np.abs(shares[1]).max() >= (_MOVED if lead is found.null else _MOVED_BESIDE):

@@ -16,7 +16,7 @@ from dieseltwin.discovery.laws.unnamed import best_term
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
-from dieseltwin.discovery.search.preparation import in_own_metrics, null_about, recentred, tolerance_responses
+from dieseltwin.discovery.search.preparation import in_own_metrics, recentred, tolerance_responses
 from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, redated, rescan, same_region
 from dieseltwin.discovery.twins.interface import Twin, WithSignals
@@ -31,7 +31,6 @@ _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, abou
 _POLISHED = 4  # of the best fits get sensitivities of their own
 _POLISHED_SHARE = 0.6  # of the best gain: fits that far behind are polished too
 _POLISH_ROUNDS = 8
-_RENEWED_ROUNDS = 4
 _LEADING = 60.0  # gain within which a fit counts as leading
 _LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
 
@@ -265,7 +264,7 @@ def _pair_bar(found: Search, pair: Fit) -> float:
 def choose(found: Search, first: Linearisation) -> None:
     """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs."""
     settings = found.settings
-    best, kind, fit, variant = _leading_kind(found)
+    best, kind, fit, variant = leading_kind(found)
     bar = best + settings.law_gain
     if any(item.gain > bar for item in found.nameless()) or found.local_ahead(bar) is not None:
         found.kind = "law"
@@ -301,32 +300,8 @@ def _second_gain(found: Search) -> float:
     return next((item.gain for item in _beyond(found, found.best)), 0.0)
 
 
-def led_once_more(found: Search) -> list[tuple[str, ...]]:
-    """Names of the chosen explanation, and of the one that leads when the likelihood is renewed about the chosen one.
-
-    None where that is the same. Errors of maps of a few per cent act otherwise beside another explanation; single
-    effects were chosen with the likelihood about them.
-    """
-    chosen = _leading_kind(found)[2]
-    if found.best is None or found.best.fit.candidate.names != chosen.candidate.names:
-        return []
-    null = null_about(found, chosen)[0]
-    leads = []
-    for old, _, fit, _ in _kinds(found):
-        moved = fit_fully(null.twin, null.whitening, fit, rounds=_RENEWED_ROUNDS, frozen=null).fit
-        freedom = found.gain(fit) - old
-        leads.append((null.fit.objective - moved.objective - freedom, fit.candidate.names))
-    names = max(leads, key=lambda lead: lead[0])[1]
-    return [] if names == chosen.candidate.names else [chosen.candidate.names, names]
-
-
-def _leading_kind(found: Search) -> tuple[float, str, Fit, Variant | None]:
+def leading_kind(found: Search) -> tuple[float, str, Fit, Variant | None]:
     """Gain less what the freedom costs, kind, fit and variant of the best explanation with names."""
-    return max(_kinds(found), key=lambda option: option[0])
-
-
-def _kinds(found: Search) -> list[tuple[float, str, Fit, Variant | None]]:
-    """The same of the best explanation of every kind."""
     options: list[tuple[float, str, Fit, Variant | None]] = [
         (found.gain(found.singles[0]), "single", found.singles[0], None)
     ]
@@ -336,12 +311,12 @@ def _kinds(found: Search) -> list[tuple[float, str, Fit, Variant | None]]:
     pair = _best_pair(found)
     if pair is not None:
         options.append((found.gain(pair) - _pair_bar(found, pair), "pair", pair, None))
-    return options
+    return max(options, key=lambda option: option[0])
 
 
 def choose_so_far(found: Search) -> None:
     """The best explanation with names among those that were fitted; what it leaves isn't looked at."""
-    _, found.kind, fit, found.variant = _leading_kind(found)
+    _, found.kind, fit, found.variant = leading_kind(found)
     found.best = recentred(found, fit)
     set_probabilities(found, found.kind)
 

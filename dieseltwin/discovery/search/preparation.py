@@ -100,23 +100,16 @@ def prepared_about(found: Search, fit: Fit) -> Search:
     are others.
     """
     clock = time.perf_counter()
-    null, nuisances = null_about(found, fit)
-    renewed = _scored(null, found.noise, found.settings)
-    renewed.left_out, renewed.nuisances, renewed.scatter = found.left_out, nuisances, found.scatter
-    renewed.seconds["prepare"] = found.seconds["prepare"] + time.perf_counter() - clock
-    return renewed
-
-
-def null_about(found: Search, fit: Fit) -> tuple[Linearisation, list[Nuisance]]:
-    """The health-only fit with what is still open of the maps linearised about an explanation, and these directions."""
-    twin = found.twin
-    residual = np.nan_to_num(twin.measured - simulate_fits(twin, [fit])[0])
-    twin = about(twin, fit.lanes(), found.nuisances, found.null.metric.nuisance_estimate(residual))
+    residual = np.nan_to_num(found.twin.measured - simulate_fits(found.twin, [fit])[0])
+    twin = about(found.twin, fit.lanes(), found.nuisances, found.null.metric.nuisance_estimate(residual))
     here = Linearisation(twin, found.whitening, fit)
     nuisances = tolerances(twin, here, found.settings)
     responses = nuisance_responses(twin, fit.lanes(), here.simulated, nuisances)
     at = fit_fully(twin, found.whitening, found.null.fit, responses, loadings=loadings_of(nuisances))
-    return settle_local(at), nuisances
+    renewed = _scored(settle_local(at), found.noise, found.settings)
+    renewed.left_out, renewed.nuisances, renewed.scatter = found.left_out, nuisances, found.scatter
+    renewed.seconds["prepare"] = found.seconds["prepare"] + time.perf_counter() - clock
+    return renewed
 
 
 def split_growing(at: Linearisation) -> Fit | None:

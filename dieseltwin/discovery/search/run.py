@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
 from dieseltwin.discovery.laws.sensor import best_law
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
@@ -21,7 +21,6 @@ from dieseltwin.discovery.search.explanations import (
     beyond_law,
     choose,
     choose_so_far,
-    led_once_more,
     pair_beats_single,
     polish,
     try_more_pairs,
@@ -37,7 +36,8 @@ from dieseltwin.discovery.search.preparation import (
     tolerance_responses,
     verify,
 )
-from dieseltwin.discovery.search.state import Search, occam, set_probabilities
+from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
+from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.search.variants import Variant, edge_cost, scan
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import Twin
@@ -49,7 +49,6 @@ STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _REFIT_AT_LEAST = 6
 _RENEWALS = 3  # about the leading explanation, until it stays the same
-_BENDS = 60.0  # gain from which what was learned of the maps is linearised about the explanation
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
 
@@ -84,7 +83,7 @@ def _with_names(twin: Twin, settings: SearchSettings) -> Search:
     found.seconds["by_recording"] = time.perf_counter() - clock
     for renewal in range(_RENEWALS):
         lead = _lead(found)
-        if belief_of(twin) is None or found.gain(lead) < _BENDS:
+        if belief_of(twin) is None or found.gain(lead) < BENDS:
             break
         unsettled = found.unsettled
         found, starts = refitted(_with_singles(prepared_about(found, lead), found.singles), starts)
@@ -128,17 +127,18 @@ def _explain(found: Search, laws: bool) -> None:
     widened = pair_beats_single(found)
     if widened:  # which two is another question: the strongest by itself may be neither
         try_more_pairs(found)
-    choose(found, first)
+    _choose_settled(found, first)
     if found.refused in ("single", "pair") and not widened and try_more_pairs(found):
         found.refused = ""
-        choose(found, first)
+        _choose_settled(found, first)
     found.seconds["pairs"] = time.perf_counter() - clock
     if found.kind == "law":
         _law(found, laws)
-    elif found.kind != "single" and belief_of(twin) is not None and found.explained() >= _BENDS:
-        found.stage = STAGES[-1]
-        found.unsettled = [*found.unsettled, *led_once_more(found)]
-        set_probabilities(found, found.kind)
+
+
+def _choose_settled(found: Search, first: Linearisation) -> None:
+    """The choice among all, with what was learned of the maps about the explanation that leads."""
+    choose(found, recentred(found, found.singles[0]) if about_the_leader(found) else first)
 
 
 def _lead(found: Search) -> Fit:

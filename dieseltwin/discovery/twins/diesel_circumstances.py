@@ -44,8 +44,10 @@ def circumstances_of(
     pressure, temperature = read("p_amb_pa"), read("t_amb_k")
     p_amb, t_amb = recording.p_amb_pa, recording.t_amb_k
     found = [
-        Circumstance("p_amb_pa", p_amb, priors.p_amb_read_pa if pressure else priors.p_amb_pa, "Pa", 3000.0, True),
-        Circumstance("t_amb_k", t_amb, priors.t_amb_read_k if temperature else priors.t_amb_k, "K", 8.0, True),
+        Circumstance("p_amb_pa", p_amb, priors.p_amb_read_pa if pressure else priors.p_amb_pa, "Pa", 3000.0, True,
+                     read=pressure),
+        Circumstance("t_amb_k", t_amb, priors.t_amb_read_k if temperature else priors.t_amb_k, "K", 8.0, True,
+                     read=temperature),
         Circumstance("t_im_k", engine.T_im, priors.t_im_k, "K", 8.0, True),
         Circumstance("scale:u_delta_mg", 1.0, priors.fuel_scale, "-", 0.02, True),
     ]

@@ -57,7 +57,7 @@ from dieseltwin.version import __version__
 
 def assemble(
     days: Sequence[Dated], found: Search, options: Options, reference: Reference | None = None,
-    time_s: float | None = None,
+    time_s: float | None = None, then: Array | None = None,
 ) -> Discovery:  # fmt: skip
     """The result of a search on recordings of the engine, one or several that were judged together.
 
@@ -67,6 +67,7 @@ def assemble(
         days: the recordings, in time order; found: the search.
         options: what was asked; reference: what the engine was learned from.
         time_s: limit of the search [s], None where there was none.
+        then: (4,) relative standard deviations of health when the reference was recorded [-]; None without one.
     """
     null = found.null
     best = found.best
@@ -76,7 +77,7 @@ def assemble(
     after, parameters = at.simulated, at.fit.parameters[: len(twin.parameters)]
     apart = disagreement(found)
     own = at.covariance[: apart.size, : apart.size] + np.diag(apart**2)
-    covariance = no_better_than_then(own, parameters, found.twin)
+    covariance = no_better_than_then(own, parameters, then)
     since = since_reference(at, found.twin, apart)
     evidence = _evidence(found, after)
     sizes, differ = told_apart(found, days) if mismatch else ([], "")

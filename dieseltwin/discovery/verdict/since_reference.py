@@ -43,15 +43,16 @@ def since_reference(at: Linearisation, twin: Twin, apart: Array) -> tuple[Array,
     return quotient, std
 
 
-def no_better_than_then(covariance: Array, parameters: Array, twin: Twin) -> Array:
+def no_better_than_then(covariance: Array, parameters: Array, then: Array | None) -> Array:
     """The covariance (P, P) of the health parameters (P,), none known better than when the reference was recorded.
 
     A health parameter and the level of a map are one product, now as then, and a later recording can't tell them apart.
-    Linear responses to the two that are taken at points a little apart seem to.
+
+    Args:
+        covariance, parameters: of the explanation, of one recording or one behind the other's.
+        then: (4,) relative standard deviations when the reference was recorded [-], None without one.
     """
-    belief = belief_of(twin)
-    if belief is None:
+    if then is None:
         return covariance
-    then = np.sqrt(np.diag(belief.covariance)[HEALTH_AT]) / belief.health
     least = (np.tile(then, parameters.size // then.size) * parameters) ** 2
     return np.asarray(covariance + np.diag(np.maximum(least - np.diag(covariance), 0.0)))

@@ -1,0 +1,87 @@
+"""What was learned of the maps, linearised about the leading explanation where that is more than one constant effect.
+
+Single effects are compared with the likelihood about the strongest of them. Where two act, or one at times, that is a
+wrong explanation: the maps were bent to what it leaves, and from there the right one pays for bending them back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dieseltwin.discovery.laws.features import generic_features, local_features, score_features
+from dieseltwin.discovery.likelihood.fit import Fit, fit_fully
+from dieseltwin.discovery.likelihood.learned import belief_of
+from dieseltwin.discovery.search.explanations import VARIANTS, leading_kind, try_variants
+from dieseltwin.discovery.search.preparation import prepared_about
+from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.variants import scan
+
+BENDS = 60.0
+"""Gain from which what was learned of the maps is linearised about the explanation."""
+
+_RENEWALS = 3
+_ROUNDS = 6
+_FITTED_ANEW = 3  # of each kind; the others keep their distance from the health-only fit
+_SETTLED = 1.0  # standard deviations of a size
+
+
+def about_the_leader(found: Search) -> bool:
+    """Renew the likelihood about the leading explanation until that stays as it is; whether it was renewed.
+
+    Where another one leads after the last renewal, both are noted as `unsettled`: neither name is given alone.
+    """
+    if belief_of(found.twin) is None:
+        return False
+    for renewal in range(_RENEWALS):
+        _, kind, lead, _ = leading_kind(found)
+        if kind == "single" or found.gain(lead) < BENDS:
+            return renewal > 0
+        _renew(found, kind, lead)
+        after = leading_kind(found)[2]
+        same = after.candidate.names == lead.candidate.names
+        if same and _alike(lead, after, len(found.twin.parameters)):
+            break
+        if not same and renewal == _RENEWALS - 1:
+            found.unsettled = [*found.unsettled, lead.candidate.names, after.candidate.names]
+    return True
+
+
+def _alike(one: Fit, other: Fit, parameters: int) -> bool:
+    away = np.abs(other.magnitudes - one.magnitudes)
+    return bool(np.all(away < _SETTLED * np.nan_to_num(other.std[parameters:])))
+
+
+def _renew(found: Search, kind: str, lead: Fit) -> None:
+    """Everything that was compared, in the metric of a health-only fit with the maps about one explanation."""
+    fresh = prepared_about(found, lead)
+    higher = fresh.null.fit.objective - found.null.fit.objective
+    fresh.singles = _by_objective(_moved(fresh, found.singles, higher))
+    fresh.pairs = _by_objective(_moved(fresh, found.pairs, higher))
+    moved = _moved(fresh, [fit for _, fit in found.variants], higher)
+    timed = [(variant, fit) for (variant, _), fit in zip(found.variants, moved, strict=True)]
+    fresh.variants = sorted(timed, key=lambda pair: pair[1].objective)
+    if kind == "variant":  # where and when it acts was read off bent maps
+        fresh.scanned = scan(fresh.null, fresh.scored, VARIANTS, found.settings.least_share)
+        try_variants(fresh)
+    structure = score_features(fresh.null, generic_features(fresh.twin, fresh.null.fit))
+    local = score_features(fresh.null, local_features(fresh.twin, fresh.null.fit))
+    found.twin, found.null, found.nuisances = fresh.twin, fresh.null, fresh.nuisances
+    found.scored, found.chance = fresh.scored, fresh.chance
+    found.singles, found.pairs, found.variants = fresh.singles, fresh.pairs, fresh.variants
+    found.structure, found.local = structure, local
+
+
+def _moved(fresh: Search, fits: Sequence[Fit], higher: float) -> list[Fit]:
+    """Fits in the new metric, those that lead from where they were, the others as far above health alone as before."""
+    return [
+        fit_fully(fresh.twin, fresh.whitening, fit, rounds=_ROUNDS, frozen=fresh.null).fit
+        if k < _FITTED_ANEW else replace(fit, objective=fit.objective + higher)
+        for k, fit in enumerate(fits)
+    ]  # fmt: skip
+
+
+def _by_objective(fits: Sequence[Fit]) -> list[Fit]:
+    return sorted(fits, key=lambda fit: fit.objective)
