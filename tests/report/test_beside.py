@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,6 +16,12 @@ from dieseltwin.report.beside import begin_beside, ready_beside
 @pytest.fixture(autouse=True)
 def _two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DIESELTWIN_THREADS", "2")
+    before = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]  # of a test's worker
+    seen = SimpleNamespace(
+        enumerate=lambda: [thread for thread in threading.enumerate() if thread not in before],
+        main_thread=threading.main_thread, current_thread=threading.current_thread,
+    )  # fmt: skip
+    monkeypatch.setattr("dieseltwin.report.beside.threading", seen)
 
 
 def _load() -> None:
@@ -29,12 +36,10 @@ def _refuse(out: Path) -> None:
     raise InputError(str(out), "nothing", "something", "choose another")
 
 
-def _die(out: Path) -> None:
-    if out.exists():
-        out.write_text("done here", encoding="utf-8")
-    else:
-        out.touch()
+def _die(out: Path, here: int) -> None:
+    if os.getpid() != here:
         os._exit(1)
+    out.write_text("done here", encoding="utf-8")
 
 
 def test_the_task_is_done_by_the_process_that_loaded(tmp_path: Path) -> None:
@@ -74,5 +79,5 @@ def test_an_error_is_raised_here_and_a_task_that_died_is_done_here(tmp_path: Pat
     with ready_beside(_load), pytest.raises(InputError, match="choose another"):
         begin_beside(_refuse, tmp_path / "page")()
     with ready_beside(_load):
-        begin_beside(_die, tmp_path / "died")()
+        begin_beside(_die, tmp_path / "died", os.getpid())()
     assert (tmp_path / "died").read_text(encoding="utf-8") == "done here"
