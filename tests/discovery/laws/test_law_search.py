@@ -225,8 +225,10 @@ def test_operators():
     wave = np.sin(time)
     assert np.max(np.abs(played(wave, 0.2) - wave)) <= 0.1 + 1e-12
     assert played(wave, 0.0) == pytest.approx(wave)
-    kinds = {f.kind for f in operators("u_egr", "%", True)}
-    assert kinds == {"lag", "dead_time", "play"} and not operators("p_im", "Pa", False)
+    position = Point("u_egr", "egr_actuator", True, "-", ())
+    assert {f.kind for f in operators(position, "%")} == {"lag", "dead_time", "play"}
+    assert {f.kind for f in operators(replace(position, timed=False), "%")} == {"play"}
+    assert not operators(Point("p_im", "intake_mass_balance", False, "Pa", ()), "Pa")
 
 
 @pytest.mark.parametrize("value, expected", [(0.0123, 0.01), (47.0, 50.0), (951.0, 1000.0), (0.0, 1.0)])
