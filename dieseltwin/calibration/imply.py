@@ -2,8 +2,9 @@
 
 For a point the unknowns are its six states and how far the laws are off there (pressure after the turbine and before
 the compressor, charge temperature, compressor efficiency). The relations, each with its own error, and the readings
-update them; the coefficients' covariance, carried through the same update, adds the rest. Without readings the same
-update solves the balances from the inputs alone.
+update them; what the relations left at the points near by is taken off (`local_errors`); the coefficients' covariance,
+carried through the same update, adds the rest. Without readings the same update solves the balances from the inputs
+alone.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.likelihood import NOISE, STEEPEST
+from dieseltwin.calibration.local_errors import Foretold, LocalErrors
 from dieseltwin.calibration.steady_model import IMPLIED, SteadyModel
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
@@ -101,6 +103,8 @@ class Answerer:
         discrepancy: relation -> standard deviation of its own error [-].
         guess: of the states.
         noise: relative standard deviation of the readings [-].
+        bounds: of the free coefficients.
+        local: what the relations left at the points; None of a file that was written before there was such.
     """
 
     model: SteadyModel
@@ -111,6 +115,7 @@ class Answerer:
     guess: Guess
     noise: Mapping[str, float]
     bounds: Mapping[str, tuple[float, float]]
+    local: LocalErrors | None = None
 
     def __call__(self, points: SteadyPoints) -> pd.DataFrame:
         """Implied quantities of n points: every column of `COLUMNS`, and the states that the points lack somewhere.
@@ -124,22 +129,28 @@ class Answerer:
         centre = np.log(np.where(known, measured, first))
         sigma = np.array([self.noise.get(name, NOISE[name]) for name in STATES])
         prior = np.where(known, sigma, np.maximum(GUESS_FACTOR * self.guess.residual, GUESS_LEAST))
-        S = POINT_ERROR * np.array([self.discrepancy.get(row, 0.03) for row in model.rows])
+        foretold = None if self.local is None else self.local.at(points)
+        if foretold is None:
+            S = np.broadcast_to([POINT_ERROR * self.discrepancy.get(row, 0.03) for row in model.rows],
+                                (points.size, len(model.rows)))  # fmt: skip
+        else:
+            S = np.sqrt(foretold.variance + (POINT_ERROR * foretold.own) ** 2)
+        here = _Balances(model, points, foretold)
         deviations = self._deviations(model, points, np.exp(centre))
         variance = np.concatenate([prior**2, deviations**2], axis=1)
         y0 = np.concatenate([centre, np.zeros((points.size, len(LOCAL)))], axis=1)
-        y, gain, posterior = _solve(model, points, self.values, y0, variance, S)
+        y, gain, posterior = here.solve(self.values, y0, variance, S)
         lanes, unit = self._lanes()
-        r = _residual(model, points, y, lanes)
+        r = here.residual(y, lanes)
         d_r = (r[1:] - r[:1]) / unit[..., None]  # (P, n, R) per standard deviation
-        q = _quantities(model, points, y, lanes)
+        q = here.quantities(y, lanes)
         d_y = -np.einsum("nij,pnj->pni", gain, d_r)
         out: dict[str, Array] = {}
         for i in np.flatnonzero(~known.all(axis=0)):
             between = np.einsum("pn,pq,qn->n", d_y[..., i], self._correlation(), d_y[..., i])
             out[STATES[i]] = np.exp(y[:, i])
             out[f"{STATES[i]}_std"] = out[STATES[i]] * np.sqrt(between + np.maximum(posterior[:, i, i], 0.0))
-        slopes = _slopes(model, points, y, self.values)
+        slopes = here.slopes(y, self.values)
         for column, name in COLUMNS.items():
             out[column] = q[name][0]
             d_q = (q[name][1:] - q[name][:1]) / unit + np.einsum("ni,pni->pn", slopes[name], d_y)
@@ -221,51 +232,63 @@ class Answers:
         return out
 
 
-def _with(model: SteadyModel, y: Array) -> SteadyModel:
-    return replace(model, signals={name: y[..., 6 + i] for i, name in enumerate(LOCAL)})
+@dataclass(frozen=True)
+class _Balances:
+    """Balances and quantities of n points at unknowns y (..., n, 10): ln of the states, then `LOCAL`."""
 
+    model: SteadyModel
+    points: SteadyPoints
+    foretold: Foretold | None
 
-def _residual(model: SteadyModel, points: SteadyPoints, y: Array, values: Mapping[str, Any]) -> Array:
-    r = _with(model, y).relations(points, np.exp(y[..., :6]), values).residual
-    return np.clip(np.nan_to_num(r), -3.0, 3.0)
+    def residual(self, y: Array, values: Mapping[str, Any]) -> Array:
+        """Of the balances, less what their errors are foretold to be there, (lanes, n, R)."""
+        r = self._at(y).relations(self.points, np.exp(y[..., :6]), values).residual
+        if self.foretold is not None:
+            r = r - self.foretold.residual(values)
+        return np.clip(np.nan_to_num(r), -3.0, 3.0)
 
+    def quantities(self, y: Array, values: Mapping[str, Any]) -> Mapping[str, Array]:
+        """By name, (lanes, n) each."""
+        return self._at(y).relations(self.points, np.exp(y[..., :6]), values).quantities
 
-def _quantities(model: SteadyModel, points: SteadyPoints, y: Array, values: Mapping[str, Any]) -> Mapping[str, Array]:
-    return _with(model, y).relations(points, np.exp(y[..., :6]), values).quantities
+    def solve(self, values: Mapping[str, float], y0: Array, variance: Array, S: Array) -> tuple[Array, Array, Array]:
+        """Most likely unknowns (n, 10), their gain on the residuals (n, 10, R) and their covariance (n, 10, 10).
 
-
-def _solve(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], y0: Array, variance: Array,
-           S: Array) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Most likely unknowns (n, 10), their gain on the residuals (n, 10, R) and their covariance (n, 10, 10)."""
-    y = y0.copy()
-    for _ in range(ITERATIONS):
-        r, J = _linear(model, points, y, values)
+        Args:
+            y0, variance: belief of the unknowns, (n, 10) each.
+            S: (n, R) standard deviation of the balances [-].
+        """
+        y, own = y0.copy(), S[..., None] ** 2 * np.eye(S.shape[1])
+        for _ in range(ITERATIONS):
+            r, J = self._linear(y, values)
+            P_J = variance[..., None] * np.swapaxes(J, 1, 2)
+            innovation = r - np.einsum("nij,nj->ni", J, y - y0)
+            target = y0 - np.einsum("nij,nj->ni", P_J, np.linalg.solve(J @ P_J + own, innovation[..., None])[..., 0])
+            step = np.clip(target - y, -LARGEST, LARGEST)
+            y = y + step
+            if np.max(np.abs(step)) < 1e-6:
+                break
+        _, J = self._linear(y, values)
         P_J = variance[..., None] * np.swapaxes(J, 1, 2)
-        C = J @ P_J + np.diag(S**2)
-        innovation = r - np.einsum("nij,nj->ni", J, y - y0)
-        target = y0 - np.einsum("nij,nj->ni", P_J, np.linalg.solve(C, innovation[..., None])[..., 0])
-        step = np.clip(target - y, -LARGEST, LARGEST)
-        y = y + step
-        if np.max(np.abs(step)) < 1e-6:
-            break
-    r, J = _linear(model, points, y, values)
-    P_J = variance[..., None] * np.swapaxes(J, 1, 2)
-    C = J @ P_J + np.diag(S**2)
-    gain = P_J @ np.linalg.inv(C)
-    prior = variance[..., None] * np.eye(variance.shape[1])
-    return y, gain, prior - gain @ np.swapaxes(P_J, 1, 2)
+        gain = P_J @ np.linalg.inv(J @ P_J + own)
+        prior = variance[..., None] * np.eye(variance.shape[1])
+        return y, gain, prior - gain @ np.swapaxes(P_J, 1, 2)
+
+    def slopes(self, y: Array, values: Mapping[str, float]) -> dict[str, Array]:
+        """Of every quantity in the unknowns, (n, 10) each."""
+        size = y.shape[1]
+        q = self.quantities(y + _shifts(np.eye(size), -np.eye(size)), values)
+        return {name: ((q[name][:size] - q[name][size:]) / (2.0 * STEP)).T for name in {*COLUMNS.values(), *IMPLIED}}
+
+    def _linear(self, y: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
+        size = y.shape[1]
+        r = self.residual(y + _shifts(np.zeros((1, size)), np.eye(size), -np.eye(size)), values)
+        J = np.moveaxis((r[1 : size + 1] - r[size + 1 :]) / (2.0 * STEP), 0, -1)
+        return r[0], np.clip(J, -STEEPEST, STEEPEST)
+
+    def _at(self, y: Array) -> SteadyModel:
+        return replace(self.model, signals={name: y[..., 6 + i] for i, name in enumerate(LOCAL)})
 
 
-def _linear(model: SteadyModel, points: SteadyPoints, y: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
-    size = y.shape[1]
-    shifts = np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)]) * STEP
-    r = _residual(model, points, y + shifts[:, None], values)
-    J = np.moveaxis((r[1 : size + 1] - r[size + 1 :]) / (2.0 * STEP), 0, -1)
-    return r[0], np.clip(J, -STEEPEST, STEEPEST)
-
-
-def _slopes(model: SteadyModel, points: SteadyPoints, y: Array, values: Mapping[str, float]) -> dict[str, Array]:
-    size = y.shape[1]
-    shifts = np.concatenate([np.eye(size), -np.eye(size)]) * STEP
-    q = _quantities(model, points, y + shifts[:, None], values)
-    return {name: ((q[name][:size] - q[name][size:]) / (2.0 * STEP)).T for name in {*COLUMNS.values(), *IMPLIED}}
+def _shifts(*parts: Array) -> Array:
+    return STEP * np.concatenate(parts)[:, None]

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from dieseltwin.atomic import write_json, write_text
 from dieseltwin.calibration.calibrate import Calibration
@@ -22,15 +23,18 @@ from dieseltwin.calibration.coefficients import BELIEFS
 from dieseltwin.calibration.discover import PointsDiscovery
 from dieseltwin.calibration.imply import Answerer, Answers, Guess, guess_of
 from dieseltwin.calibration.likelihood import NOISE
+from dieseltwin.calibration.local_errors import LocalErrors, Smoothness, local_errors, thinned
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.engine.engine_files import load_engine
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import doubts_among, warnings_of
+from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.sealed import opened_json, sealed_json, sealed_text
 
 FORMAT = 1
-STEADY_FORMAT = 2  # 1 held one formulation and the terms that the engine file now has
+STEADY_FORMAT = 3  # 1 held one formulation and the terms that the engine file now has
+WITHOUT_POINTS = 2  # still read: answers without what the balances left at the points
 
 
 def calibration_sidecar(engine_file: Path) -> Path:
@@ -94,7 +98,7 @@ def base_and_geometry(path: Path) -> tuple[EngineParameters, EngineParameters]:
     sidecar = next((f for f in (calibration_sidecar(path), steady_sidecar(path)) if f.is_file()), None)
     if sidecar is None:
         return engine, engine
-    content = _read(sidecar, FORMAT if sidecar == calibration_sidecar(path) else STEADY_FORMAT)
+    content = _read(sidecar, *((FORMAT,) if sidecar == calibration_sidecar(path) else (STEADY_FORMAT, WITHOUT_POINTS)))
     try:
         base, geometry = EngineParameters(**content["base"]), EngineParameters(**content["geometry"])
         return base, geometry.replace(terms=engine.terms)
@@ -114,6 +118,7 @@ def write_repaired(result: PointsDiscovery, path: Path) -> list[Path]:
         "beliefs": [asdict(c) for c in BELIEFS],
         "formulations": {name: _formulation(answerer) for name, answerer in answers.formulations.items()},
         "noise": dict(NOISE),
+        "points": {name: _listed(column) for name, column in thinned(result.calibration.points).columns.items()},
         "guess": {"weights": guess.weights.tolist(), "centre": guess.centre.tolist(), "spread": guess.spread.tolist(),
                   "residual": guess.residual.tolist()},
         "turned": [a.column for a in result.calibration.actuators if a.opens < 0],
@@ -131,6 +136,7 @@ def _formulation(answerer: Answerer) -> dict[str, Any]:
         "free": [{"name": name, "low": answerer.bounds[name][0], "high": answerer.bounds[name][1]}
                  for name in answerer.names],
         "covariance": answerer.covariance.tolist(), "discrepancy": dict(answerer.discrepancy),
+        "smoothness": {row: asdict(s) for row, s in answerer.local.smoothness.items()} if answerer.local else {},
     }  # fmt: skip
 
 
@@ -145,17 +151,18 @@ def load_answers(path: Path) -> tuple[Answers, tuple[str, ...]]:
     if not sidecar.is_file():
         raise InputError(str(path), f"no {sidecar.name} beside it", "the repaired.yaml of `dieseltwin discover POINTS`",
                          "run `dieseltwin discover POINTS --engine engine.yaml --out DIR` first")
-    content = _read(sidecar, STEADY_FORMAT)
+    content = _read(sidecar, STEADY_FORMAT, WITHOUT_POINTS)
     try:
         guess = Guess(*(np.array(content["guess"][k]) for k in ("weights", "centre", "spread", "residual")))
-        found = {
-            name: Answerer(
-                SteadyModel(EngineParameters(**part["engine"]), frozenset(part["active"])), part["values"],
-                tuple(c["name"] for c in part["free"]), np.array(part["covariance"]), part["discrepancy"], guess,
-                content["noise"], {c["name"]: (float(c["low"]), float(c["high"])) for c in part["free"]},
-            )
-            for name, part in content["formulations"].items()
-        }  # fmt: skip
+        found = {}
+        for name, part in content["formulations"].items():
+            model = SteadyModel(EngineParameters(**part["engine"]), frozenset(part["active"]))
+            found[name] = Answerer(
+                model, part["values"], tuple(c["name"] for c in part["free"]), np.array(part["covariance"]),
+                part["discrepancy"], guess, content["noise"],
+                {c["name"]: (float(c["low"]), float(c["high"])) for c in part["free"]},
+                _local_errors(model, part, guess, content.get("points")),
+            )  # fmt: skip
         return Answers(found), tuple(content["turned"])
     except (KeyError, TypeError, ValueError) as error:
         raise _broken(sidecar, error) from None
@@ -164,23 +171,43 @@ def load_answers(path: Path) -> tuple[Answers, tuple[str, ...]]:
 def answers_of(result: PointsDiscovery) -> Answers:
     """The same without a file."""
     guess = guess_of(result.calibration.points)
-    return Answers({
-        name: Answerer(
-            model, {**result.repaired.start, **found.values()}, tuple(c.name for c in found.coefficients),
-            found.covariance, dict(zip(model.rows, found.discrepancy.tolist(), strict=True)), guess, NOISE,
+    points = thinned(result.calibration.points)
+    answerers = {}
+    for name, (model, found) in result.formulations.items():
+        values = {**result.repaired.start, **found.values()}
+        answerers[name] = Answerer(
+            model, values, tuple(c.name for c in found.coefficients), found.covariance,
+            dict(zip(model.rows, found.discrepancy.tolist(), strict=True)), guess, NOISE,
             {c.name: (c.low, c.high) for c in found.coefficients},
-        )
-        for name, (model, found) in result.formulations.items()
-    })  # fmt: skip
+            local_errors(model, points, values, (guess.centre, guess.spread)),
+        )  # fmt: skip
+    return Answers(answerers)
 
 
-def _read(path: Path, version: int) -> dict[str, Any]:
+def _local_errors(
+    model: SteadyModel, part: Mapping[str, Any], guess: Guess, columns: Mapping[str, list[float | None]] | None
+) -> LocalErrors | None:
+    """Of a formulation in a file; None where the file is from before there were any."""
+    if columns is None:
+        return None
+    arrays = {name: np.array(column, dtype=np.float64) for name, column in columns.items()}
+    points = SteadyPoints(arrays, np.arange(len(next(iter(arrays.values())))))
+    known = {row: Smoothness(**s) for row, s in part["smoothness"].items()}
+    return local_errors(model, points, part["values"], (guess.centre, guess.spread), known)
+
+
+def _listed(column: NDArray[np.float64]) -> list[float | None]:
+    """As JSON has it: None where missing."""
+    return [float(v) if np.isfinite(v) else None for v in column]
+
+
+def _read(path: Path, *versions: int) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise _broken(path, error) from None
     content = opened_json(content, str(path), "write it anew")
-    if not isinstance(content, dict) or content.get("format") != version:
+    if not isinstance(content, dict) or content.get("format") not in versions:
         raise _broken(path, "another format")
     return content
 

@@ -60,12 +60,21 @@ def shares(result: PointsDiscovery) -> list[tuple[tuple[str, ...], float]]:
     of a later round counts in what the earlier ones left."""
     found, left = [], 1.0
     for item in result.rounds:
-        share = item.found.share_explained()
+        share = _share(item)
         if item.taken and share is not None:
             names = dict.fromkeys(name if name in EFFECTS else NONE_OF_THESE for name in item.names)
             found.append((tuple(names), left * share))
             left *= 1.0 - share
     return found
+
+
+def _share(item: Round) -> float | None:
+    """Share of a round's misfit that its names take away [-]; of a name that the search itself let go: by its gain."""
+    found = item.found
+    if found.best is not None and found.best.fit.candidate.names == item.names:
+        return found.share_explained()
+    gain = max((found.gain(fit) for fit in found.singles if fit.candidate.names == item.names), default=0.0)
+    return gain / max(found.null.fit.objective - found.twin.measured.size, gain, 1.0)
 
 
 def _equivalent(item: Round, name: str) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.believable import unbelievable
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
+from dieseltwin.calibration.local_errors import local_errors, thinned
 from dieseltwin.calibration.saved import answers_of, load_answers, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.calibration.verdict import document
@@ -58,7 +61,7 @@ def test_the_flap_is_found(mended: PointsDiscovery) -> None:
     said = document(mended)
     assert said.mismatch and said.location is not None and said.location.site == "turbine_flow"
     assert said.effects[0].name == "exhaust_flap"
-    assert "flap" in sentence(mended)
+    assert "flap" in sentence(mended) and "explains 0 %" not in sentence(mended)
 
 
 def test_pressure_after_the_turbine_is_implied(mended: PointsDiscovery, data: SteadyPoints) -> None:
@@ -93,6 +96,34 @@ def test_files_answer_for_inputs_alone(mended: PointsDiscovery, data: SteadyPoin
     pd.DataFrame({name: data[name] for name in INPUTS}).to_csv(file, index=False)
     with pytest.raises(InputError, match="u_flap_pct"):
         imply(file, engine)
+
+
+def test_points_near_by_foretell_where_a_map_is_off(mended: PointsDiscovery) -> None:
+    def bent(seed: int) -> SteadyPoints:
+        made = made_points(count=80, noise=0.002, effects=FLAP, seed=seed)
+        return made.with_columns(t_em_k=made["t_em_k"] * (1.0 + 0.05 * np.sin(made["n_e_rpm"] / 250.0)))
+
+    first, known, asked = answers_of(mended).first, bent(5), bent(6)
+    hidden = SteadyPoints({name: v for name, v in asked.columns.items() if name != "t_em_k"}, asked.row)
+    learned = local_errors(first.model, thinned(known), first.values, (first.guess.centre, first.guess.spread))
+    assert learned.smoothness["exhaust_temperature"].level > 3.0 * learned.smoothness["exhaust_temperature"].own
+    near, far = (replace(first, local=local)(hidden) for local in (learned, None))
+    error, without = (np.asarray(frame["t_em_k"] - asked["t_em_k"]) for frame in (near, far))
+    assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(without**2))
+    assert 0.8 < np.mean(np.abs(error) < 1.645 * near["t_em_k_std"]) <= 1.0
+
+
+def test_a_file_of_before_still_answers(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
+    engine = tmp_path / "repaired.yaml"
+    write_repaired(mended, engine)
+    sidecar = tmp_path / "repaired.steady.json"
+    content = json.loads(sidecar.read_text())
+    for name in ("points", "content_sha256"):
+        content.pop(name)
+    sidecar.write_text(json.dumps({**content, "format": 2}))
+    answers, _ = load_answers(engine)
+    assert all(answerer.local is None for answerer in answers.formulations.values())
+    assert (answers(data).filter(like="_std") > 0.0).all().all()
 
 
 def test_reports_are_written(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
