@@ -119,8 +119,8 @@ class PetrolTwin:
         """How long the driving was too far beyond what was learned to be judged."""
         seconds = {name: int(np.sum(self.unlearned(name) & self.grid.kept)) for name in self.channels}
         lost = listed([f"{count} s of the {name}'s balance" for name, count in seconds.items() if count])
-        return [Note(f"{lost} lie too far beyond the driving that the engine was learned from, and aren't judged; learn "
-                     "it from driving that goes as far", "extrapolated")] if lost else []  # fmt: skip
+        return [Note(f"{lost} lie too far beyond the driving that the engine was learned from, and aren't judged; "
+                     "learn it from driving that goes as far", "extrapolated")] if lost else []  # fmt: skip
 
     def _stuck(self) -> dict[str, NDArray[np.bool_]]:
         """Balance -> (n,) whether a reading that it is made of stands still there: it says nothing of the engine."""
