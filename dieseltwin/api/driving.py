@@ -35,6 +35,7 @@ from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.liveliest import liveliest
+from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.beside import begin_beside, ready_beside
 from dieseltwin.report.discovery_words import alike_words, circumstances_words, magnitude_words
@@ -224,7 +225,7 @@ def _time_notes(document: Discrepancy) -> list[Note]:
 
 
 def ask_driving(
-    recordings: Sequence[Source | Recording],
+    recordings: Sequence[Source | Imported | Recording],
     engine: Engine | str | Path | None,
     channels: Channels | None,
     question: Asked,
@@ -352,7 +353,9 @@ def _sha256(path: str | Path) -> str | None:
     return file_sha256(path) if Path(path).is_file() else None
 
 
-def _read(recording: Source | Recording, channels: Channels | None, parameters: EngineParameters) -> Recording:
+def _read(
+    recording: Source | Imported | Recording, channels: Channels | None, parameters: EngineParameters
+) -> Recording:
     """The recording; where it can't be one of this engine, the air balance says so better than a unit would."""
     try:
         return diesel_recording(recording, channels, parameters, sensors=())

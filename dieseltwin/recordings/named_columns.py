@@ -13,9 +13,12 @@ import pandas as pd
 
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
-from dieseltwin.recordings.channels import ChannelMap, channel_map, known_columns, read_channel_map
+from dieseltwin.recordings.channels import TIME, ChannelMap, channel_map, known_columns, read_channel_map
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
+
+LIKE_TIME = ("time", "t_s", "t [")
+"""Beginnings of names that a column of time may have in a file that nobody mapped."""
 
 
 def read_table(path: str | Path) -> pd.DataFrame:
@@ -34,25 +37,38 @@ def read_table(path: str | Path) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Imported:
-    """Columns of a file in our names, not yet checked.
+    """Columns of a file or of a table in our names, not yet checked.
 
     Attributes:
         columns: our names (and the file's own where nobody maps them) -> (n,).
         notes: what was done to get there, one sentence each.
         began: date of the first row [UTC], where the file says it.
+        path, sha256: of the file; None for a table.
     """
 
     columns: Mapping[str, np.ndarray]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     began: datetime | None = None
+    path: Path | None = None
+    sha256: str | None = None
+
+    @property
+    def timed(self) -> bool:
+        """Whether it is a recording over time (`time_s`, or a column that is called so) rather than settled points."""
+        return any(name == TIME or name.lower().startswith(LIKE_TIME) for name in self.columns)
 
 
-def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = None) -> Imported:
-    """Read a file of any format and name its columns by a channel map; several rasters are put onto one.
+def import_columns(
+    source: str | Path | pd.DataFrame, channels: ChannelMap | str | Path | None = None
+) -> Imported:
+    """Take a table, or read a file of any format, and name the columns by a channel map; rasters are put onto one.
 
     Raises:
         InputError: one line saying what is wrong with the file or the map.
     """
+    if isinstance(source, pd.DataFrame):
+        return Imported(renamed(source, channels))
+    path = Path(source)
     mapping = (
         channel_map({})
         if channels is None
@@ -66,15 +82,14 @@ def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = 
         raw = read_raw(path, mapping.database)  # for the message: every name that the file has
     if raw.table is None:
         columns, notes = on_one_raster(quantities(raw, mapping), str(path))
-        return Imported(columns, (*raw.notes, *notes), raw.began)
+        return Imported(columns, (*raw.notes, *notes), raw.began, path, file_sha256(path))
     columns = {str(name): raw.table[name].to_numpy() for name in raw.table.columns}
-    if not mapping.entries:
-        return Imported(columns, raw.notes, raw.began)
-    numeric = {
-        name: numbers(name, values, str(path), True) if name in mapping.entries else values
-        for name, values in columns.items()
-    }
-    return Imported(mapping.apply(numeric, str(path)), raw.notes, raw.began)
+    if mapping.entries:
+        columns = mapping.apply({
+            name: numbers(name, values, str(path), True) if name in mapping.entries else values
+            for name, values in columns.items()
+        }, str(path))  # fmt: skip
+    return Imported(columns, raw.notes, raw.began, path, file_sha256(path))
 
 
 def named_columns(
@@ -85,11 +100,11 @@ def named_columns(
     Raises:
         InputError: one line saying what is wrong with the file or the map.
     """
-    if not isinstance(source, pd.DataFrame):
-        return dict(import_columns(source, channels).columns), str(source), file_sha256(source)
-    columns = renamed(source, channels)
-    hashed = hashlib.sha256(pd.util.hash_pandas_object(source, index=False).to_numpy().tobytes())
-    return columns, "the table", hashed.hexdigest()
+    imported = import_columns(source, channels)
+    sha256 = imported.sha256
+    if isinstance(source, pd.DataFrame):
+        sha256 = hashlib.sha256(pd.util.hash_pandas_object(source, index=False).to_numpy().tobytes()).hexdigest()
+    return dict(imported.columns), "the table" if imported.path is None else str(source), str(sha256)
 
 
 def renamed(table: pd.DataFrame, channels: ChannelMap | str | Path | None) -> dict[str, np.ndarray]:
