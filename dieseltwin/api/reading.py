@@ -32,10 +32,13 @@ Channels: TypeAlias = ChannelMap | str | Path
 Source: TypeAlias = Union[str, Path, pd.DataFrame, "xr.Dataset"]
 """A file, or a table or a dataset with the columns of one."""
 
+Made: TypeAlias = Recording | SteadyPoints | PetrolRecording | RigRecording
+"""What `read` makes of one."""
+
 
 def read(
     source: Source, channels: Channels | None = None, engine: Engine | str | Path | None = None
-) -> Recording | SteadyPoints | PetrolRecording | RigRecording:
+) -> Made:
     """Read and check a recording, or settled points where there is no column of time.
 
     Args:
@@ -61,7 +64,7 @@ def read(
     return read_points(found, engine=machine, needed=INPUTS)
 
 
-def description(found: Recording | SteadyPoints | PetrolRecording | RigRecording) -> list[str]:
+def description(found: Made) -> list[str]:
     """What was read, in sentences: size and rate, the quantities, and what reading did to the file."""
     if isinstance(found, SteadyPoints):
         return [f"{found.size} settled points with {', '.join(found.columns)}."]
@@ -79,16 +82,14 @@ def as_engine(source: Engine | str | Path | None) -> Engine:
     return diesel_engine(None) if source is None else engine(source)
 
 
-def opened(
-    source: Source | Recording | SteadyPoints, channels: Channels | None
-) -> Imported | Recording | SteadyPoints:
-    """The columns of a file or a table by our names, so that it is read once; what was read already as it is.
+def opened(source: Source | Made, channels: Channels | None) -> Imported | Made:
+    """The columns of a file or a table by our names, so that it is read once; what was made of one already as it is.
 
     Raises:
         InputError: a file or a channel map that can't be read.
     """
     source = as_table(source)
-    return source if isinstance(source, Recording | SteadyPoints) else import_columns(source, channels)
+    return import_columns(source, channels) if isinstance(source, str | Path | pd.DataFrame) else source
 
 
 def diesel_recording(
@@ -137,7 +138,7 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
         InputError: what can't be used.
     """
     source = as_table(source)
-    if not isinstance(source, str | Path | pd.DataFrame | RigRecording):
+    if not isinstance(source, str | Path | pd.DataFrame | Imported | RigRecording):
         raise InputError("recording", "one of an engine", f"one of {rig.name}", "name its file")
     found = source if isinstance(source, RigRecording) else read_rig(source, rig)
     missing = [name for name in rig.readings if name not in found.readings]
@@ -146,7 +147,7 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     return found
 
 
-def petrol_recording(source: Source | PetrolRecording, channels: Channels | None = None) -> PetrolRecording:
+def petrol_recording(source: Source | Imported | PetrolRecording, channels: Channels | None = None) -> PetrolRecording:
     """A recording of a petrol engine.
 
     Raises:

@@ -59,13 +59,18 @@ class Imported:
 
 
 def import_columns(
-    source: str | Path | pd.DataFrame, channels: ChannelMap | str | Path | None = None
+    source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None
 ) -> Imported:
     """Take a table, or read a file of any format, and name the columns by a channel map; rasters are put onto one.
+
+    Args:
+        source: what was imported already is given back.
 
     Raises:
         InputError: one line saying what is wrong with the file or the map.
     """
+    if isinstance(source, Imported):
+        return source
     if isinstance(source, pd.DataFrame):
         return Imported(renamed(source, channels))
     path = Path(source)
@@ -93,18 +98,19 @@ def import_columns(
 
 
 def named_columns(
-    source: str | Path | pd.DataFrame, channels: ChannelMap | str | Path | None = None
+    source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None
 ) -> tuple[dict[str, np.ndarray], str, str]:
     """Columns of a file or of a table in our names, its name for messages, and its hash.
 
     Raises:
         InputError: one line saying what is wrong with the file or the map.
     """
-    imported = import_columns(source, channels)
-    sha256 = imported.sha256
-    if isinstance(source, pd.DataFrame):
-        sha256 = hashlib.sha256(pd.util.hash_pandas_object(source, index=False).to_numpy().tobytes()).hexdigest()
-    return dict(imported.columns), "the table" if imported.path is None else str(source), str(sha256)
+    read = import_columns(source, channels)
+    columns = dict(read.columns)
+    if read.path is not None and read.sha256 is not None:
+        return columns, str(read.path), read.sha256
+    rows = pd.util.hash_pandas_object(pd.DataFrame(columns), index=False).to_numpy()
+    return columns, "the table", hashlib.sha256(rows.tobytes()).hexdigest()
 
 
 def renamed(table: pd.DataFrame, channels: ChannelMap | str | Path | None) -> dict[str, np.ndarray]:

@@ -339,7 +339,7 @@ def read_recording(
     Raises:
         InputError: one line saying what is wrong with the file.
     """
-    read = source if isinstance(source, Imported) else import_columns(source, channels)
+    read = import_columns(source, channels)
     made = recording(read.columns, engine, where=str(read.path or "recording"), path=read.path, sha256=read.sha256,
                      sensors=sensors, any_rate=any_rate)
     return replace(made, notes=(*read.notes, *made.notes), began=read.began)

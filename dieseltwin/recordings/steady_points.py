@@ -180,7 +180,7 @@ def read_points(
     Raises:
         InputError: one line saying what is wrong with the file.
     """
-    read = source if isinstance(source, Imported) else import_columns(source, channels)
+    read = import_columns(source, channels)
     where, columns, origin = str(read.path or "points"), dict(read.columns), "points"
     if TIME in columns:
         columns = quasi_steady(columns, str(read.path or "recording"))
