@@ -6,26 +6,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-import pandas as pd
-
 from dieseltwin.api.driving import ask_driving
 from dieseltwin.api.engines import Engine
 from dieseltwin.api.findings import Asked, Discovered, Question
-from dieseltwin.api.reading import Channels, Source, as_engine, timed
+from dieseltwin.api.reading import Channels, Made, Source, as_engine, opened
 from dieseltwin.api.rigs import ask_rig
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of
 from dieseltwin.notes import Note
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
+from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.settings.names import refuse_options
 
-AnyRecording: TypeAlias = Source | Recording | SteadyPoints | PetrolRecording | RigRecording
-_ONE = (str, Path, pd.DataFrame, Recording, SteadyPoints, PetrolRecording, RigRecording)
+AnyRecording: TypeAlias = Source | Made
 
 
 def discover(
@@ -73,36 +71,38 @@ def ask(
 ) -> Question:
     """Read and check all that `discover` needs, and search for nothing yet; the errors are those of it."""
     asked = asked or Asked()
-    no_reference = {"--reference": tuple(asked.reference) or None, "--time": asked.time_s}
     machine = as_engine(engine)
-    if not isinstance(recording, _ONE):
+    if isinstance(recording, Sequence) and not isinstance(recording, str):
         if len(recording) != 1:
-            _check_together(recording, machine, channels)
-            return ask_driving(recording, engine, channels, asked, _known(engine, asked, channels))
+            together = _together(recording, machine, channels)
+            return ask_driving(together, engine, channels, asked, _known(engine, asked, channels))
         recording = recording[0]
     if isinstance(machine, RigParameters):
         refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
-        return ask_rig(recording, machine, asked)
-    if isinstance(recording, RigRecording):
+    if isinstance(machine, PetrolParameters):
+        refuse_options({"--reference": tuple(asked.reference) or None, "--time": asked.time_s}, "for a petrol engine")
+    read = opened(recording, channels)
+    if isinstance(machine, RigParameters):
+        return ask_rig(read, machine, asked)
+    if isinstance(read, RigRecording):
         raise InputError("recording", "one of a rig", "one of an engine", "name the rig's file")
     if isinstance(machine, PetrolParameters):
-        refuse_options(no_reference, "for a petrol engine")
-        if isinstance(recording, Recording | SteadyPoints):
+        if isinstance(read, Recording | SteadyPoints):
             raise InputError("recording", "one of a diesel engine", "one of a petrol engine, as the engine is",
                              "name the engine that it belongs to")
         engine_file = Path(engine) if isinstance(engine, str | Path) else None
         from dieseltwin.api.petrol import ask_petrol  # what the others of its kind need takes half a second
 
-        return ask_petrol(recording, machine, engine_file, channels, asked)
-    if isinstance(recording, PetrolRecording):
+        return ask_petrol(read, machine, engine_file, asked)
+    if isinstance(read, PetrolRecording):
         raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
                          "name the engine that it belongs to")
-    if timed(recording, channels):
-        return ask_driving([recording], engine, channels, asked, _known(engine, asked, channels))
+    if isinstance(read, Recording) or (isinstance(read, Imported) and read.timed):
+        return ask_driving([read], engine, channels, asked, _known(engine, asked, channels))
     refuse_options({"--map-tolerance": asked.map_tolerance, "--time": asked.time_s}, "for settled points")
     from dieseltwin.api.points import ask_points
 
-    return ask_points(recording, engine, channels, asked)
+    return ask_points(read, engine, channels, asked)
 
 
 def _known(
@@ -116,8 +116,10 @@ def _known(
     return known_engine(engine, asked.reference, channels)
 
 
-def _check_together(recordings: Sequence[AnyRecording], machine: Engine, channels: Channels | None) -> None:
-    """Refuse what can't be judged together.
+def _together(
+    recordings: Sequence[AnyRecording], machine: Engine, channels: Channels | None
+) -> list[Imported | Recording]:
+    """Recordings that are to be judged together, opened.
 
     Raises:
         InputError: none at all, a petrol engine, settled points.
@@ -126,7 +128,13 @@ def _check_together(recordings: Sequence[AnyRecording], machine: Engine, channel
         raise InputError("RECORDING", "nothing", "a recording", "name the recording")
     if isinstance(machine, PetrolParameters | RigParameters):
         raise InputError("RECORDING", f"{len(recordings)}", "one of a petrol engine or a rig", "judge them one by one")
+    found: list[Imported | Recording] = []
     for item in recordings:
-        if isinstance(item, SteadyPoints | PetrolRecording | RigRecording) or not timed(item, channels):
+        read = opened(item, channels)
+        if isinstance(read, SteadyPoints | PetrolRecording | RigRecording) or (
+            isinstance(read, Imported) and not read.timed
+        ):
             raise InputError("RECORDING", "settled points among several", "recordings over time of a diesel engine",
                              "judge settled points by themselves")  # fmt: skip
+        found.append(read)
+    return found

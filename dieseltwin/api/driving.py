@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
 from dieseltwin.api.figures import drawn
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
-from dieseltwin.api.reading import Channels, Source, diesel_recording
+from dieseltwin.api.reading import Channels
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
 from dieseltwin.discovery.options import Options
@@ -35,7 +35,8 @@ from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.liveliest import liveliest
-from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.named_columns import Imported
+from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.report.beside import begin_beside, ready_beside
 from dieseltwin.report.discovery_words import alike_words, circumstances_words, magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
@@ -224,13 +225,16 @@ def _time_notes(document: Discrepancy) -> list[Note]:
 
 
 def ask_driving(
-    recordings: Sequence[Source | Recording],
+    recordings: Sequence[Imported | Recording],
     engine: Engine | str | Path | None,
     channels: Channels | None,
     question: Asked,
     known: tuple[LearnedEngine | None, Sequence[Note]] = (None, ()),
 ) -> DrivingQuestion:
-    """Read and check recordings, one or several, and what is asked of them; see `discovery.discover`.
+    """Check recordings, one or several, and what is asked of them; see `discovery.discover`.
+
+    Args:
+        channels: that the recordings were opened with; part of the question.
 
     Raises:
         InputError: any file or option that can't be used, a recording or an engine that can't carry a verdict.
@@ -244,7 +248,7 @@ def ask_driving(
     if learned is not None:
         asked["reference_sha256"] = [item.sha256 for item in learned.recordings]
     parameters = diesel_engine(engine) if learned is None else learned.engine
-    wholes = [_read(recording, channels, parameters) for recording in recordings]
+    wholes = [_checked(recording, parameters) for recording in recordings]
     most = question.settings.minutes_max
     sources = [whole if most is None else liveliest(whole, most) for whole in wholes]
     days = in_time_order(sources) if len(sources) > 1 else ()
@@ -352,14 +356,16 @@ def _sha256(path: str | Path) -> str | None:
     return file_sha256(path) if Path(path).is_file() else None
 
 
-def _read(recording: Source | Recording, channels: Channels | None, parameters: EngineParameters) -> Recording:
+def _checked(recording: Imported | Recording, parameters: EngineParameters) -> Recording:
     """The recording; where it can't be one of this engine, the air balance says so better than a unit would."""
+    if isinstance(recording, Recording):
+        return recording
     try:
-        return diesel_recording(recording, channels, parameters, sensors=())
+        return read_recording(recording, engine=parameters, sensors=())
     except InputError:
         size = we2011.PARAMETERS.replace(p_amb=parameters.p_amb, T_amb=parameters.T_amb)
         try:
-            source = diesel_recording(recording, channels, size, sensors=())
+            source = read_recording(recording, engine=size, sensors=())
         except InputError:
             source = None
         if source is not None:

@@ -166,16 +166,14 @@ def _learn_diesel(
 
 def known_engine(
     engine: Engine | str | Path | None, reference: Sequence[Source | Recording], channels: Channels | None
-) -> tuple[LearnedEngine | None, Sequence[Note]]:
-    """What is known of an engine, from its file or from a reference, and notes; None where nothing is.
+) -> tuple[LearnedEngine, Sequence[Note]]:
+    """What recordings of an engine when it was well tell of it, and notes.
 
     Raises:
-        InputError: as `learn`, or a learned engine's second file that is missing or changed.
+        InputError: as `learn`.
     """
-    if reference:
-        result = _learn_diesel(reference, engine, channels)
-        return result.known, [Note(note.removeprefix("note: "), "reference") for note in result.notes]
-    return learned_engine_of(engine), ()
+    result = _learn_diesel(reference, engine, channels)
+    return result.known, [Note(note.removeprefix("note: "), "reference") for note in result.notes]
 
 
 def _siblings(

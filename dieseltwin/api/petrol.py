@@ -27,6 +27,7 @@ from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled
 from dieseltwin.recordings.channel_checks import series_notes
+from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.report import petrol as pages
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import listed, unknown_name
@@ -121,13 +122,12 @@ class PetrolQuestion(Question):
 
 
 def ask_petrol(
-    recording: Source | PetrolRecording,
+    recording: Imported | PetrolRecording,
     parameters: PetrolParameters,
     engine_file: Path | None,
-    channels: Channels | None = None,
     question: Asked | None = None,
 ) -> PetrolQuestion:
-    """Read a recording of a petrol engine; see `discovery.discover`.
+    """Check a recording of a petrol engine; see `discovery.discover`.
 
     Args:
         engine_file: that the parameters were read from, if any.
@@ -147,7 +147,7 @@ def ask_petrol(
         "seed": options.seed, "engine_sha256": sha256(content).hexdigest(), "code_version": __version__,
         "search_sha256": params_sha256(options.search.model_dump(mode="json")),
     }  # fmt: skip
-    return PetrolQuestion(petrol_recording(recording, channels), parameters, options, asked)
+    return PetrolQuestion(petrol_recording(recording), parameters, options, asked)
 
 
 def _options(asked: Asked) -> PetrolOptions:

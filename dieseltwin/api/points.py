@@ -38,7 +38,8 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, doubts_among, warnings_of
 from dieseltwin.recordings.channels import INPUTS, SENSORS
-from dieseltwin.recordings.reader import Recording, write_recording
+from dieseltwin.recordings.named_columns import Imported
+from dieseltwin.recordings.reader import write_recording
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
 from dieseltwin.report import calibration as pages
 from dieseltwin.report import points as points_pages
@@ -271,7 +272,7 @@ class PointsQuestion(Question):
 
 
 def ask_points(
-    points: Source | Recording | SteadyPoints,
+    points: Source | Imported | SteadyPoints,
     engine: Engine | str | Path | None,
     channels: Channels | None = None,
     asked: Asked | None = None,

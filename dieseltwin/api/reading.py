@@ -16,9 +16,9 @@ from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
 from dieseltwin.recordings.channels import INPUTS, TIME, ChannelMap, foreign_hint
-from dieseltwin.recordings.named_columns import renamed
-from dieseltwin.recordings.reader import Recording, read_recording, recording
-from dieseltwin.recordings.steady_points import SteadyPoints, has_time, points, quasi_steady, read_points
+from dieseltwin.recordings.named_columns import Imported, import_columns
+from dieseltwin.recordings.reader import Recording, read_recording
+from dieseltwin.recordings.steady_points import SteadyPoints, read_points
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording, read_rig
 from dieseltwin.settings.names import listed, refuse_options
@@ -32,10 +32,13 @@ Channels: TypeAlias = ChannelMap | str | Path
 Source: TypeAlias = Union[str, Path, pd.DataFrame, "xr.Dataset"]
 """A file, or a table or a dataset with the columns of one."""
 
+Made: TypeAlias = Recording | SteadyPoints | PetrolRecording | RigRecording
+"""What `read` makes of one."""
+
 
 def read(
     source: Source, channels: Channels | None = None, engine: Engine | str | Path | None = None
-) -> Recording | SteadyPoints | PetrolRecording | RigRecording:
+) -> Made:
     """Read and check a recording, or settled points where there is no column of time.
 
     Args:
@@ -53,12 +56,15 @@ def read(
         return rig_recording(source, machine)
     if isinstance(machine, PetrolParameters):
         return petrol_recording(source, channels)
-    if timed(source, channels):
-        return diesel_recording(source, channels, machine, sensors=())
-    return settled_points(source, channels, machine, needed=INPUTS)
+    found = opened(source, channels)
+    if not isinstance(found, Imported):
+        return found
+    if found.timed:
+        return read_recording(found, engine=machine, sensors=())
+    return read_points(found, engine=machine, needed=INPUTS)
 
 
-def description(found: Recording | SteadyPoints | PetrolRecording | RigRecording) -> list[str]:
+def description(found: Made) -> list[str]:
     """What was read, in sentences: size and rate, the quantities, and what reading did to the file."""
     if isinstance(found, SteadyPoints):
         return [f"{found.size} settled points with {', '.join(found.columns)}."]
@@ -76,21 +82,19 @@ def as_engine(source: Engine | str | Path | None) -> Engine:
     return diesel_engine(None) if source is None else engine(source)
 
 
-def timed(source: Source | Recording | SteadyPoints, channels: Channels | None = None) -> bool:
-    """Whether it is a recording over time rather than settled points.
+def opened(source: Source | Made, channels: Channels | None) -> Imported | Made:
+    """The columns of a file or a table by our names, so that it is read once; what was made of one already as it is.
 
     Raises:
         InputError: a file or a channel map that can't be read.
     """
     source = as_table(source)
-    if isinstance(source, Recording | SteadyPoints):
-        return isinstance(source, Recording)
-    return TIME in renamed(source, channels) if isinstance(source, pd.DataFrame) else has_time(source, channels)
+    return import_columns(source, channels) if isinstance(source, str | Path | pd.DataFrame) else source
 
 
 def diesel_recording(
-    source: Source | Recording, channels: Channels | None, engine: EngineParameters, *, sensors: Sequence[str],
-    any_rate: bool = False,
+    source: Source | Imported | Recording, channels: Channels | None, engine: EngineParameters, *,
+    sensors: Sequence[str], any_rate: bool = False,
 ) -> Recording:  # fmt: skip
     """A recording of a diesel engine, with the sensors that are asked for.
 
@@ -98,20 +102,19 @@ def diesel_recording(
         InputError: one line saying what is wrong with it.
     """
     source = as_table(source)
-    if isinstance(source, Recording):
-        for name in sensors:
-            if name not in source.columns:
-                raise InputError(f"{source.path or 'recording'}: column {name}", f"none ({listed(source.channels)})",
-                                 "this column", foreign_hint(name, source.columns))
-        return source
-    if isinstance(source, pd.DataFrame):
-        return recording(renamed(source, channels), engine, sensors=sensors, any_rate=any_rate)
-    return read_recording(source, channels, engine, sensors=sensors, any_rate=any_rate)
+    if not isinstance(source, Recording):
+        return read_recording(source, channels, engine, sensors=sensors, any_rate=any_rate)
+    for name in sensors:
+        if name not in source.columns:
+            raise InputError(f"{source.path or 'recording'}: column {name}", f"none ({listed(source.channels)})",
+                             "this column", foreign_hint(name, source.columns))
+    return source
 
 
 def settled_points(
-    source: Source | SteadyPoints, channels: Channels | None, engine: EngineParameters, needed: Sequence[str]
-) -> SteadyPoints:
+    source: Source | Imported | SteadyPoints, channels: Channels | None, engine: EngineParameters,
+    needed: Sequence[str],
+) -> SteadyPoints:  # fmt: skip
     """Settled points, or the quiet stretches of a recording as such.
 
     Args:
@@ -121,15 +124,7 @@ def settled_points(
         InputError: one line saying what is wrong with them.
     """
     source = as_table(source)
-    if isinstance(source, SteadyPoints):
-        return source
-    if not isinstance(source, pd.DataFrame):
-        return read_points(source, channels, engine, needed)
-    columns = renamed(source, channels)
-    if TIME not in columns:
-        return points(columns, engine, needed=needed)
-    return points(quasi_steady(columns), engine, needed=needed,
-                  origin="averaged quasi-steady windows of a transient recording")
+    return source if isinstance(source, SteadyPoints) else read_points(source, channels, engine, needed)
 
 
 def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = False) -> RigRecording:
@@ -143,7 +138,7 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
         InputError: what can't be used.
     """
     source = as_table(source)
-    if not isinstance(source, str | Path | pd.DataFrame | RigRecording):
+    if not isinstance(source, str | Path | pd.DataFrame | Imported | RigRecording):
         raise InputError("recording", "one of an engine", f"one of {rig.name}", "name its file")
     found = source if isinstance(source, RigRecording) else read_rig(source, rig)
     missing = [name for name in rig.readings if name not in found.readings]
@@ -152,7 +147,7 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     return found
 
 
-def petrol_recording(source: Source | PetrolRecording, channels: Channels | None = None) -> PetrolRecording:
+def petrol_recording(source: Source | Imported | PetrolRecording, channels: Channels | None = None) -> PetrolRecording:
     """A recording of a petrol engine.
 
     Raises:

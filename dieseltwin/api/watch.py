@@ -23,6 +23,7 @@ from dieseltwin.learning.history import Entry, History
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.dates import Dated, dated
 from dieseltwin.recordings.dates import date_in as date_in
+from dieseltwin.recordings.named_columns import import_columns
 from dieseltwin.report import history as pages
 from dieseltwin.report.page import write_page
 from dieseltwin.settings.params import load_params
@@ -167,7 +168,7 @@ def _learned(engine: str | Path) -> LearnedEngine:
 def _judged(
     path: Path, engine: str | Path, learned: LearnedEngine, channels: Channels | None, sensors: Sequence[str] | None
 ) -> Entry:
-    question = ask_driving([path], engine, channels, Asked(sensors), (learned, ()))
+    question = ask_driving([import_columns(path, channels)], engine, channels, Asked(sensors), (learned, ()))
     day = dated(question.recording)
     if day is None:
         raise InputError(str(path), "no date", "a date in the file or in its name", "name it 2026-03-14.csv")

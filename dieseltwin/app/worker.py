@@ -212,7 +212,8 @@ def _engine(worker: Worker) -> str:
     import yaml
 
     from dieseltwin.api.engines import engine, parameter_changes
-    from dieseltwin.api.learning import known_engine, summary
+    from dieseltwin.api.learning import summary
+    from dieseltwin.learning.files import learned_engine_of
     from dieseltwin.settings.strict import read_mapping
 
     folder = worker.store.engine_folder(worker.job.engine)
@@ -221,7 +222,7 @@ def _engine(worker: Worker) -> str:
         document["learned"] = LEARNED_FILE
     write_text(folder / ENGINE, sealed_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True)))
     machine = engine(folder / ENGINE)
-    known, _ = known_engine(folder / ENGINE, (), None)
+    known = learned_engine_of(folder / ENGINE)
     write_json(folder / DETAILS, sealed_json({"changes": parameter_changes(machine),
                                               "learned": [] if known is None else summary(known)}))
     return f"{type(machine).__name__.removesuffix('Parameters').lower()} engine"

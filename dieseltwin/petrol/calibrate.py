@@ -14,7 +14,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.petrol.discover import judge
 from dieseltwin.petrol.effects import undo_all
 from dieseltwin.petrol.least_squares import FREEDOM, normal_equations
-from dieseltwin.petrol.maps import sum_roughness, tensor_roughness
+from dieseltwin.petrol.maps import BEND, sum_roughness, tensor_roughness
 from dieseltwin.petrol.model import (
     ALPHA_SHIFT,
     at_rest,
@@ -30,7 +30,6 @@ Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 CYLINDER_KNOTS, THROTTLE_KNOTS = (8, 11), (10, 5)
-BEND = 0.3  # standard deviation of a map's second differences: a wavy eta_vol (cam phasing) needs as much
 REACH = 3.0  # standard deviation of a coefficient, where nothing else is known [-]
 SUMMAND_REACH = 1.0  # the same of the second summand of the throttle's map: fixes the constant between the two
 FIRST_SPREAD = Spread(base=0.02, rates=(0.1, 0.1, 0.1, 0.02))

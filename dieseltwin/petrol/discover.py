@@ -199,7 +199,7 @@ def _document(
         minimum_detectable=minimum_detectable(twin, found),
         provenance=Provenance(code_version=__version__, params_sha256=params_sha256 or engine.calibrated_on),
     )  # fmt: skip
-    return with_warnings(made, fit_doubts(made))
+    return with_warnings(made, [*twin.notes(), *fit_doubts(made)])
 
 
 def _location(recording: PetrolRecording, found: Search) -> Location:

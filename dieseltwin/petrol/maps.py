@@ -8,13 +8,27 @@ from scipy.interpolate import BSpline
 
 Array = NDArray[np.float64]
 DEGREE = 3
+STRAIGHT = 1.0  # steps of the knots that a map is believed to go straight on beyond them, within what it may bend
+BEND = 0.3  # standard deviation of a map's second differences: a wavy eta_vol (cam phasing) needs as much [-]
 
 
 def spline_basis(x: Array, knots: Array) -> Array:
-    """Cubic B-spline basis (n, len(knots) + 2) over `knots` (ascending); beyond them the end value holds."""
+    """Cubic B-spline basis (n, len(knots) + 2) over `knots` (ascending); beyond them a straight line for STRAIGHT of
+    their steps, then its end's value."""
     padded = np.concatenate([[knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE])
     inside = np.clip(x, knots[0], knots[-1] - 1e-9 * (knots[-1] - knots[0]))
-    return np.asarray(BSpline.design_matrix(inside, padded, DEGREE).toarray())
+    basis = np.asarray(BSpline.design_matrix(inside, padded, DEGREE).toarray())
+    further = DEGREE * np.clip(beyond(x, knots), -STRAIGHT, STRAIGHT)  # times the difference of the last coefficients
+    low, high = np.minimum(further, 0.0), np.maximum(further, 0.0)
+    basis[:, :2] += np.stack([-low, low], axis=1)
+    basis[:, -2:] += np.stack([-high, high], axis=1)
+    return basis
+
+
+def beyond(x: Array, knots: Array) -> Array:
+    """(n,) distance beyond the first (negative) or last of `knots`, 0 between them [their steps]."""
+    low = np.minimum(x - knots[0], 0.0) / (knots[1] - knots[0])
+    return np.asarray(low + np.maximum(x - knots[-1], 0.0) / (knots[-1] - knots[-2]))
 
 
 def tensor_basis(x: Array, y: Array, knots_x: Array, knots_y: Array) -> Array:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
 from dieseltwin.recordings.channels import ChannelMap
-from dieseltwin.recordings.named_columns import named_columns
+from dieseltwin.recordings.named_columns import Imported, named_columns
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
@@ -91,12 +91,12 @@ class PetrolRecording:
 
 
 def read_petrol(
-    source: str | Path | pd.DataFrame, channels: ChannelMap | str | Path | None = None
+    source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None
 ) -> PetrolRecording:
     """Read a recording of any format, or take a table of one; names are compared without regard to case.
 
     Args:
-        source: a file of any format of `recordings.importers`, or a table with its columns.
+        source: a file of any format of `recordings.importers`, or a table with its columns; or what was imported.
         channels: map of foreign names and units to ours, see `recordings.channels`.
 
     Raises:

@@ -20,14 +20,17 @@ from numpy.typing import NDArray
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined
+from dieseltwin.notes import Note
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
+from dieseltwin.petrol.maps import BEND, STRAIGHT
 from dieseltwin.petrol.model import (
-    ALPHA_SHIFT,
     BALANCES,
     at_rest,
     cylinder_basis,
     drift_basis,
     log_efficiency,
+    opening,
+    outside,
     scale_of,
     throttle_basis,
     throttle_zero,
@@ -37,6 +40,7 @@ from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import Blocks, Signals, blocks_of, make_grid
 from dieseltwin.recordings.channel_checks import standstills
 from dieseltwin.recordings.noise import Noise
+from dieseltwin.settings.names import listed
 
 WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning
 OUTLIER = 4.0  # scales off its neighbours before and after: a tip-in, whatever the hypothesis
@@ -78,6 +82,7 @@ class PetrolTwin:
         self.starts = _windows(self.grid.piece)
         self.conditions: Mapping[str, Array] = {}
         self._known = self._maps_at(self.blocks)
+        self._outside = outside(self.blocks, *engine.maps)
         raw = self.blocks
         self.plain = self._misfits(raw.W_af, raw.W_af, raw.boost - engine.boost_level, raw.cooler)
         self._sigma = self._scatter()
@@ -96,13 +101,26 @@ class PetrolTwin:
             "cooler": np.full(size, engine.cooler_spread.base),
         }
         stuck = self._stuck()
-        out = np.stack([np.where(grid.kept & ~stuck[name], scales[name], np.inf) for name in self.channels], axis=1)
+        said = {name: grid.kept & ~stuck[name] & ~self.unlearned(name) for name in self.channels}
+        out = np.stack([np.where(said[name], scales[name], np.inf) for name in self.channels], axis=1)
         for j in range(out.shape[1]):
             known = np.flatnonzero(np.isfinite(out[:, j]))
             values = self.plain[known, j]
             lone = _off_both_sides(values) > OUTLIER * out[known, j]
             out[known, j] = np.where(lone, np.inf, np.fmax(out[known, j], _local_spread(values)))
         return np.asarray(KEPT_SPREAD * out)
+
+    def unlearned(self, balance: str) -> NDArray[np.bool_]:
+        """(n,) whether a balance's map would have to be carried on too far beyond what was learned to say anything."""
+        none = np.zeros(len(self.grid.mid_s), dtype=np.bool_)
+        return np.any([none, *(np.abs(steps) > STRAIGHT for steps in self._outside.get(balance, ()))], axis=0)
+
+    def notes(self) -> list[Note]:
+        """How long the driving was too far beyond what was learned to be judged."""
+        seconds = {name: int(np.sum(self.unlearned(name) & self.grid.kept)) for name in self.channels}
+        lost = listed([f"{count} s of the {name}'s balance" for name, count in seconds.items() if count])
+        return [Note(f"{lost} lie too far beyond the driving that the engine was learned from, and aren't judged; "
+                     "learn it from driving that goes as far", "extrapolated")] if lost else []  # fmt: skip
 
     def _stuck(self) -> dict[str, NDArray[np.bool_]]:
         """Balance -> (n,) whether a reading that it is made of stands still there: it says nothing of the engine."""
@@ -201,10 +219,9 @@ class PetrolTwin:
             "cylinder": (cylinder_basis(blocks, cylinder), cylinder.covariance),
             "throttle": (throttle_basis(blocks, throttle), throttle.covariance),
         }
-        opening = np.log(np.maximum(blocks.alpha, 0.0) + ALPHA_SHIFT)
         fields = {
             "cylinder": t.cylinder_field * tolerance_modes([blocks.omega_e, np.log(blocks.p_im)]),
-            "throttle": t.throttle_field * tolerance_modes([opening, blocks.p_im / blocks.p_ic]),
+            "throttle": t.throttle_field * tolerance_modes([opening(blocks), blocks.p_im / blocks.p_ic]),
         }
         drifts = {"cylinder": t.drift, "throttle": t.drift, "boost": t.boost_drift, "cooler": t.cooler_drift}
         hats = drift_basis(self.time_s)
@@ -212,6 +229,7 @@ class PetrolTwin:
         for j, name in enumerate(self.channels):
             if name in bases:
                 modes = [*self._modes(*bases[name], j), *fields[name]]
+                modes += self._bends(name)
                 out += [self._direction(f"map of {name}, mode {k + 1}", j, mode) for k, mode in enumerate(modes)]
             out += [self._direction(f"drift of {name}", j, drifts[name] * hat) for hat in hats.T]
         return [*out, *self._sensors(*self._entered(lanes, 0))]
@@ -233,6 +251,14 @@ class PetrolTwin:
         weight = np.where(np.isfinite(self.measured[:, channel]), 1.0 / self._sigma[:, channel], 0.0)
         _, lengths, rows = np.linalg.svd(weight[:, None] * directions, full_matrices=False)
         return np.asarray((directions @ rows[lengths > LEAST_DIRECTION].T).T)
+
+    def _bends(self, balance: str) -> list[Array]:
+        """What a balance's map may bend by where it is carried on straight: (n,) below and above, an argument each."""
+        found = []
+        for steps in self._outside[balance]:
+            beyond = np.clip(steps, -STRAIGHT, STRAIGHT)
+            found += [0.5 * BEND * side**2 for side in (np.minimum(beyond, 0.0), np.maximum(beyond, 0.0)) if side.any()]
+        return found
 
     def _direction(self, label: str, channel: int, signal: Array) -> Nuisance:
         response = np.zeros(self.plain.shape)

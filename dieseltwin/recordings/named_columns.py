@@ -13,9 +13,12 @@ import pandas as pd
 
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
-from dieseltwin.recordings.channels import ChannelMap, channel_map, known_columns, read_channel_map
+from dieseltwin.recordings.channels import TIME, ChannelMap, channel_map, known_columns, read_channel_map
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
+
+LIKE_TIME = ("time", "t_s", "t [")
+"""Beginnings of names that a column of time may have in a file that nobody mapped."""
 
 
 def read_table(path: str | Path) -> pd.DataFrame:
@@ -34,25 +37,43 @@ def read_table(path: str | Path) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Imported:
-    """Columns of a file in our names, not yet checked.
+    """Columns of a file or of a table in our names, not yet checked.
 
     Attributes:
         columns: our names (and the file's own where nobody maps them) -> (n,).
         notes: what was done to get there, one sentence each.
         began: date of the first row [UTC], where the file says it.
+        path, sha256: of the file; None for a table.
     """
 
     columns: Mapping[str, np.ndarray]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     began: datetime | None = None
+    path: Path | None = None
+    sha256: str | None = None
+
+    @property
+    def timed(self) -> bool:
+        """Whether it is a recording over time (`time_s`, or a column that is called so) rather than settled points."""
+        return any(name == TIME or name.lower().startswith(LIKE_TIME) for name in self.columns)
 
 
-def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = None) -> Imported:
-    """Read a file of any format and name its columns by a channel map; several rasters are put onto one.
+def import_columns(
+    source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None
+) -> Imported:
+    """Take a table, or read a file of any format, and name the columns by a channel map; rasters are put onto one.
+
+    Args:
+        source: what was imported already is given back.
 
     Raises:
         InputError: one line saying what is wrong with the file or the map.
     """
+    if isinstance(source, Imported):
+        return source
+    if isinstance(source, pd.DataFrame):
+        return Imported(renamed(source, channels))
+    path = Path(source)
     mapping = (
         channel_map({})
         if channels is None
@@ -66,30 +87,30 @@ def import_columns(path: str | Path, channels: ChannelMap | str | Path | None = 
         raw = read_raw(path, mapping.database)  # for the message: every name that the file has
     if raw.table is None:
         columns, notes = on_one_raster(quantities(raw, mapping), str(path))
-        return Imported(columns, (*raw.notes, *notes), raw.began)
+        return Imported(columns, (*raw.notes, *notes), raw.began, path, file_sha256(path))
     columns = {str(name): raw.table[name].to_numpy() for name in raw.table.columns}
-    if not mapping.entries:
-        return Imported(columns, raw.notes, raw.began)
-    numeric = {
-        name: numbers(name, values, str(path), True) if name in mapping.entries else values
-        for name, values in columns.items()
-    }
-    return Imported(mapping.apply(numeric, str(path)), raw.notes, raw.began)
+    if mapping.entries:
+        columns = mapping.apply({
+            name: numbers(name, values, str(path), True) if name in mapping.entries else values
+            for name, values in columns.items()
+        }, str(path))  # fmt: skip
+    return Imported(columns, raw.notes, raw.began, path, file_sha256(path))
 
 
 def named_columns(
-    source: str | Path | pd.DataFrame, channels: ChannelMap | str | Path | None = None
+    source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None
 ) -> tuple[dict[str, np.ndarray], str, str]:
     """Columns of a file or of a table in our names, its name for messages, and its hash.
 
     Raises:
         InputError: one line saying what is wrong with the file or the map.
     """
-    if not isinstance(source, pd.DataFrame):
-        return dict(import_columns(source, channels).columns), str(source), file_sha256(source)
-    columns = renamed(source, channels)
-    hashed = hashlib.sha256(pd.util.hash_pandas_object(source, index=False).to_numpy().tobytes())
-    return columns, "the table", hashed.hexdigest()
+    read = import_columns(source, channels)
+    columns = dict(read.columns)
+    if read.path is not None and read.sha256 is not None:
+        return columns, str(read.path), read.sha256
+    rows = pd.util.hash_pandas_object(pd.DataFrame(columns), index=False).to_numpy()
+    return columns, "the table", hashlib.sha256(rows.tobytes()).hexdigest()
 
 
 def renamed(table: pd.DataFrame, channels: ChannelMap | str | Path | None) -> dict[str, np.ndarray]:

@@ -20,7 +20,6 @@ import pandas as pd
 from dieseltwin.atomic import atomic_path
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.bridged import LONGEST_GAP_S, bridge_inputs, longest_gap
 from dieseltwin.recordings.channels import (
     AMBIENT,
@@ -33,7 +32,7 @@ from dieseltwin.recordings.channels import (
     optional_inputs,
 )
 from dieseltwin.recordings.held import own_readings
-from dieseltwin.recordings.named_columns import columns_sha256, import_columns, numbers
+from dieseltwin.recordings.named_columns import Imported, columns_sha256, import_columns, numbers
 from dieseltwin.recordings.plausibility import check_plausible, cut_off_notes, mask_wild
 from dieseltwin.settings.strict import listed
 
@@ -321,7 +320,7 @@ def _check_running(n_e: np.ndarray, where: str) -> None:
 
 
 def read_recording(
-    path: str | Path,
+    source: str | Path | pd.DataFrame | Imported,
     channels: ChannelMap | str | Path | None = None,
     engine: EngineParameters | None = None,
     *,
@@ -331,7 +330,7 @@ def read_recording(
     """Read and validate a recording.
 
     Args:
-        path: CSV, Parquet, Excel, MATLAB, MDF or a CAN trace.
+        source: CSV, Parquet, Excel, MATLAB, MDF, a CAN trace or a table; or what was imported of one already.
         channels: channel map or its YAML file for foreign names and units.
         engine: gives ambient values where the columns are absent.
         sensors: columns that must be there besides time and inputs; () to read inputs only.
@@ -340,12 +339,10 @@ def read_recording(
     Raises:
         InputError: one line saying what is wrong with the file.
     """
-    path = Path(path)
-    imported = import_columns(path, channels)
-    sha256 = file_sha256(path)
-    made = recording(imported.columns, engine, where=str(path), path=path, sha256=sha256, sensors=sensors,
-                     any_rate=any_rate)
-    return replace(made, notes=(*imported.notes, *made.notes), began=imported.began)
+    read = import_columns(source, channels)
+    made = recording(read.columns, engine, where=str(read.path or "recording"), path=read.path, sha256=read.sha256,
+                     sensors=sensors, any_rate=any_rate)
+    return replace(made, notes=(*read.notes, *made.notes), began=read.began)
 
 
 def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:

@@ -18,11 +18,8 @@ import pandas as pd
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
-from dieseltwin.paths import file_sha256
-from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint, read_channel_map
-from dieseltwin.recordings.importers.content import recognise
-from dieseltwin.recordings.importers.read import TRACES, read_raw
-from dieseltwin.recordings.named_columns import import_columns
+from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
+from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.plausibility import check_plausible
 from dieseltwin.settings.strict import listed
 
@@ -169,39 +166,26 @@ def _as_rows(points: SteadyPoints) -> np.ndarray:
 
 
 def read_points(
-    path: str | Path,
+    source: str | Path | pd.DataFrame | Imported,
     channels: ChannelMap | str | Path | None = None,
     engine: EngineParameters | None = None,
     needed: Sequence[str] = (*INPUTS, *SENSORS, "w_c_kg_s"),
 ) -> SteadyPoints:
-    """Read steady points, or quasi-steady averages of a transient recording (a file with `time_s`).
+    """Read steady points, or quasi-steady averages of a transient recording (it has `time_s`).
+
+    Args:
+        source: a file of any format or a table; or what was imported of one already.
+        needed: columns that must be there.
 
     Raises:
         InputError: one line saying what is wrong with the file.
     """
-    path = Path(path)
-    columns = dict(import_columns(path, channels).columns)
-    sha256 = file_sha256(path)
-    origin = "points"
+    read = import_columns(source, channels)
+    where, columns, origin = str(read.path or "points"), dict(read.columns), "points"
     if TIME in columns:
-        columns = quasi_steady(columns, str(path))
+        columns = quasi_steady(columns, str(read.path or "recording"))
         origin = "averaged quasi-steady windows of a transient recording"
-    return points(columns, engine, where=str(path), needed=needed, path=path, sha256=sha256, origin=origin)
-
-
-def has_time(path: str | Path, channels: ChannelMap | str | Path | None = None) -> bool:
-    """Whether a table is a recording (it has `time_s`, by a channel map too, or something called time) or points."""
-    if recognise(Path(path)).format in (*TRACES, "mdf"):
-        return True  # channels with their own times, which may need the map's DBC to be read
-    raw = read_raw(path)
-    if raw.table is None:
-        return True
-    names = raw.names
-    if channels is not None:
-        mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
-        if any(entry.column == TIME and name in names for name, entry in mapping.entries.items()):
-            return True
-    return TIME in names or any(name.lower().startswith(("time", "timestamp", "t_s", "t [")) for name in names)
+    return points(columns, engine, where=where, needed=needed, path=read.path, sha256=read.sha256 or "", origin=origin)
 
 
 def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") -> dict[str, np.ndarray]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import TIME
-from dieseltwin.recordings.named_columns import named_columns
+from dieseltwin.recordings.named_columns import Imported, named_columns
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.settings.names import listed
 
@@ -44,7 +44,7 @@ class RigRecording:
         return RigRecording(self.time_s[rows], inputs, readings, self.path, self.sha256)
 
 
-def read_rig(source: str | Path | pd.DataFrame, rig: RigParameters) -> RigRecording:
+def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -> RigRecording:
     """Read a recording of a rig, inputs averaged over the rows that one sample stands for.
 
     Raises:

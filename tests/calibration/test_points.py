@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints, has_time, quasi_steady, read_points
+from dieseltwin.recordings.named_columns import import_columns
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints, quasi_steady, read_points
 from tests.calibration.simulated import made_points
 
 
@@ -22,7 +23,7 @@ def data() -> SteadyPoints:
 def test_points_survive_the_file(tmp_path: Path, data: SteadyPoints) -> None:
     file = tmp_path / "points.csv"
     pd.DataFrame(dict(data.columns)).to_csv(file, index=False)
-    assert not has_time(file)
+    assert not import_columns(file).timed
     read = read_points(file)
     np.testing.assert_allclose(read.states(), data.states(), rtol=1e-12)
     assert read.origin == "points"
@@ -52,7 +53,7 @@ def test_quasi_steady_windows_of_a_recording(tmp_path: Path, data: SteadyPoints)
         np.testing.assert_allclose(means[name], data[name][nearest], rtol=1e-9)
     file = tmp_path / "recording.csv"
     pd.DataFrame(wide).to_csv(file, index=False)
-    assert has_time(file)
+    assert import_columns(file).timed
     assert "quasi-steady" in read_points(file).origin
 
 

@@ -56,5 +56,7 @@ def test_splines_sum_to_one_everywhere() -> None:
     np.testing.assert_allclose(spline_basis(x, knots).sum(axis=1), 1.0)
     np.testing.assert_allclose(tensor_basis(x, x[::-1], knots, knots).sum(axis=1), 1.0)
     np.testing.assert_allclose(sum_basis(x, x, knots, knots).sum(axis=1), 2.0)
+    line = np.linalg.lstsq(spline_basis(x[10:31], knots), x[10:31], rcond=None)[0]
+    np.testing.assert_allclose(spline_basis(x, knots) @ line, np.clip(x, -0.2, 1.2), atol=1e-7)  # a step beyond
     straight = np.arange(8.0)
     assert straight @ roughness(8) @ straight == pytest.approx(0.0)

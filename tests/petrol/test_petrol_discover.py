@@ -138,6 +138,17 @@ def test_what_stands_still_is_not_judged(engine: PetrolParameters, record: Recor
     assert "p_im_pa stands still for 300 s from 200 s on" in recording_notes(stuck)[0]
 
 
+@pytest.mark.parametrize("fault", [{}, {"p_im_Pa": 0.06}], ids=["healthy", "p_im_gain"])
+def test_driving_beyond_what_was_learned_is_no_finding(record: Recorder, tmp_path: Path, fault: dict) -> None:
+    """Maps go straight on a little beyond what was learned, and what is further off isn't judged, with a note."""
+    table = pd.read_csv(record(3, 900.0).path)
+    table[table.alpha_th_pct < 8.0].to_csv(tmp_path / "gentle.csv", index=False)
+    gentle, _ = fit_maps(read_petrol(tmp_path / "gentle.csv").signals, PetrolParameters())
+    d = discover_petrol(record(8, 300.0, onset_s=100.0, **fault), gentle).document
+    assert [e.name for e in d.effects] == (["p_im_gain"] if fault else [])
+    assert [doubt.code for doubt in d.warnings] == ["extrapolated"] and "66 s of the throttle's" in d.warnings[0].text
+
+
 def test_time_shift_changes_nothing(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
     first = record(7, 300.0, p_im_Pa=0.1)
     table = pd.read_csv(first.path)

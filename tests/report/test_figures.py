@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 
 import matplotlib
 import numpy as np
 import pytest
-import synthetic_results as synthetic
+import stored_results as synthetic
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from dieseltwin.paper.comparison.beside_paper import run_times
-from dieseltwin.paper.comparison.pretraining import pretraining
-from dieseltwin.paper.printed import BODY_ERRORS
 from dieseltwin.report import quantities
 from dieseltwin.report.charts import SMALLEST_RATIO, bound_ratio, identifiability_map
 from dieseltwin.report.results import PARAMETERS, Results, method_from_document
@@ -150,15 +146,6 @@ def test_a_std_below_the_bound_is_called_too_sure(results: Results) -> None:
     assert "classical states well below the bound for eta_sc (1–2 min)" in bound_ratio(sure).caption
 
 
-def test_run_times_are_logarithmic_and_beside_the_paper(figures: dict[str, ReportFigure]) -> None:
-    axes = data_axes(figures["run_times"])[0]
-    assert axes.get_xscale() == "log"
-    names = [label.get_text() for label in axes.get_yticklabels()]
-    assert names[:3] == list(synthetic.METHODS) and "paper: few-shot transfer" in names
-    assert "0.071 s per run, 90 runs" in texts(axes)
-    assert "138 s per run" in texts(axes)
-
-
 def test_pressures_in_kpa(results: Results, figures: dict[str, ReportFigure]) -> None:
     axes = next(a for a in data_axes(figures["states"]) if "p_{im}" in a.get_ylabel())
     assert axes.get_ylabel() == "$p_{im}$ [kPa]"
@@ -195,7 +182,7 @@ def test_residuals_are_in_standard_deviations(figures: dict[str, ReportFigure]) 
 
 def test_files_are_repeatable(results: Results) -> None:
     assert identifiability_map(results).encode() == identifiability_map(results).encode()
-    picture = replace(run_times(results), kind="png")
+    picture = replace(bound_ratio(results), kind="png")
     assert picture.encode() == picture.encode()
 
 
@@ -217,21 +204,3 @@ def test_many_segments_stay_readable() -> None:
     many = Results(methods=tuple(method_from_document(d) for d in root.values()), truth=synthetic.TRUTH)
     axes = data_axes(violins(many))[-1]
     assert len(axes.get_xticks()) <= 24
-
-
-def test_pretraining_beside_the_paper_in_a_fixed_order(results: Results) -> None:
-    shuffled = json.loads(json.dumps(synthetic.PRETRAINING, sort_keys=True))
-    figure = pretraining(replace(results, pretraining=shuffled))
-    assert figure is not None
-    operators, bodies, maps = data_axes(figure)
-    assert [t.get_text() for t in operators.get_legend().get_texts()][:2] == ["training", "test"]
-    assert "p_{im}" in bodies.get_yticklabels()[0].get_text()
-    legend = [t.get_text() for t in bodies.get_legend().get_texts()]
-    assert legend.count("POD floor") == 1 and "paper, training" in legend
-    bars = sorted(float(bar.get_width()) for bar in bodies.patches)
-    assert bars == sorted(mean for mean, _ in BODY_ERRORS.values())
-    assert {t.get_text() for t in maps.get_legend().get_texts()} == {"as printed", "improved"}
-    marks = next(line for line in bodies.lines if line.get_label() == "conditioned, training")
-    assert sorted(marks.get_xdata()) == sorted(
-        v["train"] for v in synthetic.PRETRAINING["bodies"]["conditioned"].values()
-    )

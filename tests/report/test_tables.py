@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import synthetic_results as synthetic
+import stored_results as synthetic
 
-from dieseltwin.paper.comparison.beside_paper import paper_table
 from dieseltwin.report import quantities
 from dieseltwin.report.results import PARAMETERS, Results, load_results, method_from_document
 from dieseltwin.report.statistics import autocorrelation
@@ -121,22 +120,6 @@ def test_nothing_identifiable_is_said() -> None:
     assert "could not identify any health parameter" in headline(results)
     assert not summary_table(results)["identifiable"].any()
     assert "not identifiable" in summary_text(results)
-
-
-def test_cells_beside_the_paper(results: Results) -> None:
-    table = paper_table(results).set_index(["minute", "parameter"])
-    assert table.loc[("0–1", "A_egrmax"), "paper"] == pytest.approx(math.hypot(0.9699 - 1, 0.0653))
-    newton = next(m for m in results.methods if m.method == "few-shot-newton")
-    values = newton.runs[(newton.runs["segment"] == 1) & (newton.runs["parameter"] == "h_tot")]["value"]
-    relative = values.to_numpy() / synthetic.TRUTH["h_tot"]
-    expected = math.hypot(relative.mean() - 1, relative.std())
-    assert table.loc[("1–2", "h_tot"), "few-shot-newton"] == pytest.approx(expected)
-    assert (
-        not table.loc[("2–3", "A_egrmax"), "identifiable"] and table.loc[("0–1", "A_egrmax"), "identifiable"]
-    )
-    from dataclasses import replace
-
-    assert paper_table(replace(results, truth=None)).empty
 
 
 def test_terminal_table_has_a_line_per_method_and_parameter(stored: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.twins.diesel_between import covariance_between_rows
-from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, signals_of_lane
+from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, moving, signals_of_lane
 from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, OPERATORS, POINT_FACTS, hypotheses_of
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.diesel_variables import variables_along
@@ -19,7 +19,7 @@ from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Param
 from dieseltwin.discovery.twins.windows import smoothed_at, speed_span, windows_of, without_gaps
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
-from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
+from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.fixed_point import settled
 from dieseltwin.engine.inputs import INPUT_COLUMNS
@@ -352,7 +352,7 @@ class EngineTwin:
 
     def _actuations(self, combined: Mapping[str, Array], schedules: Mapping[str, Array]) -> list[Actuation] | None:
         """Of every lane where an effect acts on a command; None where none does."""
-        moved = {name: combined[name] for name in ACTUATION_EFFECTS if name in combined and np.any(combined[name])}
+        moved = moving(combined)
         return lane_actuations(self.inputs, self.engine, moved, schedules, self._plain, self.steps_s) if moved else None
 
     def combined(self, lanes: Lanes) -> tuple[dict[str, Array], dict[str, Array]]:

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from dieseltwin.discovery.twins.diesel_lanes import moving
 from dieseltwin.discovery.twins.interface import Array, Lanes, some_lanes
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
-from dieseltwin.engine.effects import ACTUATION_EFFECTS
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.recordings.between_rows import BRIDGE, DIFFERENCE, NODES, rows_are_slow, unseen, with_nodes
 
@@ -107,10 +107,10 @@ def _actuation(twin: Driven, lanes: Lanes, column: str, std: Array | None, node:
     if std is not None:
         columns[column][node::every] += DIFFERENCE * std[1:]
     magnitudes, schedules = twin.combined(lanes)
-    moving = {name: magnitudes[name] for name in ACTUATION_EFFECTS if name in magnitudes and np.any(magnitudes[name])}
-    held = {name: np.repeat(schedules[name], every)[: fine_s.size] for name in moving if name in schedules}
+    moved = moving(magnitudes)
+    held = {name: np.repeat(schedules[name], every)[: fine_s.size] for name in moved if name in schedules}
     steps_s = np.repeat(np.broadcast_to(twin.steps_s, (inputs.time_s.size - 1,)), every)
-    fine = actuate_lanes(Inputs(fine_s, **columns, start_s=inputs.start_s), twin.engine, moving, 1, held, steps_s)[0]
+    fine = actuate_lanes(Inputs(fine_s, **columns, start_s=inputs.start_s), twin.engine, moved, 1, held, steps_s)[0]
     rows = slice(None, None, every)  # the same grid, with the recording's rows as samples
     return replace(
         fine, time_s=inputs.time_s, steps=fine.steps.reshape(-1, every).sum(axis=1), inputs=inputs,

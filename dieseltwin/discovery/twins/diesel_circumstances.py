@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
+from dieseltwin.discovery.twins.diesel_lanes import moving
 from dieseltwin.discovery.twins.interface import Array, Lanes, some_lanes
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.actuation import actuate_lanes
-from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
+from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.inputs import INPUT_COLUMNS, Actuation
 from dieseltwin.learning.belief import Belief
 from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance, applicable, put_right
@@ -160,8 +161,8 @@ class LoggedTwin(EngineTwin):
     ) -> Actuation:
         """Actuators with one circumstance of an input moved by a step."""
         kind, _, column = name.rpartition(":")
-        moving = {key: magnitudes[key] for key in ACTUATION_EFFECTS if key in magnitudes and np.any(magnitudes[key])}
-        if not kind and not moving:
+        moved = moving(magnitudes)
+        if not kind and not moved:
             return self._plain[0]
         inputs = self.inputs
         if kind == SCALE:
@@ -173,5 +174,5 @@ class LoggedTwin(EngineTwin):
                 for one in ([column] if column else INPUT_COLUMNS)
             }
             inputs = replace(inputs, **earlier)
-        own = {key: values for key, values in schedules.items() if key in moving}
-        return actuate_lanes(inputs, self.engine, moving, 1, own, self.steps_s)[0]
+        own = {key: values for key, values in schedules.items() if key in moved}
+        return actuate_lanes(inputs, self.engine, moved, 1, own, self.steps_s)[0]

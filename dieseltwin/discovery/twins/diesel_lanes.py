@@ -15,7 +15,7 @@ import numpy as np
 from dieseltwin.discovery.twins.interface import Array, Lanes, Point, some_lanes
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
-from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.simulate import Observations
 from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, Term, effect_terms
@@ -33,26 +33,31 @@ def signals_of_lane(one: Lanes, points: Sequence[Point]) -> dict[str, Array]:
     return {name: signal for name, signal in signals.items() if np.any(signal)}
 
 
+def moving(magnitudes: Mapping[str, Array]) -> dict[str, Array]:
+    """Those of some effects that act on commands or inputs and are there in some lane."""
+    return {name: magnitudes[name] for name in ACTUATION_EFFECTS if name in magnitudes and np.any(magnitudes[name])}
+
+
 def lane_actuations(
-    inputs: Inputs, engine: EngineParameters, moving: Mapping[str, Array], schedules: Mapping[str, Array],
+    inputs: Inputs, engine: EngineParameters, moved: Mapping[str, Array], schedules: Mapping[str, Array],
     plain: Sequence[Actuation], step_s: float | Array,
 ) -> list[Actuation]:  # fmt: skip
     """Actuators of every lane under effects on the commands.
 
     Args:
         inputs, engine: of the twin.
-        moving: effect -> (B,) magnitudes.
+        moved: effect -> (B,) magnitudes.
         schedules: effect -> (n,) or (B, n) factor of its magnitude.
         plain: actuators without effects, one.
         step_s: longest integration step [s], or one per interval.
     """
-    size = len(next(iter(moving.values())))
-    own = {name: values for name, values in schedules.items() if name in moving}
+    size = len(next(iter(moved.values())))
+    own = {name: values for name, values in schedules.items() if name in moved}
     if all(values.ndim == 1 for values in own.values()):
-        return actuate_lanes(inputs, engine, moving, size, own, step_s)
+        return actuate_lanes(inputs, engine, moved, size, own, step_s)
     found: list[Actuation] = []
     for b in range(size):
-        one = {name: values[b : b + 1] for name, values in moving.items()}
+        one = {name: values[b : b + 1] for name, values in moved.items()}
         factors = {name: values if values.ndim == 1 else values[b] for name, values in own.items()}
         acts = any(values[0] != 0.0 for values in one.values())
         found += actuate_lanes(inputs, engine, one, 1, factors, step_s) if acts else plain[:1]

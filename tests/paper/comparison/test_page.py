@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-import synthetic_results as synthetic
+import stored_results as synthetic
 
 from dieseltwin.errors import InputError
 from dieseltwin.paper.comparison.page import SIZE_LIMIT_BYTES, build_report
