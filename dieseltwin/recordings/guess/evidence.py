@@ -27,6 +27,7 @@ FREE_AIR_PA, FREE_AIR_K = (6.0e4, 1.08e5), (253.0, 315.0)
 CHARGE_AIR_K = (285.0, 345.0)  # after a charge air cooler; coolant and oil of a warm engine are hotter
 STEADY_CHARGE_K = 2.0  # charge air moves by more with load
 HOT_EXHAUST_K = 550.0  # reached before every turbine under load
+DRIVEN = 0.93  # rank correlation with engine speed from which a pressure is that of an oil, water or fuel pump
 SAME = 0.97  # rank correlation from which two channels are one thing: pedal, load and torque follow the fuel
 ONE_PRESSURE = 0.04  # relative scatter of the ratio of two readings of one pressure
 ONE_RANKING = 0.995  # rank correlation of two readings of one pressure
@@ -121,6 +122,11 @@ def _pressures(columns: Columns) -> Iterator[Support]:
         low, _, high = _range(columns["p_em_pa"])
         yield Support(("p_em_pa",), 0.1 if high > 1.15 * low and low > 7e4 else -0.6,
                       f"from {low / 1e3:.4g} to {high / 1e3:.4g} kPa")  # fmt: skip
+    for name in ("p_im_pa", "p_em_pa"):
+        if name in columns and "n_e_rpm" in columns and moves(columns[name]) and moves(columns["n_e_rpm"]):
+            driven = ranks_agree(columns[name], columns["n_e_rpm"])
+            if driven > DRIVEN:
+                yield Support((name, "n_e_rpm"), -2.0, f"follows speed (rank correlation {driven:.2f}), as a pump does")
     yield from _agree(columns, "p_im_pa", "omega_t_rad_s", 0.6, "rises with the turbocharger's speed")
     yield from _agree(columns, "p_em_pa", "omega_t_rad_s", 0.4, "rises with the turbocharger's speed")
     if {"p_em_pa", "p_im_pa"} <= set(columns):

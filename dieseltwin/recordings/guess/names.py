@@ -13,8 +13,9 @@ import yaml
 
 from dieseltwin.recordings.guess.dictionary import dictionary, translated
 
-_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ø": "o", "å": "a",
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "AE", "Ö": "OE", "Ü": "UE", "ø": "o", "å": "a",
                           "æ": "ae", "ł": "l", "ı": "i", "Å": "A", "Ø": "O"})  # fmt: skip
+_FIRST_UMLAUT = re.compile(r"[ÄÖÜ](?=[a-zäöüß])")  # of a word with a capital, not of a word of capitals
 _SPN = re.compile(r"\bspn[ :#-]*(\d{2,6})\b", re.IGNORECASE)
 _BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]")
 _PART = re.compile(r"<([A-Z_]+)>")
@@ -55,7 +56,7 @@ class Meaning:
         if name == self.column:
             return 1.0
         if self.wanted(words):
-            return WANTED_ONLY * self.score(name, self.commanded.sub("cmd", words), None)
+            return WANTED_ONLY * self.score(name, self.commanded.sub("asked", words), None)
         if self.ruled_out(words):
             return 0.0
         english = translated(words)
@@ -129,6 +130,7 @@ def vocabulary() -> Vocabulary:
 
 def words_of(name: str) -> str:
     """A name as lower-case words between blanks: 'InjCtl_qSetUnBal' -> 'inj ctl q set un bal'."""
+    name = _FIRST_UMLAUT.sub(lambda found: found.group().translate(_UMLAUTS).capitalize(), name)
     bare = unicodedata.normalize("NFKD", dictionary().in_letters(name).translate(_UMLAUTS))
     text = _BRACKETS.sub(" ", "".join(letter for letter in bare if not unicodedata.combining(letter)))
     text = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", text)

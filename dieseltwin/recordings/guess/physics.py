@@ -212,6 +212,11 @@ def agreements(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[dict[
             note(warnings, ("p_em_pa", "p_im_pa"), text)
         else:
             note(reasons, ("p_em_pa",), "above p_im where EGR flows")
+    elif {"p_em_pa", "p_im_pa"} <= set(columns):
+        share = float(np.mean(columns["p_em_pa"] < (1.0 - SENSORS_DIFFER) * columns["p_im_pa"]))
+        if share > BACKWARDS:
+            text = f"p_em lies below p_im in {share:.0%} of the rows: behind the turbine, or gauge against absolute?"
+            note(warnings, ("p_em_pa",), text)
     ratio_p = _pressure_ratio(columns)
     if "omega_t_rad_s" in columns and ratio_p is not None and moves(ratio_p) and moves(columns["omega_t_rad_s"]):
         agrees = ranks_agree(columns["omega_t_rad_s"], ratio_p)
