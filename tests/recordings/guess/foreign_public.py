@@ -252,3 +252,84 @@ PUBLIC: tuple[Foreign, ...] = (
         Temperatura refrigerante | °C | coolant | degC
         Temperatura olio | °C | oil | degC""", row=True),
 )  # fmt: skip
+
+AGAIN: tuple[Foreign, ...] = (
+    file_of("a Spanish university's bench", """
+        Time | s | time_s |
+        DynoSpeed | rpm | n_e_rpm |
+        DynoTorque | Nm | torque_nm |
+        M_Aire | kg/h | w_c_kg_s | kg/h
+        CNS_Combus | kg/h | fuel | kg/h
+        EGR | % | egr rate | fraction of 1
+        rpm_turbo | rpm | omega_t_rad_s | rpm of rad/s
+        P_S_WCAC | bar | p_im_pa | bar
+        P_sala | bar | p_amb_pa | bar
+        T_sala_1 | °C | t_amb_k | degC
+        T_adm_1 | °C | t_im_k | degC
+        Opacidad | % | torque % | %""", row=True),
+    file_of("identifiers of a diagnosis program", """
+        time | s | time_s |
+        EGR_POSITION_ACTUAL | % | u_egr_pct | %
+        EGR_POSITION_DESIRED | % | egr wanted | %
+        EGR_MASS_FLOW | kg/h | w_egr_kg_s | kg/h
+        BOOST_PRESSURE_ACTUAL | mbar | p_im_pa | mbar
+        BOOST_PRESSURE_DESIRED | mbar | boost wanted | mbar
+        VNT_POSITION_ACTUAL | % | u_vgt_pct | %
+        VNT_POSITION_DESIRED | % | vgt wanted | %
+        AIR_MASS_FLOW | kg/h | w_c_kg_s | kg/h
+        ATMOSPHERIC_PRESSURE | mbar | p_amb_pa | mbar
+        THROTTLE_POSITION_DIESEL | % | pedal | %""", row=True),
+    file_of("a truck display, units in the names", """
+        at | s | time_s |
+        engineSpeedRpm | | n_e_rpm |
+        vehicleSpeedKph | | vehicle |
+        throttlePct | | pedal | %
+        engineLoadPct | | torque % | %
+        coolantTempC | | coolant | degC
+        oilTempC | | oil | degC
+        oilPressureKpa | | oil pressure | kPa gauge
+        fuelRateLph | | fuel | L/h
+        fuelRailPressureBar | | rail | bar
+        intakeManifoldPressureKpa | | p_im_pa | kPa gauge
+        intakeManifoldTempC | | t_im_k | degC
+        barometricPressureKpa | | p_amb_pa | kPa
+        exhaustTempC | | t_em_k | degC
+        turbochargerSpeedRpm | | omega_t_rad_s | rpm of rad/s
+        ambientTempC | | t_amb_k | degC
+        fuelTempC | | t fuel | degC"""),
+    file_of("a simulation of leaks", """
+        timestamp | s | time_s |
+        RPM | rpm | n_e_rpm |
+        MAF | kg/h | w_c_kg_s | kg/h
+        MAP_boost | kPa | p_im_pa | kPa
+        T_cac_out | °C | t_im_k | degC
+        T_exh_manifold | °C | t_em_k | degC
+        T_post_turbine | °C | t after | degC
+        T_DOC | °C | t after | degC
+        fuel_qty | mg/stroke | u_delta_mg |
+        turbo_speed | rpm | omega_t_rad_s | rpm of rad/s
+        P_exh_manifold | kPa | p_em_pa | kPa
+        P_turbine_out | kPa | p after | kPa""", row=True),
+    file_of("keys of a Spanish app", """
+        timestamp_offset_ms | ms | time_s |
+        RPM | 1/min | n_e_rpm |
+        SPEED | km/h | vehicle |
+        COOLANT_TEMP | °C | coolant | degC
+        INTAKE_TEMP | °C | t_im_k | degC
+        MAF | g/s | w_c_kg_s | g/s
+        VAG_INJECTION_QUANTITY | mg/str | u_delta_mg |
+        VAG_BOOST_PRESSURE_REQUESTED | kPa | boost wanted | kPa
+        VAG_BOOST_PRESSURE_ACTUAL | kPa | p_im_pa | kPa
+        VAG_BAROMETRIC_PRESSURE | kPa | p_amb_pa | kPa
+        VAG_EGR_DUTY_CYCLE | % | u_egr_pct | %
+        VAG_EXHAUST_TEMP_1 | °C | t_em_k | degC
+        VAG_EXHAUST_TEMP_2 | °C | t after | degC
+        VAG_AMBIENT_TEMP | °C | t_amb_k | degC
+        VAG_FUEL_TEMP | °C | t fuel | degC
+        VAG_OIL_TEMP | °C | oil | degC
+        VAG_ENGINE_TORQUE | Nm | torque_nm |
+        VAG_DRIVER_TORQUE_REQUEST | Nm | torque wanted |
+        VAG_RAIL_PRESSURE_ACTUAL | bar | rail | bar
+        VAG_ACCELERATOR_POSITION | % | pedal | %""", row=True),
+)  # fmt: skip
+"""Five more, gathered after what the first fifteen showed was mended."""
