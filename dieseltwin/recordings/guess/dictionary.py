@@ -15,7 +15,8 @@ import yaml
 LEAST_PART, LEAST_SKELETON, LEAST_BEGINNING = 3, 3, 4  # letters of a part of a compound, of consonants, of a beginning
 LINKS = ("", "s", "n", "e", "en", "a", "o")  # between the parts of a compound
 _LETTERS = dict(zip("абвгдезийклмнопрстуфцыэ", "abvgdeziiklmnoprstufcye", strict=True)) | {
-    "ё": "e", "ж": "zh", "х": "kh", "ч": "ch", "ш": "sh", "щ": "shch", "ъ": "", "ь": "", "ю": "yu", "я": "ya"}  # fmt: skip
+    "ё": "e", "ж": "zh", "х": "kh", "ч": "ch", "ш": "sh", "щ": "shch",
+    "ъ": "", "ь": "", "ю": "yu", "я": "ya"}  # fmt: skip
 _CYRILLIC = _LETTERS | {letter.upper(): latin.capitalize() for letter, latin in _LETTERS.items()}
 MEASURED_LAST = frozenset(("mass", "quantity", "flow", "pressure", "temperature", "speed", "torque", "position"))
 VOWELS = frozenset("aeiouy")

@@ -1,4 +1,4 @@
-"""How well channels behave like the quantities they are taken for, whatever their names: relations that one engine's channels obey.
+"""How well channels behave like the quantities they are taken for: relations that the channels of one engine obey.
 
 Every relation gives a support: above zero where the channels agree, below where they contradict each other. None needs
 an engine file. Supports are of the size of a correlation, so that their sum can be compared between assignments.
@@ -13,6 +13,7 @@ import numpy as np
 
 from dieseltwin.recordings.guess.physics import (
     DISPLACEMENT_L,
+    SENSORS_DIFFER,
     STEADY_DISPLACEMENT,
     USUAL_LOADED,
     air_to_fuel,
@@ -24,13 +25,13 @@ from dieseltwin.recordings.guess.physics import (
 
 STEADY_AMBIENT_PA, STEADY_AMBIENT_K = 1.5e3, 8.0  # weather, altitude and a draught within one recording
 FREE_AIR_PA, FREE_AIR_K = (6.0e4, 1.08e5), (253.0, 315.0)
+FAST_RAD_S = 2.0e3  # 19000 rpm: no shaft of an engine or a gearbox turns as fast
 CHARGE_AIR_K = (285.0, 345.0)  # after a charge air cooler; coolant and oil of a warm engine are hotter
 STEADY_CHARGE_K = 2.0  # charge air moves by more with load
 HOT_EXHAUST_K = 550.0  # reached before every turbine under load
 DRIVEN = 0.93  # rank correlation with engine speed from which a pressure is that of an oil, water or fuel pump
 SAME = 0.97  # rank correlation from which two channels are one thing: pedal, load and torque follow the fuel
-ONE_PRESSURE = 0.04  # relative scatter of the ratio of two readings of one pressure
-ONE_RANKING = 0.995  # rank correlation of two readings of one pressure
+ONE_RANKING = 0.993  # rank correlation of two readings of one pressure
 MANY_POINTS = 40
 
 
@@ -79,8 +80,8 @@ def _speeds(columns: Columns) -> Iterator[Support]:
         yield Support(("n_e_rpm",), 0.5 if turns else -0.5, f"{low:.4g} to {high:.4g} rpm, as an engine turns")
     if "omega_t_rad_s" in columns:
         high = _range(columns["omega_t_rad_s"])[2]
-        fast = high > 2.0e3
-        yield Support(("omega_t_rad_s",), 0.5 if fast else -0.5, f"up to {high:.4g} rad/s: only a turbocharger turns as fast")
+        text = f"up to {high:.4g} rad/s: only a turbocharger turns as fast"
+        yield Support(("omega_t_rad_s",), 0.5 if high > FAST_RAD_S else -0.5, text)
 
 
 def _balances(columns: Columns, cylinders: int) -> Iterator[Support]:
@@ -130,12 +131,11 @@ def _pressures(columns: Columns) -> Iterator[Support]:
     yield from _agree(columns, "p_im_pa", "omega_t_rad_s", 0.6, "rises with the turbocharger's speed")
     yield from _agree(columns, "p_em_pa", "omega_t_rad_s", 0.4, "rises with the turbocharger's speed")
     if {"p_em_pa", "p_im_pa"} <= set(columns):
-        above = float(np.nanmean(columns["p_em_pa"] > columns["p_im_pa"]))
+        above = float(np.nanmean(columns["p_em_pa"] > (1.0 - SENSORS_DIFFER) * columns["p_im_pa"]))
         ratio = float(np.nanmedian(columns["p_em_pa"] / columns["p_im_pa"]))
-        value = 0.8 * (2.0 * above - 1.0) if ratio < 2.5 else -0.8
+        value = 0.8 * float(np.clip((above - 0.5) / 0.3, -1.0, 1.0)) if ratio < 2.5 else -0.8
         yield Support(("p_em_pa", "p_im_pa"), value, f"above p_im in {above:.0%} of the rows")
-        scatter = float(np.nanstd(columns["p_em_pa"] / columns["p_im_pa"])) / ratio
-        if scatter < ONE_PRESSURE or ranks_agree(columns["p_em_pa"], columns["p_im_pa"]) > ONE_RANKING:
+        if ranks_agree(columns["p_em_pa"], columns["p_im_pa"]) > ONE_RANKING:
             yield Support(("p_em_pa", "p_im_pa"), -2.5, "two readings of one pressure, or the wanted one")
         yield from _agree(columns, "p_em_pa", "p_im_pa", 0.3, "pressures before and behind the cylinders go together")
 
@@ -161,22 +161,24 @@ def _temperatures(columns: Columns) -> Iterator[Support]:
 
 def _positions(columns: Columns) -> Iterator[Support]:
     for name in ("u_egr_pct", "u_vgt_pct"):
-        if name in columns and "u_delta_mg" in columns and moves(columns[name]) and moves(columns["u_delta_mg"]):
-            if ranks_agree(columns[name], columns["u_delta_mg"]) > SAME:
-                yield Support((name, "u_delta_mg"), -1.0, "follows the fuel, as pedal and load do")
+        if not {name, "u_delta_mg"} <= set(columns) or not moves(columns[name]) or not moves(columns["u_delta_mg"]):
+            continue
+        if ranks_agree(columns[name], columns["u_delta_mg"]) > SAME:
+            yield Support((name, "u_delta_mg"), -1.0, "follows the fuel, as pedal and load do")
     if "u_egr_pct" in columns and moves(columns["u_egr_pct"]):
         if "w_egr_kg_s" in columns:
             agrees = ranks_agree(columns["u_egr_pct"], columns["w_egr_kg_s"])
-            yield Support(("u_egr_pct", "w_egr_kg_s"), abs(agrees) - 0.1, f"EGR flow follows (rank correlation {agrees:.2f})")
+            text = f"EGR flow follows (rank correlation {agrees:.2f})"
+            yield Support(("u_egr_pct", "w_egr_kg_s"), abs(agrees) - 0.1, text)
         elif {"w_c_kg_s", "p_im_pa", "n_e_rpm"} <= set(columns):
             gap = columns["p_im_pa"] * columns["n_e_rpm"] / np.maximum(columns["w_c_kg_s"], 1e-6)
             agrees = ranks_agree(columns["u_egr_pct"], gap)
-            yield Support(("u_egr_pct", "w_c_kg_s"), abs(agrees) - 0.2,
-                          f"the cylinders take in more than the air flow with it (rank correlation {agrees:.2f})")  # fmt: skip
+            text = f"the cylinders take in more than the air flow with it (rank correlation {agrees:.2f})"
+            yield Support(("u_egr_pct", "w_c_kg_s"), abs(agrees) - 0.2, text)
     area = turbine_area(columns) if "p_amb_pa" in columns else None
     if area is not None and "u_vgt_pct" in columns and moves(columns["u_vgt_pct"]):
         usable = np.isfinite(area)
         if np.count_nonzero(usable) > MANY_POINTS:
             agrees = ranks_agree(columns["u_vgt_pct"][usable], area[usable])
-            yield Support(("u_vgt_pct", "p_em_pa"), abs(agrees) - 0.1,
-                          f"the turbine's flow area follows (rank correlation {agrees:.2f})")  # fmt: skip
+            text = f"the turbine's flow area follows (rank correlation {agrees:.2f})"
+            yield Support(("u_vgt_pct", "p_em_pa"), abs(agrees) - 0.1, text)

@@ -13,8 +13,8 @@ import yaml
 
 from dieseltwin.recordings.guess.dictionary import dictionary, translated
 
-_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "AE", "Ö": "OE", "Ü": "UE", "ø": "o", "å": "a",
-                          "æ": "ae", "ł": "l", "ı": "i", "Å": "A", "Ø": "O"})  # fmt: skip
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": "AE", "Ö": "OE", "Ü": "UE", "ø": "o",
+                          "å": "a", "æ": "ae", "ł": "l", "ı": "i", "Å": "A", "Ø": "O"})  # fmt: skip
 _FIRST_UMLAUT = re.compile(r"[ÄÖÜ](?=[a-zäöüß])")  # of a word with a capital, not of a word of capitals
 _SPN = re.compile(r"\bspn[ :#-]*(\d{2,6})\b", re.IGNORECASE)
 _BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]")

@@ -27,6 +27,7 @@ UNLIKELIER = 0.05  # of misfit, for each unit that stands before in the order of
 MOST_CHOICES = 512  # combinations of units that physics looks at
 DEFAULT_CYLINDERS = 6
 FROZEN, MOSTLY_MISSING = 0.6, 0.7  # factors on the score of a channel that never moves, or is hardly there
+OTHER_READING = 0.2  # of support, for a unit that isn't the likeliest, or gauge where nothing says so
 OTHER_UNIT = 0.7  # factor of a reading in another unit than the file's: too bold without a name
 SELDOM = ("EGR rate", "air per stroke", "fuel volume flow")  # less often recorded than what else gives the quantity
 MAY_STAND_STILL = ("p_amb_pa", "t_amb_k", "t_im_k", "u_egr_pct", "u_vgt_pct")
@@ -101,7 +102,7 @@ def propose(raw: RawChannels, cylinders: int | None = None, database: Path | Non
         for candidate in _candidates(fact, count)
     ]  # fmt: skip
     chosen = _assigned(candidates)
-    chosen = {**chosen, **_by_behaviour(chosen, candidates, signals, facts, count)}
+    chosen = {**chosen, **_by_behaviour(chosen, signals, facts, count)}
     chosen = _by_physics(chosen, signals, facts, count)
     chosen = {column: _warned(candidate, facts[candidate.channel], candidates, cylinders is not None)
               for column, candidate in chosen.items()}  # fmt: skip
@@ -159,13 +160,13 @@ def _assigned(candidates: Sequence[Candidate]) -> dict[str, Candidate]:
     return chosen
 
 
-def _by_behaviour(chosen: Mapping[str, Candidate], candidates: Sequence[Candidate], signals: Mapping[str, Signal],
-                  facts: Mapping[str, Facts], cylinders: int) -> dict[str, Candidate]:
+def _by_behaviour(chosen: Mapping[str, Candidate], signals: Mapping[str, Signal], facts: Mapping[str, Facts],
+                  cylinders: int) -> dict[str, Candidate]:
     """Quantities that no name gave, by what the channels do: units, ranges and balances."""
     used = {candidate.channel for candidate in chosen.values()}
     said = {name for name in facts if spn_of(name, facts[name].spn) is not None or name in BY_COLUMN}
     pool = [fact for name, fact in facts.items() if name not in used | said and fact.readings > 1
-            and not _is_clock(signals[name])]
+            and not _is_clock(signals[name])]  # fmt: skip
     options = [option for fact in pool for option in _options(fact, chosen, cylinders)]
     if not options:
         return {}
@@ -196,7 +197,7 @@ def _options(fact: Facts, chosen: Mapping[str, Candidate], cylinders: int) -> It
             continue
         prior = fine - (meaning.name in SELDOM) * UNLIKELIER
         for each in (reading, *reading.alternatives):
-            yield Option(meaning.column, fact.name, meaning, each, prior - (each is not reading) * UNLIKELIER)
+            yield Option(meaning.column, fact.name, meaning, each, prior - (each is not reading) * OTHER_READING)
 
 
 def _unnamed(option: Option, evidence: Sequence[Support]) -> Candidate:

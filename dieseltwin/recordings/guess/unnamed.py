@@ -1,7 +1,8 @@
-"""Channels whose names say nothing: each is tried as each quantity that its unit allows, and the best agreement is taken.
+"""Channels whose names say nothing: each is tried as each quantity that its unit allows, the best agreement is taken.
 
 The channels that names have settled stay; for the quantities that are left the sum of all supports (`evidence`) is
-raised one assignment at a time, until none raises it further. A guess must raise the sum clearly, and is always to be checked.
+raised one assignment at a time, until none raises it further. A guess must raise the sum clearly, and its user is
+always told to check it.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ def assigned(options: Sequence[Option], settled: Mapping[str, tuple[str, Reading
 
     def judged(trial: Mapping[str, Option]) -> tuple[float, list[Support]]:
         named = {**settled, **{column: (option.channel, option.reading) for column, option in trial.items()}}
-        columns = {name: np.nan_to_num(values[::EVERY]) for name, values in meeting.columns(named, nominal=False).items()}
+        met = meeting.columns(named, nominal=False)
+        columns = {name: np.nan_to_num(values[::EVERY]) for name, values in met.items()}
         found = list(supports(columns, cylinders))
         missed = sum(column not in columns for column in trial)  # a formula that lacks what it needs
         return sum(s.value for s in found) + sum(o.prior for o in trial.values()) - missed, found
@@ -68,9 +70,9 @@ def assigned(options: Sequence[Option], settled: Mapping[str, tuple[str, Reading
         """The state with the option in it; a quantity that loses its channel to it takes what becomes free."""
         trial = {name: held for name, held in state.items() if held.channel != option.channel} | {option.column: option}
         loser = next((name for name, held in state.items() if held.channel == option.channel), None)
-        if loser not in (None, option.column) and option.column in state:
+        if loser is not None and loser != option.column and option.column in state:
             free = state[option.column].channel
-            trial.update({loser: held for held in by_column[loser] if held.channel == free})
+            trial |= {held.column: held for held in by_column[loser] if held.channel == free}
         return trial
 
     best = judged(state)[0]

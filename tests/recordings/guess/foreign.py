@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from dieseltwin.recordings.importers.layout import unit_in_name
+
 CYLINDERS, DENSITY, AMBIENT = 6, 0.835, 97_000.0
 Values = np.ndarray
 
@@ -426,6 +428,15 @@ def written(file: Foreign, known: dict[str, Values]) -> str:
         lines.insert(1, ";".join(file.units[name] for name in columns))
         text = "\n".join(lines)
     return text
+
+
+def without_names(file: Foreign) -> Foreign:
+    """The same channels and units in another order, under names that say nothing; time keeps its own."""
+    time, *others = file.channels
+    np.random.default_rng(len(others)).shuffle(others)
+    names = {time: time} | {name: f"ch{k:02d}" for k, name in enumerate(others, 1)}
+    units = {names[name]: file.units.get(name) or unit_in_name(name) or "" for name in names}
+    return Foreign(file.title, {names[name]: file.channels[name] for name in names}, units)
 
 
 def expected(file: Foreign) -> dict[str, str]:
