@@ -18,6 +18,7 @@ from dieseltwin.recordings.guess.physics import (
     USUAL_LOADED,
     air_to_fuel,
     displacement,
+    egr_area,
     moves,
     ranks_agree,
     turbine_area,
@@ -98,7 +99,7 @@ def _balances(columns: Columns, cylinders: int) -> Iterator[Support]:
         off = abs(float(np.log(rich / np.clip(rich, *USUAL_LOADED))))
         yield Support(("w_c_kg_s", "u_delta_mg"), max(0.8 - 2.0 * off, -1.5), f"air to fuel from {rich:.3g}")
     yield from _agree(columns, "w_c_kg_s", "n_e_rpm", 0.4, "air flow rises with speed")
-    yield from _agree(columns, "u_delta_mg", "torque_nm", 0.6, "rises with torque")
+    yield from _agree(columns, "u_delta_mg", "torque_nm", 0.6, "fuel rises with torque")
     if "u_delta_mg" in columns:
         low, _, high = _range(columns["u_delta_mg"])
         yield Support(("u_delta_mg",), 0.2 if low < 0.4 * high else -0.2, f"from {low:.3g} to {high:.3g} mg/cycle")
@@ -128,13 +129,13 @@ def _pressures(columns: Columns) -> Iterator[Support]:
             driven = ranks_agree(columns[name], columns["n_e_rpm"])
             if driven > DRIVEN:
                 yield Support((name, "n_e_rpm"), -2.0, f"follows speed (rank correlation {driven:.2f}), as a pump does")
-    yield from _agree(columns, "p_im_pa", "omega_t_rad_s", 0.6, "rises with the turbocharger's speed")
-    yield from _agree(columns, "p_em_pa", "omega_t_rad_s", 0.4, "rises with the turbocharger's speed")
+    yield from _agree(columns, "p_im_pa", "omega_t_rad_s", 0.6, "boost and turbocharger speed rise together")
+    yield from _agree(columns, "p_em_pa", "omega_t_rad_s", 0.4, "exhaust pressure and turbocharger speed rise together")
     if {"p_em_pa", "p_im_pa"} <= set(columns):
         above = float(np.nanmean(columns["p_em_pa"] > (1.0 - SENSORS_DIFFER) * columns["p_im_pa"]))
         ratio = float(np.nanmedian(columns["p_em_pa"] / columns["p_im_pa"]))
         value = 0.8 * float(np.clip((above - 0.5) / 0.3, -1.0, 1.0)) if ratio < 2.5 else -0.8
-        yield Support(("p_em_pa", "p_im_pa"), value, f"above p_im in {above:.0%} of the rows")
+        yield Support(("p_em_pa", "p_im_pa"), value, f"p_em above p_im in {above:.0%} of the rows")
         if ranks_agree(columns["p_em_pa"], columns["p_im_pa"]) > ONE_RANKING:
             yield Support(("p_em_pa", "p_im_pa"), -2.5, "two readings of one pressure, or the wanted one")
         yield from _agree(columns, "p_em_pa", "p_im_pa", 0.3, "pressures before and behind the cylinders go together")
@@ -145,7 +146,7 @@ def _temperatures(columns: Columns) -> Iterator[Support]:
         low, median, high = _range(columns["t_em_k"])
         hot = 0.4 + (median - HOT_EXHAUST_K) / 1e3 if high > HOT_EXHAUST_K and high - low > 30.0 else -0.6
         yield Support(("t_em_k",), hot, f"as hot as exhaust gas, {median - 273.15:.3g} degC at the median")
-        yield from _agree(columns, "t_em_k", "u_delta_mg", 0.3, "rises with fuel")
+        yield from _agree(columns, "t_em_k", "u_delta_mg", 0.3, "exhaust temperature rises with fuel")
     if "t_im_k" in columns:
         low, median, high = _range(columns["t_im_k"])
         fits = CHARGE_AIR_K[0] <= median <= CHARGE_AIR_K[1] and high - low > STEADY_CHARGE_K
@@ -167,8 +168,10 @@ def _positions(columns: Columns) -> Iterator[Support]:
             yield Support((name, "u_delta_mg"), -1.0, "follows the fuel, as pedal and load do")
     if "u_egr_pct" in columns and moves(columns["u_egr_pct"]):
         if "w_egr_kg_s" in columns:
-            agrees = ranks_agree(columns["u_egr_pct"], columns["w_egr_kg_s"])
-            text = f"EGR flow follows (rank correlation {agrees:.2f})"
+            flow = ranks_agree(columns["u_egr_pct"], columns["w_egr_kg_s"])
+            area = _follows(columns["u_egr_pct"], egr_area(columns))
+            what, agrees = ("flow", flow) if abs(flow) > abs(area) else ("valve's flow area", area)
+            text = f"the EGR {what} follows (rank correlation {agrees:.2f})"
             yield Support(("u_egr_pct", "w_egr_kg_s"), abs(agrees) - 0.1, text)
         elif {"w_c_kg_s", "p_im_pa", "n_e_rpm"} <= set(columns):
             gap = columns["p_im_pa"] * columns["n_e_rpm"] / np.maximum(columns["w_c_kg_s"], 1e-6)
@@ -177,8 +180,12 @@ def _positions(columns: Columns) -> Iterator[Support]:
             yield Support(("u_egr_pct", "w_c_kg_s"), abs(agrees) - 0.2, text)
     area = turbine_area(columns) if "p_amb_pa" in columns else None
     if area is not None and "u_vgt_pct" in columns and moves(columns["u_vgt_pct"]):
-        usable = np.isfinite(area)
-        if np.count_nonzero(usable) > MANY_POINTS:
-            agrees = ranks_agree(columns["u_vgt_pct"][usable], area[usable])
-            text = f"the turbine's flow area follows (rank correlation {agrees:.2f})"
-            yield Support(("u_vgt_pct", "p_em_pa"), abs(agrees) - 0.1, text)
+        agrees = _follows(columns["u_vgt_pct"], area)
+        text = f"the turbine's flow area follows (rank correlation {agrees:.2f})"
+        yield Support(("u_vgt_pct", "p_em_pa"), abs(agrees) - 0.1, text)
+
+
+def _follows(position: np.ndarray, area: np.ndarray | None) -> float:
+    """Rank correlation of an area with a position where it flows; 0 where too little does."""
+    usable = np.isfinite(area) if area is not None else np.zeros(position.size, dtype=bool)
+    return ranks_agree(position[usable], area[usable]) if area is not None and usable.sum() > MANY_POINTS else 0.0

@@ -34,6 +34,7 @@ LEAST_LOADED_MG, FULL_LOAD_MG_L = 20.0, 60.0  # below, no load at all; a diesel'
 WHEEL_RADIUS_M = (0.018, 0.075)  # of turbine wheels, for the tip speed that a pressure ratio takes
 CLEAR_SIGN = 0.3  # rank correlation from which a direction is told
 STIRRED_PCT = 2.0  # standard deviation of a position that says something
+DRIVEN_BELOW = 0.97  # p_im over p_em, for the EGR valve
 FLOWS_BELOW = 0.9  # p_amb over p_em: nearer to 1 the area is all noise
 
 
@@ -256,3 +257,14 @@ def turbine_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         area = columns["w_c_kg_s"] * np.sqrt(temperature) / (columns["p_em_pa"] * np.sqrt(1.0 - ratio**2))
     return np.where(ratio < FLOWS_BELOW, area, np.nan)
+
+
+def egr_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Area of the EGR valve as a nozzle up to a factor, as `turbine_area`; NaN where hardly anything drives it."""
+    if not {"p_em_pa", "p_im_pa", "w_egr_kg_s"} <= set(columns):
+        return None
+    ratio = columns["p_im_pa"] / np.maximum(columns["p_em_pa"], 1.0)
+    temperature = columns.get("t_em_k", np.full(ratio.size, 700.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        area = columns["w_egr_kg_s"] * np.sqrt(temperature) / (columns["p_em_pa"] * np.sqrt(1.0 - ratio**2))
+    return np.where(ratio < DRIVEN_BELOW, area, np.nan)

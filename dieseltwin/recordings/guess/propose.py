@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ UNLIKELIER = 0.05  # of misfit, for each unit that stands before in the order of
 MOST_CHOICES = 512  # combinations of units that physics looks at
 DEFAULT_CYLINDERS = 6
 FROZEN, MOSTLY_MISSING = 0.6, 0.7  # factors on the score of a channel that never moves, or is hardly there
+NAMELESS = "told by its unit and by what it does, not by its name: check"
 OTHER_READING = 0.2  # of support, for a unit that isn't the likeliest, or gauge where nothing says so
 OTHER_UNIT = 0.7  # factor of a reading in another unit than the file's: too bold without a name
 SELDOM = ("EGR rate", "air per stroke", "fuel volume flow")  # less often recorded than what else gives the quantity
@@ -203,7 +205,7 @@ def _options(fact: Facts, chosen: Mapping[str, Candidate], cylinders: int) -> It
 def _unnamed(option: Option, evidence: Sequence[Support]) -> Candidate:
     texts = [support.text for support in sorted(evidence, key=lambda s: -s.value) if support.value > 0.0]
     reading = replace(option.reading, reasons=(*option.reading.reasons, *texts[:3])).with_warning(
-        "told by its unit and by what it does, not by its name: check")
+        NAMELESS)
     return Candidate(option.channel, option.meaning, reading, LEAST_SCORE)
 
 
@@ -241,10 +243,15 @@ def _by_physics(chosen: Mapping[str, Candidate], signals: Mapping[str, Signal], 
     reasons, warnings = agreements(columns, cylinders)
     return {
         column: replace(candidate, reading=replace(
-            candidate.reading, reasons=(*candidate.reading.reasons, *reasons.get(column, ())),
+            candidate.reading, reasons=_each_once((*candidate.reading.reasons, *reasons.get(column, ()))),
             warnings=(*candidate.reading.warnings, *warnings.get(column, ()))))
         for column, candidate in result.items()
     }  # fmt: skip
+
+
+def _each_once(reasons: Sequence[str]) -> tuple[str, ...]:
+    """Reasons that differ in more than their numbers."""
+    return tuple({re.split(r"\d", reason)[0]: reason for reason in reasons}.values())
 
 
 def _flows_differ(readings: Mapping[str, Reading]) -> bool:
@@ -272,7 +279,7 @@ def _warned(candidate: Candidate, fact: Facts, candidates: Sequence[Candidate], 
     unread = candidate.meaning.unread(words_of(fact.name))
     if candidate.meaning.wanted(words_of(fact.name)):
         reading = reading.with_warning("a wanted value, as no channel says what was given: check that it follows")
-    elif unread and spn_of(fact.name, fact.spn) is None and fact.name != candidate.column:
+    elif unread and NAMELESS not in reading.warnings and not (spn_of(fact.name, fact.spn) or fact.name in BY_COLUMN):
         reading = reading.with_warning(f"nothing is known of {listed(unread)} in the name: check")
     if candidate.score < 0.7 and not reading.warnings:
         reading = reading.with_warning("the name says little: check")
