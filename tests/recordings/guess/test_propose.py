@@ -76,7 +76,7 @@ def test_nine_of_ten_first_guesses_are_right(verdicts):
     assert len(ALL) == 50
 
 
-@pytest.mark.parametrize("title", ["ECU labels as INCA shows them", "American units, gauge", "a generating set"])
+@pytest.mark.parametrize("title", ["codes of a test bench", "American units, gauge", "a generating set"])
 def test_units_and_behaviour_tell_channels_without_names(tmp_path, known, title):
     """Names that say nothing, in any order: what each channel does is enough, and every guess is marked."""
     file = ALL[title]
