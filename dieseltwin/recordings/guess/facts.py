@@ -31,6 +31,7 @@ class Facts:
         gaps: how often a pause is longer than three steps, and `longest_gap_s` [s].
         frozen: one value throughout.
         resolution: smallest step between values [unit]; None where they are as good as continuous.
+        levels: number of different values.
         held_rows: rows over which a reading is repeated; None where each row is its own.
     """
 
@@ -48,6 +49,7 @@ class Facts:
     longest_gap_s: float
     frozen: bool
     resolution: float | None
+    levels: int
     held_rows: float | None
 
 
@@ -124,6 +126,7 @@ def facts_of(signal: Signal) -> Facts:
         missing=1.0 - readings.size / max(values.size, 1), step_s=step, low=float(quantiles[0]),
         median=float(quantiles[1]), high=float(quantiles[2]), gaps=gaps, longest_gap_s=longest if gaps else 0.0,
         frozen=bool(readings.size > 1 and quantiles[0] == quantiles[2]), resolution=_resolution(readings),
+        levels=int(np.unique(readings).size),
         held_rows=None if held is None else values.size / max(int(np.count_nonzero(held)), 1),
     )  # fmt: skip
 

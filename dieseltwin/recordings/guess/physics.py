@@ -34,6 +34,7 @@ LEAST_LOADED_MG, FULL_LOAD_MG_L = 20.0, 60.0  # below, no load at all; a diesel'
 WHEEL_RADIUS_M = (0.018, 0.075)  # of turbine wheels, for the tip speed that a pressure ratio takes
 CLEAR_SIGN = 0.3  # rank correlation from which a direction is told
 STIRRED_PCT = 2.0  # standard deviation of a position that says something
+DRIVEN_BELOW = 0.97  # p_im over p_em, for the EGR valve
 FLOWS_BELOW = 0.9  # p_amb over p_em: nearer to 1 the area is all noise
 
 
@@ -43,13 +44,20 @@ class Meeting:
     def __init__(self, signals: Mapping[str, Signal], facts: Mapping[str, Facts], cylinders: int) -> None:
         self.signals, self.facts, self.cylinders = signals, facts, cylinders
         self._times = _common_times(signals)
+        self._met: dict[str, np.ndarray] = {}
 
-    def columns(self, chosen: Mapping[str, tuple[str, Reading]]) -> dict[str, np.ndarray]:
-        """Our column -> values on the common times, formulas applied where what they need is there."""
-        raw = {column: (reading.entry, reading.entry.converted(self._at(self.signals[name])))
+    def columns(self, chosen: Mapping[str, tuple[str, Reading]], nominal: bool = True) -> dict[str, np.ndarray]:
+        """Our column -> values on the common times, formulas applied where what they need is there.
+
+        Args:
+            chosen: our column -> (channel, unit and formula).
+            nominal: stand in for an ambient pressure that nobody gives.
+        """
+        raw = {column: (reading.entry, reading.entry.converted(self._at(name)))
                for column, (name, reading) in chosen.items()}  # fmt: skip
         found = {column: values for column, (entry, values) in raw.items() if entry.via is None}
-        found.setdefault("p_amb_pa", np.full(self._size, NOMINAL_AMBIENT_PA))
+        if nominal:
+            found.setdefault("p_amb_pa", np.full(self._size, NOMINAL_AMBIENT_PA))
         for _ in raw:
             for column, (entry, values) in raw.items():
                 if column not in found and all(need in found for need in entry.needs):
@@ -60,11 +68,15 @@ class Meeting:
     def _size(self) -> int:
         return POINTS if self._times is None else self._times.size
 
-    def _at(self, signal: Signal) -> np.ndarray:
-        if self._times is None or signal.time_s is None:
-            return np.resize(signal.values, self._size)
-        there = np.isfinite(signal.values)
-        return np.interp(self._times, signal.time_s[there], signal.values[there])
+    def _at(self, name: str) -> np.ndarray:
+        if name not in self._met:
+            signal = self.signals[name]
+            if self._times is None or signal.time_s is None:
+                self._met[name] = np.resize(signal.values, self._size)
+            else:
+                there = np.isfinite(signal.values)
+                self._met[name] = np.interp(self._times, signal.time_s[there], signal.values[there])
+        return self._met[name]
 
 
 def _common_times(signals: Mapping[str, Signal]) -> np.ndarray | None:
@@ -118,11 +130,12 @@ def displacement(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
         return None
     flow = columns["w_c_kg_s"] + columns.get("w_egr_kg_s", 0.0)
     temperature = columns.get("t_im_k", np.full(flow.size, NOMINAL_AIR_K))
-    usable = (columns["n_e_rpm"] > 400.0) & (columns["p_im_pa"] > 2e4) & np.isfinite(flow) & (flow > 0.0)
+    pressure, speed = columns["p_im_pa"], columns["n_e_rpm"]
+    usable = (speed > 400.0) & (pressure > 2e4) & np.isfinite(flow) & (flow > 0.0)
     if np.count_nonzero(usable) < 20:
         return None
-    size = 120.0 * R_AIR * temperature * flow / (VOLUMETRIC_EFFICIENCY * columns["p_im_pa"] * columns["n_e_rpm"])
-    return size[usable]
+    size = 120.0 * R_AIR * temperature[usable] * flow[usable]
+    return size / (VOLUMETRIC_EFFICIENCY * pressure[usable] * speed[usable])
 
 
 def heat_per_fuel(columns: Mapping[str, np.ndarray], cylinders: int) -> float | None:
@@ -153,12 +166,14 @@ def _pressure_ratio(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     return columns["p_im_pa"] / columns["p_amb_pa"] if "p_im_pa" in columns else None
 
 
-def _ranks_agree(a: np.ndarray, b: np.ndarray) -> float:
+def ranks_agree(a: np.ndarray, b: np.ndarray) -> float:
+    """Rank correlation of two columns (m,) [-]."""
     first, second = (np.argsort(np.argsort(values)).astype(np.float64) for values in (a, b))
     return float(np.corrcoef(first, second)[0, 1])
 
 
-def _moves(values: np.ndarray) -> bool:
+def moves(values: np.ndarray) -> bool:
+    """Whether a column (m,) changes enough to say something."""
     mean = float(np.nanmean(np.abs(values)))
     return mean > 0.0 and float(np.nanstd(values)) > MOVES * mean
 
@@ -180,7 +195,7 @@ def agreements(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[dict[
         if DISPLACEMENT_L[0] <= litres <= DISPLACEMENT_L[1] and spread <= 2.0 * STEADY_DISPLACEMENT:
             text = f"air balance: {litres:.3g} L of displacement at eta_vol 0.9, steady to {spread:.1%}"
             note(reasons, flows, text)
-            if spread < TOO_GOOD and _moves(columns["w_c_kg_s"]) and "w_egr_kg_s" in columns:
+            if spread < TOO_GOOD and moves(columns["w_c_kg_s"]) and "w_egr_kg_s" in columns:
                 note(warnings, ("w_c_kg_s",), f"the air balance closes to {spread:.1%}, better than meters: {COMPUTED}")
         else:
             text = "one of the flows, the pressure or their units is not what it seems"
@@ -198,14 +213,19 @@ def agreements(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[dict[
             note(warnings, ("p_em_pa", "p_im_pa"), text)
         else:
             note(reasons, ("p_em_pa",), "above p_im where EGR flows")
+    elif {"p_em_pa", "p_im_pa"} <= set(columns):
+        share = float(np.mean(columns["p_em_pa"] < (1.0 - SENSORS_DIFFER) * columns["p_im_pa"]))
+        if share > BACKWARDS:
+            text = f"p_em lies below p_im in {share:.0%} of the rows: behind the turbine, or gauge against absolute?"
+            note(warnings, ("p_em_pa",), text)
     ratio_p = _pressure_ratio(columns)
-    if "omega_t_rad_s" in columns and ratio_p is not None and _moves(ratio_p) and _moves(columns["omega_t_rad_s"]):
-        agrees = _ranks_agree(columns["omega_t_rad_s"], ratio_p)
+    if "omega_t_rad_s" in columns and ratio_p is not None and moves(ratio_p) and moves(columns["omega_t_rad_s"]):
+        agrees = ranks_agree(columns["omega_t_rad_s"], ratio_p)
         note(reasons if agrees >= TURBO_AGREES else warnings, ("omega_t_rad_s",),
              f"rises with the pressure ratio (rank correlation {agrees:.2f})" if agrees >= TURBO_AGREES
              else f"doesn't rise with the pressure ratio (rank correlation {agrees:.2f})")
-    if "t_em_k" in columns and "u_delta_mg" in columns and _moves(columns["u_delta_mg"]):
-        agrees = _ranks_agree(columns["t_em_k"], np.nan_to_num(columns["u_delta_mg"]))
+    if "t_em_k" in columns and "u_delta_mg" in columns and moves(columns["u_delta_mg"]):
+        agrees = ranks_agree(columns["t_em_k"], np.nan_to_num(columns["u_delta_mg"]))
         if agrees > TURBO_AGREES / 2.0:
             note(reasons, ("t_em_k",), f"rises with fuel (rank correlation {agrees:.2f})")
     return reasons, warnings
@@ -214,14 +234,14 @@ def agreements(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[dict[
 def reversed_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
     """Positions that seem to count the other way (0 open), with the reason."""
     found = {}
-    if {"u_egr_pct", "w_egr_kg_s"} <= set(columns) and _moves(columns["u_egr_pct"]):
-        agrees = _ranks_agree(columns["u_egr_pct"], columns["w_egr_kg_s"])
+    if {"u_egr_pct", "w_egr_kg_s"} <= set(columns) and moves(columns["u_egr_pct"]):
+        agrees = ranks_agree(columns["u_egr_pct"], columns["w_egr_kg_s"])
         if agrees < -CLEAR_SIGN:
             found["u_egr_pct"] = f"EGR flow falls while it rises (rank correlation {agrees:.2f}): 0 seems to be open"
     area = turbine_area(columns)
     if area is not None and "u_vgt_pct" in columns and float(np.nanstd(columns["u_vgt_pct"])) > STIRRED_PCT:
         usable = np.isfinite(area)
-        agrees = _ranks_agree(columns["u_vgt_pct"][usable], area[usable]) if np.count_nonzero(usable) > 50 else 0.0
+        agrees = ranks_agree(columns["u_vgt_pct"][usable], area[usable]) if np.count_nonzero(usable) > 50 else 0.0
         if agrees < -CLEAR_SIGN:
             found["u_vgt_pct"] = (f"the turbine's flow area falls while it rises (rank correlation {agrees:.2f}): "
                                   "100 seems shut")  # fmt: skip
@@ -237,3 +257,14 @@ def turbine_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     with np.errstate(invalid="ignore", divide="ignore"):
         area = columns["w_c_kg_s"] * np.sqrt(temperature) / (columns["p_em_pa"] * np.sqrt(1.0 - ratio**2))
     return np.where(ratio < FLOWS_BELOW, area, np.nan)
+
+
+def egr_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Area of the EGR valve as a nozzle up to a factor, as `turbine_area`; NaN where hardly anything drives it."""
+    if not {"p_em_pa", "p_im_pa", "w_egr_kg_s"} <= set(columns):
+        return None
+    ratio = columns["p_im_pa"] / np.maximum(columns["p_em_pa"], 1.0)
+    temperature = columns.get("t_em_k", np.full(ratio.size, 700.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        area = columns["w_egr_kg_s"] * np.sqrt(temperature) / (columns["p_em_pa"] * np.sqrt(1.0 - ratio**2))
+    return np.where(ratio < DRIVEN_BELOW, area, np.nan)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from dieseltwin.recordings.channels import ChannelMap, unit_of
+from dieseltwin.recordings.guess.evidence import Support
 from dieseltwin.recordings.guess.facts import Facts, clock_of, facts_of, signals_of
 from dieseltwin.recordings.guess.names import Meaning, spn_of, vocabulary, words_of
 from dieseltwin.recordings.guess.physics import Meeting, agreements, misfit, reversed_positions
 from dieseltwin.recordings.guess.reading import Reading, reading_of
 from dieseltwin.recordings.guess.units import Unit, understood
+from dieseltwin.recordings.guess.unnamed import FINER, Option, assigned
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
 from dieseltwin.settings.names import listed
 from dieseltwin.symbols import BY_COLUMN
@@ -23,6 +28,10 @@ UNLIKELIER = 0.05  # of misfit, for each unit that stands before in the order of
 MOST_CHOICES = 512  # combinations of units that physics looks at
 DEFAULT_CYLINDERS = 6
 FROZEN, MOSTLY_MISSING = 0.6, 0.7  # factors on the score of a channel that never moves, or is hardly there
+NAMELESS = "told by its unit and by what it does, not by its name: check"
+OTHER_READING = 0.2  # of support, for a unit that isn't the likeliest, or gauge where nothing says so
+OTHER_UNIT = 0.7  # factor of a reading in another unit than the file's: too bold without a name
+SELDOM = ("EGR rate", "air per stroke", "fuel volume flow")  # less often recorded than what else gives the quantity
 MAY_STAND_STILL = ("p_amb_pa", "t_amb_k", "t_im_k", "u_egr_pct", "u_vgt_pct")
 
 
@@ -95,6 +104,7 @@ def propose(raw: RawChannels, cylinders: int | None = None, database: Path | Non
         for candidate in _candidates(fact, count)
     ]  # fmt: skip
     chosen = _assigned(candidates)
+    chosen = {**chosen, **_by_behaviour(chosen, signals, facts, count)}
     chosen = _by_physics(chosen, signals, facts, count)
     chosen = {column: _warned(candidate, facts[candidate.channel], candidates, cylinders is not None)
               for column, candidate in chosen.items()}  # fmt: skip
@@ -152,6 +162,53 @@ def _assigned(candidates: Sequence[Candidate]) -> dict[str, Candidate]:
     return chosen
 
 
+def _by_behaviour(chosen: Mapping[str, Candidate], signals: Mapping[str, Signal], facts: Mapping[str, Facts],
+                  cylinders: int) -> dict[str, Candidate]:
+    """Quantities that no name gave, by what the channels do: units, ranges and balances."""
+    used = {candidate.channel for candidate in chosen.values()}
+    said = {name for name in facts if spn_of(name, facts[name].spn) is not None or name in BY_COLUMN}
+    pool = [fact for name, fact in facts.items() if name not in used | said and fact.readings > 1
+            and not _is_clock(signals[name])]  # fmt: skip
+    options = [option for fact in pool for option in _options(fact, chosen, cylinders)]
+    if not options:
+        return {}
+    wanted = {name: signals[name] for name in (*used, *(option.channel for option in options))}
+    settled = {column: (candidate.channel, candidate.reading) for column, candidate in chosen.items()}
+    found = assigned(options, settled, Meeting(wanted, facts, cylinders), cylinders)
+    return {column: _unnamed(option, evidence) for column, (option, evidence) in found.items()}
+
+
+def _is_clock(signal: Signal) -> bool:
+    values = signal.values[np.isfinite(signal.values)]
+    return values.size > 1 and bool(np.all(np.diff(values) > 0.0))
+
+
+def _options(fact: Facts, chosen: Mapping[str, Candidate], cylinders: int) -> Iterator[Option]:
+    """What a channel could be by its unit, where its name doesn't rule it out."""
+    words, unit = words_of(fact.name), understood(fact.unit)
+    if unit is not None and unit.dimension in ("unknown", "number"):
+        unit = None
+    fine = FINER * np.log10(max(fact.levels, 1))
+    for meaning in vocabulary().meanings:
+        if meaning.column in chosen or meaning.ruled_out(words):
+            continue
+        if unit is None and not set(meaning.dimensions) & vocabulary().kinds_of(words):
+            continue
+        reading = reading_of(fact, meaning, unit, words, cylinders)
+        if reading is None or (unit is not None and reading.factor <= OTHER_UNIT):
+            continue
+        prior = fine - (meaning.name in SELDOM) * UNLIKELIER
+        for each in (reading, *reading.alternatives):
+            yield Option(meaning.column, fact.name, meaning, each, prior - (each is not reading) * OTHER_READING)
+
+
+def _unnamed(option: Option, evidence: Sequence[Support]) -> Candidate:
+    texts = [support.text for support in sorted(evidence, key=lambda s: -s.value) if support.value > 0.0]
+    reading = replace(option.reading, reasons=(*option.reading.reasons, *texts[:3])).with_warning(
+        NAMELESS)
+    return Candidate(option.channel, option.meaning, reading, LEAST_SCORE)
+
+
 def _by_physics(chosen: Mapping[str, Candidate], signals: Mapping[str, Signal], facts: Mapping[str, Facts],
                 cylinders: int) -> dict[str, Candidate]:
     """Units that several columns allow are chosen together, so that balances hold; then what agrees is said."""
@@ -186,10 +243,15 @@ def _by_physics(chosen: Mapping[str, Candidate], signals: Mapping[str, Signal], 
     reasons, warnings = agreements(columns, cylinders)
     return {
         column: replace(candidate, reading=replace(
-            candidate.reading, reasons=(*candidate.reading.reasons, *reasons.get(column, ())),
+            candidate.reading, reasons=_each_once((*candidate.reading.reasons, *reasons.get(column, ()))),
             warnings=(*candidate.reading.warnings, *warnings.get(column, ()))))
         for column, candidate in result.items()
     }  # fmt: skip
+
+
+def _each_once(reasons: Sequence[str]) -> tuple[str, ...]:
+    """Reasons that differ in more than their numbers."""
+    return tuple({re.split(r"\d", reason)[0]: reason for reason in reasons}.values())
 
 
 def _flows_differ(readings: Mapping[str, Reading]) -> bool:
@@ -214,10 +276,10 @@ def _warned(candidate: Candidate, fact: Facts, candidates: Sequence[Candidate], 
               and c.score > candidate.score - CLOSE]  # fmt: skip
     if doubts:
         reading = reading.with_warning(f"the name could also mean {doubts[0].meaning.name}")
-    unread = candidate.meaning.unread(words_of(fact.name), vocabulary().plain)
+    unread = candidate.meaning.unread(words_of(fact.name))
     if candidate.meaning.wanted(words_of(fact.name)):
         reading = reading.with_warning("a wanted value, as no channel says what was given: check that it follows")
-    elif unread and spn_of(fact.name, fact.spn) is None and fact.name != candidate.column:
+    elif unread and NAMELESS not in reading.warnings and not (spn_of(fact.name, fact.spn) or fact.name in BY_COLUMN):
         reading = reading.with_warning(f"nothing is known of {listed(unread)} in the name: check")
     if candidate.score < 0.7 and not reading.warnings:
         reading = reading.with_warning("the name says little: check")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -47,6 +48,8 @@ _SPELLINGS: Mapping[str, Mapping[str, str]] = {
 _KNOWN = {word: (dimension, ours) for dimension, units in _SPELLINGS.items()
           for ours, words in units.items() for word in words.split()}
 _GAUGE = re.compile(r"(^psig$|bar_?\(?g\)?$|kpa_?\(?g\)?$|rel$|gauge|\(g\)$|ü$)")
+_A_STROKE = re.compile(r"(mg|g|kg|mm3|ul)/(str\w*|stk|hub|takt|cyc\w*|zyl\w*|cyl\w*|inj\w*|shot|coup|cp|corsa|ciclo|"
+                       r"carrera|slag|slaglangd|comb\w*|asp\w*|ladung|sp|zyklus)")  # fmt: skip
 _ABSOLUTE = re.compile(r"(^psia$|bar_?\(?a\)?$|kpa_?\(?a\)?$|abs$|\(a\)$)")
 
 
@@ -69,7 +72,7 @@ def understood(spelling: str | None) -> Unit | None:
     """What a file's unit means; None where it says none (a lone '-' says nothing either)."""
     if spelling is None:
         return None
-    text = re.sub(r"\s+", "", spelling.strip().strip("[]").lower())
+    text = re.sub(r"\s+", "", unicodedata.normalize("NFKC", spelling).strip().strip("[]").lower())
     if not text or text in ("-", "--", "none", "n/a", "unit", "?"):
         return None
     gauge = True if _GAUGE.search(text) else False if _ABSOLUTE.search(text) else None
@@ -77,4 +80,7 @@ def understood(spelling: str | None) -> Unit | None:
         if candidate in _KNOWN:
             dimension, ours = _KNOWN[candidate]
             return Unit(dimension, ours, gauge if dimension == "pressure" else None)
+    a_stroke = _A_STROKE.fullmatch(text)
+    if a_stroke is not None:
+        return Unit("per cycle", {"ul": "mm3"}.get(a_stroke.group(1), a_stroke.group(1)) + "/cycle")
     return Unit("unknown", spelling.strip())

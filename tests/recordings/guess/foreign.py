@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from dieseltwin.recordings.importers.layout import unit_in_name
+
 CYLINDERS, DENSITY, AMBIENT = 6, 0.835, 97_000.0
 Values = np.ndarray
 
@@ -26,7 +28,8 @@ TO: dict[str, Callable[[Values], Values]] = {
     "1/s of rpm": lambda x: x / 60.0,
     "%": lambda x: x, "fraction": lambda x: x / 100.0, "% shut": lambda x: 100.0 - x,
     "kPa gauge": lambda x: (x - AMBIENT) / 1e3, "bar gauge": lambda x: (x - AMBIENT) / 1e5,
-    "psi gauge": lambda x: (x - AMBIENT) / 6894.757, "mg": lambda x: x,
+    "psi gauge": lambda x: (x - AMBIENT) / 6894.757, "mg": lambda x: x, "MPa": lambda x: x / 1e6,
+    "kg/cm2 gauge": lambda x: (x - AMBIENT) / 98066.5, "gal/h": lambda x: x * 3600.0 / DENSITY / 3.785411784,
 }  # fmt: skip
 
 
@@ -59,6 +62,9 @@ def drive(reference: pd.DataFrame) -> dict[str, Values]:
         "rail": 8e7 + 4e5 * fuel, "vehicle": 60.0 + 20.0 * wander, "lambda": w_c / np.maximum(w_f * 14.5, 1e-5),
         "pedal": np.clip(fuel / 2.5, 0, 100), "t compressor": 300.0 + 1e-4 * known["omega_t_rad_s"],
         "idle": np.full(size, 600.0), "egr wanted": np.round(known["u_egr_pct"]), "gear": np.round(3.0 + wander),
+        "vgt wanted": np.round(known["u_vgt_pct"]), "air wanted": np.round(w_c * 1.05, 2),
+        "air wanted per stroke": np.round(1.05e6 * w_c * 120.0 / (n_e * CYLINDERS), -1), "shaft": 0.97 * n_e,
+        "oil pressure": 1.5e5 + 150.0 * n_e, "t fuel": 318.0 + 2.0 * wander, "torque wanted": 9.3 * fuel - 140.0,
         "torque %": fuel / 2.5, "t cooler": 350.0 + 10.0 * wander,
     }  # fmt: skip
 
@@ -422,6 +428,15 @@ def written(file: Foreign, known: dict[str, Values]) -> str:
         lines.insert(1, ";".join(file.units[name] for name in columns))
         text = "\n".join(lines)
     return text
+
+
+def without_names(file: Foreign) -> Foreign:
+    """The same channels and units in another order, under names that say nothing; time keeps its own."""
+    time, *others = file.channels
+    np.random.default_rng(len(others)).shuffle(others)
+    names = {time: time} | {name: f"ch{k:02d}" for k, name in enumerate(others, 1)}
+    units = {names[name]: file.units.get(name) or unit_in_name(name) or "" for name in names}
+    return Foreign(file.title, {names[name]: file.channels[name] for name in names}, units)
 
 
 def expected(file: Foreign) -> dict[str, str]:
