@@ -209,6 +209,16 @@ def _maps_of(engine: EngineParameters) -> EngineParameters:
     return engine.replace(**health, p_amb=we2011.PARAMETERS.p_amb, T_amb=we2011.PARAMETERS.T_amb)
 
 
+def learned_summary(engine: Path) -> list[str]:
+    """`summary` of an engine file; nothing where it wasn't learned.
+
+    Raises:
+        InputError: a file that can't be used.
+    """
+    known = learned_engine_of(engine)
+    return [] if known is None else summary(known)
+
+
 def summary(learned: LearnedEngine) -> list[str]:
     """What is known, as lines of text: health, and of every map how much it was corrected, how well, and where."""
     belief = learned.belief

@@ -212,8 +212,7 @@ def _engine(worker: Worker) -> str:
     import yaml
 
     from dieseltwin.api.engines import engine, parameter_changes
-    from dieseltwin.api.learning import summary
-    from dieseltwin.learning.files import learned_engine_of
+    from dieseltwin.api.learning import learned_summary
     from dieseltwin.settings.strict import read_mapping
 
     folder = worker.store.engine_folder(worker.job.engine)
@@ -222,9 +221,8 @@ def _engine(worker: Worker) -> str:
         document["learned"] = LEARNED_FILE
     write_text(folder / ENGINE, sealed_text(yaml.safe_dump(document, sort_keys=False, allow_unicode=True)))
     machine = engine(folder / ENGINE)
-    known = learned_engine_of(folder / ENGINE)
-    write_json(folder / DETAILS, sealed_json({"changes": parameter_changes(machine),
-                                              "learned": [] if known is None else summary(known)}))
+    learned = learned_summary(folder / ENGINE)
+    write_json(folder / DETAILS, sealed_json({"changes": parameter_changes(machine), "learned": learned}))
     return f"{type(machine).__name__.removesuffix('Parameters').lower()} engine"
 
 
