@@ -1,4 +1,4 @@
-"""Fifteen files with names that stand in public sources, gathered after the method was settled, to measure it once.
+"""Fifteen files with names that stand in public sources, judged once before anything was mended on them.
 
 Every name is one that a public repository uses: labels of control units (a MATLAB script that maps measurements to a
 model, a decoding table of a bus), diagnosis interfaces (EDIABAS, enhanced parameters of an American pick-up, measuring
