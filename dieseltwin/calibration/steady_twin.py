@@ -25,7 +25,7 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
 from dieseltwin.discovery.twins.diesel_points import hypotheses_of as shown
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, single
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, LawScope, Parameter, Point, single
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, GAS_LAG
 from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.engine.quantities import ADDED_AT
@@ -56,10 +56,10 @@ class SteadyTwin:
         sensors: columns to use, None for all.
     """
 
-    law_kinds = ("power", "ratio", "difference", "head", "above_one", "share", "orifice")
-    law_variables = LAW_VARIABLES
-    lagging_sensors = ()
-    channel_units = SENSOR_UNITS
+    law_scope = LawScope(
+        ("power", "ratio", "difference", "head", "above_one", "share", "orifice"), LAW_VARIABLES,
+        channel_units=SENSOR_UNITS,
+    )  # fmt: skip
     own_schedules = False
 
     def __init__(

@@ -79,12 +79,13 @@ def _of_sensors(twin: EngineTwin, at: Linearisation) -> Iterator[RecordingFault]
     for j, name in enumerate(twin.channels):
         column = at.simulated[:, j]
         level = float(np.mean(np.abs(column)))
-        directions = (("gain", "-", LEAST_GAIN, column), ("offset", twin.channel_units[name], LEAST_GAIN * level, 1.0),
+        unit = twin.law_scope.channel_units[name]
+        directions = (("gain", "-", LEAST_GAIN, column), ("offset", unit, LEAST_GAIN * level, 1.0),
                       ("shift", "s", LEAST_SHIFT_S, -_slope(twin, column)))  # fmt: skip
-        for kind, unit, least, direction in directions:
+        for kind, of, least, direction in directions:
             response = np.zeros_like(at.simulated)
             response[:, j] = direction
-            yield RecordingFault(name, kind, unit, least, response)
+            yield RecordingFault(name, kind, of, least, response)
 
 
 def _slope(twin: EngineTwin, values: Array) -> Array:

@@ -21,6 +21,7 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined
 from dieseltwin.notes import Note
+from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
 from dieseltwin.petrol.maps import BEND, STRAIGHT
 from dieseltwin.petrol.model import (
@@ -102,6 +103,8 @@ class PetrolTwin:
         }
         stuck = self._stuck()
         said = {name: grid.kept & ~stuck[name] & ~self.unlearned(name) for name in self.channels}
+        if "throttle" in said:  # as read, whatever the hypothesis; nearer to p_ic its equation is a straight line
+            said["throttle"] &= blocks.p_im <= LINEAR_ABOVE * blocks.p_ic
         out = np.stack([np.where(said[name], scales[name], np.inf) for name in self.channels], axis=1)
         for j in range(out.shape[1]):
             known = np.flatnonzero(np.isfinite(out[:, j]))

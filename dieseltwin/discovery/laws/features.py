@@ -12,7 +12,7 @@ from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
-from dieseltwin.discovery.twins.interface import Array, Twin
+from dieseltwin.discovery.twins.interface import Array, Twin, law_scope_of
 
 _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
 _LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
@@ -67,7 +67,7 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
     losses of a shaft; dead time, lag and play of each actuator, which no function of the moment comes near; offset and
     gain per sensor."""
     variables = {**twin.variables(fit.lanes()), "time_s": twin.time_s}
-    kinds = getattr(twin, "law_kinds", None)
+    scope = law_scope_of(twin)
     found = []
     for index, point in enumerate(twin.points):
         found.append(Feature(index, "constant", np.ones(twin.time_s.size), point.site, form=Form(point.name)))
@@ -88,11 +88,11 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                     found += _of_form(index, f"{port}^{power:g}", form, point.site, variables)
         if point.unit == "%" and point.name in variables:
             for factor in operators(point, point.unit):
-                if kinds is not None and factor.kind not in kinds:
+                if scope.kinds is not None and factor.kind not in scope.kinds:
                     continue
                 form = Form(point.name, (factor,), 1.0)
                 text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
-                effect = getattr(twin, "command_operators", {}).get((factor.kind, point.name))
+                effect = scope.commands.get((factor.kind, point.name))
                 found += [replace(f, effect=effect) for f in _of_form(index, text, form, point.site, variables)]
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(() if isinstance(twin, KnownErrors) else twin.channels):  # balances are no sensors
@@ -106,7 +106,7 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
 def local_features(twin: Twin, fit: Fit) -> list[Feature]:
     """Bumps over one argument of each map: what a smooth tolerance doesn't follow, and no constant or power shows."""
     variables = twin.variables(fit.lanes())
-    admitted = getattr(twin, "law_variables", None)
+    admitted = law_scope_of(twin).variables
     found = []
     for index, point in enumerate(twin.points):
         along = {n: np.asarray(variables[n]) for n in map_arguments(point) if admitted is None or n in admitted}

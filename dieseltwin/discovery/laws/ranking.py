@@ -24,7 +24,7 @@ from dieseltwin.discovery.laws.grammar import (
 from dieseltwin.discovery.laws.responses import PointResponse, Responses
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.worth import Worth
-from dieseltwin.discovery.twins.interface import Array, Point, Twin
+from dieseltwin.discovery.twins.interface import Array, Point, Twin, law_scope_of
 
 _BEAM = (24, 10)  # forms of one and of two factors that are multiplied by every further one
 _KEPT = 24  # forms of a point that compete over all, and for pairs
@@ -97,12 +97,12 @@ def rank(
         variables: name -> (n,) along its trajectory, with `time_s`.
         points: names of the points to try; None for all.
         readings: independent ones where the size of the misfit counts as unknown (`worth`), else None.
-        kinds: of factors; None for the twin's `law_kinds`, else all.
+        kinds: of factors; None for those of the twin's `LawScope`, else all.
         screened: names of those among the points that are ranked at all; laws pay for the choice from all of them.
     """
-    kinds = kinds or getattr(twin, "law_kinds", None)
-    admitted = getattr(twin, "law_variables", None)
-    units = {**getattr(twin, "units", {}), **dict.fromkeys(TIMES, "s")}
+    scope = law_scope_of(twin)
+    kinds, admitted = kinds or scope.kinds, scope.variables
+    units = {**scope.units, **dict.fromkeys(TIMES, "s")}
     worth = Worth(responses.explained(), readings)
     log_readings = float(np.log(readings or responses.at.whitening.present.sum()))
     out: list[Ranked] = []

@@ -41,7 +41,7 @@ class Options:
         points: names of the points where a law is looked for; None for all.
         screened: names of those among them where a term without a name explains enough for a law to (`near_the_best`);
             None for all.
-        kinds: kinds of factors (`grammar.Kind`) that a law may have; None for the twin's `law_kinds`, else all.
+        kinds: kinds of factors (`grammar.Kind`) that a law may have; None for those of the twin's `LawScope`.
         refits: laws refitted by simulation after each ranking.
         renewals: linearisations with the best law inside.
         free_shape: estimate the exponent (threshold, time) of the best law too.

@@ -14,7 +14,7 @@ from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.laws.reading_twin import FaultKind, ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.search import Law, Options, Rival, search
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
-from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.discovery.twins.interface import Twin, law_scope_of
 
 _WITHIN = 0.5  # of the best linear gain: faults that are refitted
 _MOST = 4
@@ -70,7 +70,7 @@ def sensor_law(
         at: converged linearisation of that twin.
         faults: to choose from, with first sizes (`faults_of`).
         nuisance_response: (K, n, C) tolerance directions, as used for `at`.
-        lags: try lags of the sensors that the twin says may lag (`lagging_sensors`).
+        lags: try lags of the sensors that the twin says may lag (`LawScope`).
         tolerances: directions about the fault found, for its last fit; None keeps those given.
 
     Returns:
@@ -78,7 +78,7 @@ def sensor_law(
     """
     tried = list(faults)
     if lags:
-        lagging = [name for name in getattr(twin, "lagging_sensors", ()) if name in twin.channels]
+        lagging = [name for name in law_scope_of(twin).lagging_sensors if name in twin.channels]
         tried += [ReadingFault(name, "lag", size) for name in lagging for size in _LAGS_S]
     fits: list[tuple[float, ReadingFault, Linearisation]] = []
     P = len(twin.parameters)
@@ -111,7 +111,7 @@ def sensor_law(
     index = twin.channels.index(fault.channel)
     seen = best.simulated[:, index]
     site = f"sensor:{fault.channel}"
-    unit = {"gain": "-", "lag": "s"}.get(fault.kind, getattr(twin, "channel_units", {}).get(fault.channel, ""))
+    unit = {"gain": "-", "lag": "s"}.get(fault.kind, law_scope_of(twin).channel_units.get(fault.channel, ""))
     return Law(
         site, site, found.text(unit), Form(site), found.size, cast(float, found.std), unit, None, None, fault.channel,
         None, {fault.channel: (float(np.min(seen)), float(np.max(seen)))}, gain, gain - charge,

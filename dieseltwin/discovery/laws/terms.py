@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.search import Law
-from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.diesel_points import LAW_SCOPE
 from dieseltwin.discovery.twins.interface import Point
 from dieseltwin.engine.effects import EFFECTS, GAS_LAG
 from dieseltwin.engine.terms import ActuatorTerm, LawGroup, LawTerm, OneTerm, SensorTerm, Term
@@ -82,7 +82,7 @@ def _operator_term(form: Form) -> Term | ActuatorTerm | None:
     kind, size = form.factors[0].kind, float(form.factors[0].shape)
     if len(form.factors) > 1:
         return None
-    effect = EngineTwin.command_operators.get((kind, form.point))
+    effect = LAW_SCOPE.commands.get((kind, form.point))
     if effect is not None:
         fault = "dead_time" if kind == "dead_time" else "backlash"
         return ActuatorTerm(actuator=EFFECTS[effect].enters.name, fault=fault, magnitude=size)  # type: ignore[arg-type]

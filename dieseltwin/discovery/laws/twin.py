@@ -2,7 +2,7 @@
 
 Twins that can evaluate a law at every moment do so (`simulate_with_laws`). For others the law becomes a signal, found
 by simulating, evaluating the law along the trajectory and simulating again until it settles (Picard). Operators on an
-actuator's command, where the twin can put them there (`command_operators`), are simulated before its lags: behind an
+actuator's command, where the twin can put them there (`LawScope.commands`), are simulated before its lags: behind an
 actuator that overshoots, play of the position isn't play of the command. In all cases the law is refitted by
 simulation, never on derivatives.
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.time_limit import check_time
-from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin, lane_of
+from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin, lane_of, law_scope_of
 from dieseltwin.engine.fixed_point import settled
 
 _SETTLED = 1e-6  # change of a signal relative to its size that counts as settled
@@ -75,7 +75,7 @@ class LawTwin:
 
     def _on_commands(self) -> tuple[str, ...]:
         """The twin's own effect for every law, where all laws are operators on commands."""
-        known: Mapping[tuple[str, str], str] = getattr(self.base, "command_operators", {})
+        known = law_scope_of(self.base).commands
         forms = [law.form for law in self.laws]
         names = [known.get((form.factors[0].kind, form.point), "") if form.operator else "" for form in forms]
         return tuple(names) if all(names) and all(form.fixed == 1.0 for form in forms) else ()

@@ -12,7 +12,7 @@ import numpy as np
 
 from dieseltwin.discovery.twins.diesel_between import covariance_between_rows
 from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, moving, signals_of_lane
-from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, OPERATORS, POINT_FACTS, hypotheses_of
+from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, LAW_SCOPE, POINT_FACTS, hypotheses_of
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.diesel_variables import variables_along
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
@@ -29,9 +29,6 @@ from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.simulate import Observations, settle
 from dieseltwin.engine.terms import (
-    LAGGING_SENSOR,
-    LAW_VARIABLES,
-    SENSOR_UNITS,
     Term,
     corrections_in,
     effect_terms,
@@ -82,20 +79,8 @@ class EngineTwin:
         InputError: no sensor, or no stretch with the engine running.
     """
 
-    law_kinds: tuple[str, ...] = (*LAW_KINDS, *OPERATORS)
-    """Factors of laws that may be found."""
-
-    command_operators: Mapping[tuple[str, str], str] = {
-        (e.enters.operator, f"u_{e.enters.name}"): e.name for e in EFFECTS.values() if e.enters.through == "command"
-    }
-    """Operators of a law that act on an actuator's command, before its lags: (kind, point) -> effect that does it."""
-
     own_schedules = True
     """Lanes may have schedules of their own."""
-
-    law_variables = LAW_VARIABLES
-    lagging_sensors = (LAGGING_SENSOR,)
-    channel_units = SENSOR_UNITS
 
     def __init__(
         self,
@@ -155,7 +140,7 @@ class EngineTwin:
             for name, facts in ((name, POINT_FACTS[name]) for name in POINTS)
         )  # fmt: skip
         slow = rows_are_slow(self.time_s)
-        self.law_kinds = LAW_KINDS if slow else self.law_kinds
+        self.law_scope = replace(LAW_SCOPE, kinds=LAW_KINDS) if slow else LAW_SCOPE
         self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels, further, slow)
         self._driven = {name: Term(effect=name, magnitude=0.0).factor(self.time_s, 0.0, inputs)
                         for name in self.hypotheses if EFFECTS[name].follows is not None}  # fmt: skip

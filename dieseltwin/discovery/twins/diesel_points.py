@@ -6,14 +6,24 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from dieseltwin.discovery.twins.interface import Hypothesis
+from dieseltwin.discovery.twins.interface import Hypothesis, LawScope
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
+from dieseltwin.engine.terms import LAGGING_SENSOR, LAW_VARIABLES, SENSOR_UNITS
 
 LAW_KINDS = ("power", "ratio", "time", "difference", "head", "above_one", "share", "orifice", "bump")
 """Factors of laws that an engine file can carry (`engine.terms.LawTerm`)."""
 
 OPERATORS = ("lag", "dead_time", "play")
 """Operators of laws, of actuators and gas: no slow rows show them."""
+
+
+LAW_SCOPE = LawScope(
+    kinds=(*LAW_KINDS, *OPERATORS), variables=LAW_VARIABLES, lagging_sensors=(LAGGING_SENSOR,),
+    channel_units=SENSOR_UNITS,
+    commands={(e.enters.operator, f"u_{e.enters.name}"): e.name for e in EFFECTS.values()
+              if e.enters.through == "command"},
+)  # fmt: skip
+"""What laws of the diesel engine may be made of, where rows aren't slow."""
 
 
 @dataclass(frozen=True)

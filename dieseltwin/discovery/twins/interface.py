@@ -69,6 +69,27 @@ class Point:
 
 
 @dataclass(frozen=True)
+class LawScope:
+    """What laws at the points of a twin may be made of.
+
+    Attributes:
+        kinds: of factors (`laws.grammar.Kind`); None for all.
+        variables: names; None for all that the ports name.
+        units: of variables.
+        commands: operators that act on an actuator's command, before its lags: (kind, point) -> effect that does it.
+        lagging_sensors: channels whose reading may lag.
+        channel_units: of an offset of each channel.
+    """
+
+    kinds: tuple[str, ...] | None = None
+    variables: tuple[str, ...] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    commands: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    lagging_sensors: tuple[str, ...] = ()
+    channel_units: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Hypothesis:
     """An effect that the twin can simulate by name.
 
@@ -162,6 +183,18 @@ class Twin(Protocol):
     def first_local(self) -> Array:
         """First guess of the windows' initial states from the readings, (W, S)."""
         ...
+
+
+@runtime_checkable
+class WithLawScope(Protocol):
+    """A twin that says what its laws may be made of."""
+
+    law_scope: LawScope
+
+
+def law_scope_of(twin: Twin) -> LawScope:
+    """What laws of a twin may be made of; anything, where it doesn't say."""
+    return twin.law_scope if isinstance(twin, WithLawScope) else LawScope()
 
 
 @runtime_checkable

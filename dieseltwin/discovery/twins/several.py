@@ -78,11 +78,7 @@ class SeveralTwin:
         InputError: fewer than two recordings, or other channels in one of them.
     """
 
-    command_operators = EngineTwin.command_operators
     own_schedules = EngineTwin.own_schedules
-    law_variables = EngineTwin.law_variables
-    lagging_sensors = EngineTwin.lagging_sensors
-    channel_units = EngineTwin.channel_units
 
     def __init__(self, parts: Sequence[EngineTwin], occasions: Sequence[Occasion]) -> None:
         if len(parts) < 2:
@@ -94,7 +90,8 @@ class SeveralTwin:
                                  "name sensors that all recordings have")  # fmt: skip
         self.parts, self.occasions = tuple(parts), tuple(occasions)
         self.channels, self.states, self.state_scales = first.channels, first.states, first.state_scales
-        self.law_kinds = min((part.law_kinds for part in parts), key=len)  # slow rows of one recording show less
+        scopes = [part.law_scope for part in parts]
+        self.law_scope = min(scopes, key=lambda scope: len(scope.kinds or ()))  # slow rows of one recording show less
         self.points: tuple[Point, ...] = first.points
         self.belief = first.belief
         self.parameters = tuple(

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, LawScope, Parameter, Point
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.noise import Noise, estimate_noise
 
@@ -124,7 +124,7 @@ class SimpleTwin:
         self.states = tuple(model.states)
         self.state_scales = np.array(list(model.states.values()))
         self.hypotheses: Mapping[str, Hypothesis] = {h.name: h for h in model.hypotheses}
-        self.units = dict(model.units)
+        self.law_scope = LawScope(units=dict(model.units))
         self.conditions: Mapping[str, Array] = dict(self._inputs)
         self._points = {p.name: p for p in model.points}
         first_times = self.time_s[:1] if window_s is None else _edges(self.time_s, window_s)

@@ -19,7 +19,7 @@ from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.metric import Whitening
-from dieseltwin.discovery.twins.interface import Twin, single
+from dieseltwin.discovery.twins.interface import LawScope, Twin, single
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
@@ -56,7 +56,7 @@ def test_a_lag_is_found_where_a_sensor_may_lag() -> None:
     toy.measured[:, 1] = lagged(toy.measured[:, 1], toy.time_s, 0.8)
     at = _null(toy)
     assert sensor_law(cast(Twin, toy), at, ()) is None
-    toy.lagging_sensors = ("y",)  # type: ignore[attr-defined]
+    toy.law_scope = LawScope(lagging_sensors=("y",))  # type: ignore[attr-defined]
     law = sensor_law(cast(Twin, toy), at, ())
     assert law is not None and law.faults[0].kind == "lag"
     assert law.coefficient == pytest.approx(0.8, abs=0.1)
