@@ -35,10 +35,12 @@ def about_the_leader(found: Search) -> bool:
     """
     if belief_of(found.twin) is None:
         return False
+    renewed = False
     for renewal in range(_RENEWALS):
         _, kind, lead, _ = leading_kind(found)
         if kind == "single" or found.gain(lead) < BENDS:
-            return renewal > 0
+            break
+        renewed = True
         _renew(found, kind, lead)
         after = leading_kind(found)[2]
         same = after.candidate.names == lead.candidate.names
@@ -46,7 +48,10 @@ def about_the_leader(found: Search) -> bool:
             break
         if not same and renewal == _RENEWALS - 1:
             found.unsettled = [*found.unsettled, lead.candidate.names, after.candidate.names]
-    return True
+    if renewed:
+        found.structure = score_features(found.null, generic_features(found.twin, found.null.fit))
+        found.local = score_features(found.null, local_features(found.twin, found.null.fit))
+    return renewed
 
 
 def _alike(one: Fit, other: Fit, parameters: int) -> bool:
@@ -66,12 +71,9 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     if kind == "variant":  # where and when it acts was read off bent maps
         fresh.scanned = scan(fresh.null, fresh.scored, VARIANTS, found.settings.least_share)
         try_variants(fresh)
-    structure = score_features(fresh.null, generic_features(fresh.twin, fresh.null.fit))
-    local = score_features(fresh.null, local_features(fresh.twin, fresh.null.fit))
     found.twin, found.null, found.nuisances = fresh.twin, fresh.null, fresh.nuisances
     found.scored, found.chance = fresh.scored, fresh.chance
     found.singles, found.pairs, found.variants = fresh.singles, fresh.pairs, fresh.variants
-    found.structure, found.local = structure, local
 
 
 def _moved(fresh: Search, fits: Sequence[Fit], higher: float) -> list[Fit]:
