@@ -112,8 +112,7 @@ class Part:
         signals = _SMALL * basis_along(twin.variables(fit.lanes()))
         columns = np.zeros((x.size, *clean.shape))
         columns[HEALTH_AT] = differences[: len(twin.parameters)] * factor
-        responses = signal_responses(twin, fit.lanes(), clean, points, signals, linear=True)
-        columns[MAPS_AT] = responses * (factor / _SMALL)
+        columns[MAPS_AT] = signal_responses(twin, fit.lanes(), clean, points, signals) * (factor / _SMALL)
         for j, channel in enumerate(self.at):
             columns[GAINS_AT.start + channel, :, j] = clean[:, j]
             columns[OFFSETS_AT.start + channel, :, j] = 1.0

@@ -24,7 +24,8 @@ BENDS = 60.0
 
 _RENEWALS = 3
 _ROUNDS = 6
-_FITTED_ANEW = 3  # of each kind; the others keep their distance from the health-only fit
+_FITTED_ANEW = 3  # of each kind; the others keep their distance from the health-only fit, and so do those that gain
+_IN_REACH = 0.5  # less than this share of the leading one's gain
 _SETTLED = 1.0  # standard deviations of a size
 
 
@@ -63,9 +64,10 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     """Everything that was compared, in the metric of a health-only fit with the maps about one explanation."""
     fresh = prepared_about(found, lead)
     higher = fresh.null.fit.objective - found.null.fit.objective
-    fresh.singles = _by_objective(_moved(fresh, found.singles, higher))
-    fresh.pairs = _by_objective(_moved(fresh, found.pairs, higher))
-    moved = _moved(fresh, [fit for _, fit in found.variants], higher)
+    bar = found.null.fit.objective - _IN_REACH * found.gain(lead)
+    fresh.singles = _by_objective(_moved(fresh, found.singles, higher, bar))
+    fresh.pairs = _by_objective(_moved(fresh, found.pairs, higher, bar))
+    moved = _moved(fresh, [fit for _, fit in found.variants], higher, bar)
     timed = [(variant, fit) for (variant, _), fit in zip(found.variants, moved, strict=True)]
     fresh.variants = sorted(timed, key=lambda pair: pair[1].objective)
     if kind == "variant":  # where and when it acts was read off bent maps
@@ -76,11 +78,15 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     found.singles, found.pairs, found.variants = fresh.singles, fresh.pairs, fresh.variants
 
 
-def _moved(fresh: Search, fits: Sequence[Fit], higher: float) -> list[Fit]:
-    """Fits in the new metric, those that lead from where they were, the others as far above health alone as before."""
+def _moved(fresh: Search, fits: Sequence[Fit], higher: float, bar: float) -> list[Fit]:
+    """Fits in the new metric, those that lead from where they were, the others as far from health alone as before.
+
+    Args:
+        higher: objective of health alone in the new metric less that in the old; bar: of those fitted anew, in the old.
+    """
     return [
         fit_fully(fresh.twin, fresh.whitening, fit, rounds=_ROUNDS, frozen=fresh.null).fit
-        if k < _FITTED_ANEW else replace(fit, objective=fit.objective + higher)
+        if k < _FITTED_ANEW and fit.objective < bar else replace(fit, objective=fit.objective + higher)
         for k, fit in enumerate(fits)
     ]  # fmt: skip
 
