@@ -24,7 +24,7 @@ Simulate = Callable[[Lanes, np.ndarray, Array], Observations]
 
 def sooner(lanes: Lanes) -> bool:
     """Whether `near` takes fewer lanes than there are."""
-    return lanes.linear and lanes.size > 2 * (1 + _STATES + 2 * np.unique(lanes.lane_points).size)  # type: ignore[arg-type]
+    return lanes.linear and lanes.size > 2 * (1 + _STATES + 2 * np.unique(np.asarray(lanes.lane_points)).size)
 
 
 def near(lanes: Lanes, starts: np.ndarray, base: Observations, simulate: Simulate) -> Observations:
@@ -36,7 +36,7 @@ def near(lanes: Lanes, starts: np.ndarray, base: Observations, simulate: Simulat
         base: of a lane without a signal of its own.
         simulate: the engine.
     """
-    points, of_lane = np.unique(lanes.lane_points, return_inverse=True)  # type: ignore[arg-type]
+    points, of_lane = np.unique(np.asarray(lanes.lane_points), return_inverse=True)
     signals = np.asarray(lanes.lane_signals)
     sizes = np.array([np.abs(signals[of_lane == j]).max() for j in range(points.size)])
     sizes = np.where(sizes > 0.0, sizes, 1.0)
