@@ -55,7 +55,8 @@ EFFECT = READING + N_READ
 SIGNAL = EFFECT + N_EFFECTS  # value at the sample before
 SLOPE = SIGNAL + N_POINTS  # change until the sample after
 CORRECTION = SLOPE + N_POINTS  # relative, at `CORRECTED_POINTS`
-CONSTANT = CORRECTION + N_CORRECTED
+ARGUMENT = CORRECTION + N_CORRECTED  # of the corrections: u_egr, u_vgt, Pi_t, Pi_c, Psi_c
+CONSTANT = ARGUMENT + 5
 
 INERTIA = STATE_EFFECTS.index(GAS_LAG)
 GROWS = np.array(DRIFTS)
@@ -111,25 +112,27 @@ def load_point(work, k, lanes):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**_INLINED)
-def _table(tables, row, low, per_unit, x, y):  # type: ignore[no-untyped-def]
-    """Bilinear look-up, held beyond the edges."""
+def _look_up(work, tables, row, low, per_unit, at_x, at_y):  # type: ignore[no-untyped-def]
+    """Correction of one map, bilinear and held beyond the edges; its arguments are rows of `work`."""
     last = tables.shape[1] - 1
-    a = _limit((x - low[row, 0]) * per_unit[row, 0], 0.0, last)
-    b = _limit((y - low[row, 1]) * per_unit[row, 1], 0.0, last)
-    i = min(int(a), last - 1)
-    j = min(int(b), last - 1)
-    a -= i
-    b -= j
-    return (1.0 - a) * ((1.0 - b) * tables[row, i, j] + b * tables[row, i, j + 1]) + a * (
-        (1.0 - b) * tables[row, i + 1, j] + b * tables[row, i + 1, j + 1]
-    )
+    for k in range(LANES):
+        a = _limit((work[at_x * LANES + k] - low[row, 0]) * per_unit[row, 0], 0.0, last)
+        b = _limit((work[at_y * LANES + k] - low[row, 1]) * per_unit[row, 1], 0.0, last)
+        i = min(int(a), last - 1)
+        j = min(int(b), last - 1)
+        a -= i
+        b -= j
+        work[(CORRECTION + row) * LANES + k] = (1.0 - a) * (
+            (1.0 - b) * tables[row, i, j] + b * tables[row, i, j + 1]
+        ) + a * ((1.0 - b) * tables[row, i + 1, j] + b * tables[row, i + 1, j + 1])
 
 
 @numba.njit(**_OPTIONS)
 def correct_maps(work, fraction, tables, low, per_unit):  # type: ignore[no-untyped-def]
     """Corrections of the maps at the lanes' own arguments (`map_corrections.ARGUMENTS`); no tables, no corrections.
 
-    The compressor's flow among the arguments is that of the evaluation before; a filter's loss isn't.
+    The compressor's flow among the arguments is that of the evaluation before; a filter's loss isn't. The arguments
+    come first, in a loop by themselves: with look-ups in it, powers would be taken lane by lane.
     """
     if tables.shape[0] == 0:
         return
@@ -137,14 +140,18 @@ def correct_maps(work, fraction, tables, low, per_unit):  # type: ignore[no-unty
         c = load_constants(work, CONSTANT * LANES + k, LANES)
         m, s = load_magnitudes(work, k, LANES, fraction), load_signals(work, k, LANES, fraction)
         x = driven(load_point(work, k, LANES), m, s, c)
-        Pi_c, Pi_t = compressor_pressure_ratio(x.p_im, c), turbine_pressure_ratio(x.p_em, c)
-        Psi_c = energy_transfer_coefficient(c.T_amb, Pi_c, x.omega_t, c)
-        work[CORRECTION * LANES + k] = _table(tables, 0, low, per_unit, x.p_im, x.n_e)
-        work[(CORRECTION + 1) * LANES + k] = _table(tables, 1, low, per_unit, x.u_egr, 0.0)
-        work[(CORRECTION + 2) * LANES + k] = _table(tables, 2, low, per_unit, x.u_vgt, Pi_t)
-        work[(CORRECTION + 3) * LANES + k] = _table(tables, 3, low, per_unit, x.omega_t, Pi_t)
-        work[(CORRECTION + 4) * LANES + k] = _table(tables, 4, low, per_unit, work[W_C * LANES + k], Pi_c)
-        work[(CORRECTION + 5) * LANES + k] = _table(tables, 5, low, per_unit, Psi_c, x.omega_t)
+        Pi_c = compressor_pressure_ratio(x.p_im, c)
+        work[ARGUMENT * LANES + k] = x.u_egr
+        work[(ARGUMENT + 1) * LANES + k] = x.u_vgt
+        work[(ARGUMENT + 2) * LANES + k] = turbine_pressure_ratio(x.p_em, c)
+        work[(ARGUMENT + 3) * LANES + k] = Pi_c
+        work[(ARGUMENT + 4) * LANES + k] = energy_transfer_coefficient(c.T_amb, Pi_c, x.omega_t, c)
+    _look_up(work, tables, 0, low, per_unit, 0, INPUT)
+    _look_up(work, tables, 1, low, per_unit, ARGUMENT, INPUT)  # of one argument: alike along the other
+    _look_up(work, tables, 2, low, per_unit, ARGUMENT + 1, ARGUMENT + 2)
+    _look_up(work, tables, 3, low, per_unit, 2, ARGUMENT + 2)
+    _look_up(work, tables, 4, low, per_unit, W_C, ARGUMENT + 3)
+    _look_up(work, tables, 5, low, per_unit, ARGUMENT + 4, 2)
 
 
 def _evaluate(work, fraction):  # type: ignore[no-untyped-def]

@@ -166,7 +166,7 @@ def _responses(at: Linearisation, features: Sequence[Feature]) -> Array:
         points = [int(features[k].point) for k in inside]  # type: ignore[arg-type]
         steps = _STEP * np.array([twin.points[p].scale for p in points])
         signals = np.stack([features[k].signal for k in inside]) * steps[:, None]
-        responses[inside] = signal_responses(twin, at.fit.lanes(), at.simulated, points, signals)
+        responses[inside] = signal_responses(twin, at.fit.lanes(), at.simulated, points, signals, linear=True)
         responses[inside] /= steps[:, None, None]
     for k, feature in enumerate(features):
         if feature.channel is not None:

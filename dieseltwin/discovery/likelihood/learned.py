@@ -52,7 +52,8 @@ def belief_of(twin: Twin) -> Belief | None:
 def map_columns(twin: Twin, lanes: Lanes, simulated: Array) -> Array:
     """Responses (K, n, C) of the readings to every coefficient of the corrections, next to one lane."""
     points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps]
-    return signal_responses(twin, lanes, simulated, points, _SMALL * basis_along(twin.variables(lanes))) / _SMALL
+    signals = _SMALL * basis_along(twin.variables(lanes))
+    return signal_responses(twin, lanes, simulated, points, signals, linear=True) / _SMALL
 
 
 def learned_nuisances(

@@ -110,8 +110,13 @@ def sensor_nuisances(twin: Twin, simulated: Array, gains: Sequence[float], offse
     return found
 
 
-def signal_responses(twin: Twin, base: Lanes, simulated: Array, points: Sequence[int], signals: Array) -> Array:
-    """Responses of the readings to signals at points, (K, n, C), by simulation next to `base` (one lane)."""
+def signal_responses(
+    twin: Twin, base: Lanes, simulated: Array, points: Sequence[int], signals: Array, linear: bool = False
+) -> Array:
+    """Responses of the readings to signals at points, (K, n, C), by simulation next to `base` (one lane).
+
+    `linear`: the signals are so small that first order is enough, which some twins have sooner.
+    """
     check_time()
     count = len(points)
     if not count:
@@ -120,6 +125,7 @@ def signal_responses(twin: Twin, base: Lanes, simulated: Array, points: Sequence
         np.repeat(base.parameters, count, axis=0), np.repeat(base.local, count, axis=0),
         {name: np.repeat(value, count) for name, value in base.magnitudes.items()},
         base.schedules, base.signals, np.asarray(points, dtype=np.int64), np.ascontiguousarray(signals),
+        linear,
     )  # fmt: skip
     return twin.simulate(lanes) - simulated
 

@@ -261,8 +261,11 @@ def _pair_bar(found: Search, pair: Fit) -> float:
     return settings.second_gain if held else settings.hanging_second_gain
 
 
-def choose(found: Search, first: Linearisation) -> None:
-    """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs."""
+def choose(found: Search, first: Linearisation | None) -> None:
+    """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs.
+
+    `first`: the best single effect about itself, where that is known already.
+    """
     settings = found.settings
     best, kind, fit, variant = leading_kind(found)
     bar = best + settings.law_gain
@@ -270,7 +273,7 @@ def choose(found: Search, first: Linearisation) -> None:
         found.kind = "law"
         return
     found.kind, found.variant = kind, variant
-    found.best = first if kind == "single" else recentred(found, fit)
+    found.best = first if kind == "single" and first is not None else recentred(found, fit)
     # a confident lie is what nearly fits: look at what the explanation leaves
     kinds = generic_features(found.twin, found.best.fit), local_features(found.twin, found.best.fit)
     found.left = score_what_is_left(found.best, kinds[0], found.structure)

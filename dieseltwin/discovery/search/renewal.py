@@ -24,7 +24,8 @@ BENDS = 60.0
 
 _RENEWALS = 3
 _ROUNDS = 6
-_FITTED_ANEW = 3  # of each kind; the others keep their distance from the health-only fit
+_FITTED_ANEW = 3  # of each kind; the others keep their distance from the health-only fit, and so do those that gain
+_IN_REACH = 0.5  # less than this share of the leading one's gain
 _SETTLED = 1.0  # standard deviations of a size
 
 
@@ -35,10 +36,12 @@ def about_the_leader(found: Search) -> bool:
     """
     if belief_of(found.twin) is None:
         return False
+    renewed = False
     for renewal in range(_RENEWALS):
         _, kind, lead, _ = leading_kind(found)
         if kind == "single" or found.gain(lead) < BENDS:
-            return renewal > 0
+            break
+        renewed = True
         _renew(found, kind, lead)
         after = leading_kind(found)[2]
         same = after.candidate.names == lead.candidate.names
@@ -46,7 +49,10 @@ def about_the_leader(found: Search) -> bool:
             break
         if not same and renewal == _RENEWALS - 1:
             found.unsettled = [*found.unsettled, lead.candidate.names, after.candidate.names]
-    return True
+    if renewed:
+        found.structure = score_features(found.null, generic_features(found.twin, found.null.fit))
+        found.local = score_features(found.null, local_features(found.twin, found.null.fit))
+    return renewed
 
 
 def _alike(one: Fit, other: Fit, parameters: int) -> bool:
@@ -58,27 +64,29 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     """Everything that was compared, in the metric of a health-only fit with the maps about one explanation."""
     fresh = prepared_about(found, lead)
     higher = fresh.null.fit.objective - found.null.fit.objective
-    fresh.singles = _by_objective(_moved(fresh, found.singles, higher))
-    fresh.pairs = _by_objective(_moved(fresh, found.pairs, higher))
-    moved = _moved(fresh, [fit for _, fit in found.variants], higher)
+    bar = found.null.fit.objective - _IN_REACH * found.gain(lead)
+    fresh.singles = _by_objective(_moved(fresh, found.singles, higher, bar))
+    fresh.pairs = _by_objective(_moved(fresh, found.pairs, higher, bar))
+    moved = _moved(fresh, [fit for _, fit in found.variants], higher, bar)
     timed = [(variant, fit) for (variant, _), fit in zip(found.variants, moved, strict=True)]
     fresh.variants = sorted(timed, key=lambda pair: pair[1].objective)
     if kind == "variant":  # where and when it acts was read off bent maps
         fresh.scanned = scan(fresh.null, fresh.scored, VARIANTS, found.settings.least_share)
         try_variants(fresh)
-    structure = score_features(fresh.null, generic_features(fresh.twin, fresh.null.fit))
-    local = score_features(fresh.null, local_features(fresh.twin, fresh.null.fit))
     found.twin, found.null, found.nuisances = fresh.twin, fresh.null, fresh.nuisances
     found.scored, found.chance = fresh.scored, fresh.chance
     found.singles, found.pairs, found.variants = fresh.singles, fresh.pairs, fresh.variants
-    found.structure, found.local = structure, local
 
 
-def _moved(fresh: Search, fits: Sequence[Fit], higher: float) -> list[Fit]:
-    """Fits in the new metric, those that lead from where they were, the others as far above health alone as before."""
+def _moved(fresh: Search, fits: Sequence[Fit], higher: float, bar: float) -> list[Fit]:
+    """Fits in the new metric, those that lead from where they were, the others as far from health alone as before.
+
+    Args:
+        higher: objective of health alone in the new metric less that in the old; bar: of those fitted anew, in the old.
+    """
     return [
         fit_fully(fresh.twin, fresh.whitening, fit, rounds=_ROUNDS, frozen=fresh.null).fit
-        if k < _FITTED_ANEW else replace(fit, objective=fit.objective + higher)
+        if k < _FITTED_ANEW and fit.objective < bar else replace(fit, objective=fit.objective + higher)
         for k, fit in enumerate(fits)
     ]  # fmt: skip
 

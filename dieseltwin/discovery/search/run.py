@@ -138,7 +138,7 @@ def _explain(found: Search, laws: bool) -> None:
 
 def _choose_settled(found: Search, first: Linearisation) -> None:
     """The choice among all, with what was learned of the maps about the explanation that leads."""
-    choose(found, recentred(found, found.singles[0]) if about_the_leader(found) else first)
+    choose(found, None if about_the_leader(found) else first)
 
 
 def _lead(found: Search) -> Fit:

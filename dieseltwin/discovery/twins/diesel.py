@@ -11,15 +11,23 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.twins.diesel_between import covariance_between_rows
-from dieseltwin.discovery.twins.diesel_lanes import Memory, known_terms, lane_actuations, moving, signals_of_lane
+from dieseltwin.discovery.twins.diesel_lanes import (
+    Memory,
+    extension_of,
+    known_terms,
+    lane_actuations,
+    moving,
+    signals_of_lane,
+)
 from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, LAW_SCOPE, POINT_FACTS, hypotheses_of
+from dieseltwin.discovery.twins.diesel_responses import near, sooner
 from dieseltwin.discovery.twins.diesel_steps import LATE, step_lengths, stiffness
 from dieseltwin.discovery.twins.diesel_variables import variables_along
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined, lane_of
 from dieseltwin.discovery.twins.windows import smoothed_at, speed_span, windows_of, without_gaps
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, Actuation, EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
-from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS
+from dieseltwin.engine.effects import EFFECTS, GAS_LAG
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.fixed_point import settled
 from dieseltwin.engine.inputs import INPUT_COLUMNS
@@ -266,7 +274,12 @@ class EngineTwin:
         return replace(lanes, signals=joined(lanes.signals, self._law_signals))
 
     def _simulate_signals(self, lanes: Lanes) -> tuple[Array, Observations]:
-        result = self._memory.trajectories(lanes, self._integrate)
+        if sooner(lanes) and not np.any(self.combined(lanes)[0].get(GAS_LAG, 0.0)):  # a lag goes on over restarts
+            alone = replace(lane_of(lanes, 0), lane_points=None, lane_signals=None, linear=False)
+            base = self._memory.trajectories(alone, self._integrate)
+            result = near(lanes, self.starts, base, lambda some, at, x: self._integrate(some, restarts=(at, x)))
+        else:
+            result = self._memory.trajectories(lanes, self._integrate)
         return self._shown(result, lanes), result
 
     def _shown(self, result: Observations, lanes: Lanes) -> Array:
@@ -303,29 +316,17 @@ class EngineTwin:
         return other
 
     def _integrate(self, lanes: Lanes, constants: Mapping[str, Array] | None = None,
-                   drive: list[Actuation] | None = None) -> Observations:  # fmt: skip
-        size, n = lanes.size, self.time_s.size
+                   drive: list[Actuation] | None = None,
+                   restarts: tuple[np.ndarray, Array] | None = None) -> Observations:  # fmt: skip
         columns: dict[str, Any] = {p.name: lanes.parameters[:, j] for j, p in enumerate(self.parameters)}
         batch = parameter_batch(self.engine, **columns, **dict[str, Any](constants or {}))
-        magnitudes = np.zeros((len(STATE_EFFECTS), size))
         combined, schedules = self.combined(lanes)
-        own = any(values.ndim > 1 for values in schedules.values())  # a schedule per lane
-        schedule = np.ones((size if own else 1, len(STATE_EFFECTS), n))
-        for j, name in enumerate(STATE_EFFECTS):
-            if name in combined:
-                magnitudes[j] = combined[name]
-                schedule[:, j] = schedules.get(name, 1.0)
-        signals = None
-        if lanes.signals:
-            signals = np.zeros((len(POINTS), n))
-            for name, values in lanes.signals.items():
-                signals[POINTS.index(name)] = values
-        drive = drive or self._actuations(combined, schedules)
-        extension = Extension(
-            magnitudes, None, signals, lanes.lane_points, lanes.lane_signals, self.starts, None,
-            schedule, np.arange(size) if own else np.zeros(size, dtype=np.int64), self.corrections,
-        )  # fmt: skip
-        return simulate_extended(drive or self._plain[0], batch, extension, self.initial(lanes.local), late=self._late)
+        drive = drive or self._actuations(combined, schedules) or [self._plain[0]]
+        starts, initial = (self.starts, self.initial(lanes.local)) if restarts is None else restarts
+        extension = replace(
+            extension_of(lanes, combined, schedules, self.time_s.size), restarts=starts, corrections=self.corrections
+        )
+        return simulate_extended(drive if len(drive) > 1 else drive[0], batch, extension, initial, late=self._late)
 
     def driven(self, lanes: Lanes, actuations: list[Actuation], constants: Mapping[str, Array] | None = None) -> Array:
         """Readings (B, n, C) of lanes that have actuators of their own, and constants of the engine (B,)."""

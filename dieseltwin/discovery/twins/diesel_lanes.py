@@ -15,8 +15,10 @@ import numpy as np
 from dieseltwin.discovery.twins.interface import Array, Lanes, Point, some_lanes
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine.actuation import actuate_lanes
-from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS
+from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
+from dieseltwin.engine.extended import Extension
 from dieseltwin.engine.inputs import Actuation
+from dieseltwin.engine.quantities import POINTS
 from dieseltwin.engine.simulate import Observations
 from dieseltwin.engine.terms import SENSOR_SLOTS, AnyTerm, Term, effect_terms
 
@@ -62,6 +64,33 @@ def lane_actuations(
         acts = any(values[0] != 0.0 for values in one.values())
         found += actuate_lanes(inputs, engine, one, 1, factors, step_s) if acts else plain[:1]
     return found
+
+
+def extension_of(lanes: Lanes, combined: Mapping[str, Array], schedules: Mapping[str, Array], n: int) -> Extension:
+    """What enters the equations in every lane, over n samples.
+
+    Args:
+        lanes: give the signals.
+        combined: effect -> (B,) magnitudes, those of the engine's own terms included.
+        schedules: effect -> (n,) or (B, n) factor of its magnitude.
+    """
+    own = any(values.ndim > 1 for values in schedules.values())  # a schedule per lane
+    magnitudes = np.zeros((len(STATE_EFFECTS), lanes.size))
+    schedule = np.ones((lanes.size if own else 1, len(STATE_EFFECTS), n))
+    for j, name in enumerate(STATE_EFFECTS):
+        if name in combined:
+            magnitudes[j] = combined[name]
+            schedule[:, j] = schedules.get(name, 1.0)
+    signals = None
+    if lanes.signals:
+        signals = np.zeros((len(POINTS), n))
+        for name, values in lanes.signals.items():
+            signals[POINTS.index(name)] = values
+    of_lane = np.arange(lanes.size) if own else np.zeros(lanes.size, dtype=np.int64)
+    return Extension(
+        magnitudes, None, signals, lanes.lane_points, lanes.lane_signals,
+        schedules=schedule, schedule_of_lane=of_lane,
+    )  # fmt: skip
 
 
 def known_terms(

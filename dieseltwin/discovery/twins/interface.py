@@ -128,6 +128,7 @@ class Lanes:
         signals: point name -> (n,) signal shared by all lanes.
         lane_points: (B,) index into `Twin.points` of the point that `lane_signals` enters, -1 for none.
         lane_signals: (B, n) one further signal per lane.
+        linear: the lanes differ by `lane_signals` alone, so small that a twin may take them to first order.
     """
 
     parameters: Array
@@ -137,6 +138,7 @@ class Lanes:
     signals: Mapping[str, Array] = field(default_factory=dict)
     lane_points: NDArray[np.int64] | None = None
     lane_signals: Array | None = None
+    linear: bool = False
 
     @property
     def size(self) -> int:

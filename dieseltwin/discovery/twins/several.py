@@ -175,6 +175,7 @@ class SeveralTwin:
             {name: values[rows] for name, values in lanes.signals.items()},
             lanes.lane_points,
             None if lanes.lane_signals is None else np.ascontiguousarray(lanes.lane_signals[:, rows]),
+            lanes.linear,
         )
 
     def _joined(self, lanes: Lanes, answer: Callable[[EngineTwin, Lanes], Array]) -> Array:
