@@ -13,6 +13,18 @@ from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]
 
+# Seconds on two busy cores (`pytest --durations=0`): what is long begins first, what isn't here is done in the end.
+LONG = {
+    "end_to_end/test_diesel.py": 85, "app/test_browser.py": 72, "end_to_end/test_points.py": 53,
+    "engine/test_new_column.py": 51, "end_to_end/test_rigs.py": 42, "api/test_api_discover.py": 42, "test_core.py": 38,
+    "challenge/test_points_tier.py": 30, "engine/test_new_effect.py": 28, "surrogates/test_empirical.py": 22,
+    "petrol/test_petrol_discover.py": 22, "api/test_api_together.py": 21, "cli/test_learn_command.py": 20,
+    "cli/test_bad_input.py": 20, "report/test_html.py": 17, "discovery/search/test_circumstances.py": 17,
+    "engine/test_equations.py": 16, "petrol/test_petrol_commands.py": 16, "api/test_front_door.py": 15,
+    "cli/test_app.py": 14, "flows/test_tracking.py": 13, "discovery/twins/test_diesel_between.py": 12,
+    "rigs/test_rig_page.py": 12, "examples/test_scripts.py": 11, "app/test_pages.py": 11,
+}  # fmt: skip
+
 # Repeatable: a red run must be red again. No deadlines: two shared cores.
 settings.register_profile(
     "repeatable", derandomize=True, deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
@@ -24,6 +36,18 @@ settings.load_profile("repeatable")
 def project_root() -> Path:
     """The checkout that holds pyproject.toml and params.yaml."""
     return ROOT
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first, so that no process waits for another one's at the end; a file's tests stay together, and so do
+    all files that need Prefect's server and the chain's results, which are made once a process (`--dist loadgroup`)."""
+    files = {item: item.path.relative_to(ROOT / "tests").as_posix() for item in items}
+    served = {files[item] for item in items if "prefect" in getattr(item, "fixturenames", ())}
+    for item, file in files.items():
+        item.add_marker(pytest.mark.xdist_group("served" if file in served else file))
+    rank = {file: -seconds for file, seconds in LONG.items()}
+    items.sort(key=lambda item: (files[item] not in served, rank.get(files[item], 0.0)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
