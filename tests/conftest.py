@@ -1,4 +1,4 @@
-"""What every test module shares: one thread, repeatable Hypothesis, the number of skips in the closing lines."""
+"""What every test module shares: one thread, repeatable Hypothesis, long files first, the number of skips at the end."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def project_root() -> Path:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files first, so that no process waits for another one's at the end; a file's tests stay together, and so do
     all files that need Prefect's server and the chain's results, which are made once a process (`--dist loadgroup`)."""
-    files = {item: item.path.relative_to(ROOT / "tests").as_posix() for item in items}
+    files = {item: Path(os.path.relpath(item.path, ROOT / "tests")).as_posix() for item in items}
     served = {files[item] for item in items if "prefect" in getattr(item, "fixturenames", ())}
     for item, file in files.items():
         item.add_marker(pytest.mark.xdist_group("served" if file in served else file))
