@@ -1,4 +1,4 @@
-"""What every test module shares: one thread, repeatable Hypothesis, long files first, the number of skips at the end."""
+"""What all test modules share: one thread, repeatable Hypothesis, long files first, and how many tests were skipped."""
 
 from __future__ import annotations
 
