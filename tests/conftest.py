@@ -1,4 +1,4 @@
-"""What every test module shares: one thread, repeatable Hypothesis, the number of skips in the closing lines."""
+"""What all test modules share: one thread, repeatable Hypothesis, long files first, and how many tests were skipped."""
 
 from __future__ import annotations
 
@@ -17,6 +17,18 @@ if TYPE_CHECKING:
     from dieseltwin.report.style import ReportFigure
 
 ROOT = Path(__file__).resolve().parents[1]
+
+# Seconds on two busy cores (`pytest --durations=0`): what is long begins first, what isn't here is done in the end.
+LONG = {
+    "end_to_end/test_diesel.py": 85, "app/test_browser.py": 72, "end_to_end/test_points.py": 53,
+    "engine/test_new_column.py": 51, "end_to_end/test_rigs.py": 42, "api/test_api_discover.py": 42, "test_core.py": 38,
+    "challenge/test_points_tier.py": 30, "engine/test_new_effect.py": 28, "surrogates/test_empirical.py": 22,
+    "petrol/test_petrol_discover.py": 22, "api/test_api_together.py": 21, "cli/test_learn_command.py": 20,
+    "cli/test_bad_input.py": 20, "paper/comparison/test_html.py": 17, "discovery/search/test_circumstances.py": 17,
+    "engine/test_equations.py": 16, "petrol/test_petrol_commands.py": 16, "api/test_front_door.py": 15,
+    "cli/test_app.py": 14, "flows/test_tracking.py": 13, "discovery/twins/test_diesel_between.py": 12,
+    "rigs/test_rig_page.py": 12, "examples/test_scripts.py": 11, "app/test_pages.py": 11,
+}  # fmt: skip
 
 # Repeatable: a red run must be red again. No deadlines: two shared cores.
 settings.register_profile(
@@ -53,6 +65,18 @@ def figures(results: Results) -> dict[str, ReportFigure]:
     from dieseltwin.paper.comparison.page import sections
 
     return {figure.name: figure for section in sections(results) for figure in section.figures}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first, so that no process waits for another one's at the end; a file's tests stay together, and so do
+    all files that need Prefect's server and the chain's results, which are made once a process (`--dist loadgroup`)."""
+    files = {item: Path(os.path.relpath(item.path, ROOT / "tests")).as_posix() for item in items}
+    served = {files[item] for item in items if "prefect" in getattr(item, "fixturenames", ())}
+    for item, file in files.items():
+        item.add_marker(pytest.mark.xdist_group("served" if file in served else file))
+    rank = {file: -seconds for file, seconds in LONG.items()}
+    items.sort(key=lambda item: (files[item] not in served, rank.get(files[item], 0.0)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine, rig_of
-from dieseltwin.api.figures import drawn
+from dieseltwin.api.identified_words import misfits, text_table
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result
 from dieseltwin.api.rigs import RigIdentified, identify_rig
@@ -29,10 +30,8 @@ from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
-from dieseltwin.report import timeseries, violins
+from dieseltwin.report.beside import begin_beside, ready_beside
 from dieseltwin.report.discovery_words import circumstance_words
-from dieseltwin.report.identification import identification_figures
-from dieseltwin.report.inputs import results_of
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.sealed import sealed_json
 from dieseltwin.sensors import relative_noise
@@ -48,9 +47,7 @@ if TYPE_CHECKING:
 SEGMENT_RANGE_S = (10.0, 3600.0)
 MOST_RUNS = 10_000
 MOST_ROWS = 1_500_000  # 42 hours at 10 Hz; the bands of the states take a kilobyte a row
-MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
 MISFIT_CODES = ("misfit", "residuals")  # of `fit_notes`: they stand before the numbers
-MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
 # another method in the same folder must not leave its own behind
 OPTIONAL_RESULTS = ("curves.parquet", "report.html", "report.pdf", "figures")
 
@@ -123,6 +120,10 @@ class Identified(Result):
 
     def plot(self, name: str | None = None) -> Figure:
         """`parameters` (estimates of every segment), `states`, `flows` or `empirical` over time."""
+        from dieseltwin.api.figures import drawn
+        from dieseltwin.report import timeseries, violins  # loads matplotlib
+        from dieseltwin.report.inputs import results_of
+
         drawings = {"parameters": violins.violins, "states": timeseries.states, "flows": timeseries.flows,
                     "empirical": timeseries.empirical}
         return drawn(results_of(self.found, self.problems), drawings, name)
@@ -130,6 +131,8 @@ class Identified(Result):
     def save(self, out: str | Path) -> Path:
         """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
+            name = self.provenance.get("recording", "")
+            drawn_beside = begin_beside(_write_page, self.found, self.problems, folder, name)
             write_json(folder / "identification.json",
                        sealed_json({**self.found.to_json(), "warnings": self.warnings}))
             runtime = {**self.found.runtime(), **self.provenance, "notes": list(self.notes)}
@@ -138,8 +141,7 @@ class Identified(Result):
             curves = curves_table(self.found)
             if curves is not None:
                 curves.to_parquet(folder / "curves.parquet", index=False, write_page_checksum=True)
-            name = self.provenance.get("recording", "")
-            identification_figures(self.found, self.problems, folder / "figures", folder / "report.html", name)
+            drawn_beside()
         return Path(out)
 
     @property
@@ -156,6 +158,19 @@ class Identified(Result):
         document = self.found.to_json()
         first = self._misfits
         return [*first, *text_table(document), *(n for n in self.notes if n not in first), *misfits(document)]
+
+
+def _load_page() -> None:
+    import dieseltwin.report.identification  # noqa: F401
+    from dieseltwin.report import style
+
+    style.load()
+
+
+def _write_page(found: Identification, problems: Sequence[SegmentProblem], folder: Path, recording: str) -> None:
+    from dieseltwin.report.identification import identification_figures  # loads matplotlib
+
+    identification_figures(found, problems, folder / "figures", folder / "report.html", recording)
 
 
 @dataclass(frozen=True)
@@ -185,6 +200,10 @@ class IdentificationQuestion:
     sensors: tuple[str, ...] | None
     tested: tuple[EngineParameters, tuple[str, ...]] | None
     recording_name: str = ""
+
+    def getting_ready(self) -> AbstractContextManager[None]:
+        """While it lasts, a second process has the drawing library at hand for `save`."""
+        return ready_beside(_load_page)
 
     def answer(self) -> Identified:
         """Test whether the twin fits the recording, under the circumstances that it shows; identify every segment."""
@@ -356,40 +375,3 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[Note]:
     return read + [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
                         f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
                    for name, count in counts.items()]
-
-
-def misfits(document: Mapping[str, Any]) -> list[Note]:
-    """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
-    everything = [s for run in document["runs"] for s in run["segments"]]
-    by_segment = list(zip(*([s["converged"] for s in run["segments"]] for run in document["runs"]), strict=True))
-    stuck, lost = sum(not any(ends) for ends in by_segment), sum(not s["converged"] for s in everything)
-    notes: list[Note] = []
-    if stuck or lost > MOSTLY_STUCK * len(everything):
-        notes = [Note(f"{lost} of {len(everything)} fits did not converge (`converged` in identification.json), in "
-                      f"{stuck} of {len(by_segment)} segments none; such a segment is left out of the pooled values",
-                      "not_converged")]  # fmt: skip
-    values = [s["chi2_per_sample"] for s in everything]
-    known = [value for value in values if value is not None]
-    if not known or float(np.median(known)) <= MISFIT:
-        return notes
-    size = float(np.sqrt(np.median(known)))
-    return [*notes, Note(f"the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine "
-            "file or the model is off, or the method has not converged; the intervals are too narrow", "misfit")]
-
-
-def text_table(document: Mapping[str, Any]) -> list[str]:
-    """The pooled estimates as lines of text: value, standard deviation, 90 % interval, bound, segments used."""
-    segments = document["segments"]
-    head = f"{'parameter':<10} {'estimate':>12} {'std':>10} {'90 % interval':>27} {'bound':>10}  unit       segments"
-    lines = [f"{document['method']}, {len(document['runs'])} runs, {len(segments)} segments", head]
-    for name, entry in document["parameters"].items():
-        used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in segments)
-        if entry["mean"] is None:
-            lines.append(f"{name:<10} not identifiable here (drive with more EGR, load or time)")
-            continue
-        low, high = entry["interval_90"] or (float("nan"), float("nan"))
-        interval = f"{low:.5g} to {high:.5g}"
-        bound = "-" if entry["bound"] is None else f"{entry['bound']:.3g}"
-        lines.append(f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {bound:>10}  "
-                     f"{entry['unit']:<9}  {used} of {len(segments)}")
-    return lines

@@ -91,9 +91,10 @@ def identify_command(
     if pdf:
         check_printable()
     check_folder(out)  # a place that cannot be written to is better known before the work
-    progress(f"{recording}: {len(question.problems)} segments, {question.runs} runs each, {method} ...")
-    found = question.answer()
-    found.save(out)
+    with question.getting_ready():
+        progress(f"{recording}: {len(question.problems)} segments, {question.runs} runs each, {method} ...")
+        found = question.answer()
+        found.save(out)
     if pdf:
         print_report(out)
     say([*found.lines(), f"results: {out}"])

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
-from scipy.signal import lfilter
 
 from dieseltwin.settings.params import EcuConfig
 
@@ -60,6 +59,8 @@ def positions(
     Args:
         n_e_rpm, u_delta_mg: (n,) engine speed [rpm] and fuel [mg/cycle] over time, `step_s` apart.
     """
+    from scipy.signal import lfilter  # takes half a second to load, and who only reads recordings drives nothing
+
     points = np.column_stack(
         [np.clip(n_e_rpm, _SPEED_RPM[0], _SPEED_RPM[-1]), np.clip(u_delta_mg, _FUEL_MG[0], _FUEL_MG[-1])]
     )

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
 
 from dieseltwin.duty_cycles.schedules import Demand, full_load_torque
 from dieseltwin.settings.params import RandomDrivingConfig
@@ -105,6 +104,8 @@ def slow_dither(n: int, step_s: float, config: RandomDrivingConfig, rng: np.rand
     A first-order autoregressive process filtered once more, so that it has no corners; its standard deviation is drawn
     in `position_dither_pct` (in % of the position: an absolute one would open a valve that idle wants nearly shut).
     """
+    from scipy.signal import lfilter  # takes half a second to load, and who only reads recordings drives nothing
+
     sd = rng.uniform(*config.position_dither_pct) / 100.0
     keep = np.exp(-step_s / config.dither_time_s)
     warm = int(np.ceil(5.0 * config.dither_time_s / step_s))

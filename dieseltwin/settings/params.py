@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -295,6 +296,16 @@ def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) 
         InputError: unreadable file, unknown profile, unknown or missing key, value out of range.
     """
     path = default_params_path() if path is None else Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError:
+        content = b""  # reading it once more says what is wrong
+    return _validated(path, content, profile)
+
+
+@lru_cache(maxsize=8)
+def _validated(path: Path, content: bytes, profile: str) -> Params:
+    """The settings of a file that holds these bytes: a command asks for them several times."""
     common, overrides = read_profile(path, profile)
     validate(Params, {**common, "profile": profile}, str(path))
     settings = overridden(common, overrides, f"{path}: profiles.{profile}")

@@ -1,4 +1,4 @@
-"""One Prefect server for all tests of the session, one toy library, temporary workspaces."""
+"""One Prefect server and one run of the chain for all tests of the session, one toy library, temporary workspaces."""
 
 from __future__ import annotations
 
@@ -17,6 +17,13 @@ from tasks.run_context import RunContext
 from tasks.workspace import PROJECT, Workspace, quiet_settings
 
 FAKES = Path(__file__).parent / "fakes"
+
+
+@pytest.fixture(autouse=True)
+def no_context_left() -> Iterator[None]:
+    """The run context of a test isn't the next one's."""
+    yield
+    run_context.use(None)
 
 
 @pytest.fixture
@@ -65,6 +72,18 @@ def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
     os.environ.clear()
     os.environ.update(saved)
+
+
+@pytest.fixture(scope="session")
+def chain(tmp_path_factory: pytest.TempPathFactory, prefect: None) -> tuple[Path, set[str]]:
+    """A workspace in which the chain ran once, and the steps that ran."""
+    from flows.run import run
+
+    root = tmp_path_factory.mktemp("chain")
+    tiny_settings.write_params(root)
+    context = tiny_settings.new_context(root)
+    run("tiny")
+    return root, set(context.timings)
 
 
 @pytest.fixture

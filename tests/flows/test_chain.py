@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,10 +21,11 @@ import psutil
 import pytest
 import tiny_settings
 import yaml
+from tiny_settings import new_context
 
 from dieseltwin import engine
 from flows.identify import COMPARED
-from tasks import discover, identify, pretrain, prove, report, run_context, simulate
+from tasks import discover, identify, pretrain, prove, report, simulate
 from tasks.progress import Display
 from tasks.run_context import RunContext, Step
 from tasks.store import content_hash
@@ -43,30 +43,9 @@ STAGES: dict[str, tuple[Step, ...]] = {
 }
 
 
-def new_context(root: Path) -> RunContext:
-    display = Display(root / ".cache" / "expected_seconds.json")
-    display.console.quiet = True
-    made = RunContext(Workspace(root), display)
-    run_context.use(made)
-    return made
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory, prefect: None) -> Iterator[tuple[Path, set[str]]]:
-    """A workspace in which the chain ran once, and the steps that ran."""
-    from flows.run import run
-
-    root = tmp_path_factory.mktemp("chain")
-    tiny_settings.write_params(root)
-    context = new_context(root)
-    run("tiny")
-    yield root, set(context.timings)
-    run_context.use(None)
-
-
 @pytest.mark.flow
-def test_the_chain_ends_with_results_report_and_records(finished: tuple[Path, set[str]]) -> None:
-    root, ran = finished
+def test_the_chain_ends_with_results_report_and_records(chain: tuple[Path, set[str]]) -> None:
+    root, ran = chain
     assert {"driving-sets", "recordings", "maps-improved", "operators", "bodies-paper", "identify-few-shot-adam"} <= ran
     metrics = json.loads((root / "results" / "metrics.json").read_text())
     assert set(metrics) == {"classical", "few-shot-newton", "few-shot-adam"}
@@ -91,11 +70,11 @@ def test_the_chain_ends_with_results_report_and_records(finished: tuple[Path, se
 
 
 @pytest.mark.flow
-def test_a_second_run_computes_nothing_and_changes_nothing(finished: tuple[Path, set[str]]) -> None:
+def test_a_second_run_computes_nothing_and_changes_nothing(chain: tuple[Path, set[str]]) -> None:
     from flows.run import run
     from tasks.tracking import Tracker
 
-    root, _ = finished
+    root, _ = chain
     client = Tracker(Workspace(root)).client
     experiments = [experiment.experiment_id for experiment in client.search_experiments()]
     before = {name: content_hash(root / name) for name in ("data", "models", "results", "reports")}
@@ -109,7 +88,7 @@ def test_a_second_run_computes_nothing_and_changes_nothing(finished: tuple[Path,
 
 @pytest.mark.flow
 def test_trained_networks_become_a_version_and_stay_in_use_against_worse_ones(
-    finished: tuple[Path, set[str]], tmp_path: Path
+    chain: tuple[Path, set[str]], tmp_path: Path
 ) -> None:
     from dieseltwin.surrogates.empirical import EmpiricalMaps
     from flows.promote import promote
@@ -117,7 +96,7 @@ def test_trained_networks_become_a_version_and_stay_in_use_against_worse_ones(
     from tasks.tracking import Tracker
 
     for name in ("data", "models", ".cache"):
-        shutil.copytree(finished[0] / name, tmp_path / name)
+        shutil.copytree(chain[0] / name, tmp_path / name)
     tiny_settings.write_params(tmp_path)
     registry = Registry(Tracker(Workspace(tmp_path)))
     new_context(tmp_path)
@@ -184,11 +163,11 @@ def the_champion_answers(folder: Path) -> None:
 
 
 @pytest.mark.flow
-def test_published_folders_are_made_again_from_the_cache(finished: tuple[Path, set[str]]) -> None:
+def test_published_folders_are_made_again_from_the_cache(chain: tuple[Path, set[str]]) -> None:
     """DVC deletes a stage's outs before it runs the stage; and somebody may spoil a file."""
     from flows.simulate import simulate as simulate_flow
 
-    root, _ = finished
+    root, _ = chain
     before = content_hash(root / "data")
     shutil.rmtree(root / "data" / "lab")
     (root / "data" / "sets" / "set_i.parquet").write_bytes(b"spoilt")
@@ -199,11 +178,11 @@ def test_published_folders_are_made_again_from_the_cache(finished: tuple[Path, s
 
 
 @pytest.mark.flow
-def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(finished: tuple[Path, set[str]], tmp_path: Path) -> None:
+def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(chain: tuple[Path, set[str]], tmp_path: Path) -> None:
     """Killed while two bodies are trained, with its own server; what is whole is kept, the rest is made again."""
     from flows.pretrain import pretrain as pretrain_flow
 
-    root = finished[0]
+    root = chain[0]
     undisturbed = content_hash(root / "models")
     for name in ("data", ".cache"):
         shutil.copytree(root / name, tmp_path / name)

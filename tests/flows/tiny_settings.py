@@ -1,4 +1,4 @@
-"""params.yaml with a profile ``tiny``: the same chain in seconds; its numbers mean nothing."""
+"""params.yaml with a profile ``tiny``: the same chain in seconds; its numbers mean nothing. Run contexts for it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from pathlib import Path
 
 import yaml
 
-from tasks.workspace import PROJECT
+from tasks import run_context
+from tasks.progress import Display
+from tasks.run_context import RunContext
+from tasks.workspace import PROJECT, Workspace
 
 TINY = {
     "driving": {
@@ -18,7 +21,7 @@ TINY = {
     },
     "pretrain": {
         "maps": {
-            "paper": {"steps": 30, "batch": 64},
+            "paper": {"steps": 30, "batch": 64, "finish_steps": 15, "finish_cells": 400},
             "improved": {"cells": 200, "starts": 2, "members": 2, "steps": 4, "refine_steps": 2, "rounds": 1},
         },
         "operators": {"egr": {"updates": 120, "batch": 64}, "vgt": {"updates": 120, "batch": 64}},
@@ -46,3 +49,12 @@ def write_params(root: Path) -> Path:
     path = root / "params.yaml"
     path.write_text(yaml.safe_dump(settings, sort_keys=False), encoding="utf-8")
     return path
+
+
+def new_context(root: Path) -> RunContext:
+    """What a new process would begin with, in use."""
+    display = Display(root / ".cache" / "expected_seconds.json")
+    display.console.quiet = True
+    made = RunContext(Workspace(root), display)
+    run_context.use(made)
+    return made

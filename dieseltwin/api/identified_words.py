@@ -1,0 +1,50 @@
+"""What an identification says in lines: its table, and warnings of fits that miss the readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dieseltwin.notes import Note
+
+MISFIT = 2.0  # chi-square a sample from which the noise or the model is clearly not what was assumed
+MOSTLY_STUCK = 0.5  # share of fits without convergence that is worth a warning: single starts are lost now and then
+
+
+def misfits(document: Mapping[str, Any]) -> list[Note]:
+    """A warning when the fit leaves more than the noise explains: the intervals do not hold then."""
+    everything = [s for run in document["runs"] for s in run["segments"]]
+    by_segment = list(zip(*([s["converged"] for s in run["segments"]] for run in document["runs"]), strict=True))
+    stuck, lost = sum(not any(ends) for ends in by_segment), sum(not s["converged"] for s in everything)
+    notes: list[Note] = []
+    if stuck or lost > MOSTLY_STUCK * len(everything):
+        notes = [Note(f"{lost} of {len(everything)} fits did not converge (`converged` in identification.json), in "
+                      f"{stuck} of {len(by_segment)} segments none; such a segment is left out of the pooled values",
+                      "not_converged")]  # fmt: skip
+    values = [s["chi2_per_sample"] for s in everything]
+    known = [value for value in values if value is not None]
+    if not known or float(np.median(known)) <= MISFIT:
+        return notes
+    size = float(np.sqrt(np.median(known)))
+    return [*notes, Note(f"the fit leaves {size:.2g} times the noise assumed in params.yaml: a sensor, the engine "
+            "file or the model is off, or the method has not converged; the intervals are too narrow", "misfit")]
+
+
+def text_table(document: Mapping[str, Any]) -> list[str]:
+    """The pooled estimates as lines of text: value, standard deviation, 90 % interval, bound, segments used."""
+    segments = document["segments"]
+    head = f"{'parameter':<10} {'estimate':>12} {'std':>10} {'90 % interval':>27} {'bound':>10}  unit       segments"
+    lines = [f"{document['method']}, {len(document['runs'])} runs, {len(segments)} segments", head]
+    for name, entry in document["parameters"].items():
+        used = sum(bool(segment["parameters"][name]["identifiable"]) for segment in segments)
+        if entry["mean"] is None:
+            lines.append(f"{name:<10} not identifiable here (drive with more EGR, load or time)")
+            continue
+        low, high = entry["interval_90"] or (float("nan"), float("nan"))
+        interval = f"{low:.5g} to {high:.5g}"
+        bound = "-" if entry["bound"] is None else f"{entry['bound']:.3g}"
+        lines.append(f"{name:<10} {entry['mean']:>12.6g} {entry['std']:>10.3g} {interval:>27} {bound:>10}  "
+                     f"{entry['unit']:<9}  {used} of {len(segments)}")
+    return lines
