@@ -24,7 +24,7 @@ LONG = {
     "engine/test_new_column.py": 51, "end_to_end/test_rigs.py": 42, "api/test_api_discover.py": 42, "test_core.py": 38,
     "challenge/test_points_tier.py": 30, "engine/test_new_effect.py": 28, "surrogates/test_empirical.py": 22,
     "petrol/test_petrol_discover.py": 22, "api/test_api_together.py": 21, "cli/test_learn_command.py": 20,
-    "cli/test_bad_input.py": 20, "paper/comparison/test_html.py": 17, "discovery/search/test_circumstances.py": 17,
+    "cli/test_bad_input.py": 20, "paper/comparison/test_page.py": 17, "discovery/search/test_circumstances.py": 17,
     "engine/test_equations.py": 16, "petrol/test_petrol_commands.py": 16, "api/test_front_door.py": 15,
     "cli/test_app.py": 14, "flows/test_tracking.py": 13, "discovery/twins/test_diesel_between.py": 12,
     "rigs/test_rig_page.py": 12, "examples/test_scripts.py": 11, "app/test_pages.py": 11,
