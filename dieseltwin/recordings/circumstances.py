@@ -104,22 +104,33 @@ def put_right(
         engine: as it was given.
         values: name -> value; drifts are not applied.
     """
-    time, columns = recording.time_s, dict(recording.columns)
+    columns = dict(recording.columns)
     for name, value in values.items():
         kind, _, column = name.rpartition(":")
         if kind == SCALE:
             columns[column] = columns[column] * value
         elif kind == TIME_SHIFT and value != 0.0 and column in columns:
-            columns[column] = (_earlier if column in INPUTS else _earlier_rows)(time, columns[column], value)
+            if column in INPUTS:
+                columns[column] = _earlier(recording, columns[column], value)
+            else:
+                columns[column] = _earlier_rows(recording.time_s, columns[column], value)
     p_amb, t_amb = float(values.get("p_amb_pa", recording.p_amb_pa)), float(values.get("t_amb_k", recording.t_amb_k))
     if "t_im_k" in values:
         engine = engine.replace(T_im=float(values["t_im_k"]))
     return replace(recording, columns=columns, p_amb_pa=p_amb, t_amb_k=t_amb), engine
 
 
-def _earlier(time: np.ndarray, values: np.ndarray, shift_s: float) -> np.ndarray:
-    """A channel that is recorded late, put right: linear between its rows, (n,)."""
-    return np.interp(time + shift_s, time, values)
+def _earlier(recording: Recording, values: np.ndarray, shift_s: float) -> np.ndarray:
+    """An input that is recorded late, put right: linear between its rows, (n,).
+
+    Each stretch of running engine by itself, so that the same rows count as running, whatever the shift.
+    """
+    out = np.array(values, dtype=np.float64)
+    for piece in recording.pieces():
+        time, known = recording.time_s[piece], np.isfinite(values[piece])
+        moved = np.interp(time + shift_s, time[known], values[piece][known])
+        out[piece] = np.where(known, moved, np.nan)
+    return out
 
 
 def _earlier_rows(time: np.ndarray, values: np.ndarray, shift_s: float) -> np.ndarray:

@@ -242,7 +242,7 @@ def recording(
         raise InputError(where, f"{time.size} rows", "at least 2 rows", "record longer")
     if time.size > MOST_ROWS:
         raise InputError(where, f"{time.size} rows", f"at most {MOST_ROWS}", "cut it, or average it down to 10 Hz")
-    _check_time(time, where, any_rate)
+    check_time(time, where, any_rate)
     _check_running(columns["n_e_rpm"], where)
     infinite = [f"{count} infinite values of {name} count as missing" for name in needed if name in frame
                 and (count := _infinite(frame[name]))]  # fmt: skip
@@ -282,7 +282,12 @@ def _held_unread(columns: dict[str, np.ndarray]) -> list[str]:
     return notes
 
 
-def _check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
+def check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
+    """Refuse time stamps that are missing, don't rise, or span too long; and, unless any will do, a wrong rate.
+
+    Raises:
+        InputError: which row, and what to do.
+    """
     if not np.isfinite(time).all():
         row = int(np.flatnonzero(~np.isfinite(time))[0])
         raise InputError(f"{where}: column {TIME}, data row {row + 1}", "no number", "a time in s in every row",

@@ -21,6 +21,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
 from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.plausibility import check_plausible
+from dieseltwin.recordings.reader import check_time
 from dieseltwin.settings.strict import listed
 
 STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em_k")
@@ -195,11 +196,12 @@ def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") ->
         columns: our column names -> (n,), with `time_s`.
 
     Raises:
-        InputError: no such window.
+        InputError: times that don't rise, no such window.
     """
     numbers = {k: np.asarray(v, dtype=np.float64) for k, v in columns.items()
                if np.issubdtype(np.asarray(v).dtype, np.number)}
     time = numbers[TIME]
+    check_time(time, where, any_rate=True)
     edges = np.arange(time[0], time[-1] - WINDOW_S + 1e-9, WINDOW_S)
     means: list[dict[str, float]] = []
     for start in edges:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -39,6 +41,14 @@ def test_clocks_are_put_right(source: Recording) -> None:
     assert np.isnan(right.columns["p_em_pa"][-2:]).all()  # nobody read them
     np.testing.assert_allclose(right.columns["u_delta_mg"], 102.0)
     assert np.isfinite(source.columns["p_em_pa"]).all()
+
+
+def test_a_clock_does_not_move_where_the_engine_runs(source: Recording) -> None:
+    speed = source.columns["n_e_rpm"].copy()
+    speed[[50, 51, 120]] = 100.0  # three readings say that it stood
+    stood = replace(source, columns={**source.columns, "n_e_rpm": speed})
+    right, _ = put_right(stood, we2011.PARAMETERS, {"time_shift:n_e_rpm": 0.3, "time_shift:u_delta_mg": -0.5})
+    assert right.pieces() == stood.pieces() and len(right.pieces()) == 3
 
 
 def test_the_ambient_is_the_one_that_is_known(source: Recording) -> None:
