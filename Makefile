@@ -89,7 +89,7 @@ promote: $(READY)  ## the registry's champion, from models/
 	@$(BIN)/python -m flows.promote --profile $(PROFILE)
 
 test: $(READY)  ## all tests on two processes
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup --no-loadscope-reorder -q
+	@$(BIN)/python -m pytest -n 2 --no-loadscope-reorder -q
 
 check: $(READY)  ## style, types, directions, hygiene
 	@$(BIN)/python -m ruff check --quiet --output-format concise .

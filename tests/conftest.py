@@ -11,12 +11,14 @@ for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.scheduler import LoadScopeScheduling
 
 if TYPE_CHECKING:
     from dieseltwin.report.results import Results
     from dieseltwin.report.style import ReportFigure
 
 ROOT = Path(__file__).resolve().parents[1]
+TOGETHER = "tests/flows/"
 
 # Seconds on two busy cores (`pytest --durations=0`): what is long begins first, what isn't here is done in the end.
 LONG = {
@@ -67,16 +69,26 @@ def figures(results: Results) -> dict[str, ReportFigure]:
     return {figure.name: figure for section in sections(results) for figure in section.figures}
 
 
-@pytest.hookimpl(tryfirst=True)
+class ByFile(LoadScopeScheduling):  # type: ignore[misc]
+    """A process takes whole files, and one process all files of the flows, which share Prefect's server and the chain.
+
+    (xdist's own groups, `--dist loadgroup`, are written into an identifier that pytest 9.2 doesn't read any more.)
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        return TOGETHER if nodeid.startswith(TOGETHER) else nodeid.partition("::")[0]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
+    return ByFile(config, log)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first, so that no process waits for another one's at the end; a file's tests stay together, and so do
-    all files that need Prefect's server and the chain's results, which are made once a process (`--dist loadgroup`)."""
-    files = {item: Path(os.path.relpath(item.path, ROOT / "tests")).as_posix() for item in items}
-    served = {files[item] for item in items if "prefect" in getattr(item, "fixturenames", ())}
-    for item, file in files.items():
-        item.add_marker(pytest.mark.xdist_group("served" if file in served else file))
-    rank = {file: -seconds for file, seconds in LONG.items()}
-    items.sort(key=lambda item: (files[item] not in served, rank.get(files[item], 0.0)))
+    """Long files first, so that no process waits for another one's at the end."""
+    files = {item: Path(os.path.relpath(item.path, ROOT)).as_posix() for item in items}
+    rank = {f"tests/{file}": -seconds for file, seconds in LONG.items()}
+    items.sort(key=lambda item: (not files[item].startswith(TOGETHER), rank.get(files[item], 0.0)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
