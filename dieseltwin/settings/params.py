@@ -24,6 +24,7 @@ from pydantic import (
 )
 
 from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable
 from dieseltwin.settings.discovery import DiscoverConfig, LearnConfig, PromotionConfig, ProofConfig
 from dieseltwin.settings.evaluation import EvaluationConfig
 from dieseltwin.settings.maps import MapsConfig, Widths
@@ -296,6 +297,7 @@ def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) 
         InputError: unreadable file, unknown profile, unknown or missing key, value out of range.
     """
     path = default_params_path() if path is None else Path(path)
+    refuse_unreadable(path, "a YAML file")
     try:
         content = path.read_bytes()
     except OSError:

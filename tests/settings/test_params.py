@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,12 @@ def test_no_such_file_and_binary_file(tmp_path: Path) -> None:
     assert "no such file" in refusal(tmp_path / "none.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     assert "UTF-8" in refusal(tmp_path / "binary.yaml")
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "params.yaml")
+    with pytest.raises(InputError):
+        load_params(tmp_path / "params.yaml")
 
 
 def test_unknown_profile(project_root: Path) -> None:
