@@ -22,6 +22,8 @@ from tasks.failures import end_with_parent
 from tasks.workspace import PROJECT, Workspace
 
 _START_TIMEOUT_S = 180.0
+# After Ctrl-C: a server that is just starting takes seconds to end by itself, and its database bears being killed.
+_STOP_INTERRUPTED_S = 0.5
 _STOP_TIMEOUT_S = 5.0
 
 # Nothing is scheduled on a server that lives for one run.
@@ -61,17 +63,21 @@ def prefect_server(workspace: Workspace, *, scheduled: bool = False) -> Iterator
             start_new_session=True,
         )
     address = f"http://127.0.0.1:{port}/api"
+    patience_s = _STOP_TIMEOUT_S
     try:
         os.environ["PREFECT_API_URL"] = address
         _wait_until_up(server, address, log)
         _reread_settings()
         yield address
+    except (KeyboardInterrupt, ServerFailed):
+        patience_s = _STOP_INTERRUPTED_S
+        raise
     finally:
         os.environ.pop("PREFECT_API_URL", None)
         _reread_settings()
         server.terminate()
         try:
-            server.wait(timeout=_STOP_TIMEOUT_S)
+            server.wait(timeout=patience_s)
         except subprocess.TimeoutExpired:
             server.kill()
             server.wait()

@@ -30,6 +30,7 @@ from dieseltwin.settings.names import refuse_options
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+MOST_ROWS = 1_500_000  # 42 hours at 10 Hz; every quantity and the oxygen's finer steps take two kilobytes a row
 STATE_COLUMNS = ("p_im_pa", "p_em_pa", "omega_t_rad_s")
 
 
@@ -108,6 +109,9 @@ def simulate(
         raise InputError("inputs", "a petrol engine's recording", "inputs of a diesel engine", "name a petrol engine")
     parameters = with_effects(machine, effects)
     source = diesel_recording(inputs, channels, parameters, sensors=(), any_rate=True)
+    if len(source.time_s) > MOST_ROWS:
+        raise InputError(str(source.path or "inputs"), f"{len(source.time_s)} rows", f"at most {MOST_ROWS}",
+                         "cut it, or average it down to 10 Hz")
     parameters = parameters.replace(T_amb=source.t_amb_k, p_amb=source.p_amb_pa)
     frame = simulate_inputs(_inputs(source), parameters, initial=_initial(source, parameters))
     if not np.isfinite(frame.to_numpy(dtype=np.float64)).all():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,7 @@ __all__ = [
 
 SETTLE_S = 120.0  # s of constant input until the slowest state (turbo speed, some seconds) rests
 SETTLE_START = (1.2e5, 1.3e5, 3000.0)  # Pa, Pa, rad/s: light load, inside the basin of every steady point
+_BLOCK = 100_000  # steps of the oxygen's flows at a time
 _LAW_ROUNDS = 4  # of coming to rest: laws are linear between the two rows, so they rest where the rows agree
 _DRIVER_COLUMNS = ("x_oim", "x_oem", "lambda", "egr_fraction", "torque_nm")
 
@@ -211,12 +212,28 @@ def _oxygen(fine: Actuation, states: np.ndarray, parameters: EngineParameters) -
         fine: with samples at the integration steps; states: there, (n, 5 or 6).
         parameters: of the engine.
     """
+    flows = [np.empty(fine.time_s.shape) for _ in range(8)]
+    for rows, values in _oxygen_flows(fine, states, parameters):
+        for flow, value in zip(flows, values, strict=True):
+            flow[rows] = value
+    intake, exhaust = follow_oxygen(fine.time_s, *flows, parameter_batch(parameters).values[:, 0].copy())
+    return intake[fine.row_starts], exhaust[fine.row_starts]
+
+
+def _oxygen_flows(
+    fine: Actuation, states: np.ndarray, parameters: EngineParameters
+) -> Iterator[tuple[slice, tuple[np.ndarray, ...]]]:
+    """Rows, and there p_im, p_em [Pa], T_em [K], W_c, W_egr, W_ei, W_f, W_eo [kg/s].
+
+    In blocks where no term remembers: each of the some fifty quantities at every step of a day is memory by gigabytes.
+    """
     c = constants(parameters)
     if parameters.terms:
         q, _ = along(states, fine, parameters.terms, c)
-    else:
-        q = numpy_model().quantities(*states.T, *fine.at_samples(), c)
-    wanted = (states[:, 0], states[:, 1], q.T_em, q.W_c, q.W_egr, q.W_ei, q.W_f, q.W_eo)
-    flows = [np.ascontiguousarray(np.broadcast_to(value, fine.time_s.shape)) for value in wanted]
-    intake, exhaust = follow_oxygen(fine.time_s, *flows, parameter_batch(parameters).values[:, 0].copy())
-    return intake[fine.row_starts], exhaust[fine.row_starts]
+        yield slice(None), (states[:, 0], states[:, 1], q.T_em, q.W_c, q.W_egr, q.W_ei, q.W_f, q.W_eo)
+        return
+    inputs = fine.at_samples()
+    for begin in range(0, len(states), _BLOCK):
+        rows = slice(begin, begin + _BLOCK)
+        q = numpy_model().quantities(*states[rows].T, *(value[rows] for value in inputs), c)
+        yield rows, (states[rows, 0], states[rows, 1], q.T_em, q.W_c, q.W_egr, q.W_ei, q.W_f, q.W_eo)

@@ -150,3 +150,11 @@ def test_what_can_not_be_simulated_is_one_line(trace: pd.DataFrame) -> None:
     assert "1 missing values of u_egr_pct are bridged" in note
     with pytest.raises(InputError, match="plot"):
         dt.simulate(trace).plot("nothing")
+
+
+def test_more_rows_than_memory_bears_are_refused_before_the_simulation(
+    trace: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dieseltwin.api.simulation.MOST_ROWS", len(trace) - 1)
+    with pytest.raises(InputError, match="average it down to 10 Hz"):
+        dt.simulate(trace)
