@@ -14,7 +14,7 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from contextlib import suppress
 from pathlib import Path
 
@@ -29,6 +29,10 @@ from benchmarks.bad_inputs.run import Outcome, run_case
 
 class BadEnd(Exception):
     """A case that ended in neither an answer nor a proper refusal: command, ending of the file, content, outcome."""
+
+    def __init__(self, command: str, ending: str, content: Content, outcome: Outcome) -> None:
+        super().__init__(command, ending, content, outcome)
+        self.kind = outcome.traceback or f"{command}: {', '.join(outcome.faults)}"
 
 
 class TimeIsUp(KeyboardInterrupt):
@@ -158,8 +162,13 @@ def check(content: Content, ending: str, command: str, folder: Path) -> Outcome:
         shutil.rmtree(place, ignore_errors=True)
 
 
-def fuzz(seconds: float, seed: int, commands: tuple[str, ...] = tuple(COMMANDS), most: int = 10**6) -> Counter[str]:
+def fuzz(
+    seconds: float, seed: int, commands: tuple[str, ...] = tuple(COMMANDS), most: int = 10**6,
+    known: Container[str] = (), counts: Counter[str] | None = None,
+) -> Counter[str]:  # fmt: skip
     """Fuzz until the time is up; counts of how cases ended.
+
+    `known`: bad ends that were found before and stop it no more, as `BadEnd.kind` names them; `counts`: to go on with.
 
     Raises:
         BadEnd: a case that is no proper end, the smallest that was found.
@@ -168,7 +177,7 @@ def fuzz(seconds: float, seed: int, commands: tuple[str, ...] = tuple(COMMANDS),
     good_files(folder)
     for name, rows in SHORT.items():
         (folder / name).write_text("\n".join((folder / name).read_text().splitlines()[: rows + 1]) + "\n")
-    seen: Counter[str] = Counter()
+    seen = Counter() if counts is None else counts
     until = time.monotonic() + seconds
 
     @seeded(seed)
@@ -180,8 +189,8 @@ def fuzz(seconds: float, seed: int, commands: tuple[str, ...] = tuple(COMMANDS),
             raise TimeIsUp
         outcome = check(content, ending, command, folder)
         seen[f"{command}: exit {outcome.code}"] += 1
-        if fault_of(outcome):
-            raise BadEnd(command, ending, content[:500], outcome)
+        if fault_of(outcome) and (met := BadEnd(command, ending, content[:500], outcome)).kind not in known:
+            raise met
 
     try:
         with suppress(TimeIsUp):
@@ -198,10 +207,21 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cases", type=int, default=20_000, help="at most")
     arguments = parser.parse_args()
-    found = fuzz(60.0 * arguments.minutes, arguments.seed, most=arguments.cases)
+    found: Counter[str] = Counter()
+    bad: dict[str, BadEnd] = {}
+    until, seed = time.monotonic() + 60.0 * arguments.minutes, arguments.seed
+    while (left := until - time.monotonic()) > 0 and found.total() < arguments.cases:
+        try:
+            fuzz(left, seed, most=arguments.cases - found.total(), known=bad, counts=found)
+        except BadEnd as met:
+            bad[met.kind] = met
+            print(met, flush=True)
+        seed += 1
     for name in sorted(found):
         print(f"{found[name]:>6}  {name}")
-    print(f"{sum(found.values()):>6}  in all")
+    print(f"{found.total():>6}  in all, {len(bad)} kinds of bad ends")
+    if bad:
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

@@ -94,7 +94,9 @@ def read_profile(path: Path, profile: str) -> tuple[dict[str, Any], Mapping[str,
     """
     common = read_mapping(path)
     profiles = common.pop("profiles", {}) or {}
-    if not isinstance(profiles, Mapping) or profile not in profiles:
+    if not isinstance(profiles, Mapping):
+        raise InputError(f"{path}: profiles", f"a {type(profiles).__name__}", "a mapping", "mend it")
+    if profile not in profiles:
         raise unknown_name(f"{path}: profiles", profile, list(profiles))
     overrides = profiles[profile] or {}
     if not isinstance(overrides, Mapping):

@@ -79,6 +79,12 @@ def test_unknown_key_in_a_profile_names_the_profile(tmp_path: Path, text: str) -
     assert "profiles.paper" in message and "did you mean seed?" in message
 
 
+def test_profiles_that_are_no_mapping(tmp_path: Path) -> None:
+    path = tmp_path / "params.yaml"
+    path.write_text("profiles: 1.0\n", encoding="utf-8")
+    assert "got a float; allowed: a mapping" in refusal(path)
+
+
 def test_missing_key(tmp_path: Path, text: str) -> None:
     assert "identify.segment_s" in refusal(changed(tmp_path, text, "  segment_s: 60.0", "  # segment_s: 60.0"))
 
