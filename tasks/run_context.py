@@ -9,7 +9,8 @@ A step's key is the hash of
 
 Results lie in ``.cache/<step>/<key>/`` (:mod:`tasks.store`); Prefect's own cache holds the path and the hash alone,
 under the same key, and is believed only after the files were hashed again (:mod:`tasks.prefect_task`). Steps run in
-processes of their own (:mod:`tasks.worker`), so that two heavy ones use two cores; those never need Prefect.
+processes of their own (:mod:`tasks.worker`, forked by :mod:`tasks.fork_server`), so that two heavy ones use two cores;
+those never need Prefect.
 """
 
 from __future__ import annotations
@@ -18,16 +19,18 @@ import hashlib
 import importlib
 import json
 import os
-import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from tasks.failures import StepFailed, WorkerKilled
+from tasks.fork_server import HEAVY, ForkedProcess, ForkServer
 from tasks.progress import Display
 from tasks.sources import LIBRARY, LibrarySources, Sources, function_sources
 from tasks.store import RUNTIME, Artifact, Store
@@ -56,8 +59,10 @@ TIMING = f"step/{RUNTIME}"
 
 STEPS: dict[str, Step] = {}
 
-_workers: set[subprocess.Popen[str]] = set()
+_workers: set[ForkedProcess] = set()
 _stopping = False
+_asking = threading.Lock()
+_server: tuple[str, ForkServer] | None = None
 
 
 @dataclass(frozen=True)
@@ -275,6 +280,8 @@ def stop_workers() -> None:
     """Kill the workers of this process (Ctrl-C); the threads that wait for them remove their temporary folders."""
     global _stopping
     _stopping = True
+    if _server is not None:
+        _server[1].kill()
     for worker in tuple(_workers):
         worker.kill()
 
@@ -292,31 +299,23 @@ def _run_worker(
     inputs: Mapping[str, Artifact],
     parameters: Mapping[str, Any],
 ) -> float:
-    """Run the step's function in a process. Returns the CPU seconds it took, its imports included."""
-    specification = {
-        "step": step.reference,
-        "inputs": {name: str(artifact.path) for name, artifact in inputs.items()},
-        "parameters": dict(parameters),
-        "out": str(out),
-    }
+    """Run the step's function in a process. Returns the CPU seconds it took."""
     logs = context.workspace.cache / "logs"
     logs.mkdir(parents=True, exist_ok=True)
     log = logs / f"{step.instance(parameters)}-{key[:8]}.log"
     paths = [str(context.library_root), str(PROJECT), *(path for path in sys.path if path)]
     environment = {**os.environ, **_ONE_THREAD, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
-    with (
-        log.open("w", encoding="utf-8") as stream,
-        subprocess.Popen(
-            [sys.executable, "-m", "tasks.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=stream,
-            text=True,
-            env=environment,
-            # Ctrl-C goes to the parent alone, which ends the worker by closing its stdin.
-            start_new_session=True,
-        ) as worker,
-    ):
+    specification = {
+        "step": step.reference,
+        "inputs": {name: str(artifact.path) for name, artifact in inputs.items()},
+        "parameters": dict(parameters),
+        "out": str(out),
+        "folder": os.getcwd(),
+        "environment": environment,
+    }
+    imported = step.code(context).packages
+    libraries = [library for library in HEAVY if library.partition(".")[0] in imported]
+    with log.open("w", encoding="utf-8") as stream, _forked(environment, libraries, stream) as worker:
         _workers.add(worker)
         try:
             last = _talk(worker, specification, step.instance(parameters), context)
@@ -330,15 +329,26 @@ def _run_worker(
     return float(last["cpu_s"])
 
 
+def _forked(environment: Mapping[str, str], libraries: Sequence[str], log: TextIO) -> ForkedProcess:
+    """A worker of the server at hand; of another one where it is to find its modules elsewhere."""
+    global _server
+    path = environment["PYTHONPATH"]
+    with _asking:
+        if _server is None or _server[0] != path or not _server[1].runs:
+            if _server is not None:
+                _server[1].close()
+            _server = path, ForkServer(environment)
+        return _server[1].start(libraries, log)
+
+
 def _talk(
-    worker: subprocess.Popen[str], specification: Mapping[str, Any], name: str, context: RunContext
+    worker: ForkedProcess, specification: Mapping[str, Any], name: str, context: RunContext
 ) -> dict[str, Any]:
     """Send the specification, pass progress on. Returns the worker's last message: its error or its CPU seconds."""
     last: dict[str, Any] = {}
-    if worker.stdin is None or worker.stdout is None:
-        raise StepFailed(f"{name}: no pipe to the worker")
-    worker.stdin.write(json.dumps(specification) + "\n")
-    worker.stdin.flush()
+    with suppress(BrokenPipeError):  # it was killed: its status says so
+        worker.stdin.write(json.dumps(specification) + "\n")
+        worker.stdin.flush()
     for line in worker.stdout:
         message = json.loads(line)
         if "fraction" in message:

@@ -1,4 +1,4 @@
-"""Runs one step's function in a process of its own: ``python -m tasks.worker``, the specification as JSON on stdin.
+"""Runs one step's function in a process that :mod:`tasks.fork_server` forked, the specification as JSON on stdin.
 
 Why a process: two trainings use two cores without sharing an interpreter lock, every step starts from the same state
 (one thread of linear algebra, fresh seeds), and Prefect needn't be imported beside torch. Progress goes back as JSON
@@ -30,6 +30,9 @@ def main() -> int:
     os.dup2(2, 1)
     specification: dict[str, Any] = json.loads(sys.stdin.readline())
     end_with_parent(1)
+    os.environ.clear()
+    os.environ.update(specification["environment"])
+    os.chdir(specification["folder"])
     try:
         function = find_step(specification["step"]).function
         inputs = {name: Path(path) for name, path in specification["inputs"].items()}
@@ -60,7 +63,3 @@ def _reporter(channel: TextIO) -> Callable[[float, float], None]:
 
 def _send(channel: TextIO, message: dict[str, Any]) -> None:
     print(json.dumps(message), file=channel)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -196,10 +196,12 @@ def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") ->
         columns: our column names -> (n,), with `time_s`.
 
     Raises:
-        InputError: times that don't rise, no such window.
+        InputError: times that aren't numbers or don't rise, no such window.
     """
     numbers = {k: np.asarray(v, dtype=np.float64) for k, v in columns.items()
                if np.issubdtype(np.asarray(v).dtype, np.number)}
+    if TIME not in numbers:
+        raise InputError(f"{where}: column {TIME}", "text", "seconds as numbers", "mend the column")
     time = numbers[TIME]
     check_time(time, where, any_rate=True)
     edges = np.arange(time[0], time[-1] - WINDOW_S + 1e-9, WINDOW_S)

@@ -64,3 +64,5 @@ def test_restless_recording_is_refused() -> None:
         quasi_steady({"time_s": time, **wide})
     with pytest.raises(InputError, match="strictly increasing"):
         quasi_steady({**wide, "time_s": time[::-1] * 1e18})
+    with pytest.raises(InputError, match="got text; allowed: seconds"):
+        quasi_steady({**wide, "time_s": time.astype(str)})
