@@ -18,7 +18,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import TextIO
@@ -76,11 +76,12 @@ class ForkedProcess:
 class ForkServer:
     """The server as its parent sees it; it ends with its parent, after the processes that it forked."""
 
-    def __init__(self, environment: Mapping[str, str]) -> None:
+    def __init__(self, module: str, environment: Mapping[str, str]) -> None:
+        """``module``: what it runs: `serve` with the function of its children, the descriptor as its argument."""
         here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with there:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "tasks.fork_server", str(there.fileno())],
+                [sys.executable, "-m", module, str(there.fileno())],
                 env=dict(environment),
                 pass_fds=(there.fileno(),),
                 stdin=subprocess.DEVNULL,
@@ -95,7 +96,7 @@ class ForkServer:
         return self._process.poll() is None
 
     def start(self, libraries: Sequence[str], log: TextIO) -> ForkedProcess:
-        """Fork a process that runs `tasks.worker`, with those of `HEAVY` loaded. ``log`` is its standard error."""
+        """Fork a process that has loaded those libraries. ``log`` is its standard error."""
         in_read, in_write = os.pipe()
         out_read, out_write = os.pipe()
         status_read, status_write = os.pipe()
@@ -122,8 +123,8 @@ class ForkServer:
         self._process.wait()
 
 
-def _serve(descriptor: int) -> int | None:
-    """Fork when asked until the parent is gone and every child has ended. In a child: returns the status of its end."""
+def serve(descriptor: int, function: Callable[[], int]) -> int | None:
+    """Fork when asked until the parent is gone and every child has ended. In a child: what ``function`` returns."""
     asked = socket.socket(fileno=descriptor)
     woken, wake = os.pipe()
     for end in (woken, wake):
@@ -154,7 +155,8 @@ def _serve(descriptor: int) -> int | None:
                 for end in (woken, wake, *children.values()):
                     os.close(end)
                 asked.close()
-                return _child(given)
+                _become(given)
+                return function()
             for end in given[:3]:
                 os.close(end)
             children[pid] = given[3]
@@ -175,17 +177,10 @@ def _say(descriptor: int, number: int) -> None:
         os.write(descriptor, f"{number}\n".encode())
 
 
-def _child(given: Sequence[int]) -> int:
-    """Become the step's process: a session of its own, its own standard streams."""
+def _become(given: Sequence[int]) -> None:
+    """The step's process has a session and standard streams of its own."""
     os.setsid()
     for descriptor, stream in zip(given[:3], range(3), strict=True):
         os.dup2(descriptor, stream)
     for descriptor in given:
         os.close(descriptor)
-    from tasks.worker import main
-
-    return main()
-
-
-if __name__ == "__main__":
-    sys.exit(_serve(int(sys.argv[1])))

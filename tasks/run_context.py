@@ -337,7 +337,7 @@ def _forked(environment: Mapping[str, str], libraries: Sequence[str], log: TextI
         if _server is None or _server[0] != path or not _server[1].runs:
             if _server is not None:
                 _server[1].close()
-            _server = path, ForkServer(environment)
+            _server = path, ForkServer("tasks.worker", environment)
         return _server[1].start(libraries, log)
 
 

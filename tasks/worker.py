@@ -1,4 +1,4 @@
-"""Runs one step's function in a process that :mod:`tasks.fork_server` forked, the specification as JSON on stdin.
+"""Runs one step's function in a process that :mod:`tasks.fork_server` forks, the specification as JSON on stdin.
 
 Why a process: two trainings use two cores without sharing an interpreter lock, every step starts from the same state
 (one thread of linear algebra, fresh seeds), and Prefect needn't be imported beside torch. Progress goes back as JSON
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from tasks.failures import end_with_parent
+from tasks.fork_server import serve
 from tasks.run_context import find_step
 
 # A progress message at most this often [s]: a callback in an inner loop must not cost.
@@ -63,3 +64,7 @@ def _reporter(channel: TextIO) -> Callable[[float, float], None]:
 
 def _send(channel: TextIO, message: dict[str, Any]) -> None:
     print(json.dumps(message), file=channel)
+
+
+if __name__ == "__main__":
+    sys.exit(serve(int(sys.argv[1]), main))
