@@ -46,8 +46,8 @@ def write(folder: Path) -> None:
     ten_hours.to_csv(folder / "ten_hours.csv", index=False)
     driving(5_000_000, 0.1).to_csv(folder / "five_million.csv", index=False, float_format="%.9g")
     (folder / "many").mkdir()
-    part = ten_hours.iloc[:600]
     for number in range(MANY):
+        part = ten_hours.iloc[179 * number : 179 * number + 600]
         day = f"2026-{1 + number // 84:02d}-{1 + number // 3 % 28:02d}"
         part.to_csv(folder / "many" / f"{day}_{number:04d}.csv", index=False)
 

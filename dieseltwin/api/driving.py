@@ -34,7 +34,7 @@ from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
-from dieseltwin.recordings.liveliest import liveliest
+from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.report.beside import begin_beside, ready_beside
@@ -250,7 +250,7 @@ def ask_driving(
     parameters = diesel_engine(engine) if learned is None else learned.engine
     wholes = [_checked(recording, parameters) for recording in recordings]
     most = question.settings.minutes_max
-    sources = [whole if most is None else liveliest(whole, most) for whole in wholes]
+    sources = [whole if most is None else liveliest(whole, minutes_of(whole, len(wholes), most)) for whole in wholes]
     days = in_time_order(sources) if len(sources) > 1 else ()
     notes: list[Note] = [*doubts, *_date_notes(days)]
     sensors = []

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
+from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
 
 STRETCH_S = 120.0
 """Length of a stretch [s]: ten windows of discovery, of which the first seconds of one are lost to the actuators."""
 
+_MOST_ROWS_TIMES_RECORDINGS = 400_000  # in one verdict: 25 recordings of two minutes at 5 Hz take 8 GB
 _PLACES = 8  # a share of the recording is searched for its liveliest stretch at so many places
 _WORTH_IT = 1.25  # times the minutes wanted: less isn't cut
 
@@ -54,3 +57,21 @@ def liveliest(recording: Recording, minutes: float) -> Recording:
         if best is not None:
             kept[best[1]] = True
     return replace(recording, time_s=time[kept], columns={name: v[kept] for name, v in recording.columns.items()})
+
+
+def minutes_of(recording: Recording, count: int, most: float) -> float:
+    """Minutes of one of several recordings [min] that memory bears: each has unknowns of its own at all rows of all.
+
+    Raises:
+        InputError: so many recordings that less than a stretch of each would be left.
+    """
+    if count == 1:
+        return most
+    step_s = float(np.median(np.diff(recording.time_s)))
+    minutes = _MOST_ROWS_TIMES_RECORDINGS * step_s / 60.0 / count**2
+    if minutes < STRETCH_S / 60.0:
+        fitting = math.isqrt(int(_MOST_ROWS_TIMES_RECORDINGS * step_s / STRETCH_S))
+        raise InputError("recordings", f"{count} recordings in one verdict",
+                         f"{fitting} at most with readings every {step_s:.2g} s",
+                         "judge them in parts, or keep them in a history (`dieseltwin watch`)")  # fmt: skip
+    return min(most, minutes)

@@ -59,6 +59,15 @@ def test_what_cannot_be_judged_together_is_refused(year: list[Path]):
         dt.discover([])
 
 
+def test_so_many_recordings_that_memory_runs_out_are_refused_before_they_are_judged(tmp_path: Path):
+    """Each has unknowns of its own at the rows of all: memory grows with the square of their number."""
+    files = [tmp_path / f"2026-01-{day:02d}.csv" for day in range(1, 29)]
+    for day, file in enumerate(files):
+        drive(66.0, we2011.PARAMETERS, seed=day).to_csv(file, index=False)
+    with pytest.raises(InputError, match="got 28 recordings in one verdict; allowed: 25 at most"):
+        dt.discover(files)
+
+
 def test_a_history_grows_once_by_each_recording_in_any_order(year: list[Path], mine: Path, tmp_path: Path):
     bad = tmp_path / "2026-10-01.csv"
     bad.write_text("time_s,n_e_rpm\n0,1000\n")
