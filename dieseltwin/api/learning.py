@@ -18,13 +18,13 @@ from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Source, diesel_recording
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
-from dieseltwin.discovery.verdict.checks import check_recording
+from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
-from dieseltwin.learning.files import LearnedEngine, learned_engine_of, save_learned
+from dieseltwin.learning.files import LearnedEngine, distinct, learned_engine_of, save_learned
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
@@ -151,6 +151,7 @@ def _learn_diesel(
         source = diesel_recording(item, channels, base, sensors=())
         notes += [f"{source.path or 'recording'}: {note}" for note in check_recording(source, base, None)[1]]
         sources.append(source)
+    check_rows(*distinct([*sources, *(before.recordings if before is not None else ())]))
     settings = default_learn()
     size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
     own = {item.sha256 for item in (*sources, *(before.recordings if before is not None else ()))}

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import dieseltwin as dt
 from dieseltwin.engine import we2011
+from dieseltwin.errors import InputError
 from tests.api.simulated import drive
 
 
@@ -18,3 +21,10 @@ def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
     assert len(found.plot().axes) == 1
     file = found.save(tmp_path / "mine.yaml")
     assert dt.engine(file) == found.engine
+
+
+def test_recordings_that_are_together_more_than_memory_bears_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dieseltwin.discovery.verdict.checks.MOST_ROWS", 900)
+    parts = [drive(120.0, we2011.PARAMETERS, seed=seed) for seed in (1, 2)]
+    with pytest.raises(InputError, match="2 recordings: got 12.. rows of running engine; allowed: at most 900"):
+        dt.learn(parts)

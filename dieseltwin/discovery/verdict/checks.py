@@ -143,16 +143,17 @@ def check_length(recording: Recording) -> None:
         )  # fmt: skip
 
 
-def check_rows(recording: Recording) -> None:
-    """Refuse a recording that is too large for the memory that a verdict takes.
+def check_rows(*recordings: Recording) -> None:
+    """Refuse recordings that are together too large for the memory that a verdict, or learning from them, takes.
 
     Raises:
         InputError: more than `MOST_ROWS` with the engine running.
     """
-    rows = sum(piece.stop - piece.start for piece in recording.pieces())
+    rows = sum(piece.stop - piece.start for recording in recordings for piece in recording.pieces())
     if rows > MOST_ROWS:
-        raise InputError(str(recording.path or "recording"), f"{rows} rows of running engine", f"at most {MOST_ROWS}",
-                         "judge it in parts, or average it down to 5 Hz")
+        what = f"{len(recordings)} recordings" if len(recordings) > 1 else str(recordings[0].path or "recording")
+        raise InputError(what, f"{rows} rows of running engine", f"at most {MOST_ROWS}",
+                         "take a part, or average to 5 Hz")  # fmt: skip
 
 
 def excitation(recording: Recording, engine: EngineParameters) -> tuple[dict[str, float], int]:
