@@ -238,6 +238,11 @@ def reversed_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
         agrees = ranks_agree(columns["u_egr_pct"], columns["w_egr_kg_s"])
         if agrees < -CLEAR_SIGN:
             found["u_egr_pct"] = f"EGR flow falls while it rises (rank correlation {agrees:.2f}): 0 seems to be open"
+    elif {"u_egr_pct", "w_c_kg_s", "p_im_pa", "n_e_rpm"} <= set(columns) and moves(columns["u_egr_pct"]):
+        agrees = ranks_agree(columns["u_egr_pct"], beside_air(columns))
+        if agrees < -CLEAR_SIGN:
+            found["u_egr_pct"] = ("the cylinders take in less beside the air flow while it rises "
+                                  f"(rank correlation {agrees:.2f}): 0 seems to be open")  # fmt: skip
     area = turbine_area(columns)
     if area is not None and "u_vgt_pct" in columns and float(np.nanstd(columns["u_vgt_pct"])) > STIRRED_PCT:
         usable = np.isfinite(area)
@@ -246,6 +251,12 @@ def reversed_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
             found["u_vgt_pct"] = (f"the turbine's flow area falls while it rises (rank correlation {agrees:.2f}): "
                                   "100 seems shut")  # fmt: skip
     return found
+
+
+def beside_air(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """What the cylinders take in over the air flow, up to a factor: p_im n_e/W_c, which rises with EGR."""
+    filled: np.ndarray = columns["p_im_pa"] * columns["n_e_rpm"] / np.maximum(columns["w_c_kg_s"], 1e-6)
+    return filled
 
 
 def turbine_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:

@@ -27,7 +27,8 @@ TO: dict[str, Callable[[Values], Values]] = {
     "rpm of rad/s": lambda x: x * 30.0 / np.pi, "krpm of rad/s": lambda x: x * 0.03 / np.pi,
     "1/s of rpm": lambda x: x / 60.0,
     "%": lambda x: x, "fraction": lambda x: x / 100.0, "% shut": lambda x: 100.0 - x,
-    "kPa gauge": lambda x: (x - AMBIENT) / 1e3, "mbar gauge": lambda x: (x - AMBIENT) / 1e2, "bar gauge": lambda x: (x - AMBIENT) / 1e5,
+    "kPa gauge": lambda x: (x - AMBIENT) / 1e3,
+    "mbar gauge": lambda x: (x - AMBIENT) / 1e2, "bar gauge": lambda x: (x - AMBIENT) / 1e5,
     "psi gauge": lambda x: (x - AMBIENT) / 6894.757, "mg": lambda x: x, "MPa": lambda x: x / 1e6,
     "kg/cm2 gauge": lambda x: (x - AMBIENT) / 98066.5, "gal/h": lambda x: x * 3600.0 / DENSITY / 3.785411784,
 }  # fmt: skip
