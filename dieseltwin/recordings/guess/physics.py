@@ -27,6 +27,7 @@ NOMINAL_AIR_K, NOMINAL_AMBIENT_PA, NOMINAL_AMBIENT_K = 320.0, 1.0e5, 295.0
 EGR_FLOWS = 0.05  # of the air flow
 SENSORS_DIFFER = 0.05  # of a pressure: noise of 3 % in both readings makes 4 %; gauge against absolute makes tens
 BACKWARDS = 0.2  # share of rows with EGR in which p_em may lie below p_im: sensors of 1 to 2 %
+LOWEST_RATIO = (0.9, 1.4)  # lowest exhaust over lowest intake pressure: at idle both are near the ambient
 MOVES = 0.06  # relative standard deviation from which a channel says something
 TURBO_AGREES = 0.4  # rank correlation with the pressure ratio
 HEAT = (4.6, 16.0)  # K per mg/cycle and litre of a cylinder, real engines (see `plausibility`)
@@ -106,6 +107,9 @@ def misfit(columns: Mapping[str, np.ndarray], cylinders: int) -> float:
         total += abs(np.log(max(heat, 0.1) / np.clip(max(heat, 0.1), *HEAT)))
     if {"p_em_pa", "p_im_pa", "w_egr_kg_s"} <= set(columns):
         total += backwards(columns)
+    if {"p_em_pa", "p_im_pa"} <= set(columns):
+        lowest = max(float(np.divide(*(np.nanquantile(columns[name], 0.05) for name in ("p_em_pa", "p_im_pa")))), 0.1)
+        total += abs(np.log(lowest / np.clip(lowest, *LOWEST_RATIO)))
     speed, ratio_p = columns.get("omega_t_rad_s"), _pressure_ratio(columns)
     if speed is not None and ratio_p is not None:
         # the work of a pressure ratio is about 0.65 of the squared tip speed

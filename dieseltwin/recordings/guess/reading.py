@@ -28,7 +28,7 @@ HOT_AIR = 180.0  # an air temperature above this is in K, below in degC
 
 _SAYS_GAUGE = re.compile(r"\b(gauge|gage|rel|relativ|relative|ueberdruck|g)\b")
 _SAYS_ABSOLUTE = re.compile(r"\b(abs|absolute?|absolut)\b|abs$")
-_SAYS_SHUT = re.compile(r"\b(closed|closing|closure|shut|zu|geschlossen|ferme|fermeture|chius[oa]|cerrad[oa]|fechad[oa])\b")
+_SAYS_SHUT = re.compile(r"\b(clos(ed|ing|ure)|shut|zu|geschlossen|ferme(ture)?|chius[oa]|cerrad[oa]|fechad[oa])\b")
 _SPN_GAUGE, _SPN_ABSOLUTE = frozenset({102, 1127}), frozenset({106, 3563, 108, 1176})
 
 
