@@ -25,7 +25,16 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
 from dieseltwin.discovery.twins.diesel_points import hypotheses_of as shown
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, LawScope, Parameter, Point, single
+from dieseltwin.discovery.twins.interface import (
+    Array,
+    Hypothesis,
+    Lanes,
+    LawScope,
+    Parameter,
+    Point,
+    TwinDefaults,
+    single,
+)
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, GAS_LAG
 from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.engine.quantities import ADDED_AT
@@ -47,7 +56,7 @@ _OUTLIER, _MAD_TO_STD = 6.0, 1.4826
 _SENSOR_TOLERANCES = {"gain": 0.01, "offset": 0.01}  # of interest, of faults that the catalogue has no name for
 
 
-class SteadyTwin:
+class SteadyTwin(TwinDefaults):
     """`Twin` and `KnownErrors` of settled points; every point is a sample and a window of its own.
 
     Args:
@@ -60,7 +69,6 @@ class SteadyTwin:
         ("power", "ratio", "difference", "head", "above_one", "share", "orifice"), LAW_VARIABLES,
         channel_units=SENSOR_UNITS,
     )  # fmt: skip
-    own_schedules = False
 
     def __init__(
         self, calibration: Calibration, settings: PointSettings, sensors: Sequence[str] | None = None, seed: int = 0
@@ -105,7 +113,6 @@ class SteadyTwin:
             for name, facts in POINT_FACTS.items() if name not in _WITHOUT_SIGNAL
         )  # fmt: skip
         self.time_s: Array = np.arange(self.data.size, dtype=np.float64)
-        self.recording_time_s = self.time_s
         self.starts = np.arange(self.data.size, dtype=np.int64)
         self.conditions: Mapping[str, Array] = {
             name: self.data[name] for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")

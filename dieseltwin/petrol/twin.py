@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, TwinDefaults, joined
 from dieseltwin.notes import Note
 from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
@@ -57,7 +57,7 @@ POINTS = (
 )
 
 
-class PetrolTwin:
+class PetrolTwin(TwinDefaults):
     """A calibrated petrol engine bound to a recording; satisfies `Twin` and `KnownErrors`.
 
     Args:
