@@ -137,7 +137,7 @@ class SteadyTwin:
         return np.asarray(off > np.maximum(_OUTLIER, _OUTLIER * _MAD_TO_STD * np.median(off, axis=0)))
 
     def _scatter_at_reference(self) -> Array:
-        """(C,) how far the balances scatter about the fitted engine where it is known to be well, over what is believed.
+        """(C,) scatter of the balances about the fitted engine where it is known to be well, over what is believed.
 
         Variance components by redundancy numbers (Foerstner, Ein Verfahren zur Schaetzung von Varianz- und
         Kovarianzkomponenten, 1979): a reading that the fit follows has less than its whole scatter left.
