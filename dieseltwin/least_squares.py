@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,20 +233,7 @@ def keep_better(fit: Fit, other: Fit, where: Index) -> Fit:
 
     iterations = fit.iterations.copy()
     iterations[where] += other.iterations
-    linear = Linearisation(
-        merged(fit.linear.cost, other.linear.cost),
-        merged(fit.linear.gradient, other.linear.gradient),
-        merged(fit.linear.hessian, other.linear.hessian),
-    )
-    return Fit(
-        merged(fit.unknowns, other.unknowns),
-        linear,
-        merged(fit.damping, other.damping),
-        merged(fit.decrement, other.decrement),
-        merged(fit.remaining, other.remaining),
-        iterations,
-        merged(fit.converged, other.converged),
-    )
+    return replace(_each_array(merged, fit, other), iterations=iterations)
 
 
 def concatenated(parts: Sequence[Fit]) -> Fit:
@@ -258,20 +245,17 @@ def concatenated(parts: Sequence[Fit]) -> Fit:
     Returns:
         Their problems in order.
     """
-    linear = Linearisation(
-        np.concatenate([p.linear.cost for p in parts]),
-        np.concatenate([p.linear.gradient for p in parts]),
-        np.concatenate([p.linear.hessian for p in parts]),
-    )
-    return Fit(
-        np.concatenate([p.unknowns for p in parts]),
-        linear,
-        np.concatenate([p.damping for p in parts]),
-        np.concatenate([p.decrement for p in parts]),
-        np.concatenate([p.remaining for p in parts]),
-        np.concatenate([p.iterations for p in parts]),
-        np.concatenate([p.converged for p in parts]),
-    )
+    return _each_array(lambda *arrays: np.concatenate(arrays), *parts)
+
+
+def _each_array(function: Callable[..., NDArray], *fits: Fit) -> Fit:
+    """The fit whose every array is a function of the same array of all the fits."""
+
+    def of(parts: Sequence[Fit] | Sequence[Linearisation]) -> dict[str, NDArray]:
+        names = [part.name for part in fields(parts[0]) if part.name != "linear"]
+        return {name: function(*(vars(part)[name] for part in parts)) for name in names}
+
+    return Fit(linear=Linearisation(**of([fit.linear for fit in fits])), **of(fits))
 
 
 EQUAL_COST = 0.01

@@ -111,14 +111,10 @@ def _magnitude(name: str, value: float | str) -> float:
     return number
 
 
-def parameter_changes(engine: Engine, other: Engine | None = None) -> list[tuple[str, str, str, str]]:
-    """Where two engines differ: name, the engine's value, the other's, unit; all of them of different kinds.
-
-    Args:
-        other: to compare with; the published diesel engine without it.
-    """
-    other = NAMED[PUBLISHED] if other is None else other
-    here, there = engine.model_dump(mode="json"), other.model_dump(mode="json")
+def parameter_changes(engine: Engine) -> list[tuple[str, str, str, str]]:
+    """Where an engine differs from the published diesel engine: name, its value, the published one, unit; all of them
+    where it is of another kind."""
+    here, there = engine.model_dump(mode="json"), NAMED[PUBLISHED].model_dump(mode="json")
     fields = type(engine).model_fields
     for values in (here, there):  # a learned engine's corrections are of maps, and their numbers say nothing by eye
         terms = values.get("terms") or []

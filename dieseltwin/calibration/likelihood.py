@@ -30,6 +30,8 @@ NOISE: Mapping[str, float] = {
 }  # fmt: skip
 """Relative standard deviation of a reading on a test bed, if none is given [-]; order of `STATES`."""
 
+FLAT = 0.5  # of the middle reading: below, a sensor's error no longer falls with what it reads
+
 STATE_STEP = 5e-4  # relative, of central differences in the states
 COEFFICIENT_STEP = 1e-4  # of a prior standard deviation
 STEEPEST = 200.0  # d ln r/d ln x is cut there: a speed line that is flat
@@ -76,6 +78,18 @@ class Estimate:
     def std(self) -> dict[str, float]:
         """Name -> standard deviation."""
         return {c.name: float(s) for c, s in zip(self.coefficients, np.sqrt(np.diag(self.covariance)), strict=True)}
+
+
+def reading_noise(x: Array, relative: Array) -> Array:
+    """Standard deviation of readings over what they read, (n, 6) [-]: near nought a sensor is as unsure as at `FLAT`.
+
+    Args:
+        x: (n, 6) readings, nan where there is none.
+        relative: (6,) standard deviation of each in the middle of its range and above [-].
+    """
+    size = np.abs(x)
+    least = FLAT * np.nanmedian(size, axis=0)
+    return np.asarray(relative * np.maximum(1.0, least / np.where(size > 0.0, size, np.inf)))
 
 
 def state_jacobian(model: SteadyModel, points: SteadyPoints, x: Array, values: Mapping[str, float]) -> Array:
@@ -150,7 +164,7 @@ def estimate(
     theta = np.clip(np.array([values.get(c.name, c.mean) for c in coefficients]), low, high)
     values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
     measured = points.states()
-    sigma = np.array([(noise or NOISE)[k] for k in NOISE])
+    sigma = reading_noise(measured, np.array([(noise or NOISE)[k] for k in NOISE]))
     x = np.where(np.isfinite(measured), measured, np.nanmedian(measured, axis=0))
     S = np.array([(discrepancy or {}).get(name, 0.02) for name in model.rows])
     least = np.array([(floors or {}).get(name, FLOOR) for name in model.rows])
@@ -283,7 +297,7 @@ def log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, f
     known = np.isfinite(x)
     x = np.where(known, x, np.nanmedian(x, axis=0))
     r = np.clip(np.nan_to_num(model.relations(points, x, values).residual[0]), -FAR, FAR)
-    sigma = np.where(known, np.array([NOISE[name] for name in STATES]), UNKNOWN)
+    sigma = np.where(known, reading_noise(x, np.array([NOISE[name] for name in STATES])), UNKNOWN)
     root = np.linalg.cholesky(reading_covariance(model, points, x, values, sigma) + np.diag(errors**2))
     white = np.linalg.solve(root, r[..., None])[..., 0]
     return np.asarray(np.sum(log_student(white) - np.log(np.einsum("nii->ni", root)), axis=1))

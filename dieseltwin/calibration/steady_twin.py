@@ -19,13 +19,22 @@ import numpy as np
 from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS
 from dieseltwin.calibration.lasting_errors import SUBMODEL_OF
-from dieseltwin.calibration.likelihood import NOISE, reading_covariance
+from dieseltwin.calibration.likelihood import NOISE, reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import MAP_MODE, SteadyModel, law_variables
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
 from dieseltwin.discovery.twins.diesel_points import hypotheses_of as shown
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, LawScope, Parameter, Point, single
+from dieseltwin.discovery.twins.interface import (
+    Array,
+    Hypothesis,
+    Lanes,
+    LawScope,
+    Parameter,
+    Point,
+    TwinDefaults,
+    single,
+)
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, GAS_LAG
 from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.engine.quantities import ADDED_AT
@@ -44,10 +53,12 @@ _WITHOUT_SIGNAL = ("T_e",)
 _COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
 _LIMIT = 30.0  # whitened balances beyond are cut: a trial state far off
 _OUTLIER, _MAD_TO_STD = 6.0, 1.4826
+_SCATTER_ROUNDS = 4
+_BELIEVED_AS = 10.0  # readings: what the belief of a balance's scatter weighs beside those of the reference
 _SENSOR_TOLERANCES = {"gain": 0.01, "offset": 0.01}  # of interest, of faults that the catalogue has no name for
 
 
-class SteadyTwin:
+class SteadyTwin(TwinDefaults):
     """`Twin` and `KnownErrors` of settled points; every point is a sample and a window of its own.
 
     Args:
@@ -60,7 +71,6 @@ class SteadyTwin:
         ("power", "ratio", "difference", "head", "above_one", "share", "orifice"), LAW_VARIABLES,
         channel_units=SENSOR_UNITS,
     )  # fmt: skip
-    own_schedules = False
 
     def __init__(
         self, calibration: Calibration, settings: PointSettings, sensors: Sequence[str] | None = None, seed: int = 0
@@ -105,7 +115,6 @@ class SteadyTwin:
             for name, facts in POINT_FACTS.items() if name not in _WITHOUT_SIGNAL
         )  # fmt: skip
         self.time_s: Array = np.arange(self.data.size, dtype=np.float64)
-        self.recording_time_s = self.time_s
         self.starts = np.arange(self.data.size, dtype=np.int64)
         self.conditions: Mapping[str, Array] = {
             name: self.data[name] for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
@@ -116,12 +125,14 @@ class SteadyTwin:
         self._whiten = np.zeros((self.data.size, len(self.channels), len(self.channels)))
         start = self.values(np.array([p.value for p in self.parameters]))
         scatter = np.array([errors.scatter(row) for row in self.channels])
-        sigma = np.array([NOISE[name] for name in STATES])
+        sigma = reading_noise(self._x, np.array([NOISE[name] for name in STATES]))
         covariance = reading_covariance(self.model, self.data, self._x, start, np.where(known, sigma, 1.0))
         covariance = covariance + np.diag(scatter**2)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-        self.measured: Array = np.zeros((self.data.size, len(self.channels)))
-        self.measured[self._outlying()] = np.nan
+        self.measured: Array = np.where(self._outlying(), np.nan, 0.0)
+        if told:
+            self._whiten /= self._scatter_at_reference()[:, None]
+            self.measured = np.where(self._outlying(), np.nan, 0.0)
 
     def _outlying(self) -> np.ndarray:
         """(n, C) balances far off all others of their channel.
@@ -131,6 +142,25 @@ class SteadyTwin:
         off = self.simulate(self.plain_lane())[0]
         off = np.abs(off - np.median(off, axis=0))
         return np.asarray(off > np.maximum(_OUTLIER, _OUTLIER * _MAD_TO_STD * np.median(off, axis=0)))
+
+    def _scatter_at_reference(self) -> Array:
+        """(C,) scatter of the balances about the fitted engine where it is known to be well, over what is believed.
+
+        Variance components by redundancy numbers (Foerstner, Ein Verfahren zur Schaetzung von Varianz- und
+        Kovarianzkomponenten, 1979): a reading that the fit follows has less than its whole scatter left.
+        """
+        lane = self.plain_lane()
+        present, well = np.isfinite(self.measured), self._acts < 0.5
+        left = np.where(present, self.simulate(lane)[0], 0.0)
+        along = np.stack([np.where(present, n.response, 0.0) for n in self.nuisances(lane)], axis=-1)
+        counted = present & well[:, None]
+        scale = np.ones(len(self.channels))
+        for _ in range(_SCATTER_ROUNDS):
+            A = (along / scale[:, None]).reshape(-1, along.shape[-1])
+            followed = np.einsum("ik,ik->i", A, np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T).T)
+            redundancy = np.sum(counted * (1.0 - followed.reshape(left.shape)), axis=0)
+            scale = np.sqrt((_BELIEVED_AS + np.sum(counted * left**2, axis=0)) / (_BELIEVED_AS + redundancy))
+        return np.asarray(scale)
 
     def first_local(self) -> Array:
         """No state starts anew: (n, 0)."""

@@ -16,7 +16,6 @@ from dieseltwin.discovery.verdict.document import NONE_OF_THESE
 
 _BLUE, _RED, _GREY, _GREEN = "#1f5a92", "#b3392f", "#8a8f98", "#3b7d3b"
 _BINS = np.array([1.0, 1.5, 2.2, 3.0, 4.5, 6.7, 10.01])
-_LEAST_P = 1e-12
 
 
 def write_figures(rows: Sequence[CaseRow], folder: Path) -> list[Path]:

@@ -282,13 +282,9 @@ def _computed(
     if cache.is_file():
         kept = _kept(cache)
         if kept.get("of") == _stamp(result):
-            values = dict(kept["values"])
-            if "law_error" in values and "oracle_law_error" not in values:  # of a scorer that didn't tell it
-                values |= _law_errors(folder, result, answers, faults, scoring, values.get("oracle_magnitudes", {}))
-                write_json(cache, sealed_json({"of": _stamp(result), "values": values}))
-            return values
+            return dict(kept["values"])
     name = str(answers["case"])
-    values = {}
+    values: dict[str, Any] = {}
     recording = read_recording(folder / name / "recording.csv")
     later = read_recording(folder / SEALED / f"{name}_held_out.csv")
     catalogued = all(FAMILIES[f.effect].catalogued for f in faults)

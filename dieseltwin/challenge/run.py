@@ -98,7 +98,7 @@ def the_tool(
 
 
 def run_challenge(
-    folder: Path, *, only: Sequence[str] = (), limit: int | None = None, jobs: int = 1, retry_failed: bool = True,
+    folder: Path, *, only: Sequence[str] = (), limit: int | None = None, jobs: int = 1,
     discover: Discover = the_tool, progress: Callable[[int, int, str], None] | None = None,
 ) -> dict[str, int]:  # fmt: skip
     """Run the tool on every case that has no result yet; a killed run goes on where it was.
@@ -119,7 +119,7 @@ def run_challenge(
         if name not in entries:
             raise unknown_name("challenge: --only", name, list(entries))
     wanted = [entries[name] for name in only] if only else list(entries.values())
-    pending = [entry for entry in wanted if not _finished(folder, entry["case"], retry_failed)]
+    pending = [entry for entry in wanted if not (folder / RESULTS / entry["case"] / FILE_NAME).is_file()]
     kept = len(wanted) - len(pending)
     now = pending[:limit] if limit is not None else pending
     if manifest["tier"] == PETROL:
@@ -142,11 +142,6 @@ def run_challenge(
     for k, note in in_processes(work, now, jobs):
         count(now[k]["case"], note)
     return {"done": done - failed, "failed": failed, "kept": kept, "left": len(pending) - len(now)}
-
-
-def _finished(folder: Path, case: str, retry_failed: bool) -> bool:
-    result = folder / RESULTS / case
-    return (result / FILE_NAME).is_file() or (not retry_failed and (result / FAILED).is_file())
 
 
 def run_case(folder: Path, entry: Mapping[str, Any], *, map_tolerance: float, discover: Discover = the_tool) -> str:

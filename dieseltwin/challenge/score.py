@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,6 @@ from dieseltwin.challenge.records import CaseRow, Scoring, case_row, diesel_row,
 from dieseltwin.challenge.run import RESULTS, plain, read_manifest
 from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_salt
 from dieseltwin.challenge.table import extra, lines, markdown
-from dieseltwin.discovery.verdict.document import FILE_NAME
 from dieseltwin.errors import InputError
 from dieseltwin.sealed import sealed_json
 
@@ -144,7 +143,3 @@ def _size(manifest: Mapping[str, Any]) -> str:
 def _line(line: Any) -> dict[str, Any]:
     return {name: getattr(line, name) for name in OF_A_LINE} | {"numbers": dict(line.numbers)}
 
-
-def has_results(folder: Path, cases: Sequence[str]) -> list[str]:
-    """Which of the cases have a result."""
-    return [case for case in cases if (folder / RESULTS / case / FILE_NAME).is_file()]

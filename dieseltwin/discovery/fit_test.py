@@ -198,7 +198,7 @@ def _excess(found: Search) -> Iterator[Excess]:
     present = at.whitening.present
     residual = at.projected_residual[: present.size].reshape(present.shape)
     edges = np.append(twin.starts, len(residual))
-    time = getattr(twin, "recording_time_s", twin.time_s)
+    time = twin.recording_time_s
     for j, name in enumerate(twin.channels):
         there = present[:, j]
         rest = residual[there, j]

@@ -162,16 +162,6 @@ class MLP(nn.Module):
             x = act(torch.matmul(x, weight) + bias)
         return x
 
-    def member(self, index: int) -> MLP:
-        """Copy of one member of a stack as a single network."""
-        if self.members is None or not 0 <= index < self.members:
-            raise InputError("member", index, f"0 to {(self.members or 0) - 1} of a stacked network", "correct it")
-        single = MLP.from_spec({**self.spec(), "members": None})
-        with torch.no_grad():
-            for mine, stacked in zip(single.parameters(), self.parameters(), strict=True):
-                mine.copy_(stacked[index])
-        return single
-
 
 no_dropout: tuple[Tensor, ...] = ()
 

@@ -23,8 +23,8 @@ from dieseltwin.petrol.model import (
     throttle_basis,
     unsteadiness,
 )
-from dieseltwin.petrol.parameters import FaultFreePiece, PetrolParameters, SplineMap, Spread
-from dieseltwin.petrol.recording import Blocks, Geometry, Grid, Signals, blocks_of, make_grid
+from dieseltwin.petrol.parameters import FaultFreePiece, PetrolParameters, SplineMap, Spread, Volumes
+from dieseltwin.petrol.recording import Blocks, Grid, Signals, blocks_of, make_grid
 
 Array = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -35,8 +35,11 @@ SUMMAND_REACH = 1.0  # the same of the second summand of the throttle's map: fix
 FIRST_SPREAD = Spread(base=0.02, rates=(0.1, 0.1, 0.1, 0.02))
 LEARNED_CLOCKS = ("w_af_late", "throttle_late")  # against the pressures'; that of p_ic shows too little to be learned
 CLOCK_ROUNDS, CLOCK_STEP_S, CLOCK_REACH_S = 3, 0.05, 0.1  # of the delays; their prior standard deviation
+LEARNED_VOLUMES = ("V_im", "V_ic")
+VOLUME_STEP, VOLUME_REACH = 0.02, 0.1  # of the volumes' logarithms; their prior standard deviation
 FOLDS, FOLD_S = 5, 20.0  # cross-validation of the scatter
 ROUNDS = 3  # of maps and scatter in turn
+PASSES = 2  # of clocks, volumes and then those
 REWEIGHTINGS = 8
 PIECE_S = 300.0  # of the pieces that are judged with maps that did not see them
 LEAST_DURATION_S = 600.0
@@ -149,22 +152,28 @@ def fit_maps(signals: Signals, base: PetrolParameters, without: tuple[float, flo
     kept = grid.kept.copy()
     if without is not None:
         kept &= (grid.mid_s < without[0]) | (grid.mid_s >= without[1])
-    clocks = learned_clocks(signals, grid, base.volumes.geometry, kept)
-    signals = undo_all(clocks, signals)
-    b = blocks_of(signals, grid, base.volumes.geometry)
-    unsteady = unsteadiness(signals, grid, b)
-    fold = (b.mid_s // FOLD_S).astype(np.int64) % FOLDS
-    maps, spreads, fits = {}, {}, []
-    for name, table in _tables(b, kept).items():
-        spread = FIRST_SPREAD
-        for _ in range(ROUNDS):
-            residual = _held_out(table, scale_of(spread, unsteady), kept, fold)
-            spread = _spread(residual, unsteady, kept)
+    fold = (grid.mid_s // FOLD_S).astype(np.int64) % FOLDS
+    spreads: dict[str, Spread] = {}
+    for _ in range(PASSES):  # the first one doesn't know yet how little the balances scatter
+        clocks, volumes = learned_clocks_and_volumes(signals, grid, base.volumes, kept, spreads)
+        undone = undo_all(clocks, signals)
+        b = blocks_of(undone, grid, volumes.geometry)
+        unsteady = unsteadiness(undone, grid, b)
+        tables = _tables(b, kept)
+        left = {}
+        for name, table in tables.items():
+            spread = spreads.get(name, FIRST_SPREAD)
+            for _ in range(ROUNDS):
+                left[name] = _held_out(table, scale_of(spread, unsteady), kept, fold)
+                spread = _spread(left[name], unsteady, kept)
+            spreads[name] = spread
+    maps, fits = {}, []
+    for name, table in tables.items():
+        spread, residual = spreads[name], left[name]
         scale = scale_of(spread, unsteady)
         maps[name] = _spline_map(
             table.basis[kept], table.y[kept], scale[kept], spread.tempering, table.prior, table.knots
         )
-        spreads[name] = spread
         steady = kept & (scale < 1.5 * spread.base)
         fits.append(SubmodelFit(name, _robust_std(residual[steady]), _robust_std(residual[kept]), int(kept.sum())))
     rest = at_rest(b, grid) & kept
@@ -177,39 +186,63 @@ def fit_maps(signals: Signals, base: PetrolParameters, without: tuple[float, flo
     fits.append(SubmodelFit("boost", scale_ic, scale_ic, int(rest.sum())))
     boost = Spread(base=scale_ic, tempering=_tempering(z / scale_ic, rest))
     return base.model_copy(update={
-        "clocks": clocks, "cylinder": maps["cylinder"], "throttle": maps["throttle"], "boost_level": level,
-        "cylinder_spread": spreads["cylinder"], "throttle_spread": spreads["throttle"], "boost_spread": boost,
+        "clocks": clocks, "volumes": volumes, "cylinder": maps["cylinder"], "throttle": maps["throttle"],
+        "boost_level": level, "cylinder_spread": spreads["cylinder"], "throttle_spread": spreads["throttle"],
+        "boost_spread": boost,
     }), fits
 
 
-def learned_clocks(signals: Signals, grid: Grid, geometry: Geometry, kept: Bool) -> dict[str, float]:
-    """Delays of air flow and throttle against the pressures [s]: both flow balances scatter least, maps fitted along.
+def learned_clocks_and_volumes(
+    signals: Signals, grid: Grid, volumes: Volumes, kept: Bool, spreads: Mapping[str, Spread]
+) -> tuple[dict[str, float], Volumes]:
+    """Delays of air flow and throttle against the pressures [s], and the volumes that fill: both flow balances scatter
+    least, maps fitted along.
 
     A logger reads its channels in turn and a hot film answers late; a row of 50 ms is 5 % of the air flow in a tip-in.
+    What fills is never quite the volume of a drawing, and noise of the pressures at the ends of a second makes it look
+    some per cent less: a gain of the air flow, as every later recording would show it again.
+
+    Args:
+        volumes: as given; kept: (m,) blocks to use; spreads: of the balances, as far as they are known.
     """
-    delays = np.zeros(len(LEARNED_CLOCKS))
+    steps = np.array([CLOCK_STEP_S] * len(LEARNED_CLOCKS) + [VOLUME_STEP] * len(LEARNED_VOLUMES))
+    belief = np.array([CLOCK_REACH_S] * len(LEARNED_CLOCKS) + [VOLUME_REACH] * len(LEARNED_VOLUMES)) ** -2
+    found = np.zeros(len(steps))
+
+    def at(values: Array) -> tuple[dict[str, float], Volumes]:
+        delays, logs = np.split(values, [len(LEARNED_CLOCKS)])
+        factors = zip(LEARNED_VOLUMES, np.exp(logs).tolist(), strict=True)
+        filling = {name: getattr(volumes, name) * factor for name, factor in factors}
+        return dict(zip(LEARNED_CLOCKS, delays.tolist(), strict=True)), volumes.model_copy(update=filling)
+
+    def blocks(values: Array) -> Blocks:
+        clocks, filled = at(values)
+        return blocks_of(undo_all(clocks, signals), grid, filled.geometry)
+
     for _ in range(CLOCK_ROUNDS):
-        here, *moved = (
-            blocks_of(undo_all(dict(zip(LEARNED_CLOCKS, delays + step, strict=True)), signals), grid, geometry)
-            for step in (np.zeros(len(LEARNED_CLOCKS)), *CLOCK_STEP_S * np.eye(len(LEARNED_CLOCKS)))
-        )
-        scale = scale_of(FIRST_SPREAD, unsteadiness(signals, grid, here))[kept]
-        information, push = np.eye(len(LEARNED_CLOCKS)) / CLOCK_REACH_S**2, delays / CLOCK_REACH_S**2
+        here, *moved = (blocks(found + step) for step in (np.zeros(len(steps)), *np.diag(steps)))
+        unsteady = unsteadiness(signals, grid, here)
+        information, push = np.diag(belief), found * belief
         tables = _tables(here, kept)
         others = [_tables(b, kept, tables) for b in moved]
         for name, table in tables.items():
+            spread = spreads.get(name, FIRST_SPREAD)
+            scale = scale_of(spread, unsteady)[kept]
             B = np.ascontiguousarray(table.basis[kept])
-            theta = np.array(_spline_map(B, table.y[kept], scale, 1.0, table.prior, table.knots).coefficients)
+            known = _spline_map(B, table.y[kept], scale, spread.tempering, table.prior, table.knots)
+            theta = np.array(known.coefficients)
             left = (table.y - table.basis @ theta)[kept]
-            weight = (FREEDOM + 1.0) / (FREEDOM * scale**2 + left**2)
-            change = np.stack([(o[name].y - o[name].basis @ theta)[kept] - left for o in others], 1) / CLOCK_STEP_S
+            weight = (FREEDOM + 1.0) / (FREEDOM * scale**2 + left**2) / spread.tempering
+            change = np.stack([(o[name].y - o[name].basis @ theta)[kept] - left for o in others], 1) / steps
             A, _ = normal_equations(B, weight, left, table.prior)
             weighted = weight[:, None] * change
             free = change - B @ np.linalg.solve(A, B.T @ weighted)
             information += weighted.T @ free
             push += free.T @ (weight * left)
-        delays = delays - np.linalg.solve(information, push)
-    return {name: float(f"{delay:.4g}") for name, delay in zip(LEARNED_CLOCKS, delays, strict=True)}
+        found = found - np.linalg.solve(information, push)
+    std = np.sqrt(np.diag(np.linalg.inv(information)))[len(LEARNED_CLOCKS) :]
+    clocks, filled = at(np.array([float(f"{value:.4g}") for value in found]))
+    return clocks, filled.model_copy(update={"spread": (float(f"{std[0]:.3g}"), float(f"{std[1]:.3g}"))})
 
 
 def _robust_std(x: Array) -> float:

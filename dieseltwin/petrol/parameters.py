@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, NonNegativeFloat, model_validator
 
 from dieseltwin.atomic import write_text
 from dieseltwin.errors import InputError
@@ -21,11 +21,13 @@ KIND = "petrol"
 
 
 class Volumes(StrictModel):
-    """Volumes [m3]: displacement, intake manifold, intercooler with pipes."""
+    """Volumes [m3]: displacement, intake manifold, intercooler with pipes; `spread` of the latter two: relative
+    standard deviations with which their filling was learned [-]."""
 
     V_d: float = Field(1.953e-3, gt=0)
     V_im: float = Field(1.8e-3, gt=0)
     V_ic: float = Field(4.7e-3, gt=0)
+    spread: tuple[NonNegativeFloat, NonNegativeFloat] = (0.0, 0.0)
 
     @property
     def geometry(self) -> Geometry:

@@ -98,13 +98,12 @@ def _integrated(time_s, starts, inputs, first, V_im, eta, eta_low, eta_step, fac
     return out
 
 
-def simulate_petrol(engine: PetrolParameters, recording: PetrolRecording, start_measured: bool = True) -> pd.DataFrame:
+def simulate_petrol(engine: PetrolParameters, recording: PetrolRecording) -> pd.DataFrame:
     """Readings and inner flows over the inputs of a recording; each row one of its rows.
 
     Args:
         engine: calibrated; its terms act.
         recording: gives inputs, and p_im at the first row of each piece between gaps.
-        start_measured: begin there; else at rest at the first inputs.
 
     Returns:
         time_s, the inputs as read, p_im_pa and w_af_kg_s as the sensors would read them, and true p_im_true_pa,
@@ -120,8 +119,7 @@ def simulate_petrol(engine: PetrolParameters, recording: PetrolRecording, start_
     inputs, tables = _inputs(engine, s, sizes)
     starts = gaps(s.time_s)
     true = undo_all({n: v for n, v in sizes.items() if n in READ}, recording.signals)
-    first = np.where(start_measured, true.p_im[starts], np.nan)
-    p_im = _integrated(s.time_s, starts, inputs, first, engine.volumes.V_im, *tables)
+    p_im = _integrated(s.time_s, starts, inputs, true.p_im[starts], engine.volumes.V_im, *tables)
     flows = np.array([_inflow(p_im[k], k, inputs, *tables) for k in range(len(p_im))])
     through, inward, taken_in = flows.T
     leak_before = undo_all({n: v for n, v in sizes.items() if n == "boost_leak"}, s).leak_ic

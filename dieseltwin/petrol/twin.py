@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, joined
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, TwinDefaults, joined
 from dieseltwin.notes import Note
 from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
@@ -57,7 +57,7 @@ POINTS = (
 )
 
 
-class PetrolTwin:
+class PetrolTwin(TwinDefaults):
     """A calibrated petrol engine bound to a recording; satisfies `Twin` and `KnownErrors`.
 
     Args:
@@ -235,7 +235,20 @@ class PetrolTwin:
                 modes += self._bends(name)
                 out += [self._direction(f"map of {name}, mode {k + 1}", j, mode) for k, mode in enumerate(modes)]
             out += [self._direction(f"drift of {name}", j, drifts[name] * hat) for hat in hats.T]
-        return [*out, *self._sensors(*self._entered(lanes, 0))]
+        return [*out, *self._filling(), *self._sensors(*self._entered(lanes, 0))]
+
+    def _filling(self) -> list[Nuisance]:
+        """What fills, as far off as it was learned: its misfits as read, were each volume larger by its spread."""
+        volumes, found = self.engine.volumes, []
+        for name, std in zip(("V_im", "V_ic"), volumes.spread, strict=True):
+            if std > 0.0:
+                larger = volumes.model_copy(update={name: getattr(volumes, name) * (1.0 + std)})
+                moved = blocks_of(self.signals, self.grid, larger.geometry)
+                both = {"cylinder": moved.cylinder(self.blocks.W_af) - self.blocks.cylinder(self.blocks.W_af),
+                        "throttle": moved.throttle(self.blocks.W_af) - self.blocks.throttle(self.blocks.W_af)}
+                response = np.stack([both.get(c, np.zeros(len(self.time_s))) for c in self.channels], axis=1)
+                found.append(Nuisance(f"filling of {name}", response=response))
+        return found
 
     def _sensors(self, effects: Mapping[str, Array], added: Mapping[str, Array]) -> list[Nuisance]:
         """Clocks and the pressure sensor as far off as on healthy days, next to effects (sizes (n,)) and signals."""

@@ -12,14 +12,9 @@ from dieseltwin.report import discovery_figures, discovery_residuals, findings, 
 from dieseltwin.report.discovery_words import sentence, unit_of
 from dieseltwin.report.interactive import discovery_series
 from dieseltwin.report.law_cards import law_cards
-from dieseltwin.report.page import Page, Section, write_page
-from dieseltwin.report.style import ReportFigure
+from dieseltwin.report.page import Page, Section, kept, write_page
 
 LOUD = 1.3  # rms residual over noise; right names leave 1.0 to 1.1 where maps and sensors keep to their tolerances
-
-
-def _kept(*figures: ReportFigure | None) -> tuple[ReportFigure, ...]:
-    return tuple(figure for figure in figures if figure is not None)
 
 
 def discovery_sections(found: Discovery) -> list[Section]:
@@ -29,24 +24,24 @@ def discovery_sections(found: Discovery) -> list[Section]:
     sections = [
         Section("readings-over-time", "Readings over time", series=discovery_series(found)),
         Section("doubts", "What is doubtful", tables=(findings.doubts(found.document),)),
-        Section("over-recordings", "The recordings", _kept(over_recordings.trends(found))),
-        Section("health-parameters", "Health parameters", _kept(discovery_figures.health(found))),
-        Section("law-of-it", "Law", _kept(discovery_figures.law_curves(found))),
+        Section("over-recordings", "The recordings", kept(over_recordings.trends(found))),
+        Section("health-parameters", "Health parameters", kept(discovery_figures.health(found))),
+        Section("law-of-it", "Law", kept(discovery_figures.law_curves(found))),
         Section(
             "evidence", "Evidence",
-            _kept(discovery_figures.evidence_time(found), discovery_figures.evidence_maps(found)),
+            kept(discovery_figures.evidence_time(found), discovery_figures.evidence_maps(found)),
         ),
         Section(
             "residuals", "Residuals",
-            _kept(
+            kept(
                 discovery_residuals.residual_time(found), discovery_residuals.residual_map(found),
                 discovery_residuals.residual_map(found, discovery_figures.MAPS[1]),
             ),
         ),
-        Section("held-out", "Held-out score", _kept(discovery_figures.score(found))),
-        Section("weighed", "Candidates", _kept(discovery_figures.candidates(found)),
+        Section("held-out", "Held-out score", kept(discovery_figures.score(found))),
+        Section("weighed", "Candidates", kept(discovery_figures.candidates(found)),
                 tables=(findings.weighed(curves.candidates, units),)),
-        Section("visible", "What could be seen", _kept(discovery_figures.minimum_detectable(found))),
+        Section("visible", "What could be seen", kept(discovery_figures.minimum_detectable(found))),
     ]  # fmt: skip
     return [section for section in sections if not section.empty]
 

@@ -1,138 +1,129 @@
-"""The self-contained HTML report: one page, everything embedded, nothing loaded from anywhere."""
+"""The page of an identification, of one method or several: numbers, figures and curves in one file."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dieseltwin.atomic import write_text
-from dieseltwin.report import captions, charts, interactive, quantities, style, timeseries, training, violins
-from dieseltwin.report.encoding import encode_all
+from markupsafe import Markup
+
+from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
 from dieseltwin.report.interactive import results_series
-from dieseltwin.report.page import shown_figure, templates
-from dieseltwin.report.results import PARAMETERS, Results
-from dieseltwin.report.style import ReportFigure
+from dieseltwin.report.page import EMPTY, Page, Section, Table, kept, marked, swatched
+from dieseltwin.report.results import PARAMETERS, MethodResult, Results
 from dieseltwin.report.tables import headline, segment_table, summary_table
 
-Rows = list[dict[str, Any]]
+SOURCE = (
+    "Wahlström and Eriksson (2011). Method and comparison numbers: Nath, Kumar, Smith, Karniadakis, “A Digital Twin "
+    "for Diesel Engines: Operator-infused Physics-Informed Neural Networks with Transfer Learning for Engine Health "
+    "Monitoring”"
+)
 
 
-@dataclass(frozen=True)
-class Section:
-    """One section of the page: its anchor, heading, a sentence, its figures and finished pictures, and its tables."""
-
-    id: str
-    title: str
-    words: str
-    figures: tuple[ReportFigure, ...]
-    pictures: tuple[Mapping[str, str], ...] = ()
-    table: Mapping[str, Any] | None = field(default=None)
-    beside_paper: Mapping[str, Any] | None = field(default=None)
-
-
-def kept(*figures: ReportFigure | None) -> tuple[ReportFigure, ...]:
-    """Those that there is data for."""
-    return tuple(figure for figure in figures if figure is not None)
-
-
-def sections(results: Results) -> list[Section]:
-    """What the page of any identification shows; :func:`page` leaves out what has nothing to show."""
+def identification_sections(results: Results) -> list[Section]:
+    """What the page of any identification shows."""
     residuals = kept(*(timeseries.residual_figure(results, m) for m in results.methods))
+    estimates = kept(
+        charts.identifiability_map(results), violins.violins(results), violins.violins(results, close=True)
+    )
+    states = kept(timeseries.states(results), timeseries.flows(results), timeseries.empirical(results))
     return [
-        Section("summary", "Summary", "", ()),
-        Section(
-            "parameters",
-            "Health parameters",
-            "",
-            kept(
-                charts.identifiability_map(results),
-                violins.violins(results),
-                violins.violins(results, close=True),
-            ),
-            table=_segment_rows(results),
-        ),
-        Section("accuracy", "Accuracy", "", kept(charts.bound_ratio(results))),
-        Section(
-            "states",
-            "States and flows",
-            "",
-            kept(timeseries.states(results), timeseries.flows(results), timeseries.empirical(results)),
-        ),
-        Section("residuals", "Residuals", captions.RESIDUALS, residuals),
-        Section(
-            "training", "Training", "", kept(*(training.convergence(results, m) for m in results.methods))
-        ),
+        Section("readings-over-time", "Readings over time", series=results_series(results)),
+        Section("parameters", "Health parameters", estimates, tables=(_segments(results),)),
+        Section("accuracy", "Accuracy", kept(charts.bound_ratio(results))),
+        Section("states", "States and flows", states),
+        Section("residuals", "Residuals", residuals, captions.RESIDUALS),
+        Section("training", "Training", kept(*(training.convergence(results, m) for m in results.methods))),
     ]
 
 
-def _summary_rows(results: Results) -> Rows:
-    groups: Rows = []
+def identification_page(results: Results, sections: Sequence[Section]) -> Page:
+    """The page of one method or several.
+
+    Args:
+        results: what was identified.
+        sections: in their order; empty ones are left out.
+    """
+    known = results.truth is not None
+    reading = captions.SUMMARY.format(ratio=captions.SUMMARY_KNOWN if known else captions.SUMMARY_UNKNOWN)
+    given = [Markup(" <b>{}</b>: {}.").format(label, words) for label, words in _given(results)]
+    return Page(
+        title=str(results.about.get("title") or "Engine health from a recording"), about=_about_line(results),
+        headline=Markup(headline(results)), alarm=False, note=Markup("").join([Markup.escape(reading), *given]),
+        tables=(_summary(results),), sections=sections, provenance=_provenance(results), machine=_machine(results),
+        source=SOURCE,
+    )  # fmt: skip
+
+
+def _label(method: MethodResult) -> Markup:
+    look = style.method_style(method.method)
+    return swatched(look.label, look.colour)
+
+
+def _summary(results: Results) -> Table:
+    """One row for each method and parameter; columns about the truth and the nominal engine where there is one."""
+    known, nominal = results.truth is not None, bool(results.nominal)
+    heads = ["method", "parameter", "estimate ± std", "90 % interval"]
+    heads += ["truth", "error"] * known + ["against nominal"] * nominal
+    heads += ["error over bound" if known else "std over bound", "segments used", "runs", "s per run"]
+    rows: list[list[str | Markup]] = []
     table = summary_table(results)
     for method in results.methods:
-        look = style.method_style(method.method)
-        rows = []
+        first: str | Markup = _label(method) + _stopped(method)
         for row in table[table["method"] == method.method].itertuples():
             scale, unit = quantities.factor(row.parameter), quantities.unit(row.parameter)
             digits = quantities.decimals_for(row.std * scale)
             truth = results.true_value(row.parameter)
+            estimate: str | Markup = quantities.value_with_std(row.parameter, row.mean, row.std, with_unit=False)
             interval = f"{row.low * scale:.{digits}f} – {row.high * scale:.{digits}f}"
-            rows.append(
-                {
-                    "symbol": quantities.html_symbol(row.parameter),
-                    "unit": unit,
-                    "identifiable": row.identifiable,
-                    "estimate": quantities.value_with_std(row.parameter, row.mean, row.std, with_unit=False),
-                    "interval": interval if math.isfinite(row.low + row.high) else "–",
-                    "truth": f"{truth * scale:.{digits}f}" if math.isfinite(truth) else "–",
-                    "error": quantities.percent(row.error, signed=True),
-                    "change": quantities.percent(row.nominal_change, signed=True),
-                    "ratio": quantities.significant(row.ratio_to_bound, 3),
-                    "used": f"{row.segments_identifiable} of {row.segments}",
-                    "runs": str(row.runs),
-                    "seconds": quantities.significant(row.seconds_per_run, 2),
-                }
-            )
-        stopped = _stopped(method.number_not_converged, method.number_of_runs * len(method.segments))
-        groups.append({"label": look.label, "colour": look.colour, "rows": rows, "stopped": stopped})
-    return groups
+            if not row.identifiable:
+                estimate, interval = marked("not identifiable here", "none"), EMPTY
+            line = [first, Markup(quantities.html_symbol(row.parameter)) + f" [{unit}]" * bool(unit), estimate,
+                    interval if math.isfinite(row.low + row.high) else EMPTY]  # fmt: skip
+            if known:
+                line += [f"{truth * scale:.{digits}f}" if math.isfinite(truth) else EMPTY,
+                         quantities.percent(row.error, signed=True)]  # fmt: skip
+            if nominal:
+                line.append(quantities.percent(row.nominal_change, signed=True))
+            line += [quantities.significant(row.ratio_to_bound, 3), f"{row.segments_identifiable} of {row.segments}",
+                     str(row.runs), quantities.significant(row.seconds_per_run, 2)]  # fmt: skip
+            rows.append(line)
+            first = ""
+    return Table(heads, rows, words=(0, 1), grouped=True)
 
 
-def _stopped(not_converged: int, runs: int) -> str:
-    if not not_converged:
-        return ""
-    return (
-        f"none of {runs} runs converged"
-        if not_converged == runs
-        else f"{not_converged} of {runs} runs not converged"
-    )
+def _stopped(method: MethodResult) -> Markup:
+    """How many runs of a method did not converge."""
+    count, runs = method.number_not_converged, method.number_of_runs * len(method.segments)
+    if not count:
+        return Markup("")
+    words = f"none of {runs} runs converged" if count == runs else f"{count} of {runs} runs not converged"
+    return Markup("<br>") + marked(words, "stopped")
 
 
-def _segment_rows(results: Results) -> dict[str, Any]:
+def _segments(results: Results) -> Table:
+    """Every estimate of every segment."""
     table = segment_table(results)
-    groups: Rows = []
+    rows: list[list[str | Markup]] = []
     for method in results.methods:
-        look = style.method_style(method.method)
-        rows = []
-        chosen = table[table["method"] == method.method]
-        for _, part in chosen.groupby("t0_s", sort=True):
-            cells = []
+        first: str | Markup = _label(method)
+        for _, part in table[table["method"] == method.method].groupby("t0_s", sort=True):
+            line: list[str | Markup] = [first, part["segment"].iloc[0]]
             for parameter in PARAMETERS:
                 row = part[part["parameter"] == parameter].iloc[0]
-                text = quantities.value_with_std(parameter, row["mean"], row["std"], with_unit=False)
-                if not row["identifiable"]:
-                    bound = row["relative_bound"]
+                bound = row["relative_bound"]
+                if row["identifiable"]:
+                    error = f" ({quantities.percent(row['error'], signed=True)})" * math.isfinite(row["error"])
+                    text = quantities.value_with_std(parameter, row["mean"], row["std"], with_unit=False)
+                    line.append(text + error)
+                else:
                     size = f" (bound {100 * bound:.0f} %)" if math.isfinite(bound) else ""
-                    text = f"not identifiable here{size}"
-                elif math.isfinite(row["error"]):
-                    text += f" ({quantities.percent(row['error'], signed=True)})"
-                cells.append({"text": text, "none": not row["identifiable"]})
-            rows.append({"segment": part["segment"].iloc[0], "cells": cells})
-        groups.append({"label": look.label, "colour": look.colour, "rows": rows})
-    heads = [f"{quantities.html_symbol(p)} [{quantities.unit(p)}]" for p in PARAMETERS]
-    return {"heads": heads, "groups": groups}
+                    line.append(marked(f"not identifiable here{size}", "none"))
+            rows.append(line)
+            first = ""
+    heads = [Markup(f"{quantities.html_symbol(p)} [{quantities.unit(p)}]") for p in PARAMETERS]
+    return Table(["method", "segment [min]", *heads], rows, grouped=True, folded="Every segment in numbers")
 
 
 def _given(results: Results) -> list[tuple[str, str]]:
@@ -211,61 +202,3 @@ def _about_line(results: Results) -> str:
     parts.append("simulated, truth known" if results.truth is not None else "truth not known")
     parts.append(f"profile {about['profile']}" if about.get("profile") else "")
     return " · ".join(part for part in parts if part)
-
-
-def page(results: Results, chosen: Sequence[Section], encode: Callable[[ReportFigure], bytes]) -> str:
-    """The whole page as text, without the sections that have nothing to show.
-
-    Args:
-        results: of one method or several.
-        chosen: sections in their order.
-        encode: a figure's file.
-    """
-    known = results.truth is not None
-    series = results_series(results)
-    whole = None if series is None else series.still
-    note = captions.SUMMARY_KNOWN if known else captions.SUMMARY_UNKNOWN
-    return templates().get_template("report.html.j2").render(
-        series=series,
-        script="" if series is None else interactive.script(),
-        look="" if series is None else interactive.look(),
-        still=None if whole is None else shown_figure(whole, encode(whole)),
-        title=str(results.about.get("title") or "Engine health from a recording"),
-        about=_about_line(results),
-        headline=headline(results),
-        summary_note=captions.SUMMARY.format(ratio=note),
-        given=_given(results),
-        known_truth=known,
-        known_nominal=bool(results.nominal),
-        ratio_title="error over bound" if known else "std over bound",
-        summary=_summary_rows(results),
-        sections=[
-            {
-                "id": s.id,
-                "title": s.title,
-                "words": s.words,
-                "table": s.table,
-                "beside_paper": s.beside_paper,
-                "figures": [*s.pictures, *(shown_figure(f, encode(f)) for f in s.figures)],
-            }
-            for s in chosen
-            if s.id == "summary" or s.figures or s.pictures
-        ],
-        provenance=_provenance(results),
-        machine=_machine(results),
-    )
-
-
-def identification_page(results: Results, out_html: str | Path, figures_dir: str | Path) -> list[Path]:
-    """Write the page of one identification and its figures as files, each drawn once; returns the figures' paths."""
-    chosen = sections(results)
-    encoded = encode_all([figure for section in chosen for figure in section.figures])
-    paths: list[Path] = []
-
-    def encode(figure: ReportFigure) -> bytes:
-        content = encoded.get(figure.name) or figure.encode()
-        paths.append(figure.save(figures_dir, content))
-        return content
-
-    write_text(Path(out_html), page(results, chosen, encode))
-    return paths

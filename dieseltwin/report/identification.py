@@ -7,14 +7,15 @@ from pathlib import Path
 
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification
-from dieseltwin.report.html import identification_page
+from dieseltwin.report.html import identification_page, identification_sections
 from dieseltwin.report.inputs import results_of
+from dieseltwin.report.page import write_page
 
 
 def identification_figures(
     identification: Identification, problems: Sequence[SegmentProblem], out_dir: str | Path, page: str | Path,
     recording: str = "",
-) -> list[Path]:  # fmt: skip
+) -> Path:  # fmt: skip
     """Draw every figure that one identification has data for, as SVG (charts) and PNG (time series), and its page.
 
     Works without truth. The paper's printed run times stay out: they belong to the comparison of methods.
@@ -27,7 +28,7 @@ def identification_figures(
         recording: its name, for the page.
 
     Returns:
-        The figures' paths.
+        The path of the page.
     """
-    about = {"recording": recording} if recording else None
-    return identification_page(results_of(identification, problems, about=about), page, out_dir)
+    results = results_of(identification, problems, about={"recording": recording} if recording else None)
+    return write_page(identification_page(results, identification_sections(results)), page, out_dir)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -176,7 +176,10 @@ def results_series(results: Results) -> Series | None:
             twin = states[name].to_numpy(dtype=np.float64)
             lines = (_line(name, "reading", MEASURED, readings, dots=True), _line(name, "twin", AFTER, twin))
             panels.append(Panel(name, quantities.unit(name), time_s, lines))
-    return Series(tuple(panels)) if panels else None
+    if not panels:
+        return None
+    series = Series(tuple(panels))
+    return replace(series, drawn=still(series))
 
 
 def _line(name: str, label: str, colour: str, values: Array, dots: bool = False) -> Line:

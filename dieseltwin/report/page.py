@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from dieseltwin.report.law_cards import LawCard
 from dieseltwin.report.style import ReportFigure
 
 EMPTY = "–"
+COARSER_DPI = (85, 60)
 DIESEL = "Wahlström and Eriksson (2011), with the effects that `dieseltwin effects` lists"
 
 
@@ -29,12 +31,21 @@ class Table:
         rows: cells.
         words: numbers of the columns that hold words; numbers stand at the right.
         long: numbers of those among them that hold sentences.
+        title, about: heading and a sentence above it; "" for none.
+        folded: words of a fold that it hides in; "" shows it.
+        grouped: a row whose first cell isn't empty begins a group.
+        dense: in small letters.
     """
 
-    heads: tuple[str | Markup, ...]
-    rows: Sequence[tuple[str | Markup, ...]]
+    heads: Sequence[str | Markup]
+    rows: Sequence[Sequence[str | Markup]]
     words: tuple[int, ...] = (0,)
     long: tuple[int, ...] = ()
+    title: str | Markup = ""
+    about: str = ""
+    folded: str = ""
+    grouped: bool = False
+    dense: bool = False
 
     def look(self, column: int) -> str:
         """Class of a column's cells."""
@@ -44,7 +55,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """One section of the page: anchor, heading, a sentence, curves to look into, figures, tables."""
+    """One section of the page: anchor, heading, a sentence, curves to look into, figures, tables.
+
+    `pictures` are finished ones, as `shown_figure` gives them.
+    """
 
     id: str
     title: str
@@ -52,11 +66,13 @@ class Section:
     words: str = ""
     series: Series | None = None
     tables: tuple[Table, ...] = ()
+    pictures: tuple[Mapping[str, str], ...] = ()
 
     @property
     def empty(self) -> bool:
         """Whether there is nothing to show in it."""
-        return not (self.figures or self.series is not None or any(table.rows for table in self.tables))
+        shown = self.figures or self.pictures or self.series is not None
+        return not (shown or any(table.rows for table in self.tables))
 
     @property
     def drawn(self) -> tuple[ReportFigure, ...]:
@@ -77,8 +93,9 @@ class Page:
         tables: of the summary, after the laws.
         sections: empty ones are left out.
         provenance, machine: what made it; and what differs from run to run.
-        caution: as HTML, "" for none.
+        caution, note: as HTML, "" for none; the note says how to read the summary.
         source: of the model, for the last line.
+        most_bytes: pictures are drawn more coarsely where the page would be larger.
     """
 
     title: str
@@ -92,22 +109,33 @@ class Page:
     provenance: Sequence[tuple[str, str]] = ()
     machine: Sequence[tuple[str, str]] = field(default_factory=tuple)
     caution: Markup | str = ""
+    note: Markup | str = ""
     source: str = DIESEL
+    most_bytes: float = math.inf
 
     @property
     def summed(self) -> bool:
         """Whether there is a summary."""
-        return bool(self.caution or self.findings or self.cards or self.tables)
+        return bool(self.caution or self.note or self.findings or self.cards or self.tables)
 
 
-def templates() -> Environment:
-    """The templates of pages."""
-    loader = PackageLoader("dieseltwin.report")
-    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+def kept(*figures: ReportFigure | None) -> tuple[ReportFigure, ...]:
+    """Those that there is data for."""
+    return tuple(figure for figure in figures if figure is not None)
+
+
+def swatched(label: str, colour: str) -> Markup:
+    """A label behind a patch of its colour."""
+    return Markup('<span class="swatch" style="background:{}"></span>{}').format(colour, label)
+
+
+def marked(text: str | Markup, kind: str) -> Markup:
+    """A cell's text in a class of the page's style: none, better, worse, stopped."""
+    return Markup('<span class="{}">{}</span>').format(kind, text)
 
 
 def shown_figure(figure: ReportFigure, content: bytes) -> dict[str, str]:
-    """A figure as the templates take it."""
+    """A figure as the template takes it."""
     return {"name": figure.name, "title": figure.title, "caption": Markup(quantities.with_symbols(figure.caption)),
             "uri": style.data_uri(content, figure.kind)}  # fmt: skip
 
@@ -124,15 +152,29 @@ def write_page(page: Page, out_html: str | Path, figures_dir: str | Path | None 
     sections = [section for section in page.sections if not section.empty]
     stills = {s.id: s.series.still for s in sections if s.series is not None}
     drawn = [figure for section in sections for figure in section.drawn]
-    encoded = encode_all(list({figure.name: figure for figure in (*drawn, *stills.values())}.values()))
+    figures = list({figure.name: figure for figure in (*drawn, *stills.values())}.values())
+    encoded = encode_all(figures)
     out.parent.mkdir(parents=True, exist_ok=True)
     if figures_dir is not None:
         for figure in drawn:
             figure.save(figures_dir, encoded[figure.name])
-    shown = {name: shown_figure(figure, encoded[figure.name]) for name, figure in stills.items()}
-    text = templates().get_template("page.html.j2").render(
-        page=page, sections=sections, stills=shown,
-        pictures={s.id: [shown_figure(f, encoded[f.name]) for f in s.figures] for s in sections},
+    text = _rendered(page, sections, stills, encoded)
+    for dpi in COARSER_DPI:
+        if len(text.encode("utf-8")) < page.most_bytes:
+            break
+        encoded |= encode_all([figure for figure in figures if figure.kind == "png"], dpi)
+        text = _rendered(page, sections, stills, encoded)
+    return write_text(out, text)
+
+
+def _rendered(
+    page: Page, sections: Sequence[Section], stills: Mapping[str, ReportFigure], encoded: Mapping[str, bytes]
+) -> str:
+    loader = PackageLoader("dieseltwin.report")
+    templates = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    return templates.get_template("page.html.j2").render(
+        page=page, sections=sections,
+        stills={name: shown_figure(figure, encoded[figure.name]) for name, figure in stills.items()},
+        pictures={s.id: [*s.pictures, *(shown_figure(f, encoded[f.name]) for f in s.figures)] for s in sections},
         script=interactive.script() if stills else "", look=interactive.look() if stills else "",
     )  # fmt: skip
-    return write_text(out, text)

@@ -141,46 +141,26 @@ def number(value: Any) -> float:
 
 
 def _estimate(entry: Mapping[str, Any]) -> Estimate:
-    interval = entry.get("interval_90") or (None, None)
+    low, high = entry.get("interval_90") or (None, None)
     return Estimate(
-        mean=number(entry.get("mean", entry.get("value"))),
+        mean=number(entry.get("mean")),
         std=number(entry.get("std")),
-        interval_90=(number(interval[0]), number(interval[1])),
+        interval_90=(number(low), number(high)),
         bound=number(entry.get("bound")),
-        identifiable=bool(entry.get("identifiable", True)),
+        identifiable=bool(entry.get("identifiable")),
     )
 
 
 def _runs_table(runs: Sequence[Mapping[str, Any]], segments: Sequence[SegmentResult]) -> pd.DataFrame:
-    """Flatten the document's runs: one start on one segment, or one start over all segments (a list inside)."""
-    rows: list[dict[str, Any]] = []
-    starts = [segment.t0_s for segment in segments]
-    counters: dict[int, int] = {}
+    """One row for each start, segment and parameter of the document's runs."""
+    index = {segment.t0_s: i for i, segment in enumerate(segments)}
+    rows = []
     for entry in runs:
-        for part in entry.get("segments", [entry]):
-            index = part.get("segment", entry.get("segment"))
-            if index is None and "t0_s" in part and starts:
-                index = int(np.argmin(np.abs(np.asarray(starts) - float(part["t0_s"]))))
-            index = int(index or 0)
-            run = part.get("run", entry.get("run"))
-            if run is None:
-                run = counters.get(index, 0)
-            counters[index] = counters.get(index, 0) + 1
-            converged = bool(part.get("converged", entry.get("converged", True)))
-            values = part.get("parameters", part)
+        for part in entry["segments"]:
             for parameter in PARAMETERS:
-                value = values.get(parameter)
-                if isinstance(value, Mapping):
-                    value = value.get("mean", value.get("value"))
-                rows.append(
-                    {
-                        "segment": index,
-                        "run": int(run),
-                        "parameter": parameter,
-                        "value": number(value),
-                        "converged": converged and math.isfinite(number(value)),
-                    }
-                )
+                value = number(part["parameters"][parameter]["value"])
+                converged = bool(part["converged"]) and math.isfinite(value)
+                rows.append((index[part["t0_s"]], entry["run"], parameter, value, converged))
     return pd.DataFrame(rows, columns=["segment", "run", "parameter", "value", "converged"])
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dieseltwin.identification.states import HIGH, LOW
 from dieseltwin.report.results import PARAMETERS, Estimate, MethodResult, Results
 from dieseltwin.sensors import MEASURED
 
@@ -76,18 +77,10 @@ def typical_ratio(method: MethodResult, parameter: str, truth: float) -> float:
 
 def band(states: pd.DataFrame, column: str) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Lower and upper edge (n,) of a column's 90 % band over runs [SI], or None where the table has none."""
-    for low, high in (("_lo", "_hi"), ("_low", "_high"), ("_p05", "_p95"), ("_5", "_95"), ("_q05", "_q95")):
-        if f"{column}{low}" in states and f"{column}{high}" in states:
-            return states[f"{column}{low}"].to_numpy(dtype=float), states[f"{column}{high}"].to_numpy(
-                dtype=float
-            )
-    if f"{column}_std" in states:
-        middle, half = (
-            states[column].to_numpy(dtype=float),
-            Z_90 * states[f"{column}_std"].to_numpy(dtype=float),
-        )
-        return middle - half, middle + half
-    return None
+    low, high = f"{column}{LOW}", f"{column}{HIGH}"
+    if low not in states:
+        return None
+    return states[low].to_numpy(dtype=float), states[high].to_numpy(dtype=float)
 
 
 def residuals(
@@ -153,11 +146,11 @@ def odd_channels(
     return odd
 
 
-def agree(one: Estimate, other: Estimate, standard_deviations: float = 2.0) -> bool | None:
-    """Whether two estimates lie within that many combined standard deviations; None where either is missing."""
+def agree(one: Estimate, other: Estimate) -> bool | None:
+    """Whether two estimates lie within two combined standard deviations; None where either is missing."""
     if not (one.finite and other.finite and math.isfinite(one.std) and math.isfinite(other.std)):
         return None
-    return abs(one.mean - other.mean) <= standard_deviations * math.hypot(one.std, other.std)
+    return abs(one.mean - other.mean) <= 2.0 * math.hypot(one.std, other.std)
 
 
 def within(interval: tuple[float, float], value: float) -> bool:

@@ -66,6 +66,9 @@ RC: dict[str, object] = {
     "path.simplify_threshold": 0.5,
 }
 
+DPI = 110
+"""Dots an inch of pictures of time series."""
+
 
 def slug(name: str) -> str:
     """A name as part of a file's name: letters and digits, the rest underscores."""
@@ -131,7 +134,7 @@ class ReportFigure:
     figure: Figure
     kind: str = "svg"
 
-    def encode(self, dpi: int = 110) -> bytes:
+    def encode(self, dpi: int = DPI) -> bytes:
         """Return the file's bytes; the same figure gives the same bytes (no date, no random ids)."""
         with mpl.rc_context(RC):
             if self.kind == "png":

@@ -97,12 +97,6 @@ class Body:
             h, dh = self.network.basis(x)
         return (h.numpy() - self.shift) @ self.mix, dh.numpy() @ self.mix * (2.0 / duration_s)
 
-    def fit_heads(self, states: ArrayLike, column: str, time01: ArrayLike | None = None) -> Floats:
-        """Heads (k + 1, m), bias first, of minutes (n, m) of a state [SI]: least squares on its linear outputs."""
-        states = np.asarray(states, dtype=np.float64)
-        h, _ = self.basis(np.linspace(0.0, 1.0, len(states)) if time01 is None else time01)
-        return _heads(h, TRANSFORMS[column].linear(states))
-
     def states(self, heads: ArrayLike, column: str, time01: ArrayLike) -> tuple[Floats, Floats]:
         """States (n, m) [SI] and their rates [SI/s] of heads (k + 1, m) (paper, Eq. "mult-head derivative")."""
         heads = np.asarray(heads, dtype=np.float64)

@@ -73,7 +73,8 @@ def found(trace: pd.DataFrame) -> Identification:
 def test_figures_of_one_identification(trace: pd.DataFrame, tmp_path: Path) -> None:
     unknown = made_up(trace, None)
     page = tmp_path / "report.html"
-    paths = identification_figures(unknown, unknown.problems, tmp_path / "figures", page, "drive.csv")
+    identification_figures(unknown, unknown.problems, tmp_path / "figures", page, "drive.csv")
+    paths = list((tmp_path / "figures").iterdir())
     assert "Recording: drive.csv" in page.read_text(encoding="utf-8")
     names = {path.name for path in paths}
     assert {

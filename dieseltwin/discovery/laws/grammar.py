@@ -370,11 +370,6 @@ def _of_pair(a: Variable, b: Variable, known: Sequence[Variable]) -> Iterator[Fa
                 yield Factor("orifice", (*pair, t.name), (up.reference, 1.0, t.reference), 1.0, (*units, "K"))
 
 
-def admissible(form: Form, point: Point) -> bool:
-    """The port rule: a law may depend only on variables of the nodes that its point touches, and on ambient."""
-    return set(form.variables) <= set(arguments(point))
-
-
 def arguments(point: Point) -> tuple[str, ...]:
     """Variables that a law at a point may depend on: its ports, and ambient, to which everything can leak or lose."""
     return (*point.ports, *(name for name in AMBIENT if name not in point.ports))

@@ -17,7 +17,7 @@ import numpy as np
 
 from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.time_limit import check_time
-from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin, lane_of, law_scope_of
+from dieseltwin.discovery.twins.interface import Array, Lanes, Parameter, Twin, TwinDefaults, lane_of, law_scope_of
 from dieseltwin.engine.fixed_point import settled
 
 _SETTLED = 1e-6  # change of a signal relative to its size that counts as settled
@@ -43,7 +43,7 @@ class Placed:
     free_shape: bool = False
 
 
-class LawTwin:
+class LawTwin(TwinDefaults):
     """A twin to which laws are added; satisfies `dieseltwin.discovery.twins.interface.Twin`.
 
     Coefficients keep the sign of their first estimate: the parameter is their size.

@@ -115,7 +115,7 @@ def lanes_of(fits: Sequence[Fit], own_schedules: bool = False) -> Lanes:
 def simulate_fits(twin: Twin, fits: Sequence[Fit]) -> Array:
     """Readings of every fit, (len(fits), n, C); as few calls as schedules allow."""
     check_time()
-    if getattr(twin, "own_schedules", False):
+    if twin.own_schedules:
         return twin.simulate(lanes_of(fits, own_schedules=True))
     out = np.empty((len(fits), *twin.measured.shape))
     remaining = list(range(len(fits)))
@@ -257,8 +257,8 @@ def bounded(twin: Twin, local: Array) -> Array:
 
     Far from the truth a step of the parameters drags initial states into other basins, from where no step leads back.
     """
-    limits = getattr(twin, "local_limits", None)
-    return local if limits is None else np.clip(local, *limits())
+    limits = twin.local_limits()
+    return local if limits is None else np.clip(local, *limits)
 
 
 def fit_fully(

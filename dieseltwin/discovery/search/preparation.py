@@ -114,11 +114,9 @@ def prepared_about(found: Search, fit: Fit) -> Search:
 
 def split_growing(at: Linearisation) -> Fit | None:
     """Cut the windows in which initial states grow, where the twin can: the fit on the new windows, None if none do."""
-    split = getattr(at.twin, "split", None)
     growing = at.metric.growing(_GROWTH)
-    if split is None or not growing.any():
-        return None
-    return replace(at.fit, local=split(growing, _PARTS, at.fit.local))
+    local = at.twin.split(growing, _PARTS, at.fit.local) if growing.any() else None
+    return None if local is None else replace(at.fit, local=local)
 
 
 def tolerances(twin: Twin, at: Linearisation, settings: SearchSettings) -> list[Nuisance]:

@@ -124,7 +124,7 @@ class Lanes:
         local: (B, W, S) initial states of the W windows.
         magnitudes: effect name -> (B,) magnitudes [unit]; effects not named are absent.
         schedules: effect name -> (n,) factor of its magnitude over the samples (onset, region, drift); 1 if not named.
-            (B, n) one per lane, where the twin says that it takes them (`own_schedules`).
+            (B, n) one per lane, where the twin says that it takes them (`Twin.own_schedules`).
         signals: point name -> (n,) signal shared by all lanes.
         lane_points: (B,) index into `Twin.points` of the point that `lane_signals` enters, -1 for none.
         lane_signals: (B, n) one further signal per lane.
@@ -161,6 +161,7 @@ class Twin(Protocol):
         starts: (W,) index of each window's first sample, ascending, the first 0.
         measured: (n, C) readings, NaN where missing.
         conditions: named (n,) input columns over which regions are reported (n_e_rpm, u_delta_mg, ...).
+        own_schedules: lanes may have schedules of their own.
     """
 
     channels: tuple[str, ...]
@@ -173,9 +174,19 @@ class Twin(Protocol):
     starts: NDArray[np.int64]
     measured: Array
     conditions: Mapping[str, Array]
+    own_schedules: bool
+
+    @property
+    def recording_time_s(self) -> Array:
+        """(n,) times of the samples in the recording, gaps included [s]."""
+        ...
 
     def simulate(self, lanes: Lanes) -> Array:
         """Readings without noise, (B, n, C)."""
+        ...
+
+    def simulate_all(self, lanes: Lanes) -> Array | None:
+        """Readings of every sensor that there could be, (B, n, all), without sensor effects; None where unknown."""
         ...
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
@@ -185,6 +196,38 @@ class Twin(Protocol):
     def first_local(self) -> Array:
         """First guess of the windows' initial states from the readings, (W, S)."""
         ...
+
+    def local_limits(self) -> tuple[Array, Array] | None:
+        """Lowest and highest initial states that the readings allow, (W, S) each; None for any."""
+        ...
+
+    def split(self, windows: NDArray[np.bool_], parts: int, local: Array) -> Array | None:
+        """Cut some windows (W,) into parts; the initial states (W', S) of all. None where windows can't be cut."""
+        ...
+
+
+class TwinDefaults:
+    """What a plain twin says of the rest of `Twin`: time without gaps, one schedule for all lanes, and nothing more."""
+
+    time_s: Array
+    own_schedules: bool = False
+
+    @property
+    def recording_time_s(self) -> Array:
+        """(n,) sample times [s]."""
+        return self.time_s
+
+    def simulate_all(self, lanes: Lanes) -> Array | None:
+        """There are no other sensors than `channels`."""
+        return None
+
+    def local_limits(self) -> tuple[Array, Array] | None:
+        """Any initial state will do."""
+        return None
+
+    def split(self, windows: NDArray[np.bool_], parts: int, local: Array) -> Array | None:
+        """Windows stay as they are."""
+        return None
 
 
 @runtime_checkable

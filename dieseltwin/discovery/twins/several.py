@@ -160,10 +160,6 @@ class SeveralTwin:
         """Number of the recording that a sample is in."""
         return int(np.searchsorted(self._edges, row, side="right")) - 1
 
-    def parameters_of(self, values: Array) -> Array:
-        """Free parameters (..., P) -> (..., R, 4) of each recording."""
-        return values.reshape(*values.shape[:-1], len(self.parts), -1)
-
     def _lanes_of(self, r: int, lanes: Lanes) -> Lanes:
         """What the lanes are in one recording."""
         rows, count = self.rows[r], len(self.parts[r].parameters)

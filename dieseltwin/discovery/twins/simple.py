@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, LawScope, Parameter, Point
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, LawScope, Parameter, Point, TwinDefaults
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.noise import Noise, estimate_noise
 
@@ -89,7 +89,7 @@ class Model:
     first: Mapping[str, float] = field(default_factory=dict)
 
 
-class SimpleTwin:
+class SimpleTwin(TwinDefaults):
     """A `Model` bound to one recording; satisfies `dieseltwin.discovery.twins.interface.Twin`.
 
     Args:
@@ -135,23 +135,6 @@ class SimpleTwin:
         self._inside = rows < ends[:, None]  # (W, L)
         self._rows = np.minimum(rows, ends[:, None] - 1).T.copy()  # (L, W)
         self._step = np.diff(self.time_s[self._rows], axis=0)  # (L - 1, W); 0 beyond a window's end
-
-    def windowed(self, window_s: float | None, rows: slice = slice(None)) -> SimpleTwin:
-        """The same model over some rows of the recording with other windows."""
-        return SimpleTwin(
-            self.model,
-            self.time_s[rows],
-            {name: values[rows] for name, values in self._inputs.items()},
-            self.measured[rows],
-            window_s,
-        )
-
-    def replaced(self, measured: Array) -> SimpleTwin:
-        """The same twin with other readings (n, C)."""
-        twin = object.__new__(type(self))
-        twin.__dict__.update(self.__dict__)
-        twin.measured = measured
-        return twin
 
     def noise(self, floor: Array | None = None) -> Noise:
         """Of the recording, from differences."""

@@ -186,7 +186,7 @@ def _evidence(found: Search, after: Array) -> Array:
 def _by_window(found: Search, evidence: Array) -> tuple[Array, Array]:
     starts = found.twin.starts
     ends = np.append(starts[1:], evidence.size)
-    time = getattr(found.twin, "recording_time_s", found.twin.time_s)
+    time = found.twin.recording_time_s
     middles = np.array([0.5 * (time[a] + time[b - 1]) for a, b in zip(starts, ends, strict=True)])
     return middles, np.add.reduceat(evidence, starts)
 

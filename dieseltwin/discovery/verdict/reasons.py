@@ -8,6 +8,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.search.run import Search, occam
+from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.sensors import SENSORS
 
@@ -69,19 +70,22 @@ def split_by(found: Search, name: str, others: Sequence[str]) -> str:
     fits = {fit.candidate.names: fit for fit in [*found.singles, *found.pairs]}
     mine = next((fit for key, fit in fits.items() if name in key), None)
     rival = next((fit for key, fit in fits.items() if others[0] in key and name not in key), None)
-    twin = found.twin
-    missing = [(j, s) for j, s in enumerate(SENSORS) if s.column not in twin.channels]
-    all_readings = getattr(twin, "simulate_all", None)
-    if mine is not None and rival is not None and missing and all_readings is not None:
-        a, b = all_readings(mine.lanes())[0], all_readings(rival.lanes())[0]
-        worth = {}
-        for j, sensor in missing:
-            sigma = sensor.noise * float(np.mean(np.abs(a[:, j])))
-            worth[sensor.column] = float((((a[:, j] - b[:, j]) / sigma) ** 2).sum())
-        best = max(worth, key=lambda column: worth[column])
-        if worth[best] > 4.0 * _ENOUGH:
+    if mine is not None and rival is not None:
+        worth = _worth_of_sensors(found.twin, mine, rival)
+        best = max(worth, key=lambda column: worth[column], default="")
+        if best and worth[best] > 4.0 * _ENOUGH:
             return f"a {best} sensor"
-    behind = None if mine is None or rival is None else abs(rival.objective - mine.objective)
-    if behind is not None and behind > 0.5:
-        return f"driving {max(2.0, _ENOUGH / behind):.0f} times as long, or with more contrast between loads"
+        behind = abs(rival.objective - mine.objective)
+        if behind > 0.5:
+            return f"driving {max(2.0, _ENOUGH / behind):.0f} times as long, or with more contrast between loads"
     return "nothing that this driving measures; a test with other loads at the same speeds"
+
+
+def _worth_of_sensors(twin: Twin, mine: Fit, rival: Fit) -> dict[str, float]:
+    """Column of a sensor that isn't used -> squared distance between two fits in its readings [noise]."""
+    missing = [(j, sensor) for j, sensor in enumerate(SENSORS) if sensor.column not in twin.channels]
+    a, b = (twin.simulate_all(fit.lanes()) if missing else None for fit in (mine, rival))
+    if a is None or b is None:
+        return {}
+    sigma = {j: sensor.noise * np.mean(np.abs(a[0, :, j])) for j, sensor in missing}
+    return {s.column: float((((a[0, :, j] - b[0, :, j]) / sigma[j]) ** 2).sum()) for j, s in missing}

@@ -55,20 +55,11 @@ class Windows:
     share_rate: Tensor
 
 
-def windows_for(
-    actuation: Actuation,
-    *,
-    window_s: float = WINDOW_S,
-    warm_up_s: float = WARM_UP_S,
-    fade_s: float = FADE_S,
-) -> Windows:
+def windows_for(actuation: Actuation) -> Windows:
     """Cut a segment into windows; one window where its samples are not evenly spaced or where it is short.
 
     Args:
         actuation: of the segment, at the step of the simulation.
-        window_s: length of a window less its warm-up [s].
-        warm_up_s: unused start of a window [s].
-        fade_s: blend between neighbours [s].
 
     Returns:
         The windows.
@@ -77,8 +68,8 @@ def windows_for(
     n = time.size
     step = float(time[1] - time[0])
     even = np.allclose(np.diff(time), step, rtol=1e-6, atol=1e-6) and len(set(actuation.steps.tolist())) == 1
-    warm, fade = max(1, round(warm_up_s / step)), max(1, round(fade_s / step))
-    length = round(window_s / step) + warm + fade
+    warm, fade = max(1, round(WARM_UP_S / step)), max(1, round(FADE_S / step))
+    length = round(WINDOW_S / step) + warm + fade
     if not even or length >= n:
         one = torch.ones(1, n, dtype=torch.float64)
         return Windows((0,), (actuation,), one, torch.zeros_like(one))

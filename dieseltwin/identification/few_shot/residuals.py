@@ -51,20 +51,9 @@ def told_inputs(
     return inputs._replace(u_egr=torch.tensor(u_egr), u_vgt=torch.tensor(told.u_vgt))
 
 
-def driven_inputs(actuation: Actuation, dtype: torch.dtype = torch.float64) -> DrivenInputs:
-    """Inputs and exact actuator positions at the sample times of a segment.
-
-    Args:
-        actuation: of the segment.
-        dtype: of the tensors.
-
-    Returns:
-        Tensors of shape (n,).
-    """
-    columns = (
-        *actuation.at_samples(),
-    )  # fmt: skip
-    return DrivenInputs(*(torch.tensor(c, dtype=dtype) for c in columns))
+def driven_inputs(actuation: Actuation) -> DrivenInputs:
+    """Inputs and exact actuator positions at the sample times of a segment, (n,) each."""
+    return DrivenInputs(*(torch.tensor(c, dtype=torch.float64) for c in actuation.at_samples()))
 
 
 class Cylinder(NamedTuple):

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pandas as pd
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from dieseltwin.paper import printed
 from dieseltwin.report import captions, quantities, style
+from dieseltwin.report.page import Table, marked, swatched
 from dieseltwin.report.results import PARAMETERS, Results
 from dieseltwin.report.segment_axis import WIDTH_IN
 from dieseltwin.report.statistics import error_of_runs
@@ -99,29 +100,21 @@ def paper_table(results: Results) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def paper_rows(results: Results) -> dict[str, Any] | None:
-    """The cells beside the paper's table, as text; None where there is nothing to compare."""
+def paper_rows(results: Results) -> tuple[Table, ...]:
+    """The cells beside the paper's table, as text; nothing where there is nothing to compare."""
     table = paper_table(results)
     if table.empty:
-        return None
+        return ()
     methods = [m.method for m in results.methods if m.method in table]
-    rows = []
+    rows: list[list[str | Markup]] = []
     for minute, part in table.groupby("minute", sort=True):
         for name, label in (("paper", "paper"), *((m, style.method_style(m).label) for m in methods)):
-            cells = []
+            colour = style.PAPER if name == "paper" else style.method_style(name).colour
+            row: list[str | Markup] = [str(minute) if name == "paper" else "", swatched(label, colour)]
             for parameter in PARAMETERS:
                 cell = part[part["parameter"] == parameter].iloc[0]
                 text = quantities.percent(cell[name])
-                cells.append(
-                    {"text": text if cell["identifiable"] else f"({text})", "none": not cell["identifiable"]}
-                )
-            colour = style.PAPER if name == "paper" else style.method_style(name).colour
-            rows.append(
-                {
-                    "minute": minute if name == "paper" else "",
-                    "label": label,
-                    "colour": colour,
-                    "cells": cells,
-                }
-            )
-    return {"heads": [quantities.html_symbol(p) for p in PARAMETERS], "rows": rows, "words": BESIDE_PAPER}
+                row.append(text if cell["identifiable"] else marked(f"({text})", "none"))
+            rows.append(row)
+    heads = ["minute", "method", *(Markup(quantities.html_symbol(p)) for p in PARAMETERS)]
+    return (Table(heads, rows, words=(0, 1), title="Beside the paper's table", about=BESIDE_PAPER),)

@@ -194,17 +194,13 @@ def caption(frame: pd.DataFrame, ecu: EcuConfig | None = None) -> str:
     return " ".join(words)
 
 
-def set_figure(
-    name: str, frame: pd.DataFrame, *, ecu: EcuConfig | None = None, window_s: tuple[float, float] | None = None
-) -> ReportFigure:
+def set_figure(name: str, frame: pd.DataFrame, *, ecu: EcuConfig | None = None) -> ReportFigure:
     """The picture of a set with its caption, for the report and for a file.
 
     Args:
         name: "set_i" ... "set_iv", or any name for other driving.
         frame: inputs with the response where known (`datasets.drive_set(...).response`, or a recording).
-        window_s: enlarged part [s]; None takes one that suits the set.
     """
     title = SET_TITLES.get(name, name)
-    window_s = SET_WINDOWS_S.get(name, DEFAULT_WINDOW_S) if window_s is None else window_s
-    figure = plot_set(frame, title, ecu=ecu, window_s=window_s)
+    figure = plot_set(frame, title, ecu=ecu, window_s=SET_WINDOWS_S.get(name, DEFAULT_WINDOW_S))
     return ReportFigure(name, title, caption(frame, ecu), figure, kind="png")

@@ -3,38 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-from dieseltwin.atomic import write_text
 from dieseltwin.paper.comparison.beside_paper import paper_rows, run_times
 from dieseltwin.paper.comparison.driving import SET_TITLES
 from dieseltwin.paper.comparison.pretraining import pretraining
-from dieseltwin.report import html, style
-from dieseltwin.report.html import Section, kept, page
+from dieseltwin.report import style
+from dieseltwin.report.html import identification_page, identification_sections
+from dieseltwin.report.page import Section, kept, write_page
 from dieseltwin.report.results import Results, load_results
-from dieseltwin.report.style import ReportFigure
 
 SIZE_LIMIT_BYTES = 8 * 1024 * 1024
-_SMALLER_DPI = (110, 85, 60)  # the page is drawn again more coarsely rather than grow beyond the limit
 
 
 def sections(results: Results) -> list[Section]:
     """All sections of the page, in their order."""
-    known = {section.id: section for section in html.sections(results)}
+    known = {section.id: section for section in identification_sections(results)}
     timed = any(math.isfinite(m.seconds_per_run) for m in results.methods)
     pictures = tuple(_picture(path) for path in results.pictures)
     learning = known["training"]
     return [
-        known["summary"],
-        Section("driving", "Driving", "The driving that the data sets are made of.", (), pictures),
+        known["readings-over-time"],
+        Section("driving", "Driving", words="The driving that the data sets are made of.", pictures=pictures),
         known["parameters"],
-        replace(known["accuracy"], beside_paper=paper_rows(results)),
+        replace(known["accuracy"], tables=paper_rows(results)),
         known["states"],
         known["residuals"],
-        Section("times", "Run times", "", kept(run_times(results)) if timed else ()),
+        Section("times", "Run times", kept(run_times(results)) if timed else ()),
         replace(learning, figures=(*learning.figures, *kept(pretraining(results)))),
     ]
 
@@ -45,20 +41,6 @@ def _picture(path: Path) -> dict[str, str]:
     # the picture carries its whole title itself
     title = SET_TITLES.get(path.stem, plain[:1].upper() + plain[1:]).partition(":")[0]
     return {"name": path.stem, "title": title, "caption": "", "uri": style.data_uri(path.read_bytes(), kind)}
-
-
-def _fitting_page(results: Results, chosen: Sequence[Section]) -> str:
-    text = ""
-    for dpi in _SMALLER_DPI:
-        text = page(results, chosen, partial(ReportFigure.encode, dpi=dpi))
-        if len(text.encode("utf-8")) < SIZE_LIMIT_BYTES:
-            break
-    return text
-
-
-def render(results: Results) -> str:
-    """The whole page as text; time series are drawn more coarsely where the page would exceed its size limit."""
-    return _fitting_page(results, sections(results))
 
 
 def build_report(
@@ -72,12 +54,6 @@ def build_report(
 
     Errors: InputError where there are no results or a file is broken.
     """
-    out = Path(out_html)
     results = load_results(Path(results_dir))
-    chosen = sections(results)
-    text = _fitting_page(results, chosen)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if figures_dir is not None:
-        for figure in (figure for section in chosen for figure in section.figures):
-            figure.save(Path(figures_dir))
-    return write_text(out, text)
+    page = replace(identification_page(results, sections(results)), most_bytes=SIZE_LIMIT_BYTES)
+    return write_page(page, out_html, figures_dir)

@@ -4,57 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
-from dieseltwin.atomic import write_text
 from dieseltwin.paper import printed
 from dieseltwin.paper.evaluation import words as words
 from dieseltwin.paper.evaluation.ensembles import CASES
 from dieseltwin.paper.evaluation.figures import over_epochs_figure, ratios_figure
 from dieseltwin.report import quantities, style, timeseries, training, violins
+from dieseltwin.report.page import Page, Section, Table, kept, marked, write_page
 from dieseltwin.report.results import PARAMETERS, Results
 from dieseltwin.report.style import ReportFigure
 from dieseltwin.settings.methods import find
 
 SIZE_LIMIT_BYTES = 12 * 1024 * 1024
-_SMALLER_DPI = (100, 75, 55)
+Rows = Sequence[Sequence[str | Markup]]
 TITLE = "The paper's tables and figures, and ours beside them"
 _WORDS = {printed.MULTI_STAGE: "the paper's multi-stage table", printed.FEW_SHOT: "the paper's few-shot table"}
-
-
-@dataclass(frozen=True)
-class Cell:
-    """Text of a table's cell and its CSS class."""
-
-    text: str
-    kind: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of the page; the first `words` columns hold words, the others numbers. Texts are HTML."""
-
-    title: str
-    heads: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    words: int = 1
-    dense: bool = False
-
-
-@dataclass(frozen=True)
-class Section:
-    """A section of the page."""
-
-    id: str
-    title: str
-    words: str = ""
-    tables: Sequence[Table] = ()
-    figures: Sequence[ReportFigure] = field(default_factory=tuple)
 
 
 def build_page(
@@ -78,19 +48,21 @@ def build_page(
     Returns:
         The path.
     """
-    found = sections(tables, results)
-    if figures_dir is not None:
-        for section in found:
-            for figure in section.figures:
-                figure.save(Path(figures_dir) / section.id)
     notes = dict(about or {})
-    page = ""
-    for dpi in _SMALLER_DPI:
-        page = _render(found, tables, notes, dpi)
-        if len(page.encode("utf-8")) < SIZE_LIMIT_BYTES:
-            break
-    out.parent.mkdir(parents=True, exist_ok=True)
-    return write_text(out, page)
+    page = Page(
+        title=TITLE, about=" · ".join(f"{key} {notes[key]}" for key in ("profile", "seed") if key in notes),
+        headline=Markup("</p><p>").join(headline(tables["scores"])), alarm=False, sections=sections(tables, results),
+        provenance=[(key, str(value)) for key, value in notes.items() if not isinstance(value, Mapping)],
+        source="Wahlström and Eriksson (2011). Printed values: Nath, Kumar, Smith, Karniadakis",
+        most_bytes=SIZE_LIMIT_BYTES,
+    )  # fmt: skip
+    return write_page(page, out, figures_dir)
+
+
+def _table(title: str, heads: Sequence[str], rows: Rows, words: int = 1, dense: bool = False) -> Table:
+    """A table from HTML, whose first `words` columns hold words, the others numbers."""
+    marked_heads = [Markup(head) for head in heads]
+    return Table(marked_heads, rows, words=tuple(range(words)), title=Markup(title), dense=dense)
 
 
 def sections(tables: Mapping[str, pd.DataFrame], results: Mapping[str, Results]) -> list[Section]:
@@ -100,8 +72,8 @@ def sections(tables: Mapping[str, pd.DataFrame], results: Mapping[str, Results])
         _section("scores", [_scores(scores)] if len(scores) else [], [ratios_figure(beside)] if len(beside) else []),
         *(
             Section(
-                f"parameters-{number}", f"Estimates beside {_WORDS[table]}", words.SECTIONS["parameters"][1],
-                [_beside(part, case) for case, part in whole.groupby("case", sort=False)],
+                f"parameters-{number}", f"Estimates beside {_WORDS[table]}", words=words.SECTIONS["parameters"][1],
+                tables=tuple(_beside(part, case) for case, part in whole.groupby("case", sort=False)),
             )
             for number, (table, whole) in enumerate(beside.groupby("table", sort=False))
         ),
@@ -117,14 +89,14 @@ def sections(tables: Mapping[str, pd.DataFrame], results: Mapping[str, Results])
             violins.violins(found), timeseries.states(found), timeseries.flows(found), timeseries.empirical(found),
             *(training.convergence(found, method) for method in found.methods),
         ]  # fmt: skip
-        kept = tuple(figure for figure in figures if figure is not None)
-        made.append(Section(f"figures-{case}", f"Figures, {CASES[case].words}", "", (), kept))
-    return [section for section in made if section.tables or section.figures]
+        own = tuple(replace(figure, name=f"{case}-{figure.name}") for figure in kept(*figures))  # cases share names
+        made.append(Section(f"figures-{case}", f"Figures, {CASES[case].words}", own))
+    return made
 
 
 def _section(name: str, tables: Sequence[Table], figures: Sequence[ReportFigure] = ()) -> Section:
     title, text = words.SECTIONS[name]
-    return Section(name, title, text, tables, figures)
+    return Section(name, title, tuple(figures), text, tables=tuple(tables))
 
 
 def _pm(mean: float, std: float, digits: int = 4) -> str:
@@ -154,34 +126,34 @@ def _scores(table: pd.DataFrame) -> Table:
     heads = ["method", "against", "case", "cells scored", "ours at most the paper's", "RMSE ratio", "95 % interval",
              "worse beyond interval", "members diverged", "cells not scored"]  # fmt: skip
     rows = [
-        [Cell(_label(r.method)), Cell(_WORDS[r.table]), Cell(r.case), Cell(str(r.cells)),
-         Cell(_percent(r.better, 0), "better" if r.better >= 0.8 else "worse"), Cell(f"{r.ratio:.3g}"),
-         Cell(f"{r.low:.3g} – {r.high:.3g}"), Cell(str(r.worse_beyond)), Cell(str(r.diverged)), Cell(str(r.unscored))]
+        [_label(r.method), _WORDS[r.table], r.case, str(r.cells),
+         marked(_percent(r.better, 0), "better" if r.better >= 0.8 else "worse"), f"{r.ratio:.3g}",
+         f"{r.low:.3g} – {r.high:.3g}", str(r.worse_beyond), str(r.diverged), str(r.unscored)]
         for r in table.sort_values("method", key=lambda names: names.map(_place), kind="stable").itertuples()
     ]  # fmt: skip
-    return Table("", heads, rows, 3, dense=True)
+    return _table("", heads, rows, 3, dense=True)
 
 
 def _beside(part: pd.DataFrame, case: Any) -> Table:
     rows = []
     for minute, cells in part.groupby("minute", sort=True):
         printed_row = cells.drop_duplicates("parameter").set_index("parameter")
-        row = [Cell(str(minute)), Cell("paper")]
-        row += [Cell(_pm(printed_row.loc[p, "paper_mean"], printed_row.loc[p, "paper_std"])) for p in PARAMETERS]
+        row = [str(minute), "paper"]
+        row += [_pm(printed_row.loc[p, "paper_mean"], printed_row.loc[p, "paper_std"]) for p in PARAMETERS]
         rows.append(row)
         for method, ours in cells.groupby("method", sort=True):
             of = ours.set_index("parameter")
-            row = [Cell(""), Cell(_label(str(method)))]
+            row = ["", _label(str(method))]
             for p in PARAMETERS:
                 r = of.loc[p]
                 text = f"{_pm(r['mean'], r['std'])} {_p(r['p'])}"
                 text += f", {int(r['diverged'])} diverged" if r["diverged"] else ""
                 if r["bound_class"] == "not identifiable":
-                    row.append(Cell(f"({text})", "none"))
+                    row.append(marked(Markup(f"({text})"), "none"))
                 else:
-                    row.append(Cell(text, "better" if r["better"] else "worse"))
+                    row.append(marked(Markup(text), "better" if r["better"] else "worse"))
             rows.append(row)
-    return Table(CASES[str(case)].words, ["minute", "", *_symbols()], rows, 2, dense=True)
+    return _table(CASES[str(case)].words, ["minute", "", *_symbols()], rows, 2, dense=True)
 
 
 def _times(table: pd.DataFrame) -> Table:
@@ -195,11 +167,11 @@ def _times(table: pd.DataFrame) -> Table:
         low, high = (theirs.min(), theirs.max()) if len(theirs) else (math.nan, math.nan)
         paper = "–" if not len(theirs) else (f"{low:.0f}" if low == high else f"{low:.0f} – {high:.0f}")
         rows.append(
-            [Cell(_label(str(first["method"]))), Cell(str(first["case"])), Cell(minutes), Cell(_whole(first["epochs"])),
-             Cell(f"{first['seconds']:.3g}"), Cell(_per_epoch(first["seconds"], first["epochs"])),
-             Cell(_whole(first["paper_epochs"])), Cell(paper), Cell(_per_epoch(theirs.mean(), first["paper_epochs"]))]
+            [_label(str(first["method"])), str(first["case"]), minutes, _whole(first["epochs"]),
+             f"{first['seconds']:.3g}", _per_epoch(first["seconds"], first["epochs"]),
+             _whole(first["paper_epochs"]), paper, _per_epoch(theirs.mean(), first["paper_epochs"])]
         )  # fmt: skip
-    return Table("", heads, rows, 3, dense=True)
+    return _table("", heads, rows, 3, dense=True)
 
 
 def _per_epoch(seconds: Any, epochs: Any) -> str:
@@ -215,41 +187,41 @@ def _learned(tables: Mapping[str, pd.DataFrame]) -> list[Table]:
     made = []
     if tables["operators"]["trainings"].sum():
         rows = [
-            [Cell(quantities.html_symbol(r.output)), Cell(f"{r.labels} labels"), Cell(r.recording),
-             Cell(str(r.trainings)), Cell(_pm(r.mean, r.std, 3)), Cell(_pm(r.paper, r.paper_std, 2))]
+            [Markup(quantities.html_symbol(r.output)), f"{r.labels} labels", r.recording,
+             str(r.trainings), _pm(r.mean, r.std, 3), _pm(r.paper, r.paper_std, 2)]
             for r in tables["operators"].itertuples()
         ]  # fmt: skip
         heads = ["operator's output", "", "recording", "trainings", "ours", "paper"]
-        made.append(Table("Actuator operators (DeepONets)", heads, rows, 3))
+        made.append(_table("Actuator operators (DeepONets)", heads, rows, 3))
     if tables["bodies"]["trainings"].sum():
         rows = [
-            [Cell(quantities.html_symbol(r.output)), Cell(str(r.trainings)), Cell(_pm(r.mean, r.std, 3)),
-             Cell(_pm(r.paper, r.paper_std, 3))]
+            [Markup(quantities.html_symbol(r.output)), str(r.trainings), _pm(r.mean, r.std, 3),
+             _pm(r.paper, r.paper_std, 3)]
             for r in tables["bodies"].itertuples()
         ]  # fmt: skip
-        made.append(Table("Multi-head bodies, training", ["output", "trainings", "ours", "paper"], rows))
+        made.append(_table("Multi-head bodies, training", ["output", "trainings", "ours", "paper"], rows))
     if len(tables["maps"]):
         wide = tables["maps"].pivot(index="map", columns="kind", values="test_pct")
         wide = wide[sorted(wide.columns, key=lambda kind: kind != "paper")]
         rows = [
-            [Cell(quantities.html_symbol(str(name))), *(Cell(f"{value:.3f}") for value in row)]
+            [Markup(quantities.html_symbol(str(name))), *(f"{value:.3f}" for value in row)]
             for name, row in wide.T.items()
         ]
         kinds = [{"paper": "as printed", "improved": "improved"}.get(str(kind), str(kind)) for kind in wide.columns]
-        made.append(Table("Empirical maps on Case-V", ["map", *kinds], rows))
+        made.append(_table("Empirical maps on Case-V", ["map", *kinds], rows))
     return made
 
 
 def _calibration(table: pd.DataFrame) -> Table:
     heads = ["method", "variant", "parameter", "stated by", "intervals", "coverage of 90 %", "mean z", "std of z"]
     rows = [
-        [Cell(_label(r.method)), Cell(str(r.variant) if isinstance(r.variant, str) else ""),
-         Cell(quantities.html_symbol(r.parameter)),
-         Cell(r.stated_by), Cell(str(r.intervals)), Cell(_percent(r.coverage, 0)), Cell(_two(r.z_mean)),
-         Cell(_two(r.z_std))]
+        [_label(r.method), str(r.variant) if isinstance(r.variant, str) else "",
+         Markup(quantities.html_symbol(r.parameter)),
+         r.stated_by, str(r.intervals), _percent(r.coverage, 0), _two(r.z_mean),
+         _two(r.z_std)]
         for r in table.itertuples()
     ]  # fmt: skip
-    return Table("", heads, rows, 4)
+    return _table("", heads, rows, 4)
 
 
 def _two(value: float) -> str:
@@ -262,15 +234,15 @@ def _identifiability(table: pd.DataFrame) -> list[Table]:
         rows = []
         for minute, cells in part.groupby("minute", sort=True):
             of = cells.set_index("parameter")
-            row = [Cell(str(minute))]
+            row = [str(minute)]
             for p in PARAMETERS:
                 bound = of.loc[p, "bound"]
                 text = f"{100 * bound:.3g} %" if math.isfinite(bound) else "no information"
-                row.append(Cell(text, "none" if of.loc[p, "bound_class"] == "not identifiable" else ""))
+                row.append(marked(text, "none") if of.loc[p, "bound_class"] == "not identifiable" else text)
             rows.append(row)
         names = str(sensors).split(", ")
         read = ", ".join(quantities.html_symbol(name) if "_" in name else name for name in names)
-        made.append(Table(f"{CASES[str(case)].words}; sensors: {read}", ["minute", *_symbols()], rows))
+        made.append(_table(f"{CASES[str(case)].words}; sensors: {read}", ["minute", *_symbols()], rows))
     return made
 
 
@@ -281,21 +253,21 @@ def _variants(table: pd.DataFrame) -> list[Table]:
     changed = set(named.loc[named["variant"] != "", "method"])
     for (method, variant), part in named[named["method"].isin(changed)].groupby(["method", "variant"], sort=True):
         median = part.groupby("parameter")["rmse"].median()
-        cells = [Cell(_percent(float(median.get(p, math.nan)), 2)) for p in PARAMETERS]
-        rows.append([Cell(_label(str(method))), Cell(variant or "as in the tables above"), *cells])
+        cells = [_percent(float(median.get(p, math.nan)), 2) for p in PARAMETERS]
+        rows.append([_label(str(method)), variant or "as in the tables above", *cells])
     if len(rows) < 2:
         return []
-    return [Table("Median over the identifiable minutes, noisy data", ["method", "changed", *_symbols()], rows, 2)]
+    return [_table("Median over the identifiable minutes, noisy data", ["method", "changed", *_symbols()], rows, 2)]
 
 
 def _variant_scores(table: pd.DataFrame) -> list[Table]:
     heads = ["method", "changed", "against", "case", "cells scored", "ours at most the paper's", "RMSE ratio"]
     rows = [
-        [Cell(_label(r.method)), Cell(r.variant if isinstance(r.variant, str) and r.variant else "as above"),
-         Cell(_WORDS[r.table]), Cell(r.case), Cell(str(r.cells)), Cell(_percent(r.better, 0)), Cell(f"{r.ratio:.3g}")]
+        [_label(r.method), r.variant if isinstance(r.variant, str) and r.variant else "as above",
+         _WORDS[r.table], r.case, str(r.cells), _percent(r.better, 0), f"{r.ratio:.3g}"]
         for r in table.itertuples()
     ]  # fmt: skip
-    return [Table("Against the paper's tables", heads, rows, 4)] if rows else []
+    return [_table("Against the paper's tables", heads, rows, 4)] if rows else []
 
 
 def _place(method: str) -> int:
@@ -320,29 +292,3 @@ def headline(scores: pd.DataFrame) -> list[str]:
             line += f", {r['ratio']:.2g} times the paper's in the geometric mean ({r['low']:.2g} – {r['high']:.2g})"
             lines.append(f"{line}.")
     return lines or ["No ensemble has a counterpart in the paper's tables."]
-
-
-def _render(found: Sequence[Section], tables: Mapping[str, pd.DataFrame], about: Mapping[str, Any], dpi: int) -> str:
-    environment = Environment(
-        loader=PackageLoader("dieseltwin.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    return environment.get_template("evaluation.html.j2").render(
-        title=TITLE,
-        about=" · ".join(f"{key} {value}" for key, value in about.items() if key in ("profile", "seed")),
-        headline=headline(tables["scores"]),
-        sections=[
-            {
-                "id": s.id, "title": s.title, "words": s.words, "tables": s.tables,
-                "figures": [
-                    {
-                        "name": f"{s.id}-{figure.name}", "title": figure.title,
-                        "caption": quantities.with_symbols(figure.caption),
-                        "uri": style.data_uri(figure.encode(dpi), figure.kind),
-                    }
-                    for figure in s.figures
-                ],
-            }
-            for s in found
-        ],
-        provenance=[(key, str(value)) for key, value in about.items() if not isinstance(value, Mapping)],
-    )  # fmt: skip

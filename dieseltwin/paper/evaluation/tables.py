@@ -29,6 +29,8 @@ BOUND_SCORED = 0.10
 """Relative bound below which a cell is scored (issue: "cells with a bound below 10 %")."""
 CONFIDENCE = 0.95
 """Of the bootstrap intervals."""
+POINTS = 12
+"""Epochs of a run at which its error is told."""
 CELL = ["case", "minute", "parameter"]
 
 
@@ -326,7 +328,7 @@ def calibration(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)  # named, for a run without a noisy case has no rows
 
 
-def over_epochs(ensembles: Sequence[Ensemble], truth: Mapping[str, float], points: int = 12) -> pd.DataFrame:
+def over_epochs(ensembles: Sequence[Ensemble], truth: Mapping[str, float]) -> pd.DataFrame:
     """RMSE of each parameter along the training on noisy data, over members and the minutes that are scored.
 
     Columns: variant, method, epoch, parameter, rmse (over the truth).
@@ -344,7 +346,7 @@ def over_epochs(ensembles: Sequence[Ensemble], truth: Mapping[str, float], point
                 square=lambda frame, p=parameter: (frame["value"] / truth[p] - 1.0) ** 2
             )
             rmse = np.sqrt(error.groupby("epoch")["square"].mean())
-            for share in np.linspace(1.0 / points, 1.0, points):
+            for share in np.linspace(1.0 / POINTS, 1.0, POINTS):
                 epoch = _nearest(rmse.index.to_numpy(), share * last)
                 if epoch is not None:
                     rows.append({"variant": e.variant, "method": e.method, "epoch": epoch, "parameter": parameter,

@@ -1,7 +1,8 @@
 """Words of other languages and abbreviations, put into the English words that the vocabulary of names knows.
 
 `data/channel_dictionary.yaml` holds the words. What isn't among them may be several of them in one
-("laddluftstemperatur"), one without its vowels ("mnfld") or the beginning of one ("manif").
+("laddluftstemperatur"), one without its vowels ("mnfld"), the beginning of one ("manif") or one behind the letter of
+what is measured ("tscav").
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ _LETTERS = dict(zip("абвгдезийклмнопрстуфцыэ", "abvgdezii
     "ё": "e", "ж": "zh", "х": "kh", "ч": "ch", "ш": "sh", "щ": "shch",
     "ъ": "", "ь": "", "ю": "yu", "я": "ya"}  # fmt: skip
 _CYRILLIC = _LETTERS | {letter.upper(): latin.capitalize() for letter, latin in _LETTERS.items()}
+LEAST_SPELT = 5  # consonants of a word that kept some of its vowels
+SYMBOLS = {"p": "pressure", "t": "temperature", "n": "speed"}
 MEASURED_LAST = frozenset(("mass", "quantity", "flow", "pressure", "temperature", "speed", "torque", "position"))
 VOWELS = frozenset("aeiouy")
 
@@ -51,7 +54,8 @@ class Dictionary:
                 return self.exact[spelling]
             if len(spelling) < LEAST_SKELETON or not spelling.isalpha():
                 return None
-            found = self._compound(spelling) or self._inflected(spelling) or self._abbreviated(spelling)
+            found = self._compound(spelling) or self._inflected(spelling) or self._behind_symbol(spelling)
+            found = found or self._abbreviated(spelling)
             if found is not None:
                 return found
         return None
@@ -80,6 +84,11 @@ class Dictionary:
         fitting = [stem for stem in self.stems if word.startswith(stem)]
         return self.stems[max(fitting, key=len)] if fitting else None
 
+    def _behind_symbol(self, word: str) -> str | None:
+        """'tscav': the symbol of a quantity and the place where it is measured in one word."""
+        place = self.exact.get(word[1:]) if len(word) > LEAST_BEGINNING and word[0] in SYMBOLS else None
+        return None if place is None else f"{place} {SYMBOLS[word[0]]}"
+
     def _abbreviated(self, word: str) -> str | None:
         """The only meaning whose words begin so, or have these consonants."""
         known = {**self.stems, **self.exact}
@@ -88,7 +97,9 @@ class Dictionary:
             if len(begun) == 1:
                 return begun.pop()
         if VOWELS & set(word[1:]):
-            return None
+            consonants = _skeleton(word)
+            same = {english for full, english in known.items() if _skeleton(full) == consonants}
+            return same.pop() if len(same) == 1 and len(consonants) >= LEAST_SPELT else None
         bare = {english for full, english in known.items() if _skeleton(full).startswith(word)}
         return bare.pop() if len(bare) == 1 else None
 

@@ -17,6 +17,7 @@ from dieseltwin.recordings.guess.physics import (
     STEADY_DISPLACEMENT,
     USUAL_LOADED,
     air_to_fuel,
+    beside_air,
     displacement,
     egr_area,
     moves,
@@ -174,8 +175,7 @@ def _positions(columns: Columns) -> Iterator[Support]:
             text = f"the EGR {what} follows (rank correlation {agrees:.2f})"
             yield Support(("u_egr_pct", "w_egr_kg_s"), abs(agrees) - 0.1, text)
         elif {"w_c_kg_s", "p_im_pa", "n_e_rpm"} <= set(columns):
-            gap = columns["p_im_pa"] * columns["n_e_rpm"] / np.maximum(columns["w_c_kg_s"], 1e-6)
-            agrees = ranks_agree(columns["u_egr_pct"], gap)
+            agrees = ranks_agree(columns["u_egr_pct"], beside_air(columns))
             text = f"the cylinders take in more than the air flow with it (rank correlation {agrees:.2f})"
             yield Support(("u_egr_pct", "w_c_kg_s"), abs(agrees) - 0.2, text)
     turbine = turbine_area(columns) if "p_amb_pa" in columns else None

@@ -72,8 +72,10 @@ def signals_of(raw: RawChannels) -> dict[str, Signal]:
     return found
 
 
-_SECONDS: Mapping[str, float] = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0}
+_SECONDS: Mapping[str, float] = {
+    "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0, "d": 86400.0}  # fmt: skip
 _CLOCK_WORDS = ("time", "zeit", "stamp", "stempel", "sekunde", "second", "temps")
+SPREADSHEET_DAYS = (3.6e4, 6.0e4)  # days since 1900 as spreadsheets count dates: 1998 to 2064
 SLOWEST_ROWS_S, QUICKEST_ROWS_S = 60.0, 1e-4  # a table of driving has rows between these
 
 
@@ -99,6 +101,8 @@ def clock_of(raw: RawChannels) -> tuple[str, float] | None:
     unit = (raw.units.get(name) or unit_in_name(name) or "").lower()
     if unit in _SECONDS:
         return name, _SECONDS[unit]
+    if SPREADSHEET_DAYS[0] < float(np.median(raw.table[name])) < SPREADSHEET_DAYS[1] and step < QUICKEST_ROWS_S:
+        return name, _SECONDS["d"]
     return name, 1.0 if QUICKEST_ROWS_S <= step < 5.0 else 1e-3 if step < 5e3 else 1e-6
 
 

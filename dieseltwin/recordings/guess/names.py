@@ -18,6 +18,7 @@ _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "Ä": 
 _FIRST_UMLAUT = re.compile(r"[ÄÖÜ](?=[a-zäöüß])")  # of a word with a capital, not of a word of capitals
 _SPN = re.compile(r"\bspn[ :#-]*(\d{2,6})\b", re.IGNORECASE)
 _BRACKETS = re.compile(r"[\[(][^\[\]()]*[\])]")
+_RECIRCULATED = re.compile(r"\bexh\w*( ga?s)? re?ci?rcu?la?ti?o?n\b")  # vowels left out or not
 _PART = re.compile(r"<([A-Z_]+)>")
 TRANSLATED = 0.95  # of the score, where the dictionary put the name into English
 LATER_SPN = 0.03  # of the score for each number that stands before it
@@ -137,7 +138,7 @@ def words_of(name: str) -> str:
     text = re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1 \2", text)
     text = re.sub(r"([A-Za-z]{3,})(\d)", r"\1 \2", text)  # turbo1, but p2 and T31 stay
     text = re.sub(r"[^A-Za-z0-9]+", " ", text).strip().lower()
-    return re.sub(r"\s+", " ", text)
+    return _RECIRCULATED.sub("egr", re.sub(r"\s+", " ", text))
 
 
 def spn_of(name: str, given: int | None) -> int | None:

@@ -27,6 +27,7 @@ NOMINAL_AIR_K, NOMINAL_AMBIENT_PA, NOMINAL_AMBIENT_K = 320.0, 1.0e5, 295.0
 EGR_FLOWS = 0.05  # of the air flow
 SENSORS_DIFFER = 0.05  # of a pressure: noise of 3 % in both readings makes 4 %; gauge against absolute makes tens
 BACKWARDS = 0.2  # share of rows with EGR in which p_em may lie below p_im: sensors of 1 to 2 %
+LOWEST_RATIO = (0.9, 1.4)  # lowest exhaust over lowest intake pressure: at idle both are near the ambient
 MOVES = 0.06  # relative standard deviation from which a channel says something
 TURBO_AGREES = 0.4  # rank correlation with the pressure ratio
 HEAT = (4.6, 16.0)  # K per mg/cycle and litre of a cylinder, real engines (see `plausibility`)
@@ -106,6 +107,9 @@ def misfit(columns: Mapping[str, np.ndarray], cylinders: int) -> float:
         total += abs(np.log(max(heat, 0.1) / np.clip(max(heat, 0.1), *HEAT)))
     if {"p_em_pa", "p_im_pa", "w_egr_kg_s"} <= set(columns):
         total += backwards(columns)
+    if {"p_em_pa", "p_im_pa"} <= set(columns):
+        lowest = max(float(np.divide(*(np.nanquantile(columns[name], 0.05) for name in ("p_em_pa", "p_im_pa")))), 0.1)
+        total += abs(np.log(lowest / np.clip(lowest, *LOWEST_RATIO)))
     speed, ratio_p = columns.get("omega_t_rad_s"), _pressure_ratio(columns)
     if speed is not None and ratio_p is not None:
         # the work of a pressure ratio is about 0.65 of the squared tip speed
@@ -238,6 +242,11 @@ def reversed_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
         agrees = ranks_agree(columns["u_egr_pct"], columns["w_egr_kg_s"])
         if agrees < -CLEAR_SIGN:
             found["u_egr_pct"] = f"EGR flow falls while it rises (rank correlation {agrees:.2f}): 0 seems to be open"
+    elif {"u_egr_pct", "w_c_kg_s", "p_im_pa", "n_e_rpm"} <= set(columns) and moves(columns["u_egr_pct"]):
+        agrees = ranks_agree(columns["u_egr_pct"], beside_air(columns))
+        if agrees < -CLEAR_SIGN:
+            found["u_egr_pct"] = ("the cylinders take in less beside the air flow while it rises "
+                                  f"(rank correlation {agrees:.2f}): 0 seems to be open")  # fmt: skip
     area = turbine_area(columns)
     if area is not None and "u_vgt_pct" in columns and float(np.nanstd(columns["u_vgt_pct"])) > STIRRED_PCT:
         usable = np.isfinite(area)
@@ -246,6 +255,12 @@ def reversed_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
             found["u_vgt_pct"] = (f"the turbine's flow area falls while it rises (rank correlation {agrees:.2f}): "
                                   "100 seems shut")  # fmt: skip
     return found
+
+
+def beside_air(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """What the cylinders take in over the air flow, up to a factor: p_im n_e/W_c, which rises with EGR."""
+    filled: np.ndarray = columns["p_im_pa"] * columns["n_e_rpm"] / np.maximum(columns["w_c_kg_s"], 1e-6)
+    return filled
 
 
 def turbine_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:

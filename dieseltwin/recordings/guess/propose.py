@@ -18,6 +18,7 @@ from dieseltwin.recordings.guess.physics import Meeting, agreements, misfit, rev
 from dieseltwin.recordings.guess.reading import Reading, reading_of
 from dieseltwin.recordings.guess.units import Unit, understood
 from dieseltwin.recordings.guess.unnamed import FINER, Option, assigned
+from dieseltwin.recordings.importers.j1939 import ENGINE_ADDRESSES, ENGINE_SPEED
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
 from dieseltwin.settings.names import listed
 from dieseltwin.symbols import BY_COLUMN
@@ -29,6 +30,8 @@ MOST_CHOICES = 512  # combinations of units that physics looks at
 DEFAULT_CYLINDERS = 6
 FROZEN, MOSTLY_MISSING = 0.6, 0.7  # factors on the score of a channel that never moves, or is hardly there
 NAMELESS = "told by its unit and by what it does, not by its name: check"
+BY_ORIGIN = 0.8  # factor of a guess that rests on the group or message that a channel stands in
+_ADDRESS = re.compile(r"from address (\d+)")
 OTHER_READING = 0.2  # of support, for a unit that isn't the likeliest, or gauge where nothing says so
 OTHER_UNIT = 0.7  # factor of a reading in another unit than the file's: too bold without a name
 SELDOM = ("EGR rate", "air per stroke", "fuel volume flow")  # less often recorded than what else gives the quantity
@@ -103,6 +106,7 @@ def propose(raw: RawChannels, cylinders: int | None = None, database: Path | Non
         candidate for name, fact in facts.items() if clock is None or name != clock[0]
         for candidate in _candidates(fact, count)
     ]  # fmt: skip
+    candidates = _of_one_engine(candidates, facts)
     chosen = _assigned(candidates)
     chosen = {**chosen, **_by_behaviour(chosen, signals, facts, count)}
     chosen = _by_physics(chosen, signals, facts, count)
@@ -117,10 +121,29 @@ def propose(raw: RawChannels, cylinders: int | None = None, database: Path | Non
     return Proposal(raw, facts, chosen, others, clock, count, cylinders is not None, database)
 
 
+def _of_one_engine(candidates: list[Candidate], facts: Mapping[str, Facts]) -> list[Candidate]:
+    """Without what another engine on the bus sends: one that sends a speed of its own is no helper of the first."""
+    addresses = {name: found.group(1) for name, fact in facts.items() if (found := _ADDRESS.search(fact.origin))}
+    turning = [addresses[name] for name, fact in facts.items() if name in addresses and fact.spn == ENGINE_SPEED]
+    engines = [address for address in turning if int(address) in ENGINE_ADDRESSES]
+    return [candidate for candidate in candidates if addresses.get(candidate.channel) not in engines[1:]]
+
+
 def _candidates(fact: Facts, cylinders: int) -> list[Candidate]:
     if fact.readings < 2:
         return []
-    words, spn = words_of(fact.name), spn_of(fact.name, fact.spn)
+    spn = spn_of(fact.name, fact.spn)
+    found = _said(fact, words_of(fact.name), spn, cylinders)
+    if found or spn is not None or not fact.origin:
+        return found
+    text = f"told by {fact.origin!r}, where it stands in the file: check"
+    return [replace(each, reading=each.reading.with_warning(text), score=BY_ORIGIN * each.score)
+            for each in _said(fact, words_of(f"{fact.origin} {fact.name}"), None, cylinders)
+            if BY_ORIGIN * each.score >= LEAST_SCORE]  # fmt: skip
+
+
+def _said(fact: Facts, words: str, spn: int | None, cylinders: int) -> list[Candidate]:
+    """What a channel's words or its number of J1939 say that it is."""
     unit = understood(fact.unit)
     found = []
     for meaning in vocabulary().meanings:
@@ -265,6 +288,11 @@ def _named(chosen: Mapping[str, Candidate], readings: Mapping[str, Reading]) -> 
     return {column: (chosen[column].channel, reading) for column, reading in readings.items()}
 
 
+def _told_otherwise(reading: Reading) -> bool:
+    """Whether the guess doesn't rest on the channel's own name."""
+    return any(warning.startswith("told by") for warning in reading.warnings)
+
+
 def _warned(candidate: Candidate, fact: Facts, candidates: Sequence[Candidate], cylinders_given: bool) -> Candidate:
     """Add what the candidate's own figures and its rivals give cause to check."""
     reading = candidate.reading
@@ -279,7 +307,7 @@ def _warned(candidate: Candidate, fact: Facts, candidates: Sequence[Candidate], 
     unread = candidate.meaning.unread(words_of(fact.name))
     if candidate.meaning.wanted(words_of(fact.name)):
         reading = reading.with_warning("a wanted value, as no channel says what was given: check that it follows")
-    elif unread and NAMELESS not in reading.warnings and not (spn_of(fact.name, fact.spn) or fact.name in BY_COLUMN):
+    elif unread and not _told_otherwise(reading) and not (spn_of(fact.name, fact.spn) or fact.name in BY_COLUMN):
         reading = reading.with_warning(f"nothing is known of {listed(unread)} in the name: check")
     if candidate.score < 0.7 and not reading.warnings:
         reading = reading.with_warning("the name says little: check")

@@ -28,6 +28,7 @@ HOT_AIR = 180.0  # an air temperature above this is in K, below in degC
 
 _SAYS_GAUGE = re.compile(r"\b(gauge|gage|rel|relativ|relative|ueberdruck|g)\b")
 _SAYS_ABSOLUTE = re.compile(r"\b(abs|absolute?|absolut)\b|abs$")
+_SAYS_SHUT = re.compile(r"\b(clos(ed|ing|ure)|shut|zu|geschlossen|ferme(ture)?|chius[oa]|cerrad[oa]|fechad[oa])\b")
 _SPN_GAUGE, _SPN_ABSOLUTE = frozenset({102, 1127}), frozenset({106, 3563, 108, 1176})
 
 
@@ -228,6 +229,9 @@ def _share(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Rea
         reasons = _told(unit, "%") if unit is not None else ()
         warnings = () if unit is not None else (f"no unit; {facts.low:.4g} to {facts.high:.4g} looks like %",)
     entry = ChannelEntry(column=meaning.column, unit=name, via=via)
+    if via is None and _SAYS_SHUT.search(words):
+        entry = entry.model_copy(update={"scale": -1.0, "offset": 100.0})
+        reasons = (*reasons, "the name says how far it is shut: 100 minus it")
     return Reading(entry, factor * (1.0 if unit else 0.9), reasons, warnings)
 
 

@@ -118,7 +118,7 @@ def map_text(proposal: Proposal) -> str:
         lines.append(f"dbc: {_scalar(str(proposal.database.resolve()))}")
     if proposal.clock is not None and proposal.clock[0] != TIME:
         name, scale = proposal.clock
-        unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 60.0: "min", 3600.0: "h"}[scale]
+        unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 60.0: "min", 3600.0: "h", 86400.0: "d"}[scale]
         lines.append(f"{_scalar(name)}: {{column: {TIME}, unit: {unit}}}")
     unmet = needed_but_unmapped(proposal)
     for column in ORDER:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import re
 import warnings
 from collections.abc import Sequence
@@ -26,6 +27,7 @@ from dieseltwin.recordings.importers.layout import (
     is_number,
 )
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
+from dieseltwin.recordings.importers.text_cells import in_numbers, without_repeated_names
 
 SEPARATORS = (",", ";", "\t", "|")
 MOST_COLUMNS = 20_000  # the largest control units have that many labels; a million take minutes to read
@@ -80,6 +82,9 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     if len(frame) == 0:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
     units = {name: unit for name, unit in zip(names, dialect.layout.units, strict=True) if name and unit}
+    frame, repeated = without_repeated_names(frame)
+    frame, cell_units, cleaned = in_numbers(frame, dialect.decimal)
+    notes.extend((*repeated, *cleaned))
     began = first_stamp(frame)
     frame, stamp_units, stamp_notes = seconds_from_stamps(frame, str(path))
     words = []
@@ -91,7 +96,7 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
         words.append(f"names in row {dialect.layout.header + 1}")
     if words:
         notes.append("read with " + ", ".join(words))
-    units |= stamp_units
+    units = cell_units | units | stamp_units
     return RawChannels(path, "CSV", table=frame, units=units, notes=(*notes, *stamp_notes), began=began)
 
 
@@ -202,6 +207,10 @@ def _no_table(path: Path, lines: Sequence[str]) -> InputError:
             )
         if len(rows) == 1 and len(rows[0]) >= 2:
             return InputError(str(path), "no rows", "a header and rows", "record again")
+    for names, numbers in itertools.permutations(SEPARATORS, 2):
+        if lines[0].count(names) > 1 and all(line.count(numbers) == lines[0].count(names) for line in lines[1:]):
+            return InputError(str(path), f"names with {names!r} between them above numbers with {numbers!r}",
+                              "the same separator in all rows", "mend the row of names")  # fmt: skip
     return InputError(
         str(path),
         "no readable CSV (no row of names above rows of numbers)",
@@ -224,7 +233,8 @@ def _numbers_of(path: Path, text: str, dialect: Dialect) -> pd.DataFrame:
             )  # fmt: skip
     except pd.errors.ParserWarning:
         raise InputError(f"{path}: first row of numbers", f"more than {len(names)} cells",
-                         f"{len(names)}, as in the row of names", "mend the row of names") from None  # fmt: skip
+                         f"{len(names)}, as in the row of names", "mend the row of names, or separate the columns by "
+                         "semicolons if the numbers have decimal commas") from None  # fmt: skip
     except (ValueError, pd.errors.ParserError) as error:
         raise unreadable(path, "CSV", error) from None
     for name in [name for name, given in zip(names, layout.names, strict=True) if not given]:

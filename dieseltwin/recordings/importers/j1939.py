@@ -10,6 +10,7 @@ import csv
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,6 +24,7 @@ FEWEST = 2  # readings of a signal: a flood of random identifiers hits a group o
 NOT_A_NODE = (254, 255)  # null and global address send nothing
 # Addresses of engine controllers by J1939-81: these come first and keep the plain name.
 ENGINE_ADDRESSES = (0, 1)
+ENGINE_SPEED = 190  # SPN
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,9 @@ class Parameter:
     scale: float
     offset: float
     checked: str
+
+
+Found: TypeAlias = tuple[Parameter, int, np.ndarray, np.ndarray]  # parameter, source address, times [s], values
 
 
 @cache
@@ -108,7 +113,7 @@ def decode(frames: CanFrames) -> tuple[list[Signal], list[str]]:
     sources = (frames.identifier & 0xFF).astype(np.int64)
     usable = frames.extended & ~np.isin(sources, NOT_A_NODE)
     long_groups = _transported(frames.take(usable & np.isin(groups, (TRANSPORT, TRANSFER))))
-    found: list[tuple[Parameter, int, np.ndarray, np.ndarray]] = []
+    found: list[Found] = []
     silent = 0
     for pgn in dict.fromkeys(parameter.pgn for parameter in parameters()):
         wanted = [parameter for parameter in parameters() if parameter.pgn == pgn]
@@ -123,16 +128,28 @@ def decode(frames: CanFrames) -> tuple[list[Signal], list[str]]:
                 else:
                     silent += 1
     notes = [f"{silent} parameters are sent but never available (or once only), and left out"] if silent else []
-    return _named(found), notes
+    signals = _named(found)
+    engines = _engines(found)
+    if len(engines) > 1:
+        text = " and ".join(str(source) for source in engines)
+        notes.append(f"engines at addresses {text}: one twin is of one engine; those of another carry its address")
+    return signals, notes
 
 
-def _named(found: list[tuple[Parameter, int, np.ndarray, np.ndarray]]) -> list[Signal]:
+def _engines(found: list[Found]) -> list[int]:
+    """Addresses of the engine controllers that send an engine speed: each is an engine of its own."""
+    return sorted({source for parameter, source, *_ in found
+                   if parameter.spn == ENGINE_SPEED and source in ENGINE_ADDRESSES})  # fmt: skip
+
+
+def _named(found: list[Found]) -> list[Signal]:
     """'SPN 190 engine_speed'; the same number from a second source or group carries it in its name."""
     found.sort(key=lambda item: (item[1] not in ENGINE_ADDRESSES, item[1]))
+    others = _engines(found)[1:]
     signals, taken = [], set()
     for parameter, source, time_s, values in found:
         name = f"SPN {parameter.spn} {parameter.name}"
-        if name in taken:
+        if name in taken or source in others:  # another engine's is never taken for the first one's
             name = f"{name} (address {source})"
         if name in taken:
             name = f"{name[:-1]}, PGN {parameter.pgn})"

@@ -10,14 +10,25 @@ LOOKED_AT = 200  # rows from the top: loggers write up to about a hundred lines 
 NUMERIC_SHARE = 0.5  # of the filled cells of a row of data; comment columns and states are text
 UNIT_SHARE = 0.5  # of the filled cells of a row of units
 
+BLANKS = "\u00a0\u2009\u202f"  # that don't break a line: grouping of thousands by Excel and by French loggers
+MONTHS = "jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec|mae?r|mrz|mai|okt|dez"
+ZONES = {"UTC": 0, "GMT": 0, "WET": 0, "WEST": 1, "CET": 1, "MEZ": 1, "CEST": 2, "MESZ": 2, "EET": 2, "EEST": 3,
+         "EST": -5, "EDT": -4, "CST": -6, "CDT": -5, "MST": -7, "MDT": -6, "PST": -8, "PDT": -7, "JST": 9}  # fmt: skip
+"""Names of time zones in stamps, and their hours before UTC: Europe's and North America's, and Japan's."""
+
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
-_GROUPED = re.compile(r"[+-]?\d{1,3}([.,' ]\d{3})+([.,]\d+)?$")
+_GROUPED = re.compile(rf"[+-]?\d{{1,3}}([.,'’{BLANKS} ]\d{{3}})+([.,]\d+)?$")
+_ZONE = rf"( ?({'|'.join(ZONES)})([+-]\d{{1,2}}(:?\d{{2}})?)?| ?Z| ?[+-]\d{{2}}:?\d{{2}})"
 _DATE = re.compile(
-    r"(\d{4}-\d{1,2}-\d{1,2}|\d{1,2}[./]\d{1,2}[./]\d{2,4})"
-    r"([ T]+\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?( ?[AP]M)?(Z|[+-]\d{2}:?\d{2})?)?$"
-    r"|\d{1,2}:\d{2}:\d{2}([.,:]\d+)?( ?[AP]M)?$",
+    r"(\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}"
+    rf"|\d{{1,2}}[-. ]+({MONTHS})[a-z]*[-., ]+\d{{4}})"
+    rf"([ T,]+\d{{1,2}}:\d{{2}}(:\d{{2}}([.,]\d+)?)?( ?[AP]M)?{_ZONE}?)?$"
+    rf"|([a-z]{{3}} )?({MONTHS})[a-z]* \d{{1,2}},? (\d{{4}},? )?\d{{1,2}}:\d{{2}}:\d{{2}}([.,]\d+)?{_ZONE}?( \d{{4}})?$"
+    rf"|\d{{1,2}}:\d{{2}}:\d{{2}}([.,:]\d+)?( ?[AP]M)?{_ZONE}?$"
+    r"|\d{1,3}:\d{2}[.,]\d+$",  # minutes and seconds, as Excel shows them
     re.IGNORECASE,
 )
+_CLOCK_LIKE = re.compile(r"\d{1,2}:\d{2}(:|\b)|\d{4}-\d{2}-\d{2}T")
 _MISSING_WORDS = """nan na n/a #n/a #n/v #nv null none nil - -- --- inf -inf +inf 1.#qnan -1.#ind 1.#inf #wert!
 #value! #div/0! #ref! #bezug! invalid ungültig error err snv nodata ?"""
 MISSING = frozenset(_MISSING_WORDS.split()) | {"", "no data"}
@@ -57,12 +68,20 @@ def is_missing(cell: str) -> bool:
 def is_number(cell: str) -> bool:
     """Whether a cell is a number with a decimal point or comma, thousands grouped or not."""
     text = cell.strip()
-    return bool(_NUMBER.match(text) or _GROUPED.match(text))
+    if _NUMBER.match(text) or _GROUPED.match(text):
+        return True
+    number, _, unit = text.replace("%", " %").rpartition(" ")  # "12.5 %", "1200 rpm"
+    return bool(unit) and bool(_NUMBER.match(number.strip()) or _GROUPED.match(number.strip())) and is_unit(unit)
 
 
 def is_date(cell: str) -> bool:
     """Whether a cell is a date, a time of day, or both."""
     return bool(_DATE.match(cell.strip()))
+
+
+def is_stamp_text(cell: str) -> bool:
+    """Whether a cell has the colons of a time of day, readable or not."""
+    return bool(_CLOCK_LIKE.search(cell))
 
 
 def is_unit(cell: str) -> bool:
@@ -118,7 +137,9 @@ def _first_data_row(rows: Sequence[Sequence[str]]) -> int | None:
     for index, cells in enumerate(rows):
         if not is_data_row(cells) or _is_preamble(cells):
             continue
-        following = [row for row in rows[index + 1 : index + 4] if sum(bool(cell.strip()) for cell in row) > 1]
+        again = rows[:index]  # a heading that comes once more
+        following = [row for row in rows[index + 1 : index + 4]
+                     if row not in again and sum(bool(cell.strip()) for cell in row) > 1]  # fmt: skip
         if all(is_data_row(row) for row in following):
             return index
     return None

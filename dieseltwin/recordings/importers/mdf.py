@@ -114,12 +114,13 @@ def _signals(mdf: Any, wanted: Collection[str] | None, notes: list[str]) -> Iter
             if values is None:
                 left_out.append(name)
                 continue
+            raster = str(getattr(group.channel_group, "acq_name", "") or "").strip()
             yield Signal(
                 name,
                 str(signal.unit).strip() or None,
                 np.asarray(signal.timestamps, dtype=np.float64),
                 values,
-                f"group {index}",
+                raster or f"group {index}",
             )
     if left_out:
         notes.append(

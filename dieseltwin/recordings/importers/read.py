@@ -15,6 +15,7 @@ from dieseltwin.recordings.importers.content import recognise
 from dieseltwin.recordings.importers.dbc import decode_by_dbc
 from dieseltwin.recordings.importers.delimited import read_delimited
 from dieseltwin.recordings.importers.excel import read_excel
+from dieseltwin.recordings.importers.long_table import taken_apart
 from dieseltwin.recordings.importers.matlab import read_hdf5, read_matlab
 from dieseltwin.recordings.importers.mdf import read_mdf
 from dieseltwin.recordings.importers.parquet import read_parquet
@@ -56,7 +57,7 @@ def read_raw(path: str | Path, database: Path | None = None, wanted: Collection[
         raw = readers[content.format](path)
     if raw.table is not None and len(raw.table) == 0:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
-    return raw
+    return taken_apart(raw)
 
 
 def _from_mdf(path: Path, database: Path | None, wanted: Collection[str] | None) -> RawChannels:

@@ -96,7 +96,7 @@ def test_recording_without_truth_one_segment_one_method(tmp_path: Path) -> None:
     )
     text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
     assert "truth not known" in text and "std over bound" in text
-    assert "<th>truth</th>" not in text and "the truth is known" not in text
+    assert ">truth</th>" not in text and "the truth is known" not in text
     assert "1 segment)" in text
 
 

@@ -27,7 +27,8 @@ TO: dict[str, Callable[[Values], Values]] = {
     "rpm of rad/s": lambda x: x * 30.0 / np.pi, "krpm of rad/s": lambda x: x * 0.03 / np.pi,
     "1/s of rpm": lambda x: x / 60.0,
     "%": lambda x: x, "fraction": lambda x: x / 100.0, "% shut": lambda x: 100.0 - x,
-    "kPa gauge": lambda x: (x - AMBIENT) / 1e3, "bar gauge": lambda x: (x - AMBIENT) / 1e5,
+    "kPa gauge": lambda x: (x - AMBIENT) / 1e3,
+    "mbar gauge": lambda x: (x - AMBIENT) / 1e2, "bar gauge": lambda x: (x - AMBIENT) / 1e5,
     "psi gauge": lambda x: (x - AMBIENT) / 6894.757, "mg": lambda x: x, "MPa": lambda x: x / 1e6,
     "kg/cm2 gauge": lambda x: (x - AMBIENT) / 98066.5, "gal/h": lambda x: x * 3600.0 / DENSITY / 3.785411784,
 }  # fmt: skip
@@ -66,6 +67,11 @@ def drive(reference: pd.DataFrame) -> dict[str, Values]:
         "air wanted per stroke": np.round(1.05e6 * w_c * 120.0 / (n_e * CYLINDERS), -1), "shaft": 0.97 * n_e,
         "oil pressure": 1.5e5 + 150.0 * n_e, "t fuel": 318.0 + 2.0 * wander, "torque wanted": 9.3 * fuel - 140.0,
         "torque %": fuel / 2.5, "t cooler": 350.0 + 10.0 * wander,
+        "p compressor": known["p_im_pa"] + 4e3 * (w_c / 0.3) ** 2, "p inlet": AMBIENT - 2.5e3 * (w_c / 0.3) ** 2,
+        "p crankcase": AMBIENT + 300.0 + 0.1 * n_e, "egr dp": known["p_em_pa"] - known["p_im_pa"],
+        "filter dp": 2.5e3 * (w_c / 0.3) ** 2, "t inlet": 297.0 + 0.8 * wander, "t egr": 390.0 + 20.0 * wander,
+        "t cylinder": known["t_em_k"] - 40.0, "fuel wanted": np.round(1.03 * fuel, 0), "fuel limit": 1.2 * fuel + 20.0,
+        "afr": w_c / np.maximum(w_f, 1e-5), "error": np.round(5.0 * wander),
     }  # fmt: skip
 
 

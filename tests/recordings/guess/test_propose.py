@@ -11,6 +11,7 @@ import yaml
 from foreign import AMBIENT, FILES, TO, Foreign, drive, expected, without_names, written
 from foreign_later import LATER
 from foreign_public import AGAIN, PUBLIC
+from foreign_unseen import UNSEEN
 
 from dieseltwin.cli.app import main
 from dieseltwin.recordings.channels import channel_map
@@ -21,13 +22,13 @@ from dieseltwin.recordings.guess.propose import LEAST_SCORE, Proposal, propose
 from dieseltwin.recordings.guess.units import understood
 from dieseltwin.recordings.guess.words import map_text
 from dieseltwin.recordings.importers.read import read_raw
-from dieseltwin.recordings.importers.signals import Signal
+from dieseltwin.recordings.importers.signals import RawChannels, Signal, unique_names
 from dieseltwin.recordings.reader import read_recording
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "field_random_300s.csv"
 CLOSE = 0.02  # of the mean: a guess is right when its values are, unit, offset and formula included
 WANTED_SHARE = 0.9
-ALL = {file.title: file for file in (*FILES, *LATER, *PUBLIC, *AGAIN)}
+ALL = {file.title: file for file in (*FILES, *LATER, *PUBLIC, *AGAIN, *UNSEEN)}
 Judged = tuple[list[str], list[str], list[str]]
 
 
@@ -69,11 +70,11 @@ def test_no_wrong_guess_without_a_warning(verdicts, title):
 
 
 def test_nine_of_ten_first_guesses_are_right(verdicts):
-    for files in ((*FILES, *LATER), (*PUBLIC, *AGAIN)):
+    for files in ((*FILES, *LATER), (*PUBLIC, *AGAIN, *UNSEEN)):
         right = sum(len(verdicts[file.title][0]) for file in files)
         asked = sum(len(expected(file)) for file in files)
         assert asked > 160 and right / asked >= WANTED_SHARE
-    assert len(ALL) == 50
+    assert len(ALL) == 62
 
 
 @pytest.mark.parametrize("title", ["codes of a test bench", "American units, gauge", "a generating set"])
@@ -93,6 +94,54 @@ def test_channels_without_names_and_units_are_left_alone(tmp_path, known):
     frame = pd.DataFrame({"time_s": known["time_s"], "ch1": known["n_e_rpm"], "ch2": known["p_im_pa"] / 1e3})
     frame.to_csv(tmp_path / "drive.csv", index=False)
     assert propose(read_raw(tmp_path / "drive.csv")).guesses == {}
+
+
+@pytest.mark.parametrize("flow", ["w_egr_kg_s", "w_c_kg_s"])
+def test_a_valve_that_counts_the_other_way_is_turned_round(tmp_path, known, flow):
+    """By the EGR flow, or without one by what the cylinders take in beside the air."""
+    columns = {name: known[name] for name in ("time_s", "n_e_rpm", "p_im_pa", flow)}
+    frame = pd.DataFrame(columns | {"EGR valve position [%]": 100.0 - known["u_egr_pct"]})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    guess = propose(read_raw(tmp_path / "drive.csv")).guesses["u_egr_pct"]
+    assert (guess.reading.entry.scale, guess.reading.entry.offset) == (-1.0, 100.0)
+    assert any("0 seems to be open" in warning for warning in guess.reading.warnings)
+
+
+def test_a_boost_sensor_that_reads_high_makes_no_gauge_pressure_of_the_exhausts(tmp_path, known):
+    frame = pd.DataFrame({name: known[name] for name in ("time_s", "n_e_rpm", "w_egr_kg_s", "w_c_kg_s")}
+                         | {"boost pressure [kPa]": known["p_im_pa"] / 1e3 * 1.08,
+                            "exhaust pressure [kPa]": known["p_em_pa"] / 1e3})  # fmt: skip
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    assert propose(read_raw(tmp_path / "drive.csv")).guesses["p_em_pa"].reading.entry.via is None
+
+
+def test_channels_of_one_name_are_told_by_their_groups(known):
+    time_s = known["time_s"]
+    signals = unique_names([
+        Signal("Speed", "rpm", time_s, known["n_e_rpm"], "Engine"),
+        Signal("Pressure", "kPa", time_s, known["p_im_pa"] / 1e3, "IntakeManifold"),
+        Signal("Pressure", "kPa", time_s, known["p_em_pa"] / 1e3, "ExhaustManifold"),
+        Signal("Speed", "rpm", time_s, known["omega_t_rad_s"] * 30.0 / np.pi, "Turbocharger"),
+    ])  # fmt: skip
+    guesses = propose(RawChannels(Path("drive.mf4"), "MDF 4.10", signals)).guesses
+    assert {column: guess.channel for column, guess in guesses.items()} == {
+        "n_e_rpm": "Speed", "p_im_pa": "Pressure", "p_em_pa": "Pressure (ExhaustManifold)",
+        "omega_t_rad_s": "Speed (Turbocharger)"}  # fmt: skip
+    assert all("where it stands in the file" in str(guesses[column].reading.warnings)
+               for column in ("p_im_pa", "p_em_pa", "omega_t_rad_s"))  # fmt: skip
+
+
+def test_two_engines_on_a_bus_are_not_mixed(known):
+    """The second engine sends a boost pressure that the first doesn't: it is no channel of the first."""
+    def sent(spn: int, column: str, address: int, scale: float) -> Signal:
+        name = f"SPN {spn} ({address})"
+        return Signal(name, "rpm" if spn == 190 else "kPa", known["time_s"], scale * known[column],
+                      f"PGN 1 from address {address}", spn)  # fmt: skip
+
+    signals = unique_names([sent(190, "n_e_rpm", 0, 1.0), sent(190, "n_e_rpm", 1, 1.0), sent(3563, "p_im_pa", 1, 1e-3),
+                            sent(1209, "p_em_pa", 61, 1e-3)])  # fmt: skip
+    guesses = propose(RawChannels(Path("trace.log"), "J1939 trace", signals)).guesses
+    assert guesses["n_e_rpm"].channel == "SPN 190 (0)" and "p_im_pa" not in guesses and "p_em_pa" in guesses
 
 
 def test_an_oil_pressure_is_no_exhaust_pressure(tmp_path, known):

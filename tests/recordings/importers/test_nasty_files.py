@@ -57,6 +57,29 @@ READ: dict[str, tuple[str, bytes]] = {
         ",", ".", ["23:59:59.8", "23:59:59.9", "00:00:00.0", "00:00:00.1"])).encode()),
     "date and time in two columns": ("a.csv", ("Datum;Zeit;Drehzahl\n" + rows(
         ";", ".", [f"01.05.2024;12:00:00.{i}" for i in range(4)])).encode()),
+    "a clock put back for winter": ("a.csv", ("Zeit,Drehzahl\n" + rows(",", ".", [
+        "2026-10-25 02:59:59.8", "2026-10-25 02:59:59.9", "2026-10-25 02:00:00.0", "2026-10-25 02:00:00.1"])).encode()),
+    "a clock put forward for summer": ("a.csv", ("Zeit,Drehzahl\n" + rows(",", ".", [
+        "29.03.2026 01:59:59.8", "29.03.2026 01:59:59.9", "29.03.2026 03:00:00.0", "29.03.2026 03:00:00.1"])).encode()),
+    "names of time zones": ("a.csv", ("Zeit,Drehzahl\n" + rows(",", ".", [
+        "2026-10-25 02:59:59.8 CEST", "2026-10-25 02:59:59.9 CEST", "2026-10-25 02:00:00.0 CET",
+        "2026-10-25 02:00:00.1 CET"])).encode()),
+    "a phone's stamps": ("a.csv", ("Zeit,Drehzahl\n" + rows(",", ".", [
+        f"23-Nov-2026 14:15:47.{i}" for i in range(4)])).encode()),
+    "stamps with the year at the end": ("a.csv", ("Zeit,Drehzahl\n" + rows(",", ".", [
+        f"Mon Nov 23 11:58:47.{i} GMT+01:00 2026" for i in range(4)])).encode()),
+    "German months": ("a.csv", ("Zeit;Drehzahl\n" + rows(";", ".", [
+        f"23. Okt 2026 14:15:47,{i}" for i in range(4)])).encode()),
+    "minutes and seconds": ("a.csv", ("Zeit,Drehzahl\n" + rows(",", ".", [f"59:59.{i}" for i in range(4)])).encode()),
+    "thousands by apostrophes": (
+        "a.csv", b"Zeit;Drehzahl\n0.0;1'000.00\n0.1;1'001.50\n0.2;1'002.00\n0.3;1'003.25\n"),
+    "thousands by narrow blanks": (
+        "a.csv", (HEAD + rows().replace("1000", "1\u202f000").replace("1001", "1\u202f001")).encode()),
+    "decimal commas in quotes between commas": (
+        "a.csv", b'"Zeit","Drehzahl"\n"0,0","1000,00"\n"0,1","1001,50"\n"0,2","1002,00"\n"0,3","1003,25"\n'),
+    "cells that carry the unit": ("a.csv", (HEAD + rows().replace(";", " s;").replace("\n", " rpm\n")).encode()),
+    "the names once more in the middle": (
+        "a.csv", ("Zeit,Drehzahl\n" + rows(",", ".").replace("0.2,", "Zeit,Drehzahl\n0.2,")).encode()),
     "a CSV called .xlsx": ("a.xlsx", (HEAD + rows()).encode()),
     "a text column beside": ("a.csv", (HEAD.strip() + ";Kommentar\n" + rows().replace("\n", ";IDLE\n")).encode()),
 }  # fmt: skip
@@ -71,7 +94,28 @@ def test_read_right(tmp_path, what):
     np.testing.assert_allclose(table["Zeit"].to_numpy(dtype=float), TIME, atol=1e-9)
     np.testing.assert_allclose(table["Drehzahl"].to_numpy(dtype=float), SPEED)
     if "unit" in what:
-        assert read_raw(tmp_path / name).units == {"Zeit": "s", "Drehzahl": "rpm" if "scope" in what else "1/min"}
+        rpm = "scope" in what or "cells" in what
+        assert read_raw(tmp_path / name).units == {"Zeit": "s", "Drehzahl": "rpm" if rpm else "1/min"}
+
+
+def test_rows_between_stamps_without_fractions_are_spread_evenly(tmp_path):
+    seconds = np.arange(23) // 5 + 12
+    text = "".join(f"2026-11-23 10:00:{second},{900 + row}\n" for row, second in enumerate(seconds))
+    (tmp_path / "a.csv").write_text("Time,n_e\n" + text)
+    raw = read_raw(tmp_path / "a.csv")
+    np.testing.assert_allclose(np.diff(raw.table["Time"]), 0.2)
+    assert any("steps by 1 s, 5 rows each" in note for note in raw.notes)
+
+
+def test_a_reading_a_row_becomes_channels_with_times_of_their_own(tmp_path):
+    lines = [f'"{0.1 * row:.1f}";"{name}";"{value + row}";"{unit}";' for row in range(30)
+             for name, value, unit in (("rpm", 1000, "rpm"), ("boost", 120, "kPa"), ("EGT", 300, "°C"))
+             if row % 3 == 0 or name == "rpm"]  # fmt: skip
+    (tmp_path / "a.csv").write_text('"SECONDS";"PID";"VALUE";"UNITS";\n' + "\n".join(lines))
+    signals = read_raw(tmp_path / "a.csv").signals
+    assert {name: signal.unit for name, signal in signals.items()} == {"rpm": "rpm", "boost": "kPa", "EGT": "°C"}
+    np.testing.assert_allclose(signals["boost"].time_s, 0.3 * np.arange(10))
+    np.testing.assert_allclose(signals["rpm"].values, 1000.0 + np.arange(30))
 
 
 @pytest.mark.parametrize("word", ["", "NaN", "n/a", "#N/A", "---", "1.#QNAN", "INVALID", "#DIV/0!", "null"])
@@ -124,6 +168,9 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
     "a DBC in place of the trace": ("a.dbc", b'VERSION ""\n\nBO_ 100 M: 8 X\n', "describes a bus"),
     "a CAN trace without times": ("a.log", b"  can0  18FEF600   [8]  FF 28 55 2E FF 60 5A FF\n" * 5, "times"),
     "Parquet that stops": ("a.parquet", b"PAR1" + bytes(30), "Parquet"),
+    "names and numbers with different separators": ("a.csv", b"t;n;p\n0.0,1,2\n0.1,2,3\n", "same separator"),
+    "a clock that can't be read": ("a.csv", b"Time,n,p\n12:61:77x,1,2\n12:61:78x,2,2\n12:61:79x,3,2\n",
+                                   "date and time such as"),
     "a stamp that is none": (
         "a.csv", b"t,n\n2024-05-01 10:00:00,1\n2024-05-01 10:00:01,2\nyesterday,3\n", "data row 3"),
 }  # fmt: skip

@@ -1,0 +1,52 @@
+"""Tables with a reading a row, as phone apps write them: time, name, value, unit. Each name becomes a channel."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.recordings.importers.layout import is_unit
+from dieseltwin.recordings.importers.signals import RawChannels, Signal
+
+MOST_COLUMNS, MOST_NAMES, LEAST_NAMES = 6, 2000, 3
+READINGS = 10  # of each name, on average: a column of states has fewer names or a column of comments fewer rows
+_TIME = re.compile(r"\b(time|seconds?|zeit|sekunden?|timestamp|temps|tiempo|tempo|t)\b", re.IGNORECASE)
+_VALUE = re.compile(r"\b(value|wert|reading|messwert|valeur|valor|valore)\b", re.IGNORECASE)
+IN_S = {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0}
+
+
+def taken_apart(raw: RawChannels) -> RawChannels:
+    """A table of one reading a row as channels, each on its own times [s]; any other table as it is."""
+    table = raw.table
+    if table is None or not 3 <= len(table.columns) <= MOST_COLUMNS or len(table) < LEAST_NAMES * READINGS:
+        return raw
+    numbers = [str(name) for name in table.columns if pd.api.types.is_numeric_dtype(table[name])]
+    clocks = [name for name in numbers if _TIME.search(name.replace("_", " "))]
+    values = [name for name in numbers if _VALUE.search(name.replace("_", " "))]
+    texts = [str(name) for name in table.columns if str(name) not in numbers]
+    labels = [name for name in texts if _labels(table[name])]
+    if len(clocks) != 1 or len(values) != 1 or not labels:
+        return raw
+    units = [name for name in texts if name not in labels or table[name].dropna().map(lambda u: is_unit(str(u))).all()]
+    labels = [name for name in labels if name not in units]
+    if len(labels) != 1:
+        return raw
+    clock, value, label = clocks[0], values[0], labels[0]
+    times = table[clock].to_numpy(dtype=np.float64) * IN_S.get(raw.units.get(clock, "s"), 1.0)
+    signals = {}
+    for name, rows in table.groupby(label, sort=False).indices.items():
+        order = rows[np.argsort(times[rows], kind="stable")]
+        order = order[np.append(np.diff(times[order]) > 0.0, True)]
+        unit = str(table[units[0]].iloc[order[0]]) if units else ""
+        signals[str(name)] = Signal(str(name), unit if unit not in ("", "nan") else None, times[order],
+                                    table[value].to_numpy(dtype=np.float64)[order])  # fmt: skip
+    note = f"a reading a row: {len(signals)} names of column {label} became channels"
+    return replace(raw, signals=signals, table=None, notes=(*raw.notes, note))
+
+
+def _labels(column: pd.Series) -> bool:
+    count = column.nunique()
+    return LEAST_NAMES <= count <= MOST_NAMES and column.notna().sum() >= READINGS * count

@@ -1,0 +1,97 @@
+"""What a plain reader of numbers leaves as text in a table: grouped thousands, units in cells, repeated names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from dieseltwin.recordings.importers.layout import BLANKS, is_number, is_stamp_text, is_unit
+from dieseltwin.settings.names import listed
+
+SAMPLE = 200  # cells that decide whether a column of text holds numbers
+NUMBERS = 0.9  # of them
+HEADING = 0.5  # of a row's cells that are the names of their columns, or units
+
+_GROUP = re.compile(rf"(?<=\d)['’{BLANKS} ](?=\d{{3}}(?!\d))")
+_CELL = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(.*)$")
+_COMMA_GROUPS = re.compile(r"[+-]?\d{1,3}(,\d{3})+$")
+_POINT_GROUPS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+$")
+
+
+def without_repeated_names(frame: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """The table (n, k) without rows that repeat its names and their units, as logs put together have, and a note."""
+    texts = [name for name in frame.columns if frame[name].dtype == object or _is_text(frame[name])]
+    if len(texts) < HEADING * len(frame.columns):
+        return frame, []
+    names = np.mean([frame[name].astype(str).str.strip().to_numpy() == str(name) for name in texts], axis=0) > HEADING
+    if not names.any():
+        return frame, []
+    behind = np.flatnonzero(names) + 1
+    units = [row for row in behind[behind < len(frame)]
+             if np.mean([is_unit(str(frame[name].iloc[row])) for name in texts]) > HEADING]  # fmt: skip
+    dropped = names.copy()
+    dropped[units] = True
+    note = f"{int(names.sum())} repeated rows of names left out"
+    return frame[~dropped].reset_index(drop=True), [note]
+
+
+def in_numbers(frame: pd.DataFrame, decimal: str) -> tuple[pd.DataFrame, dict[str, str], list[str]]:
+    """Turn columns of text (n, k) that hold numbers into numbers.
+
+    Args:
+        frame: as pandas read it.
+        decimal: "," or "." of the file, as far as its plain numbers say.
+
+    Returns:
+        The table, name -> the unit that all its cells carry, and notes.
+    """
+    units: dict[str, str] = {}
+    texts = {str(name): frame[name].dropna().astype(str).str.strip() for name in frame.columns if _is_text(frame[name])}
+    texts = {name: cells for name, cells in texts.items() if _holds_numbers(cells)}
+    if not texts:
+        return frame, units, []
+    decimal = "," if decimal == "," or _commas_are_decimal(list(texts.values())) else "."
+    frame, read = frame.copy(), []
+    for name, cells in texts.items():
+        found = cells.str.replace(_GROUP, "", regex=True).str.extract(_CELL)
+        values = pd.to_numeric(_pointed(found[0], decimal), errors="coerce")
+        behind = found[1].fillna("").unique()
+        if values.isna().any() or len(behind) > 1 or not (behind[0] == "" or is_unit(behind[0])):
+            continue
+        if behind[0]:
+            units[name] = behind[0]
+        frame[name] = values.reindex(frame.index).astype("float64")
+        read.append(name)
+    if not read:
+        return frame, units, []
+    return frame, units, [f"numbers read from text with grouped thousands, decimal commas or units: {listed(read)}"]
+
+
+def _is_text(column: pd.Series) -> bool:
+    return bool(column.dtype == object or pd.api.types.is_string_dtype(column))
+
+
+def _holds_numbers(cells: pd.Series) -> bool:
+    sample = cells.head(SAMPLE)
+    if sample.empty or is_stamp_text(sample.iloc[0]):
+        return False
+    return bool(np.mean([is_number(cell) for cell in sample]) >= NUMBERS)
+
+
+def _commas_are_decimal(columns: Sequence[pd.Series]) -> bool:
+    """Whether some cell has a comma that can't group thousands, and none has a point."""
+    cells = pd.concat([column.head(SAMPLE) for column in columns]).str.extract(_CELL)[0].dropna()
+    commas = cells[cells.str.contains(",", regex=False)]
+    return not cells.str.contains(".", regex=False).any() and bool((~commas.str.match(_COMMA_GROUPS)).any())
+
+
+def _pointed(cells: pd.Series, decimal: str) -> pd.Series:
+    """Numbers in text with a point before the decimals and nothing between thousands."""
+    group, groups = (".", _POINT_GROUPS) if decimal == "," else (",", _COMMA_GROUPS)
+    both = cells.str.contains(group, regex=False) & cells.str.contains(decimal, regex=False)
+    grouped = both | cells.str.match(groups).fillna(False)
+    plain = cells.where(~grouped, cells.str.replace(group, "", regex=False))
+    return plain.str.replace(",", ".", regex=False)
