@@ -2,7 +2,7 @@
 
     python benchmarks/channel_names.py [--page]
 
-The files are those of `tests/recordings/guess`: 30 made up for this, 20 with names from public sources (control units,
+The files are those of `tests/recordings/guess`: 30 made up for this, 32 with names from public sources (control units,
 diagnosis programs, apps, ships, benches; their docstring says which). Each is written from two drives: the simulated
 reference, and ten minutes of the benchmark's plant with noise on every reading (`benchmarks/formats.py`). A guess is
 right where its values are, unit and formula included. Without names each channel is "ch07" and keeps its unit.
@@ -31,6 +31,7 @@ sys.path.insert(0, str(ROOT / "tests/recordings/guess"))
 from foreign import CYLINDERS, FILES, Foreign, drive, expected, without_names, written  # noqa: E402
 from foreign_later import LATER  # noqa: E402
 from foreign_public import AGAIN, PUBLIC  # noqa: E402
+from foreign_unseen import UNSEEN  # noqa: E402
 from test_propose import judged  # noqa: E402
 
 MADE_UP = (*FILES, *LATER)
@@ -65,6 +66,7 @@ def main() -> None:
               "benchmark's plant, noise": drive(formats.drive())}  # fmt: skip
     lists: dict[str, Sequence[Foreign]] = {
         "30 files made up": MADE_UP, "20 files with names from public sources": (*PUBLIC, *AGAIN),
+        "12 more, written down before they were tried": UNSEEN,
         "those that give units, without names": [without_names(f) for f in (*MADE_UP, *PUBLIC, *AGAIN) if has_units(f)],
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as scratch:
