@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from dieseltwin.discovery.twins.interface import Hypothesis, Lanes, Parameter, Point
+from dieseltwin.discovery.twins.interface import Hypothesis, Lanes, Parameter, Point, TwinDefaults
 from dieseltwin.settings.params import default_search
 
 STEP_S = 0.2
 SETTINGS = default_search().driving.model_copy(update={"sensor_gain": 0.0, "sensor_offset": 0.0})  # perfect sensors
 
 
-class Toy:
+class Toy(TwinDefaults):
     """x' = (gain u - x)/2 s - leak x - drag x^2 + balance; readings x (+ offset) and gain x^2."""
 
     channels = ("x", "y")
