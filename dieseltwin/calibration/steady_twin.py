@@ -152,8 +152,8 @@ class SteadyTwin(TwinDefaults):
         lane = self.plain_lane()
         present, well = np.isfinite(self.measured), self._acts < 0.5
         left = np.where(present, self.simulate(lane)[0], 0.0)
-        responses = [n.response for n in self.nuisances(lane) if n.response is not None]
-        along = np.stack([np.where(present, response, 0.0) for response in responses], axis=-1)
+        directions = (n.response for n in self.nuisances(lane) if n.response is not None)
+        along = np.stack([np.where(present, direction, 0.0) for direction in directions], axis=-1)
         counted = present & well[:, None]
         scale = np.ones(len(self.channels))
         for _ in range(_SCATTER_ROUNDS):

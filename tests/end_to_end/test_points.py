@@ -165,4 +165,4 @@ def test_a_flap_that_nobody_recorded_is_something_behind_the_turbine(flap: Calib
     found = dt.discover(tmp_path / "points.csv", engine=tmp_path / "engine.yaml")
     assert found.document.more_is_missing
     assert found.document.location is not None and found.document.location.site == "turbine_flow"
-    assert "the pressure behind the turbine" in found.sentence
+    assert "relative change of W_t" in found.sentence

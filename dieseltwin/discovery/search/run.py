@@ -47,7 +47,6 @@ STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
 """What is looked at behind single effects, in this order."""
 
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
-_REFIT_AT_LEAST = 6
 _RENEWALS = 3  # about the leading explanation, until it stays the same
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
@@ -173,7 +172,7 @@ def _with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
     clock = time.perf_counter()
     ranked = best_of_each(found.scored)
     top = max(ranked[0].gain, 1e-9) if ranked else 0.0
-    kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < _REFIT_AT_LEAST]
+    kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < found.settings.refits]
     fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
     found.singles = sorted(nearer(found.null, fits, before), key=lambda fit: fit.objective)
     found.singles = polish(found, found.singles)
