@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, rows_of, single
 
@@ -177,11 +177,13 @@ class Linearisation:
     Args:
         frozen: take metric, local and nuisance responses from this linearisation instead of making them anew.
         nuisance_response: (K, n, C) per standard deviation, where not frozen.
+        whitened: the same as the metric takes it, where it is known.
     """
 
     def __init__(
         self, twin: Twin, whitening: Whitening, fit: Fit, frozen: Linearisation | None = None,
         nuisance_response: Array | None = None, loadings: Array | None = None,
+        whitened: WhitenedNuisances | None = None,
     ) -> None:
         check_time()
         self.loadings: Array | None = loadings if frozen is None else frozen.loadings
@@ -196,7 +198,8 @@ class Linearisation:
         if frozen is None:
             self.local_response = differences[known:]
             self.nuisance_response = nuisance_response
-            self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, nuisance_response)
+            whitened = whitened or WhitenedNuisances.of(whitening, nuisance_response)
+            self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, whitened)
         else:  # local states and tolerances act nearly alike everywhere near
             self.local_response = frozen.local_response
             self.nuisance_response = frozen.nuisance_response
@@ -270,9 +273,11 @@ def fit_fully(
     `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move. With
     `frozen` the whole metric of another linearisation is kept, and objectives are comparable to its own.
     """
+    whitened = WhitenedNuisances.of(whitening, nuisance_response) if frozen is None else None
     make = partial(
-        Linearisation, twin, whitening, frozen=frozen, nuisance_response=nuisance_response, loadings=loadings
-    )
+        Linearisation, twin, whitening, frozen=frozen, nuisance_response=nuisance_response, loadings=loadings,
+        whitened=whitened,
+    )  # fmt: skip
     here = make(start)
     for _ in range(rounds):
         step, predicted = here.step()
