@@ -20,6 +20,7 @@ _SHORTER_STEPS = 5
 _SHORTENED = 0.35  # a step after one that led uphill
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
+_PROMISED = 4.0  # times what a linear step predicts: what a fit may still gain at most
 
 
 @dataclass(frozen=True)
@@ -266,9 +267,11 @@ def bounded(twin: Twin, local: Array) -> Array:
 
 def fit_fully(
     twin: Twin, whitening: Whitening, start: Fit, nuisance_response: Array | None = None, rounds: int = _NULL_ROUNDS,
-    frozen: Linearisation | None = None, loadings: Array | None = None,
+    frozen: Linearisation | None = None, loadings: Array | None = None, ahead: float = np.inf,
 ) -> Linearisation:  # fmt: skip
     """Damped Gauss-Newton with sensitivities of every round; returns the linearisation at the minimum.
+
+    Or before, where what the steps promise doesn't reach the objective `ahead`.
 
     `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move. With
     `frozen` the whole metric of another linearisation is kept, and objectives are comparable to its own.
@@ -283,6 +286,8 @@ def fit_fully(
         step, predicted = here.step()
         if predicted < _CONVERGED:
             return _marked(here, True)
+        if here.fit.objective - _PROMISED * predicted > ahead:
+            return _marked(here, False)
         there = _downhill(make, here, step, predicted, local=True)
         if there is None and predicted > 20 * _CONVERGED:
             there = _downhill(make, here, step, predicted, local=False)

@@ -217,16 +217,15 @@ class Metric:
         whitened = self.whitening.apply(np.asarray(values))
         if self._nuisances is None:
             return self._without_local(whitened)
-        weights = self._nuisance_weights(self._without_local(whitened))
+        weights = self._nuisance_weights(self._nuisances, self._without_local(whitened))
         out = self._without_local(whitened - weights @ self._nuisances.responses, weights.shape[1])
         out[:, self.rows :] = -weights
         return out
 
-    def _nuisance_weights(self, inner: Array) -> Array:
+    def _nuisance_weights(self, nuisances: WhitenedNuisances, inner: Array) -> Array:
         """Posterior mean (B, K) of the nuisance coefficients for vectors (B, rows) without the initial states."""
-        assert self._nuisances is not None
-        size = self._nuisances.responses.shape[1]  # the rows of the states' priors are in the projection already
-        products = self._nuisances.responses @ inner[:, :size].T
+        size = nuisances.responses.shape[1]  # the rows of the states' priors are in the projection already
+        products = nuisances.responses @ inner[:, :size].T
         return np.asarray(cho_solve((self._lower, True), products).T)
 
     @cached_property
@@ -276,4 +275,4 @@ class Metric:
         """Posterior mean of the nuisance coefficients, in standard deviations of their priors, (K,)."""
         if self._nuisances is None:
             return np.zeros(0)
-        return self._nuisance_weights(self._without_local(self.whitening.apply(residual[None])))[0]
+        return self._nuisance_weights(self._nuisances, self._without_local(self.whitening.apply(residual[None])))[0]
