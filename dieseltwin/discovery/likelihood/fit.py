@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, rows_of, single
 
@@ -20,6 +20,7 @@ _SHORTER_STEPS = 5
 _SHORTENED = 0.35  # a step after one that led uphill
 _CONVERGED = 0.05  # predicted decrease of the objective that counts as none
 _NULL_ROUNDS = 12
+_PROMISED = 4.0  # times what a linear step predicts: what a fit may still gain at most
 
 
 @dataclass(frozen=True)
@@ -177,11 +178,13 @@ class Linearisation:
     Args:
         frozen: take metric, local and nuisance responses from this linearisation instead of making them anew.
         nuisance_response: (K, n, C) per standard deviation, where not frozen.
+        whitened: the same as the metric takes it, where it is known.
     """
 
     def __init__(
         self, twin: Twin, whitening: Whitening, fit: Fit, frozen: Linearisation | None = None,
         nuisance_response: Array | None = None, loadings: Array | None = None,
+        whitened: WhitenedNuisances | None = None,
     ) -> None:
         check_time()
         self.loadings: Array | None = loadings if frozen is None else frozen.loadings
@@ -196,7 +199,8 @@ class Linearisation:
         if frozen is None:
             self.local_response = differences[known:]
             self.nuisance_response = nuisance_response
-            self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, nuisance_response)
+            whitened = whitened or WhitenedNuisances.of(whitening, nuisance_response)
+            self.metric = Metric(whitening, twin.starts, self.local_response, twin.state_scales, whitened)
         else:  # local states and tolerances act nearly alike everywhere near
             self.local_response = frozen.local_response
             self.nuisance_response = frozen.nuisance_response
@@ -263,21 +267,27 @@ def bounded(twin: Twin, local: Array) -> Array:
 
 def fit_fully(
     twin: Twin, whitening: Whitening, start: Fit, nuisance_response: Array | None = None, rounds: int = _NULL_ROUNDS,
-    frozen: Linearisation | None = None, loadings: Array | None = None,
+    frozen: Linearisation | None = None, loadings: Array | None = None, ahead: float = np.inf,
 ) -> Linearisation:  # fmt: skip
     """Damped Gauss-Newton with sensitivities of every round; returns the linearisation at the minimum.
+
+    Or before, where what the steps promise doesn't reach the objective `ahead`.
 
     `nuisance_response` (K, n, C) is held fixed: tolerances are small, so that their responses hardly move. With
     `frozen` the whole metric of another linearisation is kept, and objectives are comparable to its own.
     """
+    whitened = WhitenedNuisances.of(whitening, nuisance_response) if frozen is None else None
     make = partial(
-        Linearisation, twin, whitening, frozen=frozen, nuisance_response=nuisance_response, loadings=loadings
-    )
+        Linearisation, twin, whitening, frozen=frozen, nuisance_response=nuisance_response, loadings=loadings,
+        whitened=whitened,
+    )  # fmt: skip
     here = make(start)
     for _ in range(rounds):
         step, predicted = here.step()
         if predicted < _CONVERGED:
             return _marked(here, True)
+        if here.fit.objective - _PROMISED * predicted > ahead:
+            return _marked(here, False)
         there = _downhill(make, here, step, predicted, local=True)
         if there is None and predicted > 20 * _CONVERGED:
             there = _downhill(make, here, step, predicted, local=False)

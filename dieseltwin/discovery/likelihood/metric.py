@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.recordings.noise import Noise
@@ -103,6 +104,27 @@ class Whitening:
         return float(-np.log(scale[present]).sum() + 0.5 * np.log(2 * np.pi) * present.sum())
 
 
+@dataclass(frozen=True)
+class WhitenedNuisances:
+    """Responses to nuisances that metrics about nearby fits share.
+
+    Attributes:
+        responses: (K, n C) whitened.
+        gram: (K, K) their inner products.
+    """
+
+    responses: Array
+    gram: Array
+
+    @classmethod
+    def of(cls, whitening: Whitening, responses: Array | None) -> WhitenedNuisances | None:
+        """Of responses (K, n, C) per standard deviation of each prior; None for none."""
+        if responses is None or not len(responses):
+            return None
+        whitened = whitening.apply(responses)
+        return cls(whitened, whitened @ whitened.T)
+
+
 class Metric:
     """Projection of readings onto what neither local states nor tolerances explain.
 
@@ -111,7 +133,7 @@ class Metric:
         starts: (W,) first sample of each window.
         local: (S, n, C) response of the readings to each initial state, all windows moved together.
         state_scales: (S,) typical sizes of the states, for their weak priors.
-        nuisances: (K, n, C) response to each nuisance coefficient per standard deviation of its prior, or None.
+        nuisances: whitened responses to the nuisance coefficients, or None.
 
     Raises:
         LinAlgError: responses that are not finite.
@@ -123,7 +145,7 @@ class Metric:
         starts: np.ndarray,
         local: Array,
         state_scales: Array,
-        nuisances: Array | None = None,
+        nuisances: WhitenedNuisances | None = None,
     ) -> None:
         self.whitening = whitening
         n, channels = whitening.present.shape
@@ -151,22 +173,23 @@ class Metric:
                 self._orthonormal.append(q)
                 self._triangular.append(r)
         self.rows = n * channels + len(self._blocks) * self.states
-        self._nuisance: Array | None = None
-        self._whitened_nuisance: Array | None = None
-        if nuisances is not None and len(nuisances):
-            self._whitened_nuisance = whitening.apply(nuisances)
-            inner = self._without_local(self._whitened_nuisance)  # (K, rows)
-            gram = inner @ inner.T + np.eye(len(inner))
+        self._nuisances = nuisances
+        if nuisances is not None:
+            # what the initial states leave of the responses is never formed: a projection has the products of its parts
+            along = self._along_local(nuisances.responses)
+            gram = nuisances.gram - along @ along.T + np.eye(len(along))
             if not np.isfinite(gram).all():
                 raise np.linalg.LinAlgError("responses that are not finite: the machine runs away near this fit")
-            lower = cholesky(gram, lower=True)
-            # rows of the priors: orthonormal together with the first ones
-            prior = solve_triangular(lower, np.eye(len(inner)), lower=True)
-            self._nuisance = np.empty((len(inner), self.rows + len(inner)))  # (K, rows + K)
-            np.matmul(prior, inner, out=self._nuisance[:, : self.rows])
-            self._nuisance[:, self.rows :] = prior
-            self._lower = lower
-            self._inner = inner
+            self._lower = cholesky(gram, lower=True)
+
+    def _along_local(self, whitened: Array) -> Array:
+        """(B, n C) -> (B, W S) parts along the orthonormal directions of the windows' initial states."""
+        if self.states == 0:
+            return np.zeros((len(whitened), 0))
+        if self.states == 1:
+            return np.asarray(np.add.reduceat(whitened * self._unit, self._first, axis=1))
+        blocks = zip(self._blocks, self._orthonormal, strict=True)
+        return np.hstack([whitened[:, block] @ q[: block.stop - block.start] for block, q in blocks])
 
     def _without_local(self, whitened: Array, extra: int = 0) -> Array:
         """(B, n C) -> (B, n C + W S), and `extra` columns of zeros."""
@@ -191,24 +214,32 @@ class Metric:
 
     def project(self, values: Array) -> Array:
         """Readings or their differences (B, n, C) -> (B, rows): whitened, local states and nuisances taken out."""
-        extra = 0 if self._nuisance is None else self._nuisance.shape[0]
-        out = self._without_local(self.whitening.apply(np.asarray(values)), extra)
-        if self._nuisance is None:
-            return out
-        # the rows of the nuisances' own priors are still zero here, so the short part of the basis is enough
-        weights = out[:, : self.rows] @ self._nuisance[:, : self.rows].T
-        out -= weights @ self._nuisance
+        whitened = self.whitening.apply(np.asarray(values))
+        if self._nuisances is None:
+            return self._without_local(whitened)
+        weights = self._nuisance_weights(self._nuisances, self._without_local(whitened))
+        out = self._without_local(whitened - weights @ self._nuisances.responses, weights.shape[1])
+        out[:, self.rows :] = -weights
         return out
 
-    @property
+    def _nuisance_weights(self, nuisances: WhitenedNuisances, inner: Array) -> Array:
+        """Posterior mean (B, K) of the nuisance coefficients for vectors (B, rows) without the initial states."""
+        size = nuisances.responses.shape[1]  # the rows of the states' priors are in the projection already
+        products = nuisances.responses @ inner[:, :size].T
+        return np.asarray(cho_solve((self._lower, True), products).T)
+
+    @cached_property
     def nuisance_basis(self) -> Array | None:
         """Orthonormal directions of the nuisances (K, rows + K), None without any."""
-        return self._nuisance
+        if self._nuisances is None:
+            return None
+        inner = self._without_local(self._nuisances.responses)
+        return np.asarray(solve_triangular(self._lower, np.hstack([inner, np.eye(len(inner))]), lower=True))
 
     @property
     def log_determinant(self) -> float:
         """Of the nuisances' information with their priors: what marginal likelihoods of two metrics differ by."""
-        return 0.0 if self._nuisance is None else 2.0 * float(np.log(np.diag(self._lower)).sum())
+        return 0.0 if self._nuisances is None else 2.0 * float(np.log(np.diag(self._lower)).sum())
 
     def without_local(self, values: Array) -> Array:
         """(B, n, C) -> (B, rows): whitened with the initial states alone taken out."""
@@ -242,8 +273,6 @@ class Metric:
 
     def nuisance_estimate(self, residual: Array) -> Array:
         """Posterior mean of the nuisance coefficients, in standard deviations of their priors, (K,)."""
-        if self._nuisance is None:
+        if self._nuisances is None:
             return np.zeros(0)
-        inner = self._without_local(self.whitening.apply(residual[None]))[0]
-        half = solve_triangular(self._lower, self._inner @ inner, lower=True)
-        return solve_triangular(self._lower.T, half, lower=False)
+        return self._nuisance_weights(self._nuisances, self._without_local(self.whitening.apply(residual[None])))[0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,7 @@ _RENEWALS = 3
 _ROUNDS = 6
 _FITTED_ANEW = 3  # of each kind; the others keep their distance from the health-only fit, and so do those that gain
 _IN_REACH = 0.5  # less than this share of the leading one's gain
+_OVERTAKING = 60.0  # more than any freedom costs: a fit that can't come so near to the leading one isn't followed
 _SETTLED = 1.0  # standard deviations of a size
 
 
@@ -65,9 +67,11 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     fresh = prepared_about(found, lead)
     higher = fresh.null.fit.objective - found.null.fit.objective
     bar = found.null.fit.objective - _IN_REACH * found.gain(lead)
-    fresh.singles = _by_objective(_moved(fresh, found.singles, higher, bar))
-    fresh.pairs = _by_objective(_moved(fresh, found.pairs, higher, bar))
-    moved = _moved(fresh, [fit for _, fit in found.variants], higher, bar)
+    first = fit_fully(fresh.twin, fresh.whitening, lead, rounds=_ROUNDS, frozen=fresh.null).fit
+    move = partial(_moved, fresh, first=(lead, first), higher=higher, bar=bar)
+    fresh.singles = _by_objective(move(found.singles))
+    fresh.pairs = _by_objective(move(found.pairs))
+    moved = move([fit for _, fit in found.variants])
     timed = [(variant, fit) for (variant, _), fit in zip(found.variants, moved, strict=True)]
     fresh.variants = sorted(timed, key=lambda pair: pair[1].objective)
     if kind == "variant":  # where and when it acts was read off bent maps
@@ -78,17 +82,23 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     found.singles, found.pairs, found.variants = fresh.singles, fresh.pairs, fresh.variants
 
 
-def _moved(fresh: Search, fits: Sequence[Fit], higher: float, bar: float) -> list[Fit]:
+def _moved(fresh: Search, fits: Sequence[Fit], first: tuple[Fit, Fit], higher: float, bar: float) -> list[Fit]:
     """Fits in the new metric, those that lead from where they were, the others as far from health alone as before.
 
     Args:
+        first: the leading explanation, before and in the new metric.
         higher: objective of health alone in the new metric less that in the old; bar: of those fitted anew, in the old.
     """
-    return [
-        fit_fully(fresh.twin, fresh.whitening, fit, rounds=_ROUNDS, frozen=fresh.null).fit
-        if k < _FITTED_ANEW and fit.objective < bar else replace(fit, objective=fit.objective + higher)
-        for k, fit in enumerate(fits)
-    ]  # fmt: skip
+    moved = []
+    for k, fit in enumerate(fits):
+        if fit is first[0]:
+            moved.append(first[1])
+        elif k < _FITTED_ANEW and fit.objective < bar:
+            ahead = first[1].objective + _OVERTAKING
+            moved.append(fit_fully(fresh.twin, fresh.whitening, fit, None, _ROUNDS, fresh.null, ahead=ahead).fit)
+        else:
+            moved.append(replace(fit, objective=fit.objective + higher))
+    return moved
 
 
 def _by_objective(fits: Sequence[Fit]) -> list[Fit]:

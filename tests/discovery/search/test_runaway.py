@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
-from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.likelihood.nuisance import map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.interface import Lanes
 from dieseltwin.recordings.noise import estimate_noise
@@ -56,4 +56,5 @@ def test_responses_that_are_not_finite_are_an_error_that_callers_know() -> None:
     whitening, _ = _fit(toy, 1.0)
     local = np.zeros((0, 100, 2))
     with pytest.raises(np.linalg.LinAlgError, match="runs away"):
-        Metric(whitening, toy.starts, local, np.zeros(0), np.full((1, 100, 2), np.nan))
+        unknown = WhitenedNuisances.of(whitening, np.full((1, 100, 2), np.nan))
+        Metric(whitening, toy.starts, local, np.zeros(0), unknown)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, _downhill, fit_fully
-from dieseltwin.discovery.likelihood.metric import Metric, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.likelihood.nuisance import map_nuisances, nuisance_responses, tolerance_modes
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, chance, effect_responses, score, secant_sizes
@@ -59,7 +59,9 @@ def test_metric_is_the_marginal_likelihood() -> None:
     noise = Noise(np.array([0.5, 2.0]), np.array([0.4, 0.0]))
     measured = rng.normal(size=(n, C))
     local, nuisances = rng.normal(size=(1, n, C)), rng.normal(size=(K, n, C))
-    metric = Metric(Whitening.of(measured, noise, starts), starts, local, np.array([0.7]), nuisances)
+    whitening = Whitening.of(measured, noise, starts)
+    known = WhitenedNuisances.of(whitening, nuisances)
+    metric = Metric(whitening, starts, local, np.array([0.7]), known)
     r = rng.normal(size=(n, C))
     columns = [nuisances[k].ravel() for k in range(K)]
     scale = [1.0] * K
@@ -78,6 +80,10 @@ def test_metric_is_the_marginal_likelihood() -> None:
     covariance += basis @ np.diag(scale) @ basis.T
     vector = metric.project(r[None])[0]
     assert vector @ vector == pytest.approx(r.ravel() @ np.linalg.solve(covariance, r.ravel()), rel=1e-9)
+    directions = metric.nuisance_basis
+    assert directions is not None
+    assert directions @ directions.T == pytest.approx(np.eye(K), abs=1e-12)
+    assert directions @ vector == pytest.approx(np.zeros(K), abs=1e-9)
 
 
 def test_missing_readings_count_for_nothing() -> None:
