@@ -46,7 +46,7 @@ def beside(later: pd.DataFrame, before: object, after: object, columns: dict[str
 
 
 def diesel(folder: Path) -> tuple[str, Errors]:
-    """A boost leak of 0.4 cm2; the later recording is other driving of the same plant and sensors' errors anew."""
+    """A boost leak of 0.4 cm2; the later recording is other driving, with errors of maps and sensors drawn anew."""
     found = dt.discover(recorded(MACHINES["leak"]))
     columns = {name: name for name in ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_egr_kg_s", "t_em_k", "w_c_kg_s")}
     return found.sentence, beside(recorded(MACHINES["leak"], 5), found.found.engine_before, found.engine, columns)
