@@ -90,7 +90,6 @@ def test_stacked_members_are_the_single_networks() -> None:
     assert result.shape == (3, 7, 1)
     for k, single in enumerate(singles):
         torch.testing.assert_close(result[k], single(shared), rtol=1e-13, atol=1e-14)
-        torch.testing.assert_close(stack.member(k)(shared), single(shared), rtol=0, atol=0)
     own = torch.rand(3, 7, 2, generator=generator(8), dtype=torch.float64)
     torch.testing.assert_close(stack(own)[2], singles[2](own[2]), rtol=1e-13, atol=1e-14)
 
@@ -109,7 +108,6 @@ def test_stacked_members_are_the_single_networks() -> None:
         (lambda: CausalityDeepONet(5, 1)(torch.zeros(1, 6), torch.zeros(1, 1)), "window"),
         (lambda: stack_members([]), "stack_members"),
         (lambda: stack_members([MLP((1, 2)), MLP((1, 3))]), "stack_members"),
-        (lambda: MLP((1, 1)).member(0), "member"),
         (lambda: network_from_spec({"kind": "CNN"}), "kind of network"),
     ],
 )
