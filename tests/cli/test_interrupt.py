@@ -24,10 +24,14 @@ class Finalised:
 def test_an_interrupt_in_a_finaliser_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the hook Python prints it as ignored, and the command goes on to its end."""
     monkeypatch.setattr(sys, "unraisablehook", interrupt_again)
-    made = Finalised(signal.SIGINT)
-    del made
-    with pytest.raises(KeyboardInterrupt):
-        time.sleep(5.0)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background ignores it
+    try:
+        made = Finalised(signal.SIGINT)
+        del made
+        with pytest.raises(KeyboardInterrupt):
+            time.sleep(5.0)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_other_errors_there_are_told_as_ever(
