@@ -19,6 +19,7 @@ from dieseltwin.recordings.circumstances import TIME_SHIFT, Circumstance
 from dieseltwin.settings.search import CircumstanceSettings
 
 _LABEL = "circumstance"
+_NEAR = 0.1  # of what is worth a word (0.3 kPa, 0.8 K): up to here linear is as good
 _PLAINLY = 4.0  # standard deviations of an estimate: errors of maps are Gaussian in the plant alone
 
 
@@ -94,6 +95,31 @@ def circumstance_nuisances(twin: Twin, lanes: Lanes, simulated: Array, width: in
         Nuisance(label_of(item), response=item.std * response, loading=none, of_maps=of_maps)
         for item, response in zip(items, responses, strict=True)
     ]
+
+
+def at_estimates(twin: Twin, nuisances: Sequence[Nuisance], responses: Array, estimate: Array) -> Twin:
+    """The twin simulated in the ambient, and with the charge, that an estimate says, as `nuisance.Rebased` does of maps.
+
+    The readings are moved by the linear responses, so that priors stay where they are. Clocks and drifts stay linear.
+
+    Args:
+        twin: the twin.
+        nuisances, responses, estimate: directions, their linear responses (K, n, C), and (K,) where along them in
+            standard deviations.
+    """
+    if not isinstance(twin, WithCircumstances):
+        return twin
+    at = {nuisance.label: k for k, nuisance in enumerate(nuisances)}
+    far = [
+        (item, at[label_of(item)]) for item in open_circumstances(twin)
+        if not item.kind and item.std * abs(estimate[at[label_of(item)]]) > _NEAR * item.notable
+    ]  # fmt: skip
+    if not far:
+        return twin
+    values = {item.name: twin.values.get(item.name, item.assumed) + item.std * float(estimate[k]) for item, k in far}
+    other = twin.under({**twin.values, **values}, twin.opened, like=True)
+    other.measured = other.measured + sum(estimate[k] * responses[k] for _, k in far)
+    return other
 
 
 def clock_scatter(at: Linearisation) -> Array | None:

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_of, widened
-from dieseltwin.discovery.likelihood.circumstances import circumstance_nuisances
+from dieseltwin.discovery.likelihood.circumstances import at_estimates, circumstance_nuisances
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import (
@@ -193,12 +193,15 @@ def _learned_bend(at: Linearisation, nuisances: Sequence[Nuisance], rng: np.rand
 def verify(found: Search) -> Linearisation:
     """Objectives of the health-only fit and of the leading singles with the estimated errors of the maps simulated.
 
-    Returns the health-only linearisation about those errors.
+    Returns the health-only linearisation about those errors, and in the weather that it estimates: what that leaves
+    when it is taken linearly would be taken for a term without a name. Names are compared where each has its own
+    weather, linearly, as no refit of a few rounds comes as far along with it as the health-only fit.
     """
     null = found.null
-    base = rebased(found, null.fit)
+    beside = rebased(found, null.fit, in_weather=True)
     if found.gain(found.singles[0]) < _VERIFIED_FROM * found.settings.alarm_gain:
-        return base
+        return beside
+    base = rebased(found, null.fit)
     changed = {fit.candidate.names: rebased(found, fit).fit for fit in found.singles[:_VERIFIED]}
     null.fit = replace(null.fit, objective=min(base.fit.objective, null.fit.objective))
     singles = [
@@ -206,11 +209,12 @@ def verify(found: Search) -> Linearisation:
         for fit in found.singles
     ]
     found.singles = sorted(singles, key=lambda fit: fit.objective)
-    return base
+    return beside
 
 
-def rebased(found: Search, fit: Fit, rounds: int = 2) -> Linearisation:
-    """A fit about its own estimate of the maps' errors (`nuisance.Rebased`), in the metric of the health-only fit."""
+def rebased(found: Search, fit: Fit, rounds: int = 2, in_weather: bool = False) -> Linearisation:
+    """A fit about its own estimate of the maps' errors (`nuisance.Rebased`), in the metric of the health-only fit;
+    `in_weather`: and of the weather."""
     null = found.null
     at = null
     if null.nuisance_response is None:
@@ -218,11 +222,14 @@ def rebased(found: Search, fit: Fit, rounds: int = 2) -> Linearisation:
     residual = np.nan_to_num(found.twin.measured - simulate_fits(found.twin, [fit])[0])
     for _ in range(rounds):
         estimate = null.metric.nuisance_estimate(residual)
-        twin: Any = (
-            Rebased(found.twin, found.nuisances, null.nuisance_response, estimate)
-            if belief_of(found.twin) is None else rebased_learned(found.twin, found.nuisances, estimate)
-        )  # fmt: skip
-        at = fit_fully(cast(Twin, twin), found.whitening, fit, rounds=3, frozen=null)
+        twin = found.twin
+        if belief_of(twin) is not None:
+            twin = rebased_learned(twin, found.nuisances, estimate)
+        else:
+            if in_weather:
+                twin = at_estimates(twin, found.nuisances, null.nuisance_response, estimate)
+            twin = cast(Twin, Rebased(twin, found.nuisances, null.nuisance_response, estimate))
+        at = fit_fully(twin, found.whitening, fit, rounds=3, frozen=null)
         fit, residual = at.fit, np.nan_to_num(at.residual)
     return at
 
