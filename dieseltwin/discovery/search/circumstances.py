@@ -79,10 +79,7 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     """
     lead = leading(found)
     held = belief_of(found.twin) is not None
-    movable = [
-        item for item in open_circumstances(found.twin)
-        if item.kind not in (DRIFT, SCALE) and not (held and item.read)
-    ]  # fmt: skip
+    movable = [item for item in _movable(found) if not (held and item.read)]
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
     values: dict[str, float] = {}
     if np.abs(shares[1]).max() >= (_MOVED if lead is found.null else _MOVED_BESIDE):
@@ -99,6 +96,11 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
     far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _MOVED * i.std for i in movable)
     return cast(Twin, other) if far else None  # sensors' clocks go by whole rows
+
+
+def _movable(found: Search) -> list[Circumstance]:
+    """What is open and can be simulated elsewhere than where the twin has it."""
+    return [item for item in open_circumstances(found.twin) if item.kind not in (DRIFT, SCALE)]
 
 
 def _shares(found: Search, at: Linearisation, items: Sequence[Circumstance]) -> Array:
@@ -154,7 +156,24 @@ def _plainly_off(found: Search, twin: WithCircumstances, rest: Sequence[Circumst
             settled, chosen = alone
     if _said_by_catalogue(chosen, settled.values):
         return None
-    return twin.under({**twin.values, **settled.values}, twin.opened | {item.name for item in chosen})
+    opened = twin.opened | {item.name for item in chosen}
+    other = twin.under({**twin.values, **settled.values}, opened)
+    delay = _delay(settled, chosen, other)
+    if delay is None:
+        return other
+    near = {**settled.values, delay.name: settled.values[delay.name] - float(settled.at.fit.magnitudes[0])}
+    settled = _settled(found, twin, found.null.fit, [*_movable(found), *chosen], near)
+    return twin.under({**twin.values, **settled.values}, opened)
+
+
+def _delay(settled: Settled, chosen: Sequence[Circumstance], other: Twin) -> Circumstance | None:
+    """The clock beside which a fit has a delay of the same command, which `other` leaves to that clock; None for none.
+
+    What the delay held would be missing there: a valve whose clock was 0.19 s early was given one 0.14 s late beside a
+    dead time of 0.37 s, and without that a play of 2 % that it hadn't.
+    """
+    gone = set(settled.at.fit.candidate.names) - set(other.hypotheses)
+    return next((item for item in chosen if gone & set(item.effects)), None)
 
 
 def _chosen(
@@ -164,7 +183,7 @@ def _chosen(
 
     Where it wants several clocks, none of the others is trusted to be in time either.
     """
-    unknown = [item for item in open_circumstances(found.twin) if item.kind not in (DRIFT, SCALE)]
+    unknown = _movable(found)
     everything = _settled(found, twin, start, [*unknown, *rest], {})
     chosen = _needed(everything, rest)
     if not chosen:
