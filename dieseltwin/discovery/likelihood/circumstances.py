@@ -98,7 +98,7 @@ def circumstance_nuisances(twin: Twin, lanes: Lanes, simulated: Array, width: in
 
 
 def at_estimates(twin: Twin, nuisances: Sequence[Nuisance], responses: Array, estimate: Array) -> Twin:
-    """The twin simulated in the ambient, and with the charge, that an estimate says, as `nuisance.Rebased` does of maps.
+    """The twin simulated in the ambient, with the charge, that an estimate says, as `nuisance.Rebased` does of maps.
 
     The readings are moved by the linear responses, so that priors stay where they are. Clocks and drifts stay linear.
 
