@@ -355,6 +355,7 @@ def _time_words(document: Discrepancy) -> list[str]:
     return [f"the time for the search was over before it was through with {_listing(document.out_of_time.unfinished)}"]
 
 
+_BEYOND_CHANCE = 1e-4  # of all that was looked for at once; what is found, but below its tolerance, has such a p
 _EXAMPLES = ("boost_leak", "back_pressure", "bearing_friction")
 
 
@@ -363,8 +364,12 @@ def _healthy(document: Discrepancy) -> str:
     least = [least_words(name, document.minimum_detectable[name])
              for name in _EXAMPLES if name in document.minimum_detectable]
     shown = [words for words in least if words]
-    text = (f"Nothing is missing that this recording could show ({p_value}): noise, the four health parameters and the "
-            "tolerances of the maps explain it")
+    if document.p_value < _BEYOND_CHANCE:
+        text = (f"Nothing as large as a fault was found: simulation and recording differ by more than chance ({p_value}), "
+                "but by less than what is believed of a healthy engine of this kind")
+    else:
+        text = (f"Nothing is missing that this recording could show ({p_value}): noise, the four health parameters and "
+                "the tolerances of the maps explain it")
     if shown:
         text += f"; {_listing(shown)} would have been seen, smaller ones cannot be ruled out"
     return "; ".join([text, *_recorded_words(document), *_time_words(document)]) + "."

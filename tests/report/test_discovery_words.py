@@ -33,6 +33,12 @@ def test_healthy() -> None:
     assert bare.endswith("the tolerances of the maps explain it.")
 
 
+def test_what_is_beyond_chance_but_below_its_tolerance_is_not_called_nothing() -> None:
+    text = sentence(Discrepancy.model_validate({**synthetic.healthy_content(), "p_value": 2e-11}))
+    assert text.startswith("Nothing as large as a fault was found: simulation and recording differ")
+    assert "(p = 2e-11)" in text
+
+
 def test_none_of_these_with_and_without_a_law() -> None:
     text = sentence(synthetic.document(effects=[synthetic.UNNAMED]))
     assert "leaves out something, in the intake mass balance" in text
