@@ -7,7 +7,8 @@ Three ways of opening a file of the package are known: ``importlib.resources.fil
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 
 _TEMPLATES = "templates"  # PackageLoader's own default
@@ -18,39 +19,47 @@ def folders_read(tree: ast.Module, path: Path, root: Path) -> set[str]:
 
     A file of ``resources.files`` whose folder isn't spelled out stands for the whole package.
     """
-    found = {*_of_loaders(tree), *_of_resources(tree), *_beside(tree, path.parent.relative_to(root).as_posix())}
+    found = _named(tree, path.parent.relative_to(root).as_posix())
     return {folder for folder in found if (root / folder).is_dir()}
 
 
-def _of_loaders(tree: ast.Module) -> Iterator[str]:
-    for call in _calls(tree, "PackageLoader"):
+@lru_cache(maxsize=4096)
+def _named(tree: ast.Module, package: str) -> frozenset[str]:
+    nodes = tuple(ast.walk(tree))
+    return frozenset((*_of_loaders(nodes), *_of_resources(nodes), *_beside(nodes, package)))
+
+
+def _of_loaders(nodes: Sequence[ast.AST]) -> Iterator[str]:
+    for call in _calls(nodes, "PackageLoader"):
         names = [argument.value for argument in call.args if isinstance(argument, ast.Constant)]
         if names:
             yield "/".join([*str(names[0]).split("."), str(names[1]) if len(names) > 1 else _TEMPLATES])
 
 
-def _of_resources(tree: ast.Module) -> Iterator[str]:
+def _of_resources(nodes: Sequence[ast.AST]) -> Iterator[str]:
     inner = {}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "joinpath":
             inner[id(node.func.value)] = _beginning(node.args[0]) if node.args else ""
         elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
             inner[id(node.left)] = _beginning(node.right)
-    for call in _calls(tree, "files"):
+    for call in _calls(nodes, "files"):
         if call.args and isinstance(call.args[0], ast.Constant):
             package = str(call.args[0].value).replace(".", "/")
             folder = inner.get(id(call), "").rpartition("/")[0]
             yield f"{package}/{folder}" if folder else package
 
 
-def _beside(tree: ast.Module, package: str) -> Iterator[str]:
-    for node in ast.walk(tree):
+def _beside(nodes: Sequence[ast.AST], package: str) -> Iterator[str]:
+    for node in nodes:
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div) and _ends_in_own_folder(node.left):
             yield f"{package}/{_beginning(node.right)}"
 
 
 def _ends_in_own_folder(node: ast.expr) -> bool:
     """Whether it is ``Path(__file__).parent``, perhaps resolved."""
+    if not isinstance(node, ast.Attribute | ast.Call):
+        return False
     return ast.unparse(node).replace(".resolve()", "") == "Path(__file__).parent"
 
 
@@ -61,7 +70,7 @@ def _beginning(node: ast.expr) -> str:
     return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
 
 
-def _calls(tree: ast.Module, name: str) -> Iterator[ast.Call]:
-    for node in ast.walk(tree):
+def _calls(nodes: Sequence[ast.AST], name: str) -> Iterator[ast.Call]:
+    for node in nodes:
         if isinstance(node, ast.Call) and name in (getattr(node.func, "id", None), getattr(node.func, "attr", None)):
             yield node

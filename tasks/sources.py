@@ -20,7 +20,7 @@ import importlib
 import inspect
 import sys
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
@@ -36,6 +36,9 @@ LIBRARY = "dieseltwin"
 _DECLARATIONS = frozenset({"settings.params", "settings.discovery", "symbols"})
 
 _WHOLE = "*"
+
+# Trees (and single statements) whose meaning is kept: some times the library's.
+_TREES = 8192
 
 # Dunder assignments of a package's __init__ that cannot change a result.
 _INERT_NAMES = frozenset({"__all__", "__version__", "__author__"})
@@ -70,7 +73,8 @@ class Sources:
 class LibrarySources:
     """Reads the modules of one package below ``root`` (never imports them) and follows their imports.
 
-    An instance caches what it read: make a new one to see changed files.
+    An instance reads each file once: make a new one to see changed files. What a text says is worked out once a
+    process; trees are never changed after that.
     """
 
     def __init__(self, root: Path, package: str = LIBRARY) -> None:
@@ -82,7 +86,7 @@ class LibrarySources:
             if "__pycache__" not in path.parts
         }
         self._trees: dict[str, ast.Module] = {}
-        self._imported: dict[tuple[str, frozenset[str]], dict[str, set[str]]] = {}
+        self._imported: dict[tuple[str, frozenset[str]], dict[str, frozenset[str]]] = {}
         self._digests: dict[tuple[str, frozenset[str]], str] = {}
         self._data: dict[str, dict[str, str]] = {}
 
@@ -156,10 +160,10 @@ class LibrarySources:
 
     def _tree(self, name: str) -> ast.Module:
         if name not in self._trees:
-            self._trees[name] = ast.parse(self._files[name].read_text(encoding="utf-8"))
+            self._trees[name] = _parsed(self._files[name].read_text(encoding="utf-8"))
         return self._trees[name]
 
-    def _imports(self, name: str, taken: frozenset[str]) -> dict[str, set[str]]:
+    def _imports(self, name: str, taken: frozenset[str]) -> dict[str, frozenset[str]]:
         """What ``name`` imports for the names that are taken from it, as :func:`imported_names` gives it."""
         sliced = self._is_sliced(name, taken)
         key = (name, taken if sliced else frozenset())
@@ -173,7 +177,13 @@ class LibrarySources:
         return self._imported[key]
 
 
-def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[str]) -> dict[str, set[str]]:
+@lru_cache(maxsize=_TREES)
+def _parsed(text: str) -> ast.Module:
+    return ast.parse(text)
+
+
+@lru_cache(maxsize=_TREES)
+def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[str]) -> Mapping[str, frozenset[str]]:
     """Modules that ``tree`` imports, at any depth, with the names that it takes from them (``*``: the whole module).
 
     Modules in ``known`` are named in full, of others the top level.
@@ -186,10 +196,10 @@ def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[
     def add(module: str, imported: str) -> None:
         found.setdefault(module if module in known else module.split(".")[0], set()).add(imported)
 
-    code = _Running().visit(ast.parse(ast.unparse(tree)))
-    used = {node.id for node in ast.walk(code) if isinstance(node, ast.Name)}
-    exported = is_package or any(isinstance(node, ast.Name) and node.id == "__all__" for node in ast.walk(code))
-    for node in ast.walk(code):
+    nodes = tuple(_running(tree))
+    used = {node.id for node in nodes if isinstance(node, ast.Name)}
+    exported = is_package or "__all__" in used
+    for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 add(alias.name, _WHOLE)
@@ -207,24 +217,21 @@ def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[
             if "." in text and text in known:
                 add(text, _WHOLE)
     found.pop("__future__", None)
-    return found
+    return {module: frozenset(names) for module, names in found.items()}
 
 
-class _Running(ast.NodeTransformer):
-    """Leaves what runs: without function annotations and ``if TYPE_CHECKING:`` blocks."""
-
-    def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
-        if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            return node.orelse
-        return self.generic_visit(node)
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        node.returns = None
-        return self.generic_visit(node)
-
-    def visit_arg(self, node: ast.arg) -> ast.AST:
-        node.annotation = None
-        return node
+def _running(tree: ast.AST) -> Iterator[ast.AST]:
+    """The nodes of what runs: without function annotations and ``if TYPE_CHECKING:`` blocks."""
+    todo = [tree]
+    while todo:
+        node = todo.pop()
+        yield node
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            todo += node.orelse
+        elif isinstance(node, ast.FunctionDef):
+            todo += [child for child in ast.iter_child_nodes(node) if child is not node.returns]
+        elif not isinstance(node, ast.arg):
+            todo += ast.iter_child_nodes(node)
 
 
 def function_sources(
@@ -240,9 +247,11 @@ def function_sources(
     module = inspect.getmodule(function)
     if module is None:
         raise ValueError(f"{function!r} has no module")
-    source = ast.parse(textwrap.dedent(inspect.getsource(module)))
+    source = _parsed(textwrap.dedent(inspect.getsource(module)))
     body = ast.Module(body=_used_definitions(source, {function.__name__}), type_ignores=[])
-    digest, imported = _code_digest(body), imported_names(body, module.__name__, False, known or frozenset())
+    digest = _code_digest(body)
+    found = imported_names(body, module.__name__, False, known or frozenset())
+    imported = {name: set(names) for name, names in found.items()}
     for helper in _task_functions(body):
         helper_digest, helper_imports = function_sources(helper, known)
         digest = hashlib.sha256(f"{digest} {helper_digest}".encode()).hexdigest()
@@ -279,10 +288,14 @@ def _used_definitions(source: ast.Module, wanted: set[str]) -> list[ast.stmt]:
             continue
         used[name] = definitions[name]
         for statement in definitions[name]:
-            running = _Running().visit(ast.parse(ast.unparse(statement)))
-            todo += [node.id for node in ast.walk(running) if isinstance(node, ast.Name)]
+            todo += _names_used(statement)
     statements = {id(statement): statement for name in sorted(used) for statement in used[name]}
     return [_undecorated(statement) for statement in statements.values()] + others
+
+
+@lru_cache(maxsize=_TREES)
+def _names_used(statement: ast.stmt) -> tuple[str, ...]:
+    return tuple(node.id for node in _running(statement) if isinstance(node, ast.Name))
 
 
 def _names_defined(statement: ast.stmt) -> list[str]:
@@ -306,6 +319,7 @@ def _undecorated(node: ast.stmt) -> ast.stmt:
     return node
 
 
+@lru_cache(maxsize=_TREES)
 def _code_digest(tree: ast.AST) -> str:
     bare = ast.parse(ast.unparse(tree))
     for node in ast.walk(bare):

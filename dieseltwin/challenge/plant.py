@@ -43,7 +43,7 @@ _E = {name: k for k, name in enumerate(KERNEL_EFFECTS)}
  E_PORT_HEAT, E_AFTERBURN, E_PICKUP) = range(len(KERNEL_EFFECTS))  # fmt: skip
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 def _nozzle(area, p_up, T_up, p_down, R, gamma):  # type: ignore[no-untyped-def]
     """Isentropic nozzle without discharge coefficient [kg/s]; no back-flow."""
     if area == 0.0 or p_up <= p_down:
@@ -54,7 +54,7 @@ def _nozzle(area, p_up, T_up, p_down, R, gamma):  # type: ignore[no-untyped-def]
     return area * p_up / np.sqrt(R * T_up) * psi
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 def _table(table, low, high, x, y):  # type: ignore[no-untyped-def]
     """Bilinear look-up, held beyond the edge; coordinates over [low, high]."""
     nx, ny = table.shape
@@ -69,7 +69,7 @@ def _table(table, low, high, x, y):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 def _compressor(p_im, omega, p_bc, c, errors, low, high):  # type: ignore[no-untyped-def]
     """Flow [kg/s], pressure quotient, heating factor, Psi, Phi of the compressor behind p_bc."""
     Pi_c = max(p_im / p_bc, 1.0)
@@ -84,7 +84,7 @@ def _compressor(p_im, omega, p_bc, c, errors, low, high):  # type: ignore[no-unt
     return flow, Pi_c, heating, psi, phi
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 def _turbine(p_em, T_em, position, p_es, c, errors, low, high):  # type: ignore[no-untyped-def]
     """Flow [kg/s] and pressure quotient of the turbine before p_es."""
     Pi_t = min(p_es / p_em, 0.9999)
@@ -226,7 +226,7 @@ def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps,
     out[21], out[22] = u_egr, u_vgt
 
 
-@numba.njit(inline="always", error_model="numpy")
+@numba.njit(forceinline=True, error_model="numpy")
 def errors_1d(table, low, high, x):  # type: ignore[no-untyped-def]
     """Look-up of a map of one argument: the first row of its table runs over it."""
     n = table.shape[0]

@@ -317,13 +317,15 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
         lag_weights(work, 0.5 * h, half_gain, half_kept)
         lag_weights(work, h, full_gain, full_kept)
         for step in range(steps[i]):
-            base[:] = work[: 3 * LANES]
+            for j in range(3 * LANES):  # slices would bring numba's text of a shape error, seconds of compilation
+                base[j] = work[j]
             if step > 0:  # the first step's first stage is the sample's own evaluation
                 load_inputs(work, grids, grid_of_lane, at)
                 hold_gas(work, carried)
                 correct_maps(work, step / steps[i], tables, low_end, per_unit)
                 evaluate(work, step / steps[i])
-            static[:] = work[STATIC * LANES : (STATIC + 1) * LANES]
+            for k in range(LANES):
+                static[k] = work[STATIC * LANES + k]
             load_inputs(work, grids, grid_of_lane, at + 1)
             relax_gas(work, carried, static, half_gain, half_kept)
             for j in range(3 * LANES):
@@ -351,7 +353,8 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
             for j in range(3 * LANES):
                 value = base[j] + h / 6.0 * (total[j] + work[RATE * LANES + j])
                 work[j] = _limit(value, low[j], high[j])
-            carried[:] = work[T_EM * LANES : (T_EM + 1) * LANES]
+            for k in range(LANES):
+                carried[k] = work[T_EM * LANES + k]
             at += 2
 
 

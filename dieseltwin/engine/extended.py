@@ -160,8 +160,10 @@ def simulate_extended(
 
     corrections = extension.corrections or NO_CORRECTIONS
     out = np.empty((lanes, n, N_OUT))
-    implicit = magnitudes[[STATE_EFFECTS.index(name) for name in IMPLICIT]]
-    restricted = (implicit != 0.0).any(axis=0)  # lanes with implicit laws run in a kernel of their own, half as fast
+    implicit = [STATE_EFFECTS.index(name) for name in IMPLICIT]
+    acting = (schedules[:, implicit] != 0.0).any(axis=2)[schedule_of_lane].T
+    # Lanes with implicit laws run in a kernel of their own, half as fast.
+    restricted = ((magnitudes[implicit] != 0.0) & acting).any(axis=0)
 
     whole = np.array([[0, n, 0, 0]], dtype=np.int64)
     lagging = magnitudes[STATE_EFFECTS.index(GAS_LAG)].any()  # gas that lags carries its temperature over restarts

@@ -125,7 +125,7 @@ def test_a_law_takes_the_place_of_a_name_that_is_withheld(answer: Callable[[str]
     assert all(abs(error) < 0.01 for error in _health_off(document).values())
 
 
-@pytest.mark.parametrize("name", ["leak", "sensor", "healthy"])
+@pytest.mark.parametrize("name", ["leak", "healthy"])
 def test_the_library_says_what_the_command_says(
     recording: Callable[[str], Path], answer: Callable[[str], Answer], name: str
 ) -> None:

@@ -116,7 +116,8 @@ def filter_biases(bound: Bound, health: Mapping[str, float]) -> np.ndarray:
     sample_s = float(bound.time_s[1] - bound.time_s[0])
     x0 = np.concatenate([bound.first_local()[0], np.zeros(3)])
     walk = np.concatenate([STATE_NOISE, WALK]) ** 2 * sample_s
-    _filter(bound.fine, STEP_S, bound.every, bound.measured, np.array(bound.channels), bound.noise.sigma,
+    # A copy: an array that may not be written to would be compiled for once more, ten seconds.
+    _filter(bound.fine, STEP_S, bound.every, bound.measured.copy(), np.array(bound.channels), bound.noise.sigma,
             bound.constants(health), *_tables(), x0, np.diag(START_STD**2), walk, out)  # fmt: skip
     return out
 
