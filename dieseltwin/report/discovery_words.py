@@ -147,17 +147,25 @@ def circumstance_words(item: FoundCircumstance) -> str:
     kind, _, column = item.name.rpartition(":")
     if kind == "time_shift":
         late = "late" if item.value > 0.0 else "early"
-        return f"{column} is recorded {abs(item.value):.2f} ± {item.std:.2f} s {late}"
+        return f"{column} is recorded {_with_deviation(abs(item.value), item.std, 2)} s {late}"
     if kind == "drift":
         way = "rises" if item.value > 0.0 else "falls"
-        return f"the ambient pressure {way} by {1e-3 * abs(item.value):.1f} ± {1e-3 * item.std:.1f} kPa"
+        return f"the ambient pressure {way} by {_with_deviation(1e-3 * abs(item.value), 1e-3 * item.std, 1)} kPa"
     if kind == "scale":
-        return f"the fuel that burns is {100.0 * item.value:.1f} ± {100.0 * item.std:.1f} % of what is recorded"
+        burns = _with_deviation(100.0 * item.value, 100.0 * item.std, 1)
+        return f"the fuel that burns is {burns} % of what is recorded"
     words = {"p_amb_pa": "the ambient pressure", "t_amb_k": "the ambient temperature",
              "t_im_k": "the temperature behind the charge cooler"}[column]  # fmt: skip
     factor, shift, unit = (1e-3, 0.0, "kPa") if item.unit == "Pa" else (1.0, -273.15, "°C")
     value, assumed = factor * item.value + shift, factor * item.assumed + shift
-    return f"{words} is {value:.1f} ± {factor * item.std:.1f} {unit}, not {assumed:.1f}"
+    return f"{words} is {_with_deviation(value, factor * item.std, 1)} {unit}, not {assumed:.1f}"
+
+
+def _with_deviation(value: float, std: float, decimals: int) -> str:
+    """Value ± standard deviation; more decimals where a deviation that isn't zero would read as zero."""
+    if std > 0.0 and round(std, decimals) == 0.0:
+        decimals = quantities.decimals_for(std)
+    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
 
 
 def circumstances_words(document: Discrepancy) -> str:

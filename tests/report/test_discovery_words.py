@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import synthetic_discovery as synthetic
 
-from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance
 from dieseltwin.engine.effects import EFFECTS, SITES
-from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words
+from dieseltwin.report.discovery_words import circumstance_words, magnitude_words, sentence, site_words
 
 OFFSET = {
     "name": "p_im_offset", "probability": 0.99, "equivalent_names": [], "law": "reading + b", "magnitude": -1250.0,
@@ -119,3 +119,15 @@ def test_every_effect_has_words_and_a_size_with_a_unit(name: str) -> None:
 @pytest.mark.parametrize("site", SITES)
 def test_every_site_has_words(site: str) -> None:
     assert "_" not in site_words(site) or site.startswith("sensor:")
+
+
+def test_no_deviation_of_a_circumstance_reads_as_zero() -> None:
+    late = {"name": "time_shift:u_delta_mg", "assumed": 0.0, "unit": "s", "off": True}
+    sharp = FoundCircumstance.model_validate({**late, "value": 0.0496, "std": 0.0013})
+    assert circumstance_words(sharp) == "u_delta_mg is recorded 0.0496 ± 0.0013 s late"
+    broad = FoundCircumstance.model_validate({**late, "value": -0.21, "std": 0.02})
+    assert circumstance_words(broad) == "u_delta_mg is recorded 0.21 ± 0.02 s early"
+    hill = {"name": "p_amb_pa", "value": 93120.0, "std": 31.0, "assumed": 101325.0, "unit": "Pa", "off": True}
+    assert circumstance_words(FoundCircumstance.model_validate(hill)) == (
+        "the ambient pressure is 93.120 ± 0.031 kPa, not 101.3"
+    )

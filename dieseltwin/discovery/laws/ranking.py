@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,6 @@ from dieseltwin.discovery.laws.grammar import (
     TIMES,
     Factor,
     Form,
-    Variable,
     arguments,
     bumps,
     describe,
@@ -33,6 +32,9 @@ _OF_PAIRS = 4
 _NEAR = 18.0  # of the best score: candidates whose simplicity counts; twice what a refit can't tell apart
 _ALIKE = 0.9995  # correlation in the metric above which the simpler of two forms stands for both
 _OPERATOR_AMPLITUDE = (0.2, 3.0)  # an operator's coefficient is 1; its size isn't known yet
+_OPERATOR_CHOICE = 2.0 * float(np.log(10.0))  # charge for the choice of one of some ten operators
+_NO_RESPONSE = 1e-10  # of a feature's own square sum: a response below it is rounding
+_AT_ONCE = 400  # products scored together, which bounds the memory
 
 
 @dataclass(frozen=True)
@@ -101,100 +103,143 @@ def rank(
         screened: names of those among the points that are ranked at all; laws pay for the choice from all of them.
     """
     scope = law_scope_of(twin)
-    kinds, admitted = kinds or scope.kinds, scope.variables
-    units = {**scope.units, **dict.fromkeys(TIMES, "s")}
-    worth = Worth(responses.explained(), readings)
-    log_readings = float(np.log(readings or responses.at.whitening.present.sum()))
+    kinds = kinds or scope.kinds
+    chosen = [i for i, point in enumerate(twin.points) if points is None or point.name in points]
+    field = _Field(
+        twin, {name: np.asarray(values) for name, values in variables.items()},
+        {**scope.units, **dict.fromkeys(TIMES, "s")}, None if kinds is None else frozenset(kinds),
+        Worth(responses.explained(), readings), float(np.log(readings or responses.at.whitening.present.sum())),
+        len(chosen),
+    )  # fmt: skip
+    admitted = variables.keys() if scope.variables is None else variables.keys() & set(scope.variables)
     out: list[Ranked] = []
     tried = 0
-    chosen = [i for i, point in enumerate(twin.points) if points is None or point.name in points]
     for index in chosen:
-        point = twin.points[index]
-        if screened is not None and point.name not in screened:
+        if screened is not None and twin.points[index].name not in screened:
             continue
-        known = {
-            name: describe(name, np.asarray(variables[name]), unit_of(name, units))
-            for name in arguments(point)
-            if name in variables and np.isfinite(variables[name]).any() and (admitted is None or name in admitted)
-        }
-        found, count = _of_point(
-            twin, index, point, known, responses.point(index), variables, units, worth, log_readings, len(chosen), kinds
-        )
+        found, count = _AtPoint(field, index, responses.point(index), admitted).ranked()
         tried += count
         out += found
     return sorted(out, key=lambda item: -item.score), tried
 
 
-def _of_point(
-    twin: Twin, index: int, point: Point, known: Mapping[str, Variable], response: PointResponse,
-    variables: Mapping[str, Array], units: Mapping[str, str], worth: Worth, log_readings: float, points: int,
-    kinds: Sequence[str] | None,
-) -> tuple[list[Ranked], int]:  # fmt: skip
-    pool = [f for f in factors(arguments(point), known) if kinds is None or f.kind in kinds]
-    # Bumps over a map's arguments are many and alike: a pool of their own, so that others don't pay for their number.
-    of_map = {name: np.asarray(variables[name]) for name in map_arguments(point) if name in known}
-    local = bumps(of_map, units) if kinds is None or "bump" in kinds else []
-    each = 2.0 * np.log(max(len(pool), 2))
-    each_local = 2.0 * np.log(max(len(local), 2))
-    common = log_readings + 2.0 * np.log(points)
-    n = len(twin.time_s)
-    at = {**variables}
+@dataclass(frozen=True)
+class _Field:
+    """What the ranking has in common at all points.
 
-    def scored(forms: Sequence[Form]) -> list[_Scored]:
+    Attributes:
+        twin: gives the points.
+        variables: name -> (n,).
+        units: of variables.
+        kinds: of factors that are tried; None for all.
+        worth: of a gain.
+        log_readings: logarithm of the number of readings, the extended BIC's price of a coefficient.
+        points: number of points among which a law is chosen.
+    """
+
+    twin: Twin
+    variables: Mapping[str, Array]
+    units: Mapping[str, str]
+    kinds: frozenset[str] | None
+    worth: Worth
+    log_readings: float
+    points: int
+
+    def tries(self, kind: str) -> bool:
+        """Whether factors of a kind are tried."""
+        return self.kinds is None or kind in self.kinds
+
+
+class _AtPoint:
+    """Ranking of the forms of one point: single factors, products by beam, operators, and sums of two terms."""
+
+    def __init__(self, field: _Field, index: int, response: PointResponse, admitted: Collection[str]) -> None:
+        self.field, self.index, self.response = field, index, response
+        self.point = point = field.twin.points[index]
+        known = {
+            name: describe(name, field.variables[name], unit_of(name, field.units))
+            for name in arguments(point) if name in admitted and np.isfinite(field.variables[name]).any()
+        }  # fmt: skip
+        self.pool = [factor for factor in factors(arguments(point), known) if field.tries(factor.kind)]
+        # Bumps over a map's arguments are many and alike: in a pool of their own, others don't pay for their number.
+        of_map = {name: field.variables[name] for name in map_arguments(point) if name in known}
+        self.local = bumps(of_map, field.units) if field.tries("bump") else []
+
+    def ranked(self) -> tuple[list[Ranked], int]:
+        """The forms that differ in the metric and sums of two of them, and how many forms were tried."""
+        point = self.point
+        singles = self._scored([Form(point.name), *(Form(point.name, (f,)) for f in (*self.pool, *self.local))])
+        products, tried = self._products(singles)
+        acting = self._scored(self._operators())
+        best = sorted([*singles, *products, *acting], key=lambda s: -s.score)[: 3 * _KEPT]
+        kept = _distinct(self.response, best)
+        ranked = [Ranked(self.index, point.site, (_placed(s),), s.gain, s.charge, s.worth) for s in kept]
+        free = [s for s in kept if s.form.fixed is None]
+        firsts = free[:_FIRST_TERMS]
+        firsts += [s for s in singles if not s.form.factors and s not in firsts]  # the constant is always one of them
+        ranked += _pairs(self.index, point, self.response, firsts, [*singles, *free], self.field.worth)
+        return ranked, len(singles) + tried
+
+    def _operators(self) -> list[Form]:
+        """Forms with a coefficient of 1 that act on what passes the point: lags, delays, plays."""
+        point, field = self.point, self.field
+        own_unit = unit_of(point.name, field.units) if point.name in field.variables else "-"
+        return [Form(point.name, (f,), 1.0) for f in operators(point, own_unit) if field.tries(f.kind)]
+
+    def _products(self, singles: Sequence[_Scored]) -> tuple[list[_Scored], int]:
+        """Products of two and three factors, each round the last round's best by every further factor; how many."""
+        everything: list[_Scored] = []
+        last, seen, tried = singles, {s.form.key for s in singles}, 0
+        for beam in _BEAM:
+            best = sorted((s for s in last if s.form.factors), key=lambda s: -s.score)[:beam]
+            forms = []
+            for form in (s.form for s in best):
+                # A bump is multiplied by bumps over the map's other arguments, everything else by everything else.
+                for factor in self.local if form.factors[0].kind == "bump" else self.pool:
+                    longer = Form(form.point, (*form.factors, factor))
+                    if _useful(form, factor) and longer.key not in seen:
+                        seen.add(longer.key)
+                        forms.append(longer)
+            last = []
+            for first in range(0, len(forms), _AT_ONCE):
+                last += _trimmed(self._scored(forms[first : first + _AT_ONCE]))
+            everything += last
+            tried += len(forms)
+        return everything, tried
+
+    def _scored(self, forms: Sequence[Form]) -> list[_Scored]:
+        """Linear estimates of the forms that are finite along the trajectory and show in the readings at all."""
         if not forms:
             return []
+        rows = len(self.field.twin.time_s)
         with np.errstate(all="ignore"):
-            features = np.stack([np.broadcast_to(np.asarray(f.value(at), dtype=float), (n,)) for f in forms])
-        fine = np.all(np.isfinite(features), axis=1)
-        forms = [f for f, ok in zip(forms, fine, strict=True) if ok]
-        features = features[fine]
-        if not forms:
+            features = np.stack([
+                np.broadcast_to(np.asarray(f.value(self.field.variables), dtype=float), (rows,)) for f in forms
+            ])  # fmt: skip
+        finite = np.isfinite(features).all(axis=1)
+        features = features[finite]
+        if not features.size:
             return []
-        at_knots = response.at_knots(features)
-        norms, gradients = response.norms(at_knots), response.gradients(at_knots)
-        floor = 1e-10 * np.maximum((features**2).sum(1), 1e-300)
+        at_knots = self.response.at_knots(features)
+        norms, gradients = self.response.norms(at_knots), self.response.gradients(at_knots)
+        visible = norms > _NO_RESPONSE * np.maximum((features**2).sum(axis=1), 1e-300)
         out = []
-        for form, norm, gradient, own, smallest in zip(forms, norms, gradients, at_knots, floor, strict=True):
-            if norm <= smallest:
-                continue
-            amplitude = gradient / norm
+        for i, form in zip(np.flatnonzero(visible), (forms[k] for k in np.flatnonzero(finite)[visible]), strict=True):
+            coefficient = float(gradients[i] / norms[i])
             if form.fixed is not None:
-                amplitude = float(np.clip(amplitude, *_OPERATOR_AMPLITUDE))
-            gain = 2.0 * amplitude * gradient - amplitude**2 * norm
-            bumped = sum(factor.kind == "bump" for factor in form.factors)
-            chosen = each * (len(form.factors) - bumped) + each_local * bumped
-            charge = common + (chosen if form.fixed is None else 2.0 * np.log(10.0))
-            out.append(_Scored(form, float(amplitude), float(gain), float(charge), worth(float(gain)), own))
+                coefficient = float(np.clip(coefficient, *_OPERATOR_AMPLITUDE))
+            gain = float(2.0 * coefficient * gradients[i] - coefficient**2 * norms[i])
+            out.append(_Scored(form, coefficient, gain, self._charge(form), self.field.worth(gain), at_knots[i]))
         return out
 
-    singles = scored([Form(point.name), *(Form(point.name, (f,)) for f in (*pool, *local))])
-    products, everything, seen = singles, list(singles), {s.form.key for s in singles}
-    count = len(singles)
-    for beam in _BEAM:
-        best = sorted((s for s in products if s.form.factors), key=lambda s: -s.score)[:beam]
-        forms = []
-        for s in best:
-            for factor in local if s.form.factors[0].kind == "bump" else pool:
-                if not _useful(s.form, factor):
-                    continue
-                form = Form(point.name, (*s.form.factors, factor))
-                if form.key not in seen:
-                    seen.add(form.key)
-                    forms.append(form)
-        products = []
-        for first in range(0, len(forms), 400):
-            products += _trimmed(scored(forms[first : first + 400]))
-        everything += products
-        count += len(forms)
-    own_unit = unit_of(point.name, units) if point.name in variables else "-"
-    everything += scored([Form(point.name, (f,), 1.0) for f in operators(point, own_unit)
-        if kinds is None or f.kind in kinds])
-    kept = _distinct(response, sorted(everything, key=lambda s: -s.score)[: 3 * _KEPT])
-    ranked = [Ranked(index, point.site, (_placed(s),), s.gain, s.charge, s.worth) for s in kept]
-    free = [s for s in kept if s.form.fixed is None]
-    firsts = [*free[:_FIRST_TERMS], *(s for s in singles if not s.form.factors and s not in free[:_FIRST_TERMS])]
-    ranked += _pairs(index, point, response, firsts, [*singles, *free], worth)
-    return ranked, count
+    def _charge(self, form: Form) -> float:
+        """What the extended BIC takes off: for a coefficient, and for the choice of the point and of each factor."""
+        common = self.field.log_readings + 2.0 * np.log(self.field.points)
+        if form.fixed is not None:
+            return float(common + _OPERATOR_CHOICE)
+        bumped = sum(factor.kind == "bump" for factor in form.factors)
+        of_pool, of_local = (2.0 * np.log(max(len(pool), 2)) for pool in (self.pool, self.local))
+        return float(common + (of_pool * (len(form.factors) - bumped) + of_local * bumped))
 
 
 def _trimmed(items: list[_Scored]) -> list[_Scored]:
