@@ -28,6 +28,7 @@ from dieseltwin.identification.result import Identification
 from dieseltwin.notes import Note, doubts_among, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
+from dieseltwin.recordings.circumstances import with_charge
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report.beside import begin_beside, ready_beside
@@ -295,7 +296,7 @@ def ask(
                for name in SENSORS if name not in used]
     notes = (*_notes(source, parameters), *channel_notes(source, used), *without, *left_out)
     seed = settings.seed if seed is None else seed
-    fit_with = (_intake(source, parameters), tuple(used)) if setup.fit_test and chosen.needs.maps == EXACT else None
+    fit_with = (with_charge(parameters, source), tuple(used)) if setup.fit_test and chosen.needs.maps == EXACT else None
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source,
                                   segment_s, masked, fit_with, source.path.name if source.path else "")  # fmt: skip
 
@@ -317,13 +318,6 @@ def problems_of(
     noise = NoiseLevels.from_signals(signals, relative=relative_noise(settings.noise))
     duration_s = settings.identify.segment_s if segment_s is None else segment_s
     return problems_from_recording(source, parameters, noise=noise, duration_s=duration_s, channels=sensors)
-
-
-def _intake(source: Recording, parameters: EngineParameters) -> EngineParameters:
-    """The engine with the intake temperature that `problems_from_recording` takes."""
-    values = source.columns.get("t_im_k")
-    known = values is not None and bool(np.isfinite(values).any())
-    return parameters.replace(T_im=float(np.nanmedian(values))) if known else parameters  # type: ignore[arg-type]
 
 
 def _checked(sensors: Sequence[str], method: Method) -> tuple[str, ...]:

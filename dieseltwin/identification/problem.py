@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs
 from dieseltwin.engine.sensor_effects import undo_sensor_terms
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.circumstances import with_charge
 from dieseltwin.recordings.held import decimal_step
 from dieseltwin.recordings.noise import STEP_TO_STD, CutOff, cut_offs
 from dieseltwin.sensors import NEEDED, SENSORS
@@ -275,10 +276,8 @@ def problems_from_recording(
     Returns:
         One problem for each segment.
     """
-    known = parameters.replace(T_amb=float(recording.t_amb_k), p_amb=float(recording.p_amb_pa))
-    intake = np.asarray(recording.columns.get("t_im_k", np.nan), dtype=np.float64)
-    if np.isfinite(intake).any():  # constant in the model: the recording's median
-        known = known.replace(T_im=float(np.nanmedian(intake)))
+    ambient = parameters.replace(T_amb=float(recording.t_amb_k), p_amb=float(recording.p_amb_pa))
+    known = with_charge(ambient, recording)
     segments = list(recording.segments(duration_s))
     if noise is None:
         noise = NoiseLevels.from_signals(np.concatenate([s.measured for s in segments]))

@@ -94,6 +94,12 @@ def applicable(recording: Recording, name: str, value: float) -> float:
     return value
 
 
+def with_charge(engine: EngineParameters, recording: Recording) -> EngineParameters:
+    """The engine with the charge temperature that a recording has, its median: in the model it is constant."""
+    values = np.asarray(recording.columns.get("t_im_k", np.nan), dtype=np.float64)
+    return engine.replace(T_im=float(np.nanmedian(values))) if np.isfinite(values).any() else engine
+
+
 def put_right(
     recording: Recording, engine: EngineParameters, values: Mapping[str, float]
 ) -> tuple[Recording, EngineParameters]:

@@ -373,8 +373,8 @@ def _healthy(document: Discrepancy) -> str:
              for name in _EXAMPLES if name in document.minimum_detectable]
     shown = [words for words in least if words]
     if document.p_value < _BEYOND_CHANCE:
-        text = (f"Nothing as large as a fault was found: simulation and recording differ by more than chance ({p_value}), "
-                "but by less than what is believed of a healthy engine of this kind")
+        text = ("Nothing as large as a fault was found: simulation and recording differ by more than chance "
+                f"({p_value}), but by less than what is believed of a healthy engine of this kind")
     else:
         text = (f"Nothing is missing that this recording could show ({p_value}): noise, the four health parameters and "
                 "the tolerances of the maps explain it")

@@ -34,7 +34,9 @@ _FIT_ROUNDS = 6
 _LARGEST_STEP = 0.8  # of a prior's standard deviation in one round: farther, responses are others
 _SETTLED = 0.1  # of a prior's standard deviation; the rest is linear
 _MOVED = 0.6  # the same of what is open anyway: it is taken linearly up to here
-_MOVED_BESIDE = 1.2  # the same beside an effect: where it is the wrong one, it bends them
+_AMBIENT = ("p_amb_pa", "t_amb_k")
+_MOVED_UNREAD = 0.15  # the same of an ambient that no column gives: at 3.6 kPa and 10 K health was off by 6 deviations
+_MOVED_BESIDE = 1.2  # of the others beside an effect: where it is the wrong one, it bends them
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _CATALOGUE = 2  # effects at once that the catalogue explains by itself
 
@@ -82,20 +84,28 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     movable = [item for item in _movable(found) if not (held and item.read)]
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
     values: dict[str, float] = {}
-    if np.abs(shares[1]).max() >= (_MOVED if lead is found.null else _MOVED_BESIDE):
+    bars = np.array([_bar(item, _MOVED) for item in movable])
+    beside = bars if lead is found.null else np.array([_bar(item, _MOVED_BESIDE) for item in movable])
+    if np.any(np.abs(shares[1]) >= beside):
         values = {
             item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
             for item, share in zip(movable, shares[1], strict=True)
         }
-    if lead is not found.null and np.abs(shares[0]).max() >= _MOVED:  # they may be all that the effect says
+    if lead is not found.null and np.any(np.abs(shares[0]) >= bars):  # they may be all that the effect says
         alone = _settled(found, twin, found.null.fit, movable, {})
         if alone.evidence < _evidence(lead) + found.settings.alarm_gain:
             values = alone.values
     if not values:
         return None
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
-    far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _MOVED * i.std for i in movable)
+    far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _bar(i, _MOVED) * i.std for i in movable)
     return cast(Twin, other) if far else None  # sensors' clocks go by whole rows
+
+
+def _bar(item: Circumstance, read: float) -> float:
+    """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior; `read`:
+    that of all but an ambient that no column gives."""
+    return _MOVED_UNREAD if item.plain in _AMBIENT and not item.read else read
 
 
 def _movable(found: Search) -> list[Circumstance]:

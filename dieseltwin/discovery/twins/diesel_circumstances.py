@@ -16,7 +16,15 @@ from dieseltwin.engine.actuation import actuate_lanes
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.inputs import INPUT_COLUMNS, Actuation
 from dieseltwin.learning.belief import Belief
-from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance, applicable, put_right
+from dieseltwin.recordings.circumstances import (
+    DRIFT,
+    SCALE,
+    TIME_SHIFT,
+    Circumstance,
+    applicable,
+    put_right,
+    with_charge,
+)
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.params import default_search
 from dieseltwin.settings.search import CircumstanceSettings
@@ -42,14 +50,15 @@ def circumstances_of(
     def read(name: str) -> bool:
         return name in recording.columns and bool(np.isfinite(recording.columns[name]).any())
 
-    pressure, temperature = read("p_amb_pa"), read("t_amb_k")
+    pressure, temperature, charge = read("p_amb_pa"), read("t_amb_k"), read("t_im_k")
     p_amb, t_amb = recording.p_amb_pa, recording.t_amb_k
     found = [
         Circumstance("p_amb_pa", p_amb, priors.p_amb_read_pa if pressure else priors.p_amb_pa, "Pa", 3000.0, True,
                      read=pressure),
         Circumstance("t_amb_k", t_amb, priors.t_amb_read_k if temperature else priors.t_amb_k, "K", 8.0, True,
                      read=temperature),
-        Circumstance("t_im_k", engine.T_im, priors.t_im_k, "K", 8.0, True),
+        Circumstance("t_im_k", engine.T_im, priors.t_im_read_k if charge else priors.t_im_k, "K", 8.0, True,
+                     read=charge),
         Circumstance("scale:u_delta_mg", 1.0, priors.fuel_scale, "-", 0.02, True),
     ]
     if not pressure:
@@ -91,6 +100,7 @@ class LoggedTwin(EngineTwin):
         map_tolerance: float = MAP_TOLERANCE, belief: Belief | None = None, beliefs: CircumstanceSettings | None = None,
         values: Mapping[str, float] | None = None, opened: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
+        engine = with_charge(engine, recording)
         self.values = {name: applicable(recording, name, value) for name, value in (values or {}).items()}
         right, under = put_right(recording, engine, self.values)
         super().__init__(right, under, sensors, map_tolerance=map_tolerance, belief=belief)
