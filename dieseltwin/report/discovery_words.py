@@ -358,9 +358,8 @@ def _what_words(document: Discrepancy) -> str:
 
 def _time_words(document: Discrepancy) -> list[str]:
     """That the search was ended by its time limit, where it was."""
-    if document.out_of_time is None:
-        return []
-    return [f"the time for the search was over before it was through with {_listing(document.out_of_time.unfinished)}"]
+    over = document.out_of_time
+    return [f"the time for the search was over before it was through with {_listing(over.unfinished)}"] if over else []
 
 
 _BEYOND_CHANCE = 1e-4  # of all that was looked for at once; what is found, but below its tolerance, has such a p
@@ -369,9 +368,8 @@ _EXAMPLES = ("boost_leak", "back_pressure", "bearing_friction")
 
 def _healthy(document: Discrepancy) -> str:
     p_value = f"p = {document.p_value:.2g}"
-    least = [least_words(name, document.minimum_detectable[name])
-             for name in _EXAMPLES if name in document.minimum_detectable]
-    shown = [words for words in least if words]
+    known = document.minimum_detectable
+    shown = list(filter(None, (least_words(name, known[name]) for name in _EXAMPLES if name in known)))
     if document.p_value < _BEYOND_CHANCE:
         text = ("Nothing as large as a fault was found: simulation and recording differ by more than chance "
                 f"({p_value}), but by less than what is believed of a healthy engine of this kind")
