@@ -36,7 +36,7 @@ _SETTLED = 0.1  # of a prior's standard deviation; the rest is linear
 _MOVED = 0.6  # the same of what is open anyway: it is taken linearly up to here
 _AMBIENT = ("p_amb_pa", "t_amb_k")
 _MOVED_UNREAD = 0.15  # the same of an ambient that no column gives: at 3.6 kPa and 10 K health was off by 6 deviations
-_MOVED_BESIDE = 1.2  # of the others beside an effect: where it is the wrong one, it bends them
+_BESIDE = 2.0  # times as far beside an effect: where it is the wrong one, it bends them
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _CATALOGUE = 2  # effects at once that the catalogue explains by itself
 
@@ -84,9 +84,8 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     movable = [item for item in _movable(found) if not (held and item.read)]
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
     values: dict[str, float] = {}
-    bars = np.array([_bar(item, _MOVED) for item in movable])
-    beside = bars if lead is found.null else np.array([_bar(item, _MOVED_BESIDE) for item in movable])
-    if np.any(np.abs(shares[1]) >= beside):
+    bars = np.array([_bar(item) for item in movable])
+    if np.any(np.abs(shares[1]) >= (bars if lead is found.null else _BESIDE * bars)):
         values = {
             item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
             for item, share in zip(movable, shares[1], strict=True)
@@ -98,14 +97,13 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     if not values:
         return None
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
-    far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _bar(i, _MOVED) * i.std for i in movable)
+    far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _bar(i) * i.std for i in movable)
     return cast(Twin, other) if far else None  # sensors' clocks go by whole rows
 
 
-def _bar(item: Circumstance, read: float) -> float:
-    """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior; `read`:
-    that of all but an ambient that no column gives."""
-    return _MOVED_UNREAD if item.plain in _AMBIENT and not item.read else read
+def _bar(item: Circumstance) -> float:
+    """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior."""
+    return _MOVED_UNREAD if item.plain in _AMBIENT and not item.read else _MOVED
 
 
 def _movable(found: Search) -> list[Circumstance]:
