@@ -187,6 +187,7 @@ def test_a_killed_server_says_what_it_interrupted(server: Server, browser: playw
     page.click("text=Start")
     page.wait_for_selector(".stages .now")
     server.kill()
+    page.goto("about:blank")  # the analysis's page loads itself again once the server answers
     server.start()
     page.goto(server.url)
     page.wait_for_selector(".tag.interrupted")
