@@ -142,4 +142,3 @@ def _size(manifest: Mapping[str, Any]) -> str:
 
 def _line(line: Any) -> dict[str, Any]:
     return {name: getattr(line, name) for name in OF_A_LINE} | {"numbers": dict(line.numbers)}
-

@@ -23,7 +23,7 @@ from dieseltwin.petrol.model import (
     throttle_basis,
     unsteadiness,
 )
-from dieseltwin.petrol.parameters import FaultFreePiece, PetrolParameters, SplineMap, Spread, Volumes
+from dieseltwin.petrol.parameters import FILLED, FaultFreePiece, PetrolParameters, SplineMap, Spread, Volumes
 from dieseltwin.petrol.recording import Blocks, Grid, Signals, blocks_of, make_grid
 
 Array = NDArray[np.float64]
@@ -35,7 +35,6 @@ SUMMAND_REACH = 1.0  # the same of the second summand of the throttle's map: fix
 FIRST_SPREAD = Spread(base=0.02, rates=(0.1, 0.1, 0.1, 0.02))
 LEARNED_CLOCKS = ("w_af_late", "throttle_late")  # against the pressures'; that of p_ic shows too little to be learned
 CLOCK_ROUNDS, CLOCK_STEP_S, CLOCK_REACH_S = 3, 0.05, 0.1  # of the delays; their prior standard deviation
-LEARNED_VOLUMES = ("V_im", "V_ic")
 VOLUME_STEP, VOLUME_REACH = 0.02, 0.1  # of the volumes' logarithms; their prior standard deviation
 FOLDS, FOLD_S = 5, 20.0  # cross-validation of the scatter
 ROUNDS = 3  # of maps and scatter in turn
@@ -205,13 +204,13 @@ def learned_clocks_and_volumes(
     Args:
         volumes: as given; kept: (m,) blocks to use; spreads: of the balances, as far as they are known.
     """
-    steps = np.array([CLOCK_STEP_S] * len(LEARNED_CLOCKS) + [VOLUME_STEP] * len(LEARNED_VOLUMES))
-    belief = np.array([CLOCK_REACH_S] * len(LEARNED_CLOCKS) + [VOLUME_REACH] * len(LEARNED_VOLUMES)) ** -2
+    steps = np.array([CLOCK_STEP_S] * len(LEARNED_CLOCKS) + [VOLUME_STEP] * len(FILLED))
+    belief = np.array([CLOCK_REACH_S] * len(LEARNED_CLOCKS) + [VOLUME_REACH] * len(FILLED)) ** -2
     found = np.zeros(len(steps))
 
     def at(values: Array) -> tuple[dict[str, float], Volumes]:
         delays, logs = np.split(values, [len(LEARNED_CLOCKS)])
-        factors = zip(LEARNED_VOLUMES, np.exp(logs).tolist(), strict=True)
+        factors = zip(FILLED, np.exp(logs).tolist(), strict=True)
         filling = {name: getattr(volumes, name) * factor for name, factor in factors}
         return dict(zip(LEARNED_CLOCKS, delays.tolist(), strict=True)), volumes.model_copy(update=filling)
 

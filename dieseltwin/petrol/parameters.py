@@ -18,10 +18,11 @@ from dieseltwin.settings.strict import StrictModel, read_mapping, validate
 
 Array = NDArray[np.float64]
 KIND = "petrol"
+FILLED = ("V_im", "V_ic")  # volumes whose filling is learned
 
 
 class Volumes(StrictModel):
-    """Volumes [m3]: displacement, intake manifold, intercooler with pipes; `spread` of the latter two: relative
+    """Volumes [m3]: displacement, intake manifold, intercooler with pipes; `spread` of those of `FILLED`: relative
     standard deviations with which their filling was learned [-]."""
 
     V_d: float = Field(1.953e-3, gt=0)

@@ -37,7 +37,7 @@ from dieseltwin.petrol.model import (
     throttle_zero,
     unsteadiness,
 )
-from dieseltwin.petrol.parameters import PetrolParameters
+from dieseltwin.petrol.parameters import FILLED, PetrolParameters
 from dieseltwin.petrol.recording import Blocks, Signals, blocks_of, make_grid
 from dieseltwin.recordings.channel_checks import standstills
 from dieseltwin.recordings.noise import Noise
@@ -240,7 +240,7 @@ class PetrolTwin(TwinDefaults):
     def _filling(self) -> list[Nuisance]:
         """What fills, as far off as it was learned: its misfits as read, were each volume larger by its spread."""
         volumes, found = self.engine.volumes, []
-        for name, std in zip(("V_im", "V_ic"), volumes.spread, strict=True):
+        for name, std in zip(FILLED, volumes.spread, strict=True):
             if std > 0.0:
                 larger = volumes.model_copy(update={name: getattr(volumes, name) * (1.0 + std)})
                 moved = blocks_of(self.signals, self.grid, larger.geometry)

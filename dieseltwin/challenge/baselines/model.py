@@ -28,7 +28,6 @@ WINDOW_S = 10.0
 EFFECTS = len(KERNEL_EFFECTS)
 HIDDEN = 12
 NET_INPUTS = 7  # p_im, p_em, omega_t, n_e, u_delta, u_egr, u_vgt
-"""Biases enter the intake balance, the exhaust balance and the shaft's power."""
 
 
 @dataclass(frozen=True)
