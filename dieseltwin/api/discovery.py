@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
+from dieseltwin.api.calibration import petrol_base
 from dieseltwin.api.driving import ask_driving
 from dieseltwin.api.engines import Engine
 from dieseltwin.api.findings import Asked, Discovered, Question
@@ -71,7 +73,8 @@ def ask(
 ) -> Question:
     """Read and check all that `discover` needs, and search for nothing yet; the errors are those of it."""
     asked = asked or Asked()
-    machine = as_engine(engine)
+    machine = _machine(engine, asked)
+    _refuse_the_same(recording, asked.reference)
     if isinstance(recording, Sequence) and not isinstance(recording, str):
         if len(recording) != 1:
             together = _together(recording, machine, channels)
@@ -80,7 +83,7 @@ def ask(
     if isinstance(machine, RigParameters):
         refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
     if isinstance(machine, PetrolParameters):
-        refuse_options({"--reference": tuple(asked.reference) or None, "--time": asked.time_s}, "for a petrol engine")
+        refuse_options({"--time": asked.time_s}, "for a petrol engine")
     read = opened(recording, channels)
     if isinstance(machine, RigParameters):
         return ask_rig(read, machine, asked)
@@ -93,7 +96,7 @@ def ask(
         engine_file = Path(engine) if isinstance(engine, str | Path) else None
         from dieseltwin.api.petrol import ask_petrol  # what the others of its kind need takes half a second
 
-        return ask_petrol(read, machine, engine_file, asked)
+        return ask_petrol(read, machine, engine_file, asked, channels)
     if isinstance(read, PetrolRecording):
         raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
                          "name the engine that it belongs to")
@@ -103,6 +106,25 @@ def ask(
     from dieseltwin.api.points import ask_points
 
     return ask_points(read, engine, channels, asked)
+
+
+def _machine(engine: Engine | str | Path | None, asked: Asked) -> Engine:
+    """The machine that is meant. A petrol engine needs no maps where it is learned from references first."""
+    if asked.reference and engine is not None:
+        petrol = petrol_base(engine)
+        if petrol is not None:
+            return petrol
+    return as_engine(engine)
+
+
+def _refuse_the_same(recording: AnyRecording | Sequence[AnyRecording], reference: Sequence[object]) -> None:
+    """Refuse a file that is its own reference, before anything is learned from it."""
+    judged = recording if isinstance(recording, Sequence) and not isinstance(recording, str) else (recording,)
+    healthy = [item for item in reference if isinstance(item, str | Path) and Path(item).is_file()]
+    for one in (item for item in judged if isinstance(item, str | Path) and Path(item).is_file()):
+        if any(filecmp.cmp(one, other, shallow=False) for other in healthy):
+            raise InputError(str(one), "the reference itself", "driving that the engine wasn't learned from",
+                             "judge another recording, or leave this one out of --reference")
 
 
 def _known(

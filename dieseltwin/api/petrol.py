@@ -25,7 +25,7 @@ from dieseltwin.petrol.calibrate import calibrate as calibrated
 from dieseltwin.petrol.discover import PetrolDiscovery, PetrolOptions, details, discover_petrol
 from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
-from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled
+from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, shared_rows
 from dieseltwin.recordings.channel_checks import series_notes
 from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.report import petrol as pages
@@ -37,6 +37,7 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_MOST_SHARED = 0.01  # of the rows with the references: readings at rest may repeat
 TOLERANCE_RANGE = (0.0, 0.1)  # of the maps [-]; with more, nothing is left to find
 OWNED = ("figures", "report.html", "report.pdf", "engine.yaml", "runtime.json", DETAILS)
 
@@ -55,7 +56,7 @@ class PetrolDiscovered(Discovered):
 
     @property
     def document(self) -> Discrepancy:
-        return with_warnings(self.found.document, recording_notes(self.question.recording))
+        return with_warnings(self.found.document, [*self.question.notes, *recording_notes(self.question.recording)])
 
     @property
     def engine(self) -> PetrolParameters:
@@ -97,12 +98,14 @@ class PetrolQuestion(Question):
         parameters: calibrated.
         options: of the search.
         asked: the question as JSON types.
+        notes: what is doubtful about the references that the engine was learned from.
     """
 
     recording: PetrolRecording
     parameters: PetrolParameters
     options: PetrolOptions
     asked: Mapping[str, Any]
+    notes: tuple[Note, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -126,18 +129,29 @@ def ask_petrol(
     parameters: PetrolParameters,
     engine_file: Path | None,
     question: Asked | None = None,
+    channels: Channels | None = None,
 ) -> PetrolQuestion:
-    """Check a recording of a petrol engine; see `discovery.discover`.
+    """Check a recording of a petrol engine; see `discovery.discover`. With references it is learned from them first.
 
     Args:
         engine_file: that the parameters were read from, if any.
         question: checked here.
+        channels: channel map of the references.
 
     Raises:
-        InputError: a file or an option that can't be used, an engine without maps.
+        InputError: a file or an option that can't be used, an engine without maps, references beside maps, a recording
+            that is in the references.
     """
-    options = _options(question or Asked())
+    question = question or Asked()
+    options = _options(question)
     _check(options)
+    judged, notes = petrol_recording(recording), tuple[Note, ...]()
+    reference = [petrol_recording(item, channels) for item in question.reference]
+    if reference:
+        _check_apart(judged, reference)
+        learned = learn_petrol(reference, parameters, channels)
+        parameters, engine_file = learned.engine, None
+        notes = tuple(Note(note["text"], "reference") for note in learned.warnings)
     if not parameters.calibrated:
         raise InputError("engine: cylinder, throttle", "no maps", "a calibrated engine",
                          "calibrate it on a fault-free recording first")
@@ -147,7 +161,18 @@ def ask_petrol(
         "seed": options.seed, "engine_sha256": sha256(content).hexdigest(), "code_version": __version__,
         "search_sha256": params_sha256(options.search.model_dump(mode="json")),
     }  # fmt: skip
-    return PetrolQuestion(petrol_recording(recording), parameters, options, asked)
+    if reference:
+        asked["reference_sha256"] = [item.sha256 for item in reference]
+    return PetrolQuestion(judged, parameters, options, asked, notes)
+
+
+def _check_apart(judged: PetrolRecording, reference: Sequence[PetrolRecording]) -> None:
+    """Refuse a recording whose rows are those that the engine is learned from."""
+    shared = shared_rows(judged, reference)
+    if shared > _MOST_SHARED:
+        raise InputError(judged.path, f"{100 * shared:.0f} % of its rows are in the reference",
+                         "driving that the engine wasn't learned from",
+                         "judge another recording, or leave this one out of --reference")
 
 
 def _options(asked: Asked) -> PetrolOptions:

@@ -153,6 +153,18 @@ def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
     return PetrolRecording(Signals(**values), 0.0, ", ".join(r.path for r in once), sha256, columns)
 
 
+def shared_rows(one: PetrolRecording, others: Sequence[PetrolRecording]) -> float:
+    """Share of a recording's rows that are also in others, 0-1: alike in all channels but for the time."""
+    known = {row for other in others for row in _rows(other.signals)}
+    rows = _rows(one.signals)
+    return sum(row in known for row in rows) / max(len(rows), 1)
+
+
+def _rows(signals: Signals) -> list[bytes]:
+    channels = [value for name, value in vars(signals).items() if value is not None and name != "time_s"]
+    return [row.tobytes() for row in np.stack(channels, axis=1)]
+
+
 @dataclass(frozen=True)
 class Geometry:
     """Volumes of the engine: displacement, intake manifold, intercooler with pipes [m3]."""

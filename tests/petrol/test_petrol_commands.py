@@ -92,6 +92,27 @@ def test_learned_from_two_recordings_in_any_order(
     assert "all recordings at once" in capsys.readouterr().err
 
 
+def test_learned_from_references_in_one_go(
+    record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    healthy = record(1, 900.0)
+    faulty = record(10, 400.0, W_af_kg_s=0.12)
+    base = ["discover", faulty.path, "--engine", "liu_petrol", "--out", str(tmp_path / "out")]
+    assert main([*base, "--reference", healthy.path]) == 0
+    assert load_discrepancy(tmp_path / "out").effects[0].name == "w_af_gain"
+    assert load_petrol(tmp_path / "out" / "engine.yaml").calibrated
+    capsys.readouterr()
+    assert main([*base[:-1], str(tmp_path / "same"), "--reference", faulty.path]) == 2
+    assert "the reference itself" in capsys.readouterr().err
+    piece = pd.read_csv(healthy.path).iloc[2000:6000]
+    cut = _written(piece, tmp_path)
+    assert main(["discover", str(cut), *base[2:], "--reference", healthy.path]) == 2
+    assert "of its rows are in the reference" in capsys.readouterr().err
+    mine = save_petrol(load_petrol(tmp_path / "out" / "engine.yaml"), tmp_path / "mine.yaml")
+    assert main([*base[:3], str(mine), *base[4:], "--reference", healthy.path]) == 2
+    assert "which has its maps" in capsys.readouterr().err
+
+
 def test_too_short_to_calibrate(record: Recorder) -> None:
     with pytest.raises(InputError, match="at least 600 s"):
         calibrate(record(9, 120.0).signals, PetrolParameters(), "")
