@@ -21,6 +21,7 @@ _SLOWED = 0.35  # step after a failed one
 _STEP = 0.005  # of a point's scale, for responses to signals
 _LARGEST = 1e30  # of a slope
 _SHAPE_STEP = 0.02  # relative, for slopes of times and widths
+_SHARE_OF_FORMS = 0.025  # of the gain: bumps over another argument than the true one stay 5 % behind
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,31 @@ def spread_over_forms(
     if not (np.isfinite(sizes).all() and sizes[0] > 0.0):
         return 0.0
     return float(np.sqrt(np.sum(weights * (np.array(sizes) / sizes[0] - 1.0) ** 2) / weights.sum()))
+
+
+def disagreement(best: Refit, refits: Sequence[Refit], count: int) -> Array:
+    """Standard deviation (count,) of the twin's parameters over laws that may be the true one: other forms at the
+    point of the best, and the best of every other point.
+
+    A law is the nearest form that the grammar has. The right point with a form that is a little wrong can so be behind
+    another point by far more than chance; by which share of the gain is measured (docs/discovery.md).
+    """
+    point = best.twin.laws[0].form.point
+    forms, leaders = [], dict[str, Refit]()
+    for refit in sorted(refits, key=lambda r: -r.score):
+        here = refit.twin.laws[0].form.point
+        if here == point:
+            forms.append(refit)
+        else:
+            leaders.setdefault(here, refit)
+    return np.hypot(_scatter(best, forms, count), _scatter(best, [best, *leaders.values()], count))
+
+
+def _scatter(best: Refit, refits: Sequence[Refit], count: int) -> Array:
+    behind = np.array([max(best.score - r.score, 0.0) for r in refits])
+    weights = np.exp(-0.5 * behind / max(1.0, _SHARE_OF_FORMS * best.gain))
+    apart = np.array([r.fit.parameters[:count] - best.fit.parameters[:count] for r in refits])
+    return np.asarray(np.sqrt((weights[:, None] * apart**2).sum(axis=0) / weights.sum()))
 
 
 def start_of(at: Linearisation, law: LawTwin) -> Fit:

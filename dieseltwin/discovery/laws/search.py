@@ -19,7 +19,7 @@ from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself, signal
 from dieseltwin.discovery.laws.grammar import Form, rounded
 from dieseltwin.discovery.laws.ranking import Ranked, rank, shortlist, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
-from dieseltwin.discovery.laws.refit import Refit, refit_all_laws, spread_over_forms, start_of
+from dieseltwin.discovery.laws.refit import Refit, disagreement, refit_all_laws, spread_over_forms, start_of
 from dieseltwin.discovery.laws.responses import Linearised, Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
@@ -86,6 +86,7 @@ class Law:
         score: gain less what the extended BIC charges.
         chi2_before, chi2_after: per reading.
         rivals: laws within 9 units.
+        disagreement: (P,) standard deviation of the twin's parameters over other laws that may be the true one [unit].
         parameters: (P,) of the twin, refitted with the law.
         local: (W, S) initial states.
         placed: all its terms (one or two) with their estimates, for `LawTwin`; `form` is the first one's.
@@ -113,6 +114,7 @@ class Law:
     local: Array
     placed: tuple[Placed, ...]
     faults: tuple[ReadingFault, ...] = ()
+    disagreement: Array | None = None
 
     def on(self, twin: Twin) -> tuple[Twin, Array]:
         """The twin with the law inside, and its parameters with the law's."""
@@ -325,8 +327,8 @@ def _report(
         form.point, point.site, text, last[0].form, coefficient, std, point.unit, shape, shape_std, argument, curve,
         {name: (float(np.min(variables[name])), float(np.max(variables[name]))) for name in names},
         at.fit.objective - reached.fit.objective, best.score, at.fit.objective / readings,
-        reached.fit.objective / readings,
-        rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last,
+        reached.fit.objective / readings, rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last, (),
+        disagreement(best, refits, at_coefficient),
     )  # fmt: skip
 
 

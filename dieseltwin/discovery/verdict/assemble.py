@@ -75,7 +75,7 @@ def assemble(
     mismatch = found.kind != "healthy"
     at = explained_at(found)
     after, parameters = at.simulated, at.fit.parameters[: len(twin.parameters)]
-    apart = disagreement(found)
+    apart = disagreement(found, at)
     own = at.covariance[: apart.size, : apart.size] + np.diag(apart**2)
     covariance = no_better_than_then(own, parameters, then)
     since = since_reference(at, found.twin, apart)

@@ -350,7 +350,8 @@ def check_fit(
     problem = misfit_of(engine, repaired, chi2_per_sample)
     if problem is not None:
         raise InputError(f"{recording.path or 'recording'} with this engine file", *problem,
-                         "give the file of this engine with --engine, or check the channels and their units")
+                         "give the file of this engine with --engine (`dieseltwin learn` makes it from driving when the"
+                         " engine was well) or --reference, or check the channels and their units")
 
 
 def misfit_of(

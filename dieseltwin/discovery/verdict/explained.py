@@ -8,6 +8,8 @@ from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 
+_AS_STRONG = 0.5  # of the gain of the strongest term that is left
+
 
 def explained_at(found: Search) -> Linearisation:
     """The chosen explanation, linearised about itself; a law's parameters stand behind those of the twin.
@@ -25,16 +27,26 @@ def explained_at(found: Search) -> Linearisation:
     return found.best if found.best is not None and found.kind != "law" else null
 
 
-def disagreement(found: Search) -> Array:
+def disagreement(found: Search, at: Linearisation) -> Array:
     """Standard deviation (P,) by which explanations that can't be told apart disagree about the parameters [unit].
 
-    Each counts by its likelihood. Where something has neither name nor law, it is what the
-    best name changes.
+    Beside it counts what the strongest terms that the explanation leaves would change.
+
+    Args:
+        at: the chosen explanation, as `explained_at`.
     """
+    if found.kind == "healthy":
+        return np.zeros(len(found.twin.parameters))
+    return np.hypot(_among_explanations(found), _beyond_explanation(found, at))
+
+
+def _among_explanations(found: Search) -> Array:
+    """Each explanation counts by its likelihood. Where something has neither name nor law, it is what the best name
+    changes."""
     count = len(found.twin.parameters)
-    if found.kind == "healthy" or (found.kind == "law" and found.law is not None):
-        return np.zeros(count)
     if found.kind == "law":
+        if found.law is not None:
+            return np.zeros(count) if found.law.disagreement is None else found.law.disagreement
         away = [fit.parameters[:count] - found.null.fit.parameters[:count] for fit in found.singles[:1]]
         return np.abs(away[0]) if away else np.zeros(count)
     pool = {"pair": found.pairs, "variant": [fit for _, fit in found.variants]}.get(found.kind, found.singles)
@@ -44,3 +56,16 @@ def disagreement(found: Search) -> Array:
     weights = np.exp(-0.5 * np.array([fit.objective - fits[0].objective for fit in fits]))
     apart = np.array([fit.parameters[:count] - fits[0].parameters[:count] for fit in fits])
     return np.asarray(np.sqrt((weights[:, None] * apart**2).sum(axis=0) / weights.sum()))
+
+
+def _beyond_explanation(found: Search, at: Linearisation) -> Array:
+    """What the strongest terms beyond the explanation change: they say the same with other words, so one of them."""
+    count = len(found.twin.parameters)
+    left = sorted((*found.left, *found.left_local), key=lambda item: -item.held)
+    kept = [item for item in left if item.held > max(found.settings.chance_leaves, _AS_STRONG * left[0].held)]
+    if not kept:
+        return np.zeros(count)
+    rows = at.metric.project(np.array([item.response for item in kept]))
+    moved = -(rows @ at.projected.T) @ at.covariance
+    apart = moved[:, :count] * np.array([item.coefficient for item in kept])[:, None]
+    return np.asarray(np.sqrt(np.mean(apart**2, axis=0)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,6 +12,7 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.search.run import Search, run
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.terms import LawGroup, LawTerm
 from dieseltwin.recordings.reader import recording
@@ -61,3 +64,16 @@ def test_a_healthy_machine_has_no_bumps() -> None:
 def test_the_law_of_an_engine_file_is_the_bump_itself() -> None:
     at = {"n_e": np.array([1300.0, 1400.0, 1600.0])}
     assert BUMP.signal(at) == pytest.approx(0.08 * np.exp([0.0, -0.5, -4.5]))
+
+
+def test_what_is_left_widens_health_as_far_as_it_is_off(bumped: Search) -> None:
+    """Taken for healthy the bump is all in health; the term that is left says by how much."""
+    at, count = bumped.null, len(bumped.twin.parameters)
+    truth = we2011.PARAMETERS.replace(A_egrmax=1.1 * we2011.PARAMETERS.A_egrmax)
+    true = np.array([getattr(truth, parameter.name) for parameter in bumped.twin.parameters])
+    off = np.abs(at.fit.parameters[:count] - true)
+    std = np.sqrt(np.diag(at.covariance)[:count])
+    assert (off / std).max() > 3.0
+    apart = disagreement(replace(bumped, kind="single", singles=bumped.singles[:1], left=bumped.local), at)
+    assert (off / np.hypot(std, apart)).max() < 1.645
+    assert not disagreement(replace(bumped, kind="healthy"), at).any()
