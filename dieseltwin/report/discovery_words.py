@@ -370,7 +370,11 @@ def _healthy(document: Discrepancy) -> str:
     p_value = f"p = {document.p_value:.2g}"
     known = document.minimum_detectable
     shown = list(filter(None, (least_words(name, known[name]) for name in _EXAMPLES if name in known)))
-    if document.p_value < _BEYOND_CHANCE:
+    beyond = document.p_value < _BEYOND_CHANCE
+    if document.out_of_time is not None:
+        text = (f"Simulation and recording differ by more than chance ({p_value}), and nothing that was tried in the "
+                "time given explains it" if beyond else f"Nothing was found in the time given ({p_value})")
+    elif beyond:
         text = ("Nothing as large as a fault was found: simulation and recording differ by more than chance "
                 f"({p_value}), but by less than what is believed of a healthy engine of this kind")
     else:

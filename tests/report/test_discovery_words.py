@@ -103,7 +103,9 @@ def test_a_search_that_its_time_ended_says_so() -> None:
     ends = "; the time for the search was over before it was through with two effects and a law."
     assert sentence(synthetic.document(out_of_time=cut)).endswith(ends)
     healthy = {"mismatch": False, "location": None, "effects": []}
-    assert sentence(synthetic.document(out_of_time=cut, **healthy)).endswith(ends)
+    for p_value, says in ((0.3, "Nothing was found in the time"), (1e-70, "nothing that was tried in the time")):
+        text = sentence(synthetic.document(out_of_time=cut, p_value=p_value, **healthy))
+        assert text.endswith(ends) and says in text and "believed of a healthy engine" not in text
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
