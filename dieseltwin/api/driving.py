@@ -38,7 +38,8 @@ from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.report.beside import begin_beside, ready_beside
-from dieseltwin.report.discovery_words import alike_words, circumstances_words, magnitude_words
+from dieseltwin.report.circumstance_words import alike_words, circumstances_words
+from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.sealed import sealed_json, sealed_text
 from dieseltwin.settings.names import listed, unknown_name

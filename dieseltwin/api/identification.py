@@ -32,7 +32,7 @@ from dieseltwin.recordings.circumstances import with_charge
 from dieseltwin.recordings.guess.words import COSTS
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report.beside import begin_beside, ready_beside
-from dieseltwin.report.discovery_words import circumstance_words
+from dieseltwin.report.circumstance_words import circumstance_words
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.sealed import sealed_json
 from dieseltwin.sensors import relative_noise

@@ -7,22 +7,15 @@ from collections.abc import Mapping, Sequence
 
 from dieseltwin.discovery.verdict.document import (
     Discrepancy,
-    FoundCircumstance,
     FoundEffect,
     FoundRegion,
     HealthValue,
 )
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.report import quantities
+from dieseltwin.report.circumstance_words import listing, recorded_words
 
 SENSOR = "sensor:"
-
-ALIKE: Mapping[str, tuple[str, str]] = {
-    "egr_dead_time": ("time_shift:u_egr_pct", "u_egr_pct alone is recorded early by as much"),
-    "vgt_dead_time": ("time_shift:u_vgt_pct", "u_vgt_pct alone is recorded early by as much"),
-    "injector_drift": ("", "the fuel signal's scale or the fuel's heating value is off by as much"),
-}
-"""Effect -> circumstance that looks the same, and in words."""
 
 SITE_WORDS: Mapping[str, str] = {
     "intake_mass_balance": "the intake mass balance",
@@ -142,59 +135,6 @@ def effect_words(effect: FoundEffect) -> str:
     return entry.phrase.format(m=size)
 
 
-def circumstance_words(item: FoundCircumstance) -> str:
-    """What a recording was made under, "the ambient pressure is 93.1 ± 0.3 kPa, not 101.3"."""
-    kind, _, column = item.name.rpartition(":")
-    if kind == "time_shift":
-        late = "late" if item.value > 0.0 else "early"
-        return f"{column} is recorded {_with_deviation(abs(item.value), item.std, 2)} s {late}"
-    if kind == "drift":
-        way = "rises" if item.value > 0.0 else "falls"
-        return f"the ambient pressure {way} by {_with_deviation(1e-3 * abs(item.value), 1e-3 * item.std, 1)} kPa"
-    if kind == "scale":
-        burns = _with_deviation(100.0 * item.value, 100.0 * item.std, 1)
-        return f"the fuel that burns is {burns} % of what is recorded"
-    words = {"p_amb_pa": "the ambient pressure", "t_amb_k": "the ambient temperature",
-             "t_im_k": "the temperature behind the charge cooler"}[column]  # fmt: skip
-    factor, shift, unit = (1e-3, 0.0, "kPa") if item.unit == "Pa" else (1.0, -273.15, "°C")
-    value, assumed = factor * item.value + shift, factor * item.assumed + shift
-    return f"{words} is {_with_deviation(value, factor * item.std, 1)} {unit}, not {assumed:.1f}"
-
-
-def _with_deviation(value: float, std: float, decimals: int) -> str:
-    """Value ± standard deviation; more decimals where a deviation that isn't zero would read as zero."""
-    if std > 0.0 and round(std, decimals) == 0.0:
-        decimals = quantities.decimals_for(std)
-    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
-
-
-def circumstances_words(document: Discrepancy) -> str:
-    """All circumstances that are plainly others than assumed, empty where there is none."""
-    off = [
-        circumstance_words(item) if item.recording is None
-        else f"on {document.recordings[item.recording - 1].date[:10]} {circumstance_words(item)}"
-        for item in document.circumstances if item.off
-    ]  # fmt: skip
-    return _listing(off) if off else ""
-
-
-def _recorded_words(document: Discrepancy) -> list[str]:
-    """What was put right before anything was judged."""
-    words = circumstances_words(document)
-    return [f"as the recording shows and doesn't say, {words}, which is no fault of the engine"] if words else []
-
-
-def alike_words(document: Discrepancy) -> list[str]:
-    """Effects that the recording's own errors would look like, as sentences."""
-    opened = {item.name for item in document.circumstances}
-    said = []
-    for name in (name for effect in document.effects for name in effect.names):
-        alike = ALIKE.get(name)
-        if alike is not None and alike[0] not in opened:
-            said.append(f"{name} can't be told from this: {alike[1]}")
-    return said
-
-
 def least_words(name: str, smallest: float) -> str | None:
     """The smallest visible magnitude of an effect ("a boost leak of 3.1 mm²"); None for an unknown name."""
     unit = unit_of(name)
@@ -224,10 +164,6 @@ def region_words(region: FoundRegion) -> str:
     return ", ".join(parts)
 
 
-def _listing(parts: Sequence[str], last: str = "and") -> str:
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
-
-
 def shifts(health: Mapping[str, HealthValue]) -> list[tuple[str, float]]:
     """(name, relative error of the health-only fit against the repaired one), largest first, noise left out."""
     found = []
@@ -246,7 +182,7 @@ def _health_words(document: Discrepancy) -> str:
     if not moved:
         return "the health parameters stay where the fit without it had them, within their uncertainty or 1 %"
     parts = [f"{name} {100 * abs(shift):.2g} % too {'high' if shift > 0 else 'low'}" for name, shift in moved]
-    return f"the fit of the health parameters alone had put {_listing(parts)}"
+    return f"the fit of the health parameters alone had put {listing(parts)}"
 
 
 def _number(value: float, step: float) -> str:
@@ -293,14 +229,14 @@ def _apart_words(document: Discrepancy) -> str:
     parts = []
     for effect in document.effects:
         if effect.equivalent_names:
-            subject = f"{effect.name} cannot be told apart from {_listing(effect.equivalent_names, 'or')}"
+            subject = f"{effect.name} cannot be told apart from {listing(effect.equivalent_names, 'or')}"
             split = f", which {effect.split_by} would settle" if effect.split_by else ""
             parts.append(subject + split)
     location = document.location
     other = [a for a in location.alternatives if a.probability >= _LIKELY] if location is not None else []
     if other:
         where = [f"{site_words(a.site)} ({100 * a.probability:.0f} %)" for a in other]
-        parts.append(f"it could also sit in {_listing(where, 'or')}")
+        parts.append(f"it could also sit in {listing(where, 'or')}")
     if not parts:
         unnamed = any(not effect.named for effect in document.effects)
         parts.append("no other site comes into question" if unnamed
@@ -359,7 +295,7 @@ def _what_words(document: Discrepancy) -> str:
 def _time_words(document: Discrepancy) -> list[str]:
     """That the search was ended by its time limit, where it was."""
     over = document.out_of_time
-    return [f"the time for the search was over before it was through with {_listing(over.unfinished)}"] if over else []
+    return [f"the time for the search was over before it was through with {listing(over.unfinished)}"] if over else []
 
 
 _BEYOND_CHANCE = 1e-4  # of all that was looked for at once; what is found, but below its tolerance, has such a p
@@ -381,8 +317,8 @@ def _healthy(document: Discrepancy) -> str:
         text = (f"Nothing is missing that this recording could show ({p_value}): noise, the four health parameters and "
                 "the tolerances of the maps explain it")
     if shown:
-        text += f"; {_listing(shown)} would have been seen, smaller ones cannot be ruled out"
-    return "; ".join([text, *_recorded_words(document), *_time_words(document)]) + "."
+        text += f"; {listing(shown)} would have been seen, smaller ones cannot be ruled out"
+    return "; ".join([text, *recorded_words(document), *_time_words(document)]) + "."
 
 
 def sentence(document: Discrepancy) -> str:
@@ -397,7 +333,7 @@ def sentence(document: Discrepancy) -> str:
             _held_out_words(document),
             _apart_words(document),
             *_left_words(document),
-            *_recorded_words(document),
+            *recorded_words(document),
             *_time_words(document),
         ]
     ) + "."

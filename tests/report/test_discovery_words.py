@@ -7,7 +7,8 @@ import synthetic_discovery as synthetic
 
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance
 from dieseltwin.engine.effects import EFFECTS, SITES
-from dieseltwin.report.discovery_words import circumstance_words, magnitude_words, sentence, site_words
+from dieseltwin.report.circumstance_words import circumstance_words
+from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words
 
 OFFSET = {
     "name": "p_im_offset", "probability": 0.99, "equivalent_names": [], "law": "reading + b", "magnitude": -1250.0,

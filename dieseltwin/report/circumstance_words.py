@@ -1,0 +1,73 @@
+"""Words for what a recording was made under and doesn't say: weather, clocks, the fuel's scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance
+from dieseltwin.report import quantities
+
+ALIKE: Mapping[str, tuple[str, str]] = {
+    "egr_dead_time": ("time_shift:u_egr_pct", "u_egr_pct alone is recorded early by as much"),
+    "vgt_dead_time": ("time_shift:u_vgt_pct", "u_vgt_pct alone is recorded early by as much"),
+    "injector_drift": ("", "the fuel signal's scale or the fuel's heating value is off by as much"),
+}
+"""Effect -> circumstance that looks the same, and in words."""
+
+
+def circumstance_words(item: FoundCircumstance) -> str:
+    """What a recording was made under, "the ambient pressure is 93.1 ± 0.3 kPa, not 101.3"."""
+    kind, _, column = item.name.rpartition(":")
+    if kind == "time_shift":
+        late = "late" if item.value > 0.0 else "early"
+        return f"{column} is recorded {_with_deviation(abs(item.value), item.std, 2)} s {late}"
+    if kind == "drift":
+        way = "rises" if item.value > 0.0 else "falls"
+        return f"the ambient pressure {way} by {_with_deviation(1e-3 * abs(item.value), 1e-3 * item.std, 1)} kPa"
+    if kind == "scale":
+        burns = _with_deviation(100.0 * item.value, 100.0 * item.std, 1)
+        return f"the fuel that burns is {burns} % of what is recorded"
+    words = {"p_amb_pa": "the ambient pressure", "t_amb_k": "the ambient temperature",
+             "t_im_k": "the temperature behind the charge cooler"}[column]  # fmt: skip
+    factor, shift, unit = (1e-3, 0.0, "kPa") if item.unit == "Pa" else (1.0, -273.15, "°C")
+    value, assumed = factor * item.value + shift, factor * item.assumed + shift
+    return f"{words} is {_with_deviation(value, factor * item.std, 1)} {unit}, not {assumed:.1f}"
+
+
+def _with_deviation(value: float, std: float, decimals: int) -> str:
+    """Value ± standard deviation; more decimals where a deviation that isn't zero would read as zero."""
+    if std > 0.0 and round(std, decimals) == 0.0:
+        decimals = quantities.decimals_for(std)
+    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+
+
+def circumstances_words(document: Discrepancy) -> str:
+    """All circumstances that are plainly others than assumed, empty where there is none."""
+    off = [
+        circumstance_words(item) if item.recording is None
+        else f"on {document.recordings[item.recording - 1].date[:10]} {circumstance_words(item)}"
+        for item in document.circumstances if item.off
+    ]  # fmt: skip
+    return listing(off) if off else ""
+
+
+def recorded_words(document: Discrepancy) -> list[str]:
+    """What was put right before anything was judged."""
+    words = circumstances_words(document)
+    return [f"as the recording shows and doesn't say, {words}, which is no fault of the engine"] if words else []
+
+
+def alike_words(document: Discrepancy) -> list[str]:
+    """Effects that the recording's own errors would look like, as sentences."""
+    opened = {item.name for item in document.circumstances}
+    said = []
+    for name in (name for effect in document.effects for name in effect.names):
+        alike = ALIKE.get(name)
+        if alike is not None and alike[0] not in opened:
+            said.append(f"{name} can't be told from this: {alike[1]}")
+    return said
+
+
+def listing(parts: Sequence[str], last: str = "and") -> str:
+    """"a, b and c"."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
