@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut
 from dieseltwin.calibration.coefficients import Coefficient, engine_coefficients, wear_coefficients, with_scalars
-from dieseltwin.calibration.lasting_errors import with_lasting_errors
+from dieseltwin.calibration.lasting_errors import sensor_errors, with_lasting_errors
 from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.steady_model import EXTRA_ROWS, MAP_MODE, ROWS, SENSOR_ERROR, SteadyModel, term_values
 from dieseltwin.engine.parameters import EngineParameters
@@ -170,7 +170,8 @@ def calibrate(
         noise: relative standard deviation of each reading [-].
         seed: of the held-out third and the starts.
         where: name for messages.
-        believed: of maps and sensors, whose errors a reference among the points is there to tell; None: none.
+        believed: of maps and sensors. Errors of sensors are estimated beside the coefficients, those of maps where a
+            reference among the points is there to tell them; None: neither.
 
     Raises:
         InputError: too few points or swapped columns.
@@ -186,6 +187,8 @@ def calibrate(
     extra = tuple(name for name in EXTRA_ROWS if name in points and np.isfinite(points[name]).mean() > 0.5)
     model = SteadyModel(engine, extra=extra)
     free, fixed = _free(points, base, engine, valves, notes)
+    if JUDGED not in points and believed is not None:
+        free += sensor_errors(points, believed)
     start = {**fixed, **{c.name: c.mean for c in free}, **term_values(engine.terms)}
     mask = split(points, seed)
     trained, _ = _fit(model, points.take(~mask), free, start, noise, seed)
@@ -264,10 +267,10 @@ def _fit(
     values = dict(start)
     generator = np.random.default_rng(seed)
     discrepancy: dict[str, float] = {}
-    used = tuple(row for row in model.rows if row not in ROWS or any(c.submodel == row for c in free))
+    used = counted_rows(model, free)
     if staged:
         for row in ROWS:
-            own = [c for c in free if c.submodel == row]
+            own = [c for c in free if c.submodel == row and not c.name.startswith(SENSOR_ERROR)]
             if not own:
                 continue
             best: Estimate | None = None
@@ -286,6 +289,13 @@ def _fit(
                      inflate=True)
     values.update(joint.values())
     return joint, values
+
+
+def counted_rows(model: SteadyModel, free: Sequence[Coefficient]) -> tuple[str, ...]:
+    """Relations that have free coefficients of their own (of what was measured besides: all); errors of sensors are
+    none of these."""
+    told = {c.submodel for c in free if not c.name.startswith(SENSOR_ERROR)}
+    return tuple(row for row in model.rows if row not in ROWS or row in told)
 
 
 def _fits(model: SteadyModel, points: SteadyPoints, mask: NDArray[np.bool_], values: Mapping[str, float],

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.believable import unbelievable
-from dieseltwin.calibration.calibrate import Calibration, Fit, fit_of
+from dieseltwin.calibration.calibrate import Calibration, Fit, counted_rows, fit_of
 from dieseltwin.calibration.coefficients import (
     BELIEFS,
     FLAP_COEFFICIENTS,
@@ -269,15 +269,11 @@ def _start_of(found: search.Search, names: tuple[str, ...], more: list[Coefficie
     return start | {name: value for name, value in own.items() if name in start}
 
 
-def _rows(model: SteadyModel, free: list[Coefficient]) -> tuple[str, ...]:
-    return tuple(row for row in model.rows if row not in ROWS or any(c.submodel == row for c in free))
-
-
 def _refitted(here: Calibration, free: list[Coefficient], start: Mapping[str, float]) -> Calibration:
     """All coefficients again, with further ones."""
     begin = {**here.start, **start}
-    found = estimate(here.model, here.points, free, begin, iterations=FULL_ITERATIONS, rows=_rows(here.model, free),
-                     inflate=True)
+    found = estimate(here.model, here.points, free, begin, iterations=FULL_ITERATIONS,
+                     rows=counted_rows(here.model, free), inflate=True)
     values = {**begin, **found.values()}
     return replace(here, estimate=found, start=values, covariance=found.covariance,
                    engine=with_scalars(here.engine, found.values()))
@@ -288,7 +284,7 @@ def _held_out(here: Calibration, free: list[Coefficient]) -> tuple[float, dict[s
     others, and those coefficients."""
     points, mask = here.points, here.held_out
     found = estimate(here.model, points.take(~mask), free, here.start, iterations=TRAIN_ITERATIONS,
-                     rows=_rows(here.model, free))
+                     rows=counted_rows(here.model, free))
     trained = {**here.start, **found.values()}
     return float(-log_density(here.model, points.take(mask).judged, trained, found.discrepancy).mean()), trained
 
@@ -360,7 +356,7 @@ def _formulations(
         floors = {row: errors.error(row) for row in model.rows}
         start = {**{c.name: c.mean for c in beliefs}, **here.start}
         out[name] = (model, estimate(model, here.points, every, start, iterations=FULL_ITERATIONS, inflate=True,
-                                     floors=floors, rows=_rows(model, every)))
+                                     floors=floors, rows=counted_rows(model, every)))
     return out
 
 

@@ -1,6 +1,6 @@
-"""Errors of maps and of sensors as free numbers of the balances, where a reference is there to tell them.
+"""Errors of sensors as free numbers of the balances, and errors of maps where a reference is there to tell them.
 
-Without one, they can't be told from what is missing, and stay tolerances of the search. Errors of maps are sums of the
+Without one, errors of maps can't be told from what is missing, and stay tolerances of the search. They are sums of the
 functions that an engine file holds (`engine.map_corrections`), so that the repaired machine has them too.
 """
 
@@ -49,13 +49,19 @@ def with_lasting_errors(
             label = f"{MAP_MODE}{name}:{k}"
             columns[label] = believed.map_beside_reference * mode
             found.append(Coefficient(label, SUBMODEL_OF[name], 0.0, 1.0, -_MOST, _MOST, "-", "smooth error of the map"))
+    return points.with_columns(**columns), [*found, *sensor_errors(points, believed)]
+
+
+def sensor_errors(points: SteadyPoints, believed: PointSettings) -> list[Coefficient]:
+    """Gain and offset of every sensor, about nought, as free numbers of the balances."""
+    found = []
     for column in STATES:
         level = float(np.nanmedian(points[column])) if column in points else 0.0
         for fault, std in (("gain", believed.sensor_gain), ("offset", believed.sensor_offset * level)):
             if std > 0.0:
                 found.append(Coefficient(f"{SENSOR_ERROR}{column}:{fault}", _ROW_OF[column], 0.0, std, -_MOST * std,
                                          _MOST * std, "-", "error of the sensor"))
-    return points.with_columns(**columns), found
+    return found
 
 
 def map_corrections(

@@ -4,7 +4,11 @@ One sample is a point, one channel a submodel's balance (`SteadyModel`), read wi
 their places. So no state at rest has to be found, and an error of one submodel stays there. Every reading is noisy and
 every submodel only nearly right: the balances of a point have a covariance J N J' + S, and the twin hands on
 L^-1 (ln measured/predicted) with L L' that covariance, so that a valve with a small pressure difference counts as
-little as it knows. Smooth errors of maps and errors of sensors are the directions that the search takes out.
+little as it knows. Smooth errors of maps are directions that the search takes out, and so are coefficients.
+
+A sensor's gain and offset don't move the balances in proportion: EGR flow goes with the root of a small difference of
+pressures. So they are parameters of the twin, estimated and simulated in every fit, believed about nought. Beside a
+reference, which tells them whatever is missing now, they are directions like the other coefficients.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ import numpy as np
 
 from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS
-from dieseltwin.calibration.lasting_errors import SUBMODEL_OF
+from dieseltwin.calibration.lasting_errors import SUBMODEL_OF, sensor_errors
 from dieseltwin.calibration.likelihood import NOISE, reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import MAP_MODE, SteadyModel, law_variables
 from dieseltwin.discovery.likelihood.metric import Whitening
@@ -93,11 +97,16 @@ class SteadyTwin(TwinDefaults):
         errors = settings.submodels
         judged = self.data.columns.get(JUDGED)
         self._acts: Array = np.ones(self.data.size) if judged is None else np.asarray(judged)
-        told = self._told = any(c.name.startswith(MAP_MODE) for c in self._coefficients)
+        told = any(c.name.startswith(MAP_MODE) for c in self._coefficients)
         self.parameters: tuple[Parameter, ...] = tuple(
             Parameter(c.name, float(v), c.std, c.unit, 0.3 * c.std)
             for c, v in zip(self._coefficients, calibration.estimate.theta, strict=True) if c.name in HEALTH
         )
+        if not told:
+            self.parameters += tuple(
+                Parameter(c.name, 0.0, c.std, c.unit, c.std, start=self._fixed.get(c.name))
+                for c in sensor_errors(self.data, settings)
+            )
         if "exhaust_flap" in self.hypotheses:
             nominal = EFFECTS["exhaust_flap"].coefficients
             spread = settings.flap_spread
@@ -123,7 +132,7 @@ class SteadyTwin(TwinDefaults):
         known = np.isfinite(readings) & np.array([c in self.used for c in STATES])
         self._x = np.where(known, readings, calibration.estimate.x[order])
         self._whiten = np.zeros((self.data.size, len(self.channels), len(self.channels)))
-        start = self.values(np.array([p.value for p in self.parameters]))
+        start = self.values(np.array([p.first for p in self.parameters]))
         scatter = np.array([errors.scatter(row) for row in self.channels])
         sigma = reading_noise(self._x, np.array([NOISE[name] for name in STATES]))
         covariance = reading_covariance(self.model, self.data, self._x, start, np.where(known, sigma, 1.0))
@@ -177,7 +186,7 @@ class SteadyTwin(TwinDefaults):
         return Whitening.of(self.measured, self.noise(), self.starts)
 
     def nuisances(self, lanes: Lanes) -> list[Nuisance]:
-        """As `KnownErrors.nuisances`: coefficients and smooth errors of the maps, gain and offset of every sensor."""
+        """As `KnownErrors.nuisances`: coefficients and smooth errors of the maps."""
         maps = map_nuisances(self, self.variables(lanes))
         simulated = self.simulate(lanes)[0]
         lasting = copy(self)  # errors of maps were there before
@@ -191,39 +200,28 @@ class SteadyTwin(TwinDefaults):
             if c.name not in free:
                 step = _COEFFICIENT_STEP * c.std
                 step = -step if self._fixed[c.name] + step > c.high else step
-                moved = self._balances(lanes, {}, {c.name: self._fixed[c.name] + step})
+                moved = self._balances(lanes, {c.name: self._fixed[c.name] + step})
                 found.append(Nuisance(c.name, response=(moved[0] - simulated) * c.std / step))
-        for column in () if self._told else self.used:  # else they are among the coefficients
-            level = float(np.nanmedian(self.data[column]))
-            for fault, size in (("gain", self.settings.sensor_gain), ("offset", self.settings.sensor_offset * level)):
-                moved = self._balances(lanes, {f"reading of {column}:{fault}": np.full(lanes.size, size)})
-                found.append(Nuisance(f"{fault} of {column}", response=moved[0] - simulated))
         return found
 
     def simulate(self, lanes: Lanes) -> Array:
         """Balances that the lanes explain, whitened, (B, n, C)."""
-        return self._balances(lanes, {})
+        return self._balances(lanes)
 
-    def _balances(self, lanes: Lanes, errors: Mapping[str, Array], changed: Mapping[str, float] | None = None) -> Array:
-        """`simulate` with errors of readings ("reading of <column>:<fault>" -> (B,)) and with changed coefficients."""
-        residual = self._relations(lanes, errors, changed).residual
+    def _balances(self, lanes: Lanes, changed: Mapping[str, float] | None = None) -> Array:
+        """`simulate` with changed coefficients."""
+        residual = self._relations(lanes, changed).residual
         bounded = np.clip(np.nan_to_num(residual), -_LIMIT, _LIMIT)
         return -np.asarray(np.clip(np.einsum("nij,bnj->bni", self._whiten, bounded), -_LIMIT, _LIMIT))
 
-    def _relations(self, lanes: Lanes, errors: Mapping[str, Array], changed: Mapping[str, float] | None = None) -> Any:
+    def _relations(self, lanes: Lanes, changed: Mapping[str, float] | None = None) -> Any:
         own = {p.name: lanes.parameters[:, i] for i, p in enumerate(self.parameters)}
         values: dict[str, Any] = {**self._fixed, **own}
         values.update(changed or {})
         for name, magnitude in lanes.magnitudes.items():
             values[name] = self._fixed.get(name, 0.0) + magnitude
         values = {name: np.broadcast_to(value, (lanes.size,)) for name, value in values.items()}
-        x = self._x
-        for name, size in errors.items():
-            column, fault = name.removeprefix("reading of ").split(":")
-            j = STATES.index(column)
-            x = np.array(np.broadcast_to(x, (lanes.size, *self._x.shape)))
-            x[..., j] = x[..., j] * (1.0 - size[:, None]) if fault == "gain" else x[..., j] - size[:, None]
-        return replace(self.model, signals=self._signals(lanes)).relations(self.data, x, values)
+        return replace(self.model, signals=self._signals(lanes)).relations(self.data, self._x, values)
 
     def _signals(self, lanes: Lanes) -> dict[str, Array]:
         shape = (lanes.size, self.data.size)
@@ -237,7 +235,7 @@ class SteadyTwin(TwinDefaults):
 
     def variables(self, lanes: Lanes) -> dict[str, Array]:
         """Every variable that ports and tolerances name, at the points as measured, lane 0, (n,) each."""
-        q = {k: np.asarray(v[0]) for k, v in self._relations(lanes, {}).quantities.items()}
+        q = {k: np.asarray(v[0]) for k, v in self._relations(lanes).quantities.items()}
         return law_variables(self.data, q)
 
     def values(self, parameters: Array) -> dict[str, float]:
@@ -246,7 +244,7 @@ class SteadyTwin(TwinDefaults):
 
     def plain_lane(self) -> Lanes:
         """The lane at which fits start."""
-        return single(np.array([p.value for p in self.parameters]), self.first_local())
+        return single(np.array([p.first for p in self.parameters]), self.first_local())
 
 
 def hypotheses_of(points: SteadyPoints, used: Sequence[str]) -> dict[str, Hypothesis]:

@@ -391,7 +391,7 @@ def null_fit(
     rounds: int = 30,
 ) -> Linearisation:
     """Fit of the free parameters and initial states alone."""
-    first = np.array([p.value for p in twin.parameters]) if parameters is None else parameters
+    first = np.array([p.first for p in twin.parameters]) if parameters is None else parameters
     start = Fit(Candidate(), first, np.zeros(0), twin.first_local(), np.inf, False)
     return fit_fully(twin, whitening, start, nuisance_response, rounds)
 

@@ -72,9 +72,9 @@ class Fit:
 
 
 def first_fit(twin: Twin, candidate: Candidate | None = None, magnitudes: Sequence[float] = ()) -> Fit:
-    """Where every fit starts: nominal parameters, initial states from the readings, given magnitudes."""
+    """Where every fit starts: parameters' first values, initial states from the readings, given magnitudes."""
     return Fit(
-        candidate or Candidate(), np.array([p.value for p in twin.parameters]),
+        candidate or Candidate(), np.array([p.first for p in twin.parameters]),
         np.asarray(magnitudes, dtype=np.float64), twin.first_local(), np.inf, False,
     )  # fmt: skip
 

@@ -29,6 +29,7 @@ class Parameter:
         scale: size of a typical change, for differences and step limits [unit].
         bounded: fits keep it within four standard deviations of its prior, and positive ones positive; False where
             readings are linear in it, so that no fit can lead astray.
+        start: where fits start, if not at the nominal value, about which it is believed [unit].
     """
 
     name: str
@@ -37,6 +38,12 @@ class Parameter:
     unit: str
     scale: float
     bounded: bool = True
+    start: float | None = None
+
+    @property
+    def first(self) -> float:
+        """Where fits start [unit]."""
+        return self.value if self.start is None else self.start
 
 
 @dataclass(frozen=True)
