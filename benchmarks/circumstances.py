@@ -183,8 +183,8 @@ def main() -> None:
     given = parser.parse_args()
     rows = kept_lines(given.out)
     known = {(row["case"], row["kind"]) for row in rows}
-    healthy = make_plans(given.healthy, given.seed, healthy_only=True)
-    faulty = [p for p in make_plans(6 * given.faulty, given.seed + 1) if p.kind == "single"][: given.faulty]
+    healthy = make_plans(max(given.healthy, 1), given.seed, healthy_only=True)[: given.healthy]
+    faulty = [p for p in make_plans(6 * max(given.faulty, 1), given.seed + 1) if p.kind == "single"][: given.faulty]
     turns = zip_longest(
         [(f"healthy {p.number}", p, given.seed) for p in healthy],
         [(f"faulty {p.number}", p, given.seed + 1) for p in faulty],

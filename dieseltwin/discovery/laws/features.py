@@ -34,6 +34,7 @@ class Feature:
         channel: of the faulty sensor.
         form: the same as a law, None for a fault of a sensor.
         effect: hypothesis that says the same by name, where the twin has one.
+        outward: it does so where the coefficient is negative: nothing flows in through a hole.
     """
 
     point: int | None
@@ -43,6 +44,7 @@ class Feature:
     channel: int | None = None
     form: Form | None = None
     effect: str | None = None
+    outward: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,9 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                 found.append(Feature(index, port, values / size, point.site, form=form))
             if not point.relative and port.startswith("p_") and "p_amb" in variables:
                 warm = next((name for name in point.ports if name.startswith("T_")), None)
-                found += _of_form(index, f"hole of {port}", _hole(point.name, port, size, warm, variables), point.site,
-                                  variables)  # fmt: skip
+                hole = _of_form(index, f"hole of {port}", _hole(point.name, port, size, warm, variables), point.site,
+                                variables)  # fmt: skip
+                found += [replace(f, effect=scope.holes.get(point.name), outward=True) for f in hole]
             if point.unit == "W" and port.startswith("omega"):
                 for power in _OF_SPEED:
                     form = Form(point.name, (Factor("signed_power", (port,), (size,), power, (unit_of(port, {}),)),))

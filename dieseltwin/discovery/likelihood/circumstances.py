@@ -138,6 +138,14 @@ def clock_scatter(at: Linearisation) -> Array | None:
     return np.asarray(((jitter_s * responses) ** 2).sum(axis=0))
 
 
+def _middle(values: Array, among: np.ndarray) -> Array:
+    """Weights (K,) whose sum of the values is the median of some: one has it all, or two half of it each."""
+    index = np.flatnonzero(among)
+    ordered = index[np.argsort(values[index])]
+    middle = ordered[(index.size - 1) // 2 : index.size // 2 + 1]
+    return np.where(np.isin(np.arange(values.size), middle), 1.0 / middle.size, 0.0)
+
+
 def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimate, ...]:
     """What a fit says of the open circumstances, which are the last of its nuisances.
 
@@ -160,8 +168,8 @@ def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimat
         clocks = np.array([item.kind == TIME_SHIFT and item.recording == recording for item in items])
         there = sum(item.kind == TIME_SHIFT and item.recording == recording for item in twin.circumstances)
         if clocks.any() and clocks.sum() == there:  # none is the one that is right
-            contrast = np.eye(len(items)) - np.outer(clocks, clocks / clocks.sum())
+            contrast = np.eye(len(items)) - np.outer(clocks, _middle(values, clocks))
             covariance = contrast @ covariance @ contrast.T
-            values = np.where(clocks, values - np.median(values[clocks]), values)
+            values = contrast @ values
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return tuple(Estimate(*row) for row in zip(items, values.tolist(), std.tolist(), strict=True))

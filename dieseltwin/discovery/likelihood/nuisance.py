@@ -17,10 +17,28 @@ from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithSignals
 CORRELATION_LENGTH = 1.0 / 3.0
 """Of the range of each argument (docs/benchmark.md) [-]."""
 
-_KEPT_VARIANCE = 0.985  # of a map's tolerance; the rest is below a tenth of it
-_KNOTS = 220  # points of the recording that carry the random function
-_MOST_MODES = 16
 _EDGE = 0.5  # % of the samples outside the range at either end
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How much of a map's smooth error its modes along a recording carry.
+
+    Attributes:
+        kept: share of the variance; most: number of modes at most.
+        knots: points of the recording that carry the random function.
+    """
+
+    kept: float
+    most: int
+    knots: int
+
+
+LEADING = Detail(0.985, 16, 220)
+"""What names are compared with: what is left out is about a tenth of the tolerance."""
+
+FINE = Detail(0.9995, 40, 440)
+"""What intervals of the weather need: it shows most where an engine seldom is, and there the leading modes are weak."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +62,12 @@ class Nuisance:
     of_maps: Array | None = None
 
 
-def tolerance_modes(arguments: Sequence[Array], kept: float = _KEPT_VARIANCE) -> Array:
+def tolerance_modes(arguments: Sequence[Array], detail: Detail = LEADING) -> Array:
     """Leading modes of a smooth random function of unit variance along the recording, (K, n).
 
     Args:
         arguments: each (n,); scaled to the range driven.
-        kept: share of the variance that the modes carry.
+        detail: how much of the variance the modes carry.
     """
     scaled = []
     for values in arguments:
@@ -57,7 +75,7 @@ def tolerance_modes(arguments: Sequence[Array], kept: float = _KEPT_VARIANCE) ->
         span = high - low
         scaled.append(np.clip((values - low) / span, -0.2, 1.2) if span > 0 else np.zeros_like(values))
     x = np.stack(scaled, axis=1) / CORRELATION_LENGTH
-    knots = x[np.linspace(0, len(x) - 1, min(_KNOTS, len(x))).astype(int)]
+    knots = x[np.linspace(0, len(x) - 1, min(detail.knots, len(x))).astype(int)]
 
     def kernel(a: Array, b: Array) -> Array:
         squared = np.zeros((len(a), len(b)))
@@ -69,11 +87,13 @@ def tolerance_modes(arguments: Sequence[Array], kept: float = _KEPT_VARIANCE) ->
     values, vectors = np.linalg.eigh(kernel(knots, knots))
     order = np.argsort(values)[::-1]
     values, vectors = values[order], vectors[:, order]
-    count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), kept)) + 1, _MOST_MODES)
+    count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), detail.kept)) + 1, detail.most)
     return (kernel(x, knots) @ vectors[:, :count] / np.sqrt(values[:count])).T
 
 
-def map_nuisances(twin: Twin, variables: dict[str, Array], factor: float = 1.0) -> list[Nuisance]:
+def map_nuisances(
+    twin: Twin, variables: dict[str, Array], factor: float = 1.0, detail: Detail = LEADING
+) -> list[Nuisance]:
     """Directions of every point's map tolerance, times `factor`."""
     found = []
     for index, point in enumerate(twin.points):
@@ -82,7 +102,7 @@ def map_nuisances(twin: Twin, variables: dict[str, Array], factor: float = 1.0) 
         sets = [names for names in (point.tolerance_over, point.tolerance_also) if names]
         share = factor * point.tolerance / np.sqrt(len(sets))
         for names in sets:
-            modes = tolerance_modes([variables[name] for name in names])
+            modes = tolerance_modes([variables[name] for name in names], detail)
             label = f"map of {point.name} over {', '.join(names)}"
             found += [Nuisance(f"{label}, mode {k + 1}", index, share * mode) for k, mode in enumerate(modes)]
     return found

@@ -15,7 +15,7 @@ from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search.by_recording import gained_elsewhere, refitted, starts_by_recording
-from dieseltwin.discovery.search.circumstances import ROUNDS, under_circumstances
+from dieseltwin.discovery.search.circumstances import ROUNDS, in_weather_of, under_circumstances
 from dieseltwin.discovery.search.explanations import (
     VARIANTS,
     beyond_law,
@@ -48,6 +48,7 @@ STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
 
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _RENEWALS = 3  # about the leading explanation, until it stays the same
+_WEATHERS = 3  # in which a name is tried that isn't enough in that of before
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
 
@@ -66,7 +67,10 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: floa
     left = None if time_s is None else time_s - (time.perf_counter() - began)
     try:
         with time_limit(left):
-            _explain(found, laws)
+            _explain(found)
+            found = _in_own_weather(found)
+            if found.stage == STAGES[-1]:
+                _law(found, laws)
     except OutOfTimeError:
         found.unfinished = STAGES[STAGES.index(found.stage) :]
         if found.kind != "law" and (found.kind != "healthy" or _alarm(found, found.singles[0])):
@@ -95,8 +99,28 @@ def _with_names(twin: Twin, settings: SearchSettings) -> Search:
     return found
 
 
-def _explain(found: Search, laws: bool) -> None:
-    """Everything beyond single effects: what has no name, onsets and regions, two effects, a law."""
+def _in_own_weather(found: Search) -> Search:
+    """The search again in the weather that the best name asks for, where that name isn't enough in the weather of
+    before; that search where it is enough there, else the first one."""
+    if found.kind not in ("pair", "law") or not _alarm(found, found.singles[0]):
+        return found
+    chosen, here = found, found
+    name = found.singles[0].candidate.names
+    for _ in range(_WEATHERS):
+        other = in_weather_of(here, here.singles[0])
+        if other is None:
+            break
+        here = _with_singles(prepare(other, found.settings))
+        _explain(here)
+        if here.singles[0].candidate.names != name:
+            break
+        if here.kind == "single":
+            chosen = here
+    return chosen
+
+
+def _explain(found: Search) -> None:
+    """Everything beyond single effects but a law: what has no name, onsets and regions, two effects."""
     twin, settings = found.twin, found.settings
     found.stage = "terms without a name"
     found.scanned = scan(found.null, found.scored, VARIANTS, settings.least_share)
@@ -116,7 +140,7 @@ def _explain(found: Search, laws: bool) -> None:
     found.seconds["variants"] = time.perf_counter() - clock
     if not alarm and not (hidden and _shown(found)):
         if unnamed is not None:
-            _law(found, laws)
+            _nameless(found)
         return
     found.kind, found.stage = "single", "two effects"
     first = recentred(found, found.singles[0])
@@ -132,7 +156,7 @@ def _explain(found: Search, laws: bool) -> None:
         _choose_settled(found, first)
     found.seconds["pairs"] = time.perf_counter() - clock
     if found.kind == "law":
-        _law(found, laws)
+        _nameless(found)
 
 
 def _choose_settled(found: Search, first: Linearisation) -> None:
@@ -180,10 +204,13 @@ def _with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
     return found
 
 
+def _nameless(found: Search) -> None:
+    """No name fits."""
+    found.kind, found.stage, found.best = "law", STAGES[-1], None
+
+
 def _law(found: Search, wanted: bool) -> None:
-    """No name fits: a law from the grammar, where one is resolved and asked for."""
-    found.kind, found.stage = "law", "a law"
-    found.best = None
+    """A law from the grammar where no name fits, where one is resolved and asked for."""
     if wanted:
         clock = time.perf_counter()
         found.law = best_law(

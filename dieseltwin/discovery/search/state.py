@@ -119,6 +119,8 @@ class Search:
     def known_by_name(self, item: Structure) -> bool:
         """Whether a hypothesis says the same as a term: then the name stands for it, whatever a refit reaches."""
         name = item.feature.effect
+        if item.feature.outward and item.coefficient > 0.0:
+            return False
         return name is not None and name in self.twin.hypotheses and name not in self.settings.withhold
 
     def nameless(self) -> list[Structure]:

@@ -15,6 +15,7 @@ from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.search.preparation import beside_fine_maps
 from dieseltwin.discovery.search.run import Search, occam
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array, rows_of
@@ -141,7 +142,8 @@ def together_sha256(recordings: Sequence[Recording]) -> str:
 def _circumstances(found: Search, after: Array) -> tuple[FoundCircumstance, ...]:
     """What the recording says of its circumstances under the explanation that was chosen."""
     chosen = found.best if found.best is not None and found.kind != "law" else None
-    said = estimates(chosen) if chosen is not None else estimates(found.null, found.twin.measured - after)
+    left = None if chosen is not None else found.twin.measured - after
+    said = estimates(beside_fine_maps(found, chosen or found.null), left)
     return tuple(found_circumstance(item) for item in said)
 
 
