@@ -23,8 +23,11 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TextIO
 
-# Libraries worth loading beforehand, where the step's code imports them.
-HEAVY = ("numpy", "scipy.optimize", "pandas", "numba", "torch")
+# Libraries worth loading beforehand, where the step's code imports them. `torch._dynamo` is a second that torch's
+# optimisers load when the first one is made.
+HEAVY = (
+    "numpy", "scipy.optimize", "pandas", "numba", "torch", "torch._dynamo", "matplotlib.backends.backend_agg",
+)  # fmt: skip
 
 _MESSAGE_BYTES = 4096
 _KILLED = -signal.SIGKILL
@@ -146,7 +149,7 @@ def serve(descriptor: int, function: Callable[[], int]) -> int | None:
                 continue
             for library in json.loads(message):
                 with suppress(Exception):  # the step meets it, too, and says it
-                    importlib.import_module(library)
+                    _load(library)
             gc.freeze()  # else the first collection of a child would copy every page
             pid = os.fork()
             if pid == 0:
@@ -162,6 +165,16 @@ def serve(descriptor: int, function: Callable[[], int]) -> int | None:
             children[pid] = given[3]
             _say(given[3], pid)
     return None
+
+
+def _load(library: str) -> None:
+    if library in sys.modules:
+        return
+    importlib.import_module(library)
+    if library == "numba":  # a quarter of a second that every step's first compiled function would take
+        target = importlib.import_module("numba.core.registry").cpu_target
+        target.typing_context.refresh()
+        target.target_context.refresh()
 
 
 def _report_ended(children: dict[int, int]) -> None:

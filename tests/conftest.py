@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,18 +21,20 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 TOGETHER = "tests/flows/"
 
-# Seconds on two idle cores, kernels compiled anew (`pytest --durations=0`): what is long begins first, what isn't here
-# is done in the end.
+# Processor seconds, kernels of the simulator compiled before: what is long begins first, what isn't here is done in the
+# end.
 LONG = {
-    "end_to_end/test_diesel.py": 150, "engine/test_new_column.py": 81, "app/test_browser.py": 69,
-    "end_to_end/test_points.py": 60, "surrogates/test_empirical.py": 53, "end_to_end/test_rigs.py": 52,
-    "api/test_api_discover.py": 43, "test_core.py": 41, "cli/test_learn_command.py": 25,
-    "challenge/test_baselines.py": 24, "engine/test_equations.py": 23, "challenge/test_points_tier.py": 23,
-    "petrol/test_petrol_commands.py": 19, "api/test_api_together.py": 18, "discovery/search/test_circumstances.py": 18,
-    "cli/test_app.py": 17, "petrol/test_petrol_discover.py": 16, "examples/test_scripts.py": 13,
-    "cli/test_bad_input.py": 13, "discovery/twins/test_diesel_between.py": 13, "app/test_pages.py": 13,
-    "paper/test_network_loops.py": 13, "calibration/test_imply.py": 11, "rigs/test_rig_page.py": 11,
-    "report/test_discovery_figures.py": 11,
+    "end_to_end/test_diesel.py": 78, "app/test_browser.py": 69, "end_to_end/test_points.py": 53,
+    "petrol/test_petrol_discover.py": 49, "end_to_end/test_rigs.py": 39, "api/test_api_discover.py": 38,
+    "examples/test_small_rigs.py": 29, "surrogates/test_empirical.py": 26, "test_core.py": 25,
+    "discovery/search/test_circumstances.py": 25, "engine/test_new_column.py": 24,
+    "discovery/twins/test_diesel_between.py": 23, "cli/test_learn_command.py": 23, "cli/test_app.py": 16,
+    "petrol/test_petrol_commands.py": 21, "cli/test_bad_input.py": 20, "challenge/test_points_tier.py": 18,
+    "challenge/test_baselines.py": 18, "api/test_api_together.py": 17, "paper/comparison/test_page.py": 15,
+    "calibration/test_imply.py": 15, "paper/test_compiled_loss.py": 12, "paper/test_network_loops.py": 12,
+    "examples/test_scripts.py": 12, "engine/test_new_effect.py": 12,
+    "discovery/reference/test_learn.py": 12, "discovery/search/test_search.py": 11,
+    "api/test_front_door.py": 11, "discovery/search/test_local_misfit.py": 11,
 }  # fmt: skip
 
 # Repeatable: a red run must be red again. No deadlines: two shared cores.
@@ -39,6 +42,15 @@ settings.register_profile(
     "repeatable", derandomize=True, deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="module")
+def no_pictures() -> Iterator[None]:
+    """Pages without pictures in a file of tests that ask for other things (`pages.without_pictures`)."""
+    from tests.pages import without_pictures
+
+    with without_pictures():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 LARGEST = 3_000_000
 """Bytes that a page may have."""
@@ -32,3 +36,11 @@ def check_page(page: Path, *laws: str) -> None:
     formulae = [re.sub(r"<[^>]+>|&#x2061;|\s", "", markup) for markup in markups]
     for law in laws:
         assert any(law in formula for formula in formulae), law
+
+
+@contextmanager
+def without_pictures() -> Iterator[None]:
+    """Figures are made and captioned as ever, and none is laid out and drawn, which is most of a command's page."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dieseltwin.report.page.encode_all", lambda figures, *_: {f.name: b"no picture" for f in figures})
+        yield

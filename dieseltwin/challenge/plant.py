@@ -20,6 +20,7 @@ from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.challenge.plant_constants import plant_constants
 from dieseltwin.challenge.plant_effects import KERNEL_EFFECTS, KERNEL_SLOT, Fault, schedule
+from dieseltwin.inner import inner
 
 STEP_S = 0.005
 """Integration step [s]: half the fastest time constant (p_em, 11 ms)."""
@@ -43,7 +44,7 @@ _E = {name: k for k, name in enumerate(KERNEL_EFFECTS)}
  E_PORT_HEAT, E_AFTERBURN, E_PICKUP) = range(len(KERNEL_EFFECTS))  # fmt: skip
 
 
-@numba.njit(forceinline=True, error_model="numpy")
+@inner(forceinline=True, error_model="numpy")
 def _nozzle(area, p_up, T_up, p_down, R, gamma):  # type: ignore[no-untyped-def]
     """Isentropic nozzle without discharge coefficient [kg/s]; no back-flow."""
     if area == 0.0 or p_up <= p_down:
@@ -54,7 +55,7 @@ def _nozzle(area, p_up, T_up, p_down, R, gamma):  # type: ignore[no-untyped-def]
     return area * p_up / np.sqrt(R * T_up) * psi
 
 
-@numba.njit(forceinline=True, error_model="numpy")
+@inner(forceinline=True, error_model="numpy")
 def _table(table, low, high, x, y):  # type: ignore[no-untyped-def]
     """Bilinear look-up, held beyond the edge; coordinates over [low, high]."""
     nx, ny = table.shape
@@ -69,7 +70,7 @@ def _table(table, low, high, x, y):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(forceinline=True, error_model="numpy")
+@inner(forceinline=True, error_model="numpy")
 def _compressor(p_im, omega, p_bc, c, errors, low, high):  # type: ignore[no-untyped-def]
     """Flow [kg/s], pressure quotient, heating factor, Psi, Phi of the compressor behind p_bc."""
     Pi_c = max(p_im / p_bc, 1.0)
@@ -84,7 +85,7 @@ def _compressor(p_im, omega, p_bc, c, errors, low, high):  # type: ignore[no-unt
     return flow, Pi_c, heating, psi, phi
 
 
-@numba.njit(forceinline=True, error_model="numpy")
+@inner(forceinline=True, error_model="numpy")
 def _turbine(p_em, T_em, position, p_es, c, errors, low, high):  # type: ignore[no-untyped-def]
     """Flow [kg/s] and pressure quotient of the turbine before p_es."""
     Pi_t = min(p_es / p_em, 0.9999)
@@ -94,7 +95,7 @@ def _turbine(p_em, T_em, position, p_es, c, errors, low, high):  # type: ignore[
     return c.A_vgtmax * p_em * opening / np.sqrt(T_em * c.R_e), Pi_t
 
 
-@numba.njit(error_model="numpy")
+@inner(error_model="numpy")
 def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps, dy, out):  # type: ignore[no-untyped-def]
     """Right-hand side dy of y = (p_im, p_em, omega_t, lagged gas temperature); `carry` = (x_r, T_1, T_im).
 
@@ -226,7 +227,7 @@ def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps,
     out[21], out[22] = u_egr, u_vgt
 
 
-@numba.njit(forceinline=True, error_model="numpy")
+@inner(forceinline=True, error_model="numpy")
 def errors_1d(table, low, high, x):  # type: ignore[no-untyped-def]
     """Look-up of a map of one argument: the first row of its table runs over it."""
     n = table.shape[0]

@@ -23,6 +23,7 @@ numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
 
 from dieseltwin.engine._fastmath import select  # noqa: E402
 from dieseltwin.engine.binding import bind  # noqa: E402  the folder must be set before anything is compiled
+from dieseltwin.inner import inner  # noqa: E402
 
 LANES = 8
 """Lanes of a block: doubles in a 512-bit register."""
@@ -59,7 +60,7 @@ def _make_load_constants() -> Any:
     fields = ", ".join(f"values[{j} * lanes + k]" for j in range(N_CONSTANTS))
     scope: dict[str, Any] = {"Constants": Constants, "__name__": __name__}
     exec(f"def load_constants(values, k, lanes):\n    return Constants({fields})\n", scope)
-    return numba.njit(**_INLINED)(scope["load_constants"])
+    return inner(**_INLINED)(scope["load_constants"])
 
 
 load_constants = _make_load_constants()
@@ -70,13 +71,13 @@ def readings_stored(arguments: str, place: str) -> Any:
     lines = [f"    {place.format(j=j)} = q.{name}" for j, name in enumerate(READ)]
     scope: dict[str, Any] = {"__name__": __name__}
     exec("\n".join((f"def store_readings({arguments}, q):", *lines)), scope)
-    return numba.njit(**_INLINED)(scope["store_readings"])
+    return inner(**_INLINED)(scope["store_readings"])
 
 
 store_readings = readings_stored("out, k, i", f"out[k, i, {N_STATES} + {{j}}]")
 
 
-@numba.njit(**_INLINED)
+@inner(**_INLINED)
 def _rates(p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, c):  # type: ignore[no-untyped-def]
     # Two sweeps of the cylinder's fixed point, warm from the stage before: one here, one in `quantities`. One alone
     # lags and errs by 0.03 % of the mean; three change nothing above 1e-5.
@@ -86,7 +87,7 @@ def _rates(p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, c):  # typ
     return q.dp_im, q.dp_em, q.domega_t, q.x_r_next, q.T_1_next
 
 
-@numba.njit(**_INLINED)
+@inner(**_INLINED)
 def _limit(x, low, high):  # type: ignore[no-untyped-def]
     x = select(x > low, x, low)
     return select(x < high, x, high)

@@ -37,6 +37,7 @@ from dieseltwin.engine.effects import DRIFTS, GAS_LAG, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS
 from dieseltwin.engine.model_constants import CONSTANT_NAMES
 from dieseltwin.engine.quantities import Gas, OperatingPoint, Signals
+from dieseltwin.inner import inner
 from dieseltwin.sensors import READ
 
 N_EFFECTS, N_POINTS = len(STATE_EFFECTS), len(Signals._fields)
@@ -63,12 +64,12 @@ GROWS = np.array(DRIFTS)
 P_AMB = CONSTANT_NAMES.index("p_amb")
 
 
-@numba.njit(**_INLINED)
+@inner(**_INLINED)
 def _free_inlet(x, m, s, c):  # type: ignore[no-untyped-def]
     return c.p_amb * (1.0 + s.p_bc)
 
 
-@numba.njit(**_INLINED)
+@inner(**_INLINED)
 def _free_outlet(x, T_em, m, s, c):  # type: ignore[no-untyped-def]
     return c.p_amb * (1.0 + s.p_es)
 
@@ -94,7 +95,7 @@ def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
             fields[Signals._fields.index(point)] += f" + work[{CORRECTION + row} * lanes + k]"
     scope: dict[str, Any] = {"Kind": kind, "__name__": __name__}
     exec(f"def {name}(work, k, lanes, fraction):\n    return Kind({', '.join(fields)})\n", scope)
-    return numba.njit(**_INLINED)(scope[name])
+    return inner(**_INLINED)(scope[name])
 
 
 load_magnitudes = _loader("load_magnitudes", Magnitudes, EFFECT)
@@ -102,7 +103,7 @@ load_signals = _loader("load_signals", Signals, SIGNAL, moving=True)
 store_readings = readings_stored("work, k, lanes", f"work[({READING} + {{j}}) * lanes + k]")
 
 
-@numba.njit(**_INLINED)
+@inner(**_INLINED)
 def load_point(work, k, lanes):  # type: ignore[no-untyped-def]
     return OperatingPoint(
         work[k], work[lanes + k], work[2 * lanes + k], work[3 * lanes + k], work[4 * lanes + k],
@@ -111,7 +112,7 @@ def load_point(work, k, lanes):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@numba.njit(**_INLINED)
+@inner(**_INLINED)
 def _look_up(work, tables, row, low, per_unit, at_x, at_y):  # type: ignore[no-untyped-def]
     """Correction of one map, bilinear and held beyond the edges; its arguments are rows of `work`."""
     last = tables.shape[1] - 1

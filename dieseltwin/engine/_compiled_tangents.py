@@ -12,6 +12,7 @@ from dieseltwin.engine.binding import primitives_of
 from dieseltwin.engine.model_constants import CONSTANT_NAMES
 from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.engine.tangents import ARGUMENTS, DIRECTIONS, VALUES, point_text
+from dieseltwin.inner import inner
 
 N_ARGUMENTS, N_HEALTH, N_STATES = len(ARGUMENTS), len(HEALTH), 3
 N_RESULTS = len(VALUES) * (1 + len(DIRECTIONS))
@@ -22,7 +23,7 @@ _HEALTH_ROWS = np.array([CONSTANT_NAMES.index(name) for name in HEALTH])
 def _make_point() -> Any:
     scope: dict[str, Any] = {**primitives_of("numba"), "__name__": __name__}
     exec(point_text("point"), scope)
-    return numba.njit(**_INLINED)(scope["point"])
+    return inner(**_INLINED)(scope["point"])
 
 
 def _make_store() -> Any:
@@ -30,7 +31,7 @@ def _make_store() -> Any:
     lines = [f"    work[({RESULTS_AT} + {j}) * lanes + k] = values[{j}]" for j in range(N_RESULTS)]
     scope: dict[str, Any] = {"__name__": __name__}
     exec("\n".join(("def store(work, k, lanes, values):", *lines)), scope)
-    return numba.njit(**_INLINED)(scope["store"])
+    return inner(**_INLINED)(scope["store"])
 
 
 _point, _store = _make_point(), _make_store()

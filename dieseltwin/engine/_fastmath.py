@@ -14,6 +14,8 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
+from dieseltwin.inner import inner
+
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "forceinline": True}
 
 _LOG2_E = 1.4426950408889634
@@ -61,7 +63,7 @@ def select(typingctx: Any, condition: Any, a: Any, b: Any) -> Any:
     return types.float64(types.boolean, types.float64, types.float64), codegen
 
 
-@numba.njit(**_OPTIONS)
+@inner(**_OPTIONS)
 def fast_exp(x):  # type: ignore[no-untyped-def]
     """e**x by argument reduction and a Taylor polynomial of degree 12 on |r| <= ln 2 / 2."""
     x = select(x < _EXP_LIMIT, x, _EXP_LIMIT)
@@ -77,7 +79,7 @@ def fast_exp(x):  # type: ignore[no-untyped-def]
     return p * _float_of((numba.int64(n) + 1023) << 52)
 
 
-@numba.njit(**_OPTIONS)
+@inner(**_OPTIONS)
 def fast_log(x):  # type: ignore[no-untyped-def]
     """Natural logarithm of a positive, normal x by the atanh series of (m - 1)/(m + 1), m in [0.71, 1.42]."""
     bits = _bits_of(x)
@@ -97,7 +99,7 @@ def fast_log(x):  # type: ignore[no-untyped-def]
     return e * _LN2_HIGH + (2.0 * s * p + e * _LN2_LOW)
 
 
-@numba.njit(**_OPTIONS)
+@inner(**_OPTIONS)
 def fast_positive_power(x, exponent):  # type: ignore[no-untyped-def]
     """max(x, 0)**exponent without branches."""
     positive = x > _TINY

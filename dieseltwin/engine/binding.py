@@ -126,25 +126,24 @@ def hook_sources() -> dict[str, str]:
 
 
 def _numba_primitives() -> dict[str, Any]:
-    import numba
-
     from dieseltwin.engine._fastmath import fast_exp, fast_positive_power, select
+    from dieseltwin.inner import inner
 
     options = COMPILED
 
-    @numba.njit(**options)
+    @inner(**options)
     def n_root(x):  # type: ignore[no-untyped-def]
         return math.sqrt(select(x > 0.0, x, 0.0))
 
-    @numba.njit(**options)
+    @inner(**options)
     def n_maximum(a, b):  # type: ignore[no-untyped-def]
         return select(a > b, a, b)
 
-    @numba.njit(**options)
+    @inner(**options)
     def n_minimum(a, b):  # type: ignore[no-untyped-def]
         return select(a < b, a, b)
 
-    @numba.njit(**options)
+    @inner(**options)
     def n_where(condition, a, b):  # type: ignore[no-untyped-def]
         return select(condition, a, b)
 
@@ -153,7 +152,7 @@ def _numba_primitives() -> dict[str, Any]:
         fields = ", ".join(changes.get(field, f"c.{field}") for field in model_constants.CONSTANT_NAMES)
         scope: dict[str, Any] = {"Constants": model_constants.Constants, "__name__": __name__}
         exec(f"def {name}(c, {', '.join(changes.values())}):\n    return Constants({fields})\n", scope)
-        return numba.njit(**options)(scope[name])
+        return inner(**options)(scope[name])
 
     return {
         "with_ambient_pressure": constructor("with_ambient_pressure", p_amb="pressure"),
@@ -200,9 +199,9 @@ def _in_scope(function: Any, scope: Scope, backend: Backend | Mapping[str, Any])
     copy.__doc__ = function.__doc__
     copy.__module__ = scope["__name__"]
     if backend == "numba":
-        import numba
+        from dieseltwin.inner import inner
 
-        return numba.njit(**COMPILED)(copy)  # type: ignore[no-any-return]
+        return inner(**COMPILED)(copy)  # type: ignore[no-any-return]
     return copy
 
 

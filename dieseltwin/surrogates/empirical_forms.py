@@ -184,9 +184,9 @@ def bound_forms(kind: Kind, backend: Backend) -> dict[str, Form]:
         copy = types.FunctionType(function.__code__, scope, function.__name__)
         if backend != "numba":
             return copy
-        import numba
+        from dieseltwin.inner import inner
 
-        return numba.njit(**COMPILED)(copy)
+        return inner(**COMPILED)(copy)
 
     scope["sigmoid"] = rebind(sigmoid)
     return {name: Form(rebind(form[0]), rebind(form[1]), form[2]) for name, form in FORMS[kind].items()}

@@ -23,6 +23,7 @@ from dieseltwin.engine import Actuation, Observations, ParameterBatch, _compiled
 from dieseltwin.engine.binding import COMPILED, MAPS, bind
 from dieseltwin.engine.parameters import CONSTANT_NAMES
 from dieseltwin.errors import InputError
+from dieseltwin.inner import inner
 from dieseltwin.surrogates import empirical_forms
 from dieseltwin.surrogates.empirical_forms import bound_forms
 
@@ -205,7 +206,7 @@ def _kernels(sizes: Sizes) -> tuple[Callable[..., None], Callable[..., None]]:
         )
     } | {"load_constants": load_constants}  # fmt: skip
     rates = _compiled._variant(_compiled._rates.py_func, f"_{mark}", 1, **functions)
-    functions["_rates"] = numba.njit(**_compiled._INLINED)(rates)
+    functions["_rates"] = inner(**_compiled._INLINED)(rates)
     kernels = []
     for lanes in (_compiled.LANES, 1):
         suffix = f"_{mark}_{lanes}"
@@ -221,4 +222,4 @@ def _compiled_text(name: str, text: str, scope: dict[str, Any], mark: str) -> An
     linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)
     own = {**scope, "__name__": __name__}
     exec(compile(text, file, "exec"), own)
-    return numba.njit(**COMPILED)(own[name])
+    return inner(**COMPILED)(own[name])

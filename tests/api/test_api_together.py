@@ -14,6 +14,7 @@ from dieseltwin.errors import InputError
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
 LEAK = Term(effect="boost_leak", magnitude=25e-6)
 
 

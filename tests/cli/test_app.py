@@ -331,6 +331,7 @@ def test_identify_refuses_too_few_sensors(
     assert word in said and len(said.strip().splitlines()) == 1
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_fit_that_misses_the_readings_is_reported(run: Run, noisy: Path, tmp_path: Path) -> None:
     """A compressor that is best at another flow is not this engine, whatever its health parameters."""
     (tmp_path / "engine.yaml").write_text("W_copt: 0.4\n")

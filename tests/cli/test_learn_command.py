@@ -17,6 +17,7 @@ from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.cli.app import main
 from dieseltwin.engine import we2011
 
+pytestmark = pytest.mark.usefixtures("no_pictures")
 LABORATORY = we2011.PARAMETERS.model_dump()
 
 

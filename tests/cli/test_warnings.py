@@ -7,10 +7,13 @@ import json
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from benchmarks.bad_inputs.cases import good_files
 from dieseltwin.cli.app import main
 from dieseltwin.notes import STRICT_CODE, Note, warnings_of
+
+pytestmark = pytest.mark.usefixtures("no_pictures")
 
 
 def test_a_note_keeps_its_code_in_copies() -> None:

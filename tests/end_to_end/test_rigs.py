@@ -15,7 +15,7 @@ import pytest
 from dieseltwin.cli.app import main
 from dieseltwin.rigs.parameters import RigParameters, load_rig
 from tests.end_to_end.conftest import Answer
-from tests.pages import check_page, groups_of
+from tests.pages import check_page, groups_of, without_pictures
 
 RIGS = Path(__file__).resolve().parents[2] / "examples" / "rigs"
 
@@ -110,7 +110,8 @@ def _asked(rig: str, recording: pd.DataFrame, first: int, folder: Path) -> Case:
 
 @pytest.fixture(scope="module")
 def axis(tmp_path_factory: pytest.TempPathFactory) -> Case:
-    return _asked("positioning_axis", axis_recording(12.0), 8000, tmp_path_factory.mktemp("axis"))
+    with without_pictures():
+        return _asked("positioning_axis", axis_recording(12.0), 8000, tmp_path_factory.mktemp("axis"))
 
 
 @pytest.fixture(scope="module")
@@ -163,8 +164,9 @@ def test_the_repaired_machines_run_free_where_no_fit_has_seen_them(axis: Case, t
 
 def test_the_next_discovery_takes_the_repaired_machine(tanks: Case, tmp_path: Path) -> None:
     repaired, out = tanks.answer.folder / "engine.yaml", tmp_path / "again"
-    assert main(["discover", str(tanks.answer.folder.parent / "early.csv"), "--engine", str(repaired),
-                 "--out", str(out)]) == 0  # fmt: skip
+    with without_pictures():
+        assert main(["discover", str(tanks.answer.folder.parent / "early.csv"), "--engine", str(repaired),
+                     "--out", str(out)]) == 0  # fmt: skip
     assert not any(effect.named for effect in Answer(out).document.effects)
     assert load_rig(out / "engine.yaml").terms[0].effect == "upper_overflow"
 

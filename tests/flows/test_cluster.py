@@ -82,7 +82,7 @@ def test_a_local_cluster_gives_the_same_numbers(prefect: None, workspace: Callab
     # The names and times of what ran elsewhere are known here, and a second time nothing runs.
     assert set(context.timings) == {"cluster-member-0", "cluster-member-1", "cluster-member-2", "cluster-mean"}
     again = workspace("dask")
-    assert ensemble(task_runner("local")) == expected
+    assert ensemble(task_runner("local:1")) == expected
     assert not again.timings
 
 

@@ -104,6 +104,11 @@ def test_steps_that_share_a_function_run_by_their_names_and_rest_on_their_own_en
     assert ran(fresh) == {"toy-report"}
 
 
+def test_a_step_begins_with_the_heavy_libraries_that_it_imports(context: RunContext) -> None:
+    found = set((toy_steps.loaded().path / "loaded.txt").read_text().split())
+    assert "matplotlib.backends.backend_agg" in found and not {"torch", "torch._dynamo", "numba"} & found
+
+
 def test_arrays_are_refused(context: RunContext) -> None:
     with pytest.raises(TypeError, match="plain JSON values"):
         toy_steps.make(count=5, seed=np.zeros(2))

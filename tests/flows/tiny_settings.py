@@ -21,7 +21,7 @@ TINY = {
     },
     "pretrain": {
         "maps": {
-            "paper": {"steps": 30, "batch": 64, "finish_steps": 15, "finish_cells": 400},
+            "paper": {"hidden": [8, 8], "steps": 30, "batch": 64, "finish_steps": 40, "finish_cells": 400},
             "improved": {"cells": 200, "starts": 2, "members": 2, "steps": 4, "refine_steps": 2, "rounds": 1},
         },
         "operators": {"egr": {"updates": 120, "batch": 64}, "vgt": {"updates": 120, "batch": 64}},

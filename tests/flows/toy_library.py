@@ -14,6 +14,7 @@ TOYLIB = {
     "draw.py": "import numpy as np\n\ndef draw(count, seed):\n    return np.random.default_rng(seed).random(count)\n",
     "scaling.py": "from .constants import FACTOR\n\ndef scaled(x, scale):\n    return FACTOR * scale * x\n",
     "constants.py": "FACTOR = 2.0  # a helper constant of another module\n",
+    "pictures.py": "import matplotlib\n\nVERSION = matplotlib.__version__\n",
     "report.py": "from .scaling import scaled\n\nCOLOUR = 'red'\n",
 }
 

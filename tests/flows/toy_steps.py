@@ -43,6 +43,17 @@ def fail(out: Path, progress, *, user: bool) -> None:
     raise errors.InputError("wrong column") if user else ValueError("broken")
 
 
+@step("toy-loaded", "toy libraries")
+def loaded(out: Path, progress) -> None:
+    """Which of its libraries a step finds loaded when it begins."""
+    import sys
+
+    (out / "loaded.txt").write_text(" ".join(sys.modules))
+    from toylib.pictures import VERSION
+
+    (out / "version.txt").write_text(VERSION)
+
+
 def written(out: Path, progress, *, word: str) -> None:
     """One text that two steps share, as the methods do."""
     (out / "word.txt").write_text(word)

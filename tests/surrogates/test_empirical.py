@@ -219,7 +219,9 @@ def test_same_seed_same_bits(config):
     cases = laboratory(600, 1)
     small = config.model_copy(
         update={
-            "paper": config.paper.model_copy(update={"steps": 30, "finish_steps": 2, "finish_cells": 300}),
+            "paper": config.paper.model_copy(
+                update={"hidden": (8, 8), "steps": 30, "finish_steps": 2, "finish_cells": 300}
+            ),
             "improved": config.improved.model_copy(update={"cells": 200, "steps": 10, "starts": 2, "members": 2}),
         }
     )

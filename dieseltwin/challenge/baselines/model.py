@@ -21,6 +21,7 @@ from dieseltwin.challenge.plant import rates
 from dieseltwin.challenge.plant_constants import Constants, plant_constants
 from dieseltwin.challenge.plant_effects import KERNEL_EFFECTS
 from dieseltwin.challenge.sensors import SENSORS
+from dieseltwin.inner import inner
 from dieseltwin.recordings.noise import Noise, estimate_noise
 
 STEP_S = 0.01
@@ -130,7 +131,7 @@ def _weights(net: Net) -> tuple[np.ndarray, ...]:
     return net.w1, net.b1, net.w2, net.b2, net.middle, net.spread
 
 
-@numba.njit(error_model="numpy")
+@inner(error_model="numpy")
 def correct(y, n_e, u_delta, u_egr, u_vgt, c, T_im, T_em, w1, b1, w2, b2, middle, spread, dy):  # type: ignore[no-untyped-def]
     """Add the net's biases [kg/s, kg/s, W] to the rates."""
     z = (y[0], y[1], y[2], n_e, u_delta, u_egr, u_vgt)
