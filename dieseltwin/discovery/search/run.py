@@ -49,6 +49,7 @@ STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
 _RENEWALS = 3  # about the leading explanation, until it stays the same
 _WEATHERS = 3  # in which a name is tried that isn't enough in that of before
+_WITHIN = 1.25  # times the name's gain: what explains more than that isn't the weather's doing
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
 
@@ -103,6 +104,10 @@ def _in_own_weather(found: Search) -> Search:
     """The search again in the weather that the best name asks for, where that name isn't enough in the weather of
     before; that search where it is enough there, else the first one."""
     if found.kind not in ("pair", "law") or not _alarm(found, found.singles[0]):
+        return found
+    more = [found.gain(fit) for fit in found.pairs[:1]] if found.kind == "pair" else []
+    more += [item.gain for item in (*found.nameless()[:1], *found.local[:1])]
+    if max(more, default=0.0) > _WITHIN * found.gain(found.singles[0]):
         return found
     chosen, here = found, found
     name = found.singles[0].candidate.names
