@@ -103,10 +103,9 @@ def _with_names(twin: Twin, settings: SearchSettings) -> Search:
 def _in_own_weather(found: Search) -> Search:
     """The search again in the weather that the best name asks for, where that name isn't enough in the weather of
     before; that search where it is enough there, else the first one."""
-    if found.kind not in ("pair", "law") or not _alarm(found, found.singles[0]):
-        return found
-    more = [found.gain(fit) for fit in found.pairs[:1]] if found.kind == "pair" else []
-    more += [item.gain for item in (*found.nameless()[:1], *found.local[:1])]
+    if found.kind != "law" or not _alarm(found, found.singles[0]):
+        return found  # two names are left as they are: weather takes the place of a true second one as readily
+    more = [item.gain for item in (*found.nameless()[:1], *found.local[:1])]
     if max(more, default=0.0) > _WITHIN * found.gain(found.singles[0]):
         return found
     chosen, here = found, found
