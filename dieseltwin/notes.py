@@ -50,3 +50,8 @@ def warnings_of(notes: Iterable[str]) -> list[dict[str, Any]]:
 def counted(number: int, thing: str) -> str:
     """A number with its noun: "1 recording", "3 recordings"."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def listing(parts: Sequence[str], last: str = "and") -> str:
+    """Words or phrases, one at least: "a, b and c"."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"

@@ -5,18 +5,17 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from dieseltwin.api.engines import NAMED, PUBLISHED, Engine, diesel_engine
+from dieseltwin.api.engines import NAMED, PUBLISHED, Engine, diesel_engine, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, calibrate_petrol
 from dieseltwin.api.points import Calibrated, calibrate_points
 from dieseltwin.api.reading import Channels, Source
 from dieseltwin.engine import EngineParameters, load_engine
 from dieseltwin.errors import InputError
-from dieseltwin.petrol.parameters import PetrolParameters, is_petrol
+from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.rigs.parameters import RigParameters, is_rig
 from dieseltwin.settings.names import refuse_options
-from dieseltwin.settings.strict import read_mapping, validate
 
 
 def calibrate(
@@ -74,17 +73,3 @@ def base_engine(base: Engine | str | Path) -> EngineParameters | PetrolParameter
     if Path(base).suffix in (".yaml", ".yml"):
         return load_engine(base)
     raise InputError("--base", repr(str(base)), f"{', '.join(NAMED)} or an engine file", "name one of these")
-
-
-def petrol_base(base: Engine | str | Path) -> PetrolParameters | None:
-    """The petrol engine that is meant, calibrated or not; None for any other machine."""
-    if isinstance(base, PetrolParameters):
-        return base
-    if isinstance(base, EngineParameters | RigParameters):
-        return None
-    named = NAMED.get(str(base))
-    if isinstance(named, PetrolParameters):
-        return named
-    if os.path.isfile(base) and is_petrol(base):
-        return validate(PetrolParameters, read_mapping(base), str(base))
-    return None

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from dieseltwin.api.calibration import petrol_base
 from dieseltwin.api.driving import ask_driving
-from dieseltwin.api.engines import Engine
+from dieseltwin.api.engines import Engine, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.reading import Channels, Made, Source, as_engine, opened
 from dieseltwin.api.rigs import ask_rig

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
 from dieseltwin.api.figures import drawn
-from dieseltwin.api.findings import Asked, Discovered, Question, machine
+from dieseltwin.api.findings import Asked, Discovered, Question, machine, refuse_shared
 from dieseltwin.api.reading import Channels
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 
 _REPORT_S = 5.0  # of a time limit that document, figures and page need
 TOLERANCE_RANGE = (0.0, 0.05)  # map tolerance [-]; with more, nothing is left to find
-_MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
 OWNED = ("figures", "report.html", "report.pdf", "implied.parquet", "engine.yaml", "runtime.json", DETAILS)
 
 
@@ -263,7 +262,7 @@ def ask_driving(
         notes += _length_notes(where, source, whole)
         sensors.append(used)
         if learned is not None:
-            _check_apart(learned, source)
+            refuse_shared(str(source.path or "recording"), overlap(learned.recordings, source))
     common = tuple(name for name in sensors[0] if all(name in used for used in sensors))
     if left := sorted({name for used in sensors for name in used} - set(common)):
         notes.append(Note(f"{listed(left)} is not in all recordings and isn't used", "reading", tuple(left)))
@@ -304,15 +303,6 @@ def circumstance_notes(document: Discrepancy) -> list[Note]:
     words = circumstances_words(document)
     notes = [Note(f"{words}; judged as such, no fault of the engine", "circumstances", off)] if off else []
     return [*notes, *(Note(text, "circumstances") for text in alike_words(document))]
-
-
-def _check_apart(learned: LearnedEngine, source: Recording) -> None:
-    shared = overlap(learned.recordings, source)
-    if shared > _MOST_SHARED:
-        raise InputError(
-            str(source.path or "recording"), f"{100 * shared:.0f} % of its rows are in the reference",
-            "driving that the engine wasn't learned from", "judge another recording, or learn without this one",
-        )  # fmt: skip
 
 
 def _asked(engine: Engine | str | Path | None, channels: Channels | None, question: Asked) -> dict[str, Any]:

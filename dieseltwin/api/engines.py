@@ -13,7 +13,7 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError, shortened
 from dieseltwin.petrol.parameters import KIND as PETROL
-from dieseltwin.petrol.parameters import PetrolParameters, load_petrol
+from dieseltwin.petrol.parameters import PetrolParameters, is_petrol, load_petrol
 from dieseltwin.rigs.parameters import KIND as RIG
 from dieseltwin.rigs.parameters import RigParameters, load_rig
 from dieseltwin.settings.names import unknown_name
@@ -64,6 +64,20 @@ def rig_of(source: Engine | str | Path | None) -> RigParameters | None:
     """The rig that is meant, None for an engine."""
     found = None if source is None else engine(source)
     return found if isinstance(found, RigParameters) else None
+
+
+def petrol_base(source: Engine | str | Path) -> PetrolParameters | None:
+    """The petrol engine that is meant, calibrated or not; None for any other machine."""
+    if isinstance(source, PetrolParameters):
+        return source
+    if isinstance(source, EngineParameters | RigParameters):
+        return None
+    named = NAMED.get(str(source))
+    if isinstance(named, PetrolParameters):
+        return named
+    if os.path.isfile(source) and is_petrol(source):
+        return validate(PetrolParameters, read_mapping(source), str(source))
+    return None
 
 
 def diesel_engine(source: Engine | str | Path | None) -> EngineParameters:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.calibration import petrol_base
-from dieseltwin.api.engines import Engine, diesel_engine
+from dieseltwin.api.engines import Engine, diesel_engine, petrol_base
 from dieseltwin.api.figures import drawn
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Source, diesel_recording

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from dieseltwin.api.figures import drawn
-from dieseltwin.api.findings import Asked, Discovered, Question, machine
+from dieseltwin.api.findings import Asked, Discovered, Question, machine, refuse_shared
 from dieseltwin.api.reading import Channels, Source, petrol_recording
 from dieseltwin.api.results import Result
 from dieseltwin.atomic import atomic_folder, write_json
@@ -37,7 +37,6 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MOST_SHARED = 0.01  # of the rows with the references: readings at rest may repeat
 TOLERANCE_RANGE = (0.0, 0.1)  # of the maps [-]; with more, nothing is left to find
 OWNED = ("figures", "report.html", "report.pdf", "engine.yaml", "runtime.json", DETAILS)
 
@@ -145,10 +144,11 @@ def ask_petrol(
     question = question or Asked()
     options = _options(question)
     _check(options)
-    judged, notes = petrol_recording(recording), tuple[Note, ...]()
+    judged = petrol_recording(recording)
+    notes: tuple[Note, ...] = ()
     reference = [petrol_recording(item, channels) for item in question.reference]
     if reference:
-        _check_apart(judged, reference)
+        refuse_shared(judged.path, shared_rows(judged, reference))
         learned = learn_petrol(reference, parameters, channels)
         parameters, engine_file = learned.engine, None
         notes = tuple(Note(note["text"], "reference") for note in learned.warnings)
@@ -164,15 +164,6 @@ def ask_petrol(
     if reference:
         asked["reference_sha256"] = [item.sha256 for item in reference]
     return PetrolQuestion(judged, parameters, options, asked, notes)
-
-
-def _check_apart(judged: PetrolRecording, reference: Sequence[PetrolRecording]) -> None:
-    """Refuse a recording whose rows are those that the engine is learned from."""
-    shared = shared_rows(judged, reference)
-    if shared > _MOST_SHARED:
-        raise InputError(judged.path, f"{100 * shared:.0f} % of its rows are in the reference",
-                         "driving that the engine wasn't learned from",
-                         "judge another recording, or leave this one out of --reference")
 
 
 def _options(asked: Asked) -> PetrolOptions:

@@ -31,6 +31,7 @@ from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_unit
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.shared_rows import share_known
 from dieseltwin.sealed import sealed_text
 from dieseltwin.settings.strict import read_mapping
 from dieseltwin.version import __version__
@@ -186,13 +187,12 @@ def _recording(row: dict[str, Any], data: bytes, base: EngineParameters) -> Reco
 def overlap(recordings: Sequence[Recording], other: Recording) -> float:
     """Share of another recording's rows that are also in some recordings, 0-1: alike in all inputs and readings."""
     names = sorted({*INPUTS, *MEASURED} & set(other.columns))
-    known = {row for item in recordings if set(names) <= set(item.columns) for row in _rows(item, names)}
-    rows = _rows(other, names)
-    return sum(row in known for row in rows) / max(len(rows), 1)
+    known = (_rows(item, names) for item in recordings if set(names) <= set(item.columns))
+    return share_known(_rows(other, names), known)
 
 
-def _rows(item: Recording, names: Sequence[str]) -> list[bytes]:
-    return [row.tobytes() for row in np.stack([item.columns[name] for name in names], axis=1)]
+def _rows(item: Recording, names: Sequence[str]) -> np.ndarray:
+    return np.stack([item.columns[name] for name in names], axis=1)
 
 
 def distinct(recordings: Sequence[Recording]) -> tuple[Recording, ...]:

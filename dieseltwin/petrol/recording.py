@@ -19,6 +19,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
 from dieseltwin.recordings.channels import ChannelMap
 from dieseltwin.recordings.named_columns import Imported, named_columns
+from dieseltwin.recordings.shared_rows import share_known
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
@@ -155,14 +156,11 @@ def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
 
 def shared_rows(one: PetrolRecording, others: Sequence[PetrolRecording]) -> float:
     """Share of a recording's rows that are also in others, 0-1: alike in all channels but for the time."""
-    known = {row for other in others for row in _rows(other.signals)}
-    rows = _rows(one.signals)
-    return sum(row in known for row in rows) / max(len(rows), 1)
+    return share_known(_rows(one.signals), (_rows(other.signals) for other in others))
 
 
-def _rows(signals: Signals) -> list[bytes]:
-    channels = [value for name, value in vars(signals).items() if value is not None and name != "time_s"]
-    return [row.tobytes() for row in np.stack(channels, axis=1)]
+def _rows(signals: Signals) -> Array:
+    return np.stack([value for name, value in vars(signals).items() if value is not None and name != "time_s"], axis=1)
 
 
 @dataclass(frozen=True)

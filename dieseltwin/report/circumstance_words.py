@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance
+from dieseltwin.notes import listing
 from dieseltwin.report import quantities
 
 ALIKE: Mapping[str, tuple[str, str]] = {
@@ -66,8 +67,3 @@ def alike_words(document: Discrepancy) -> list[str]:
         if alike is not None and alike[0] not in opened:
             said.append(f"{name} can't be told from this: {alike[1]}")
     return said
-
-
-def listing(parts: Sequence[str], last: str = "and") -> str:
-    """"a, b and c"."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"

@@ -12,8 +12,9 @@ from dieseltwin.discovery.verdict.document import (
     HealthValue,
 )
 from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.notes import listing
 from dieseltwin.report import quantities
-from dieseltwin.report.circumstance_words import listing, recorded_words
+from dieseltwin.report.circumstance_words import recorded_words
 
 SENSOR = "sensor:"
 
@@ -307,9 +308,11 @@ def _healthy(document: Discrepancy) -> str:
     known = document.minimum_detectable
     shown = list(filter(None, (least_words(name, known[name]) for name in _EXAMPLES if name in known)))
     beyond = document.p_value < _BEYOND_CHANCE
-    if document.out_of_time is not None:
+    if document.out_of_time is not None and beyond:
         text = (f"Simulation and recording differ by more than chance ({p_value}), and nothing that was tried in the "
-                "time given explains it" if beyond else f"Nothing was found in the time given ({p_value})")
+                "time given explains it")
+    elif document.out_of_time is not None:
+        text = f"Nothing was found in the time given ({p_value})"
     elif beyond:
         text = ("Nothing as large as a fault was found: simulation and recording differ by more than chance "
                 f"({p_value}), but by less than what is believed of a healthy engine of this kind")

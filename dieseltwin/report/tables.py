@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from dieseltwin.notes import listing
 from dieseltwin.report import quantities, style
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results, SegmentResult
 from dieseltwin.report.statistics import (
@@ -124,16 +125,12 @@ def headline_method(results: Results) -> MethodResult:
 
 def _minutes(segments: Sequence[SegmentResult]) -> str:
     """``minute 2–3`` or ``minutes 1–2, 3–4 and 7–8``."""
-    return f"minute{'s' if len(segments) > 1 else ''} {_join([s.minutes for s in segments])}"
+    return f"minute{'s' if len(segments) > 1 else ''} {listing([s.minutes for s in segments])}"
 
 
 def _duration(segments: Sequence[SegmentResult]) -> str:
     seconds = sum(s.t1_s - s.t0_s for s in segments)
     return f"{quantities.significant(seconds / 60, 2)} min" if seconds >= 60 else f"{seconds:.0f} s"
-
-
-def _join(parts: Sequence[str]) -> str:
-    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
 
 
 def _blind_spots(results: Results, method: MethodResult) -> list[str]:
@@ -148,7 +145,7 @@ def _blind_spots(results: Results, method: MethodResult) -> list[str]:
         are = "is" if len(parameters) == 1 else "are"
         their = "its value" if len(parameters) == 1 else "their values"
         if len(starts) == len(method.segments):
-            names = _join([quantities.html_symbol(p) for p in parameters])
+            names = listing([quantities.html_symbol(p) for p in parameters])
             found.append(f"{names} {are} not identifiable in any segment of this driving.")
             continue
         segments = [s for s in method.segments if s.t0_s in starts]
@@ -157,7 +154,7 @@ def _blind_spots(results: Results, method: MethodResult) -> list[str]:
             if len(segments) <= 6
             else f"{len(segments)} of {len(method.segments)} segments"
         )
-        names = _join([quantities.html_symbol(p) + _best_possible(results, segments, p) for p in parameters])
+        names = listing([quantities.html_symbol(p) + _best_possible(results, segments, p) for p in parameters])
         found.append(f"In {where}, {names} {are} not identifiable; that part is left out of {their}.")
     return found
 
@@ -185,7 +182,7 @@ def _agreement(results: Results, chosen: MethodResult) -> list[str]:
         if all(same is None for same in verdicts.values()):
             found.append(f"{label} gave nothing that can be compared.")
         elif apart:
-            found.append(f"{label} differs by more than two combined standard deviations on {_join(apart)}.")
+            found.append(f"{label} differs by more than two combined standard deviations on {listing(apart)}.")
         else:
             found.append(f"{label} agrees within two combined standard deviations.")
     return found
@@ -217,7 +214,7 @@ def headline(results: Results) -> str:
     source = f"{_duration(method.segments)} of driving ({count} segment{'s' if count != 1 else ''})"
     sentences = []
     if values:
-        sentences.append(f"From {source}, <b>{label}</b> finds {_join(values)}.")
+        sentences.append(f"From {source}, <b>{label}</b> finds {listing(values)}.")
     else:
         sentences.append(f"From {source}, <b>{label}</b> could not identify any health parameter.")
     sentences += _blind_spots(results, method)

@@ -49,6 +49,10 @@ def test_simulating_loads_no_matplotlib() -> None:
     assert python("import sys, dieseltwin as dt; dt.simulate; print('matplotlib' in sys.modules)") == "False"
 
 
+def test_discovering_loads_nothing_of_petrol_engines_before_there_is_one() -> None:
+    assert python("import sys, dieseltwin as dt; dt.discover; print('dieseltwin.api.petrol' in sys.modules)") == "False"
+
+
 def test_every_name_is_there_and_listed() -> None:
     for name in dt.__all__:
         assert getattr(dt, name) is not None and name in dir(dt)

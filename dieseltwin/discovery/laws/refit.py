@@ -12,6 +12,7 @@ from dieseltwin.discovery.laws.ranking import Ranked
 from dieseltwin.discovery.laws.twin import LawTwin, Placed, before, trajectories
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, bounded, prior_precision, within_limits
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
+from dieseltwin.discovery.likelihood.refit import scatter
 from dieseltwin.discovery.likelihood.worth import Worth
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
 
@@ -95,10 +96,8 @@ def disagreement(best: Refit, refits: Sequence[Refit], count: int) -> Array:
 
 
 def _scatter(best: Refit, refits: Sequence[Refit], count: int) -> Array:
-    behind = np.array([max(best.score - r.score, 0.0) for r in refits])
-    weights = np.exp(-0.5 * behind / max(1.0, _SHARE_OF_FORMS * best.gain))
-    apart = np.array([r.fit.parameters[:count] - best.fit.parameters[:count] for r in refits])
-    return np.asarray(np.sqrt((weights[:, None] * apart**2).sum(axis=0) / weights.sum()))
+    behind = np.array([max(best.score - r.score, 0.0) for r in refits]) / max(1.0, _SHARE_OF_FORMS * best.gain)
+    return scatter(np.array([r.fit.parameters[:count] for r in refits]), best.fit.parameters[:count], behind)
 
 
 def start_of(at: Linearisation, law: LawTwin) -> Fit:

@@ -113,3 +113,13 @@ def nearer(base: Linearisation, fits: Sequence[Fit], before: Sequence[Fit]) -> l
         for fit, vector in zip(earlier, projected, strict=True)
     }
     return [min(fit, judged.get(fit.candidate.names, fit), key=lambda each: each.objective) for fit in fits]
+
+
+def scatter(values: Array, about: Array, behind: Array) -> Array:
+    """Deviation (P,) over rivals (F, P) from what is reported (P,), each by its likelihood.
+
+    Args:
+        behind: (F,) -2 log likelihood of each over the best; in units of their own where chance isn't what decides.
+    """
+    weights = np.exp(-0.5 * behind)
+    return np.asarray(np.sqrt((weights[:, None] * (values - about) ** 2).sum(axis=0) / weights.sum()))

@@ -70,7 +70,7 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: floa
         with time_limit(left):
             _explain(found)
             found = _in_own_weather(found)
-            if found.stage == STAGES[-1]:
+            if found.kind == "law":
                 _law(found, laws)
     except OutOfTimeError:
         found.unfinished = STAGES[STAGES.index(found.stage) :]

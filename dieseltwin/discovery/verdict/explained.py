@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
+from dieseltwin.discovery.likelihood.refit import scatter
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 
@@ -51,11 +52,10 @@ def _among_explanations(found: Search) -> Array:
         return np.abs(away[0]) if away else np.zeros(count)
     pool = {"pair": found.pairs, "variant": [fit for _, fit in found.variants]}.get(found.kind, found.singles)
     fits = sorted((fit for fit in pool if fit.candidate.names in found.equivalent), key=lambda fit: fit.objective)
-    if len(fits) < 2:
+    if not fits:
         return np.zeros(count)
-    weights = np.exp(-0.5 * np.array([fit.objective - fits[0].objective for fit in fits]))
-    apart = np.array([fit.parameters[:count] - fits[0].parameters[:count] for fit in fits])
-    return np.asarray(np.sqrt((weights[:, None] * apart**2).sum(axis=0) / weights.sum()))
+    values = np.array([fit.parameters[:count] for fit in fits])
+    return scatter(values, values[0], np.array([fit.objective - fits[0].objective for fit in fits]))
 
 
 def _beyond_explanation(found: Search, at: Linearisation) -> Array:
