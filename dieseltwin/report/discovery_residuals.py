@@ -22,6 +22,8 @@ LEAST_STRETCH_S = 5.0
 CELLS = 8
 LEAST_ROWS = 10  # of a cell; the mean of fewer is noise
 Z_95 = 1.96
+MARGINS_IN, GAPS_IN = (0.65, 0.9, 0.55, 0.3), (0.2, 0.35)
+BAR_IN = (0.15, 0.15)  # of the maps' colours: its distance and its width
 SMALLEST_SCALE = 4.0  # of the maps' colours: less would paint chance in strong colours
 
 
@@ -105,7 +107,7 @@ def residual_map(found: Discovery, pair: tuple[str, str] = MAPS[0]) -> style.Rep
     number = len(curves.channels)
     mismatch = found.document.mismatch
     figure = Figure(figsize=(WIDTH_IN, 4.6 if mismatch else 2.7))
-    panels = figure.subplots(1 + mismatch, number, sharex=True, sharey=True, squeeze=False)
+    panels = style.grid_of_panels(figure, 1 + mismatch, number, MARGINS_IN, GAPS_IN, sharex=True, sharey=True)
     tables = [
         [over_noise(*cell_means(x, y, values[:, j], edges, LEAST_ROWS), float(widening[j])) for j in range(number)]
         for values in _standardised(curves)[0 if mismatch else 1 :]
@@ -125,7 +127,9 @@ def residual_map(found: Discovery, pair: tuple[str, str] = MAPS[0]) -> style.Rep
         axes.set_ylabel(quantities.axis_label(pair[1]))
     for axes in panels[-1]:
         axes.set_xlabel(quantities.axis_label(pair[0]))
-    figure.colorbar(image, ax=panels.ravel().tolist(), label="mean residual over its noise [–]")
+    lowest, highest = panels[-1, -1].get_position(), panels[0, -1].get_position()
+    bar = figure.add_axes((highest.x1 + BAR_IN[0] / WIDTH_IN, lowest.y0, BAR_IN[1] / WIDTH_IN, highest.y1 - lowest.y0))
+    figure.colorbar(image, cax=bar, label="mean residual over its noise [–]")
     name = "residual_map" if pair == MAPS[0] else "residual_map_actuators"
     title = "Residual structure over " + ("speed and load" if pair == MAPS[0] else "the actuators")
     words = captions.RESIDUAL_MAP if mismatch else captions.RESIDUAL_MAP_HEALTHY

@@ -1,4 +1,4 @@
-"""Files of several figures at once: half of them in a process beside, as drawing takes one core for seconds."""
+"""Files of several figures at once: half of the work in a process beside, as drawing takes one core for seconds."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ _PATIENCE, _PATIENCE_S = 3.0, 5.0  # times the own half's time, and seconds: a s
 def encode_all(figures: Sequence[ReportFigure], dpi: int = DPI) -> dict[str, bytes]:
     """Name -> bytes of the file, of every figure; the same bytes as one by one.
 
-    A fork takes every other figure where there may be one (`beside`). What it doesn't send in time is drawn here.
+    A fork takes half of them where there may be one (`beside`). What it doesn't send in time is drawn here.
     """
-    beside = figures[1::2] if len(figures) >= _LEAST and may_fork() else []
-    if not beside:
+    if len(figures) < _LEAST or not may_fork():
         return {figure.name: figure.encode(dpi) for figure in figures}
+    here, beside = _halves(figures)
     context = get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_send, args=(sender, beside, dpi), daemon=True)
     process.start()
     sender.close()
     begun = time.perf_counter()
-    encoded = {figure.name: figure.encode(dpi) for figure in figures[0::2]}
+    encoded = {figure.name: figure.encode(dpi) for figure in here}
     patience = _PATIENCE_S + _PATIENCE * (time.perf_counter() - begun)
     sent: dict[str, bytes] | None = None
     try:
@@ -40,6 +40,17 @@ def encode_all(figures: Sequence[ReportFigure], dpi: int = DPI) -> dict[str, byt
         process.kill()  # it has sent all, or never will
         process.join()
     return encoded | ({figure.name: figure.encode(dpi) for figure in beside} if sent is None else sent)
+
+
+def _halves(figures: Sequence[ReportFigure]) -> tuple[list[ReportFigure], list[ReportFigure]]:
+    """Two lists of figures that take about as long: the largest first, each to the list with fewer panels so far."""
+    halves: tuple[list[ReportFigure], list[ReportFigure]] = ([], [])
+    panels = [0, 0]
+    for figure in sorted(figures, key=lambda each: len(each.figure.axes), reverse=True):
+        lesser = panels.index(min(panels))
+        halves[lesser].append(figure)
+        panels[lesser] += 1 + len(figure.figure.axes)
+    return halves
 
 
 def _send(sender: Connection, figures: Sequence[ReportFigure], dpi: int) -> None:

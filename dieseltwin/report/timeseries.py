@@ -26,6 +26,7 @@ OUTLIER_FACTOR, OUTLIER_LEAST_PCT = (
     10.0,
     2.0,
 )  # a method beyond both leaves the error panel and is told in words
+MARGINS_IN, GAPS_IN, WIDTHS = (0.6, 0.05, 0.55, 0.6), (0.75, 0.35), (4.2, 1.5, 1.9)  # of panels of residuals
 RESIDUAL_LIMIT = 5.0  # axis of residuals in standard deviations; rarer ones are counted at the edge
 BREAK_GAP = 3.0  # a step in time longer than this many usual steps breaks the line
 
@@ -263,7 +264,7 @@ def residual_figure(results: Results, method: MethodResult) -> style.ReportFigur
         return None
     look = style.method_style(method.method)
     figure = Figure(figsize=(WIDTH_IN, 1.75 * len(found) + 0.7))
-    panels = figure.subplots(len(found), 3, width_ratios=[4.2, 1.5, 1.9], squeeze=False, sharex="col")
+    panels = style.grid_of_panels(figure, len(found), 3, MARGINS_IN, GAPS_IN, width_ratios=WIDTHS, sharex="col")
     grid = np.linspace(-RESIDUAL_LIMIT, RESIDUAL_LIMIT, 201)
     for row, (column, (time, values)) in zip(panels, found.items(), strict=True):
         over_time, histogram, correlation = row
@@ -318,7 +319,7 @@ def residual_figure(results: Results, method: MethodResult) -> style.ReportFigur
         Line2D([], [], color=style.TRUTH, label="standard normal"),
         Line2D([], [], color=style.BAND_OF_TRUTH, linewidth=8, label="±2 σ; 95 % range of white noise"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    figure.legend(handles=handles, loc="upper center", ncols=len(handles))
     slug = style.slug(method.method)
     title = f"Residuals of {look.label}"
     return style.ReportFigure(f"residuals_{slug}", title, _verdict(look.label, found), figure, kind="png")
