@@ -115,6 +115,12 @@ def nearer(base: Linearisation, fits: Sequence[Fit], before: Sequence[Fit]) -> l
     return [min(fit, judged.get(fit.candidate.names, fit), key=lambda each: each.objective) for fit in fits]
 
 
+def widen(at: Linearisation, factor: float) -> None:
+    """Intervals for an explanation that is not quite right, by what it leaves over what chance leaves (Birge)."""
+    at.covariance = factor * at.covariance
+    at.fit = replace(at.fit, covariance=at.covariance)
+
+
 def scatter(values: Array, about: Array, behind: Array) -> Array:
     """Deviation (P,) over rivals (F, P) from what is reported (P,), each by its likelihood.
 

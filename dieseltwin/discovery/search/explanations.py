@@ -14,7 +14,7 @@ from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.twin import LawTwin
 from dieseltwin.discovery.laws.unnamed import best_term
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
-from dieseltwin.discovery.likelihood.refit import refit_all
+from dieseltwin.discovery.likelihood.refit import refit_all, widen
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
 from dieseltwin.discovery.search.preparation import in_own_metrics, recentred, tolerance_responses
 from dieseltwin.discovery.search.state import Search, set_probabilities
@@ -292,7 +292,8 @@ def choose(found: Search, first: Linearisation | None) -> None:
     ):
         found.refused, found.kind = kind, "law"
         return
-    _widen(found.best, left / settings.chance_leaves)
+    found.widening = max(1.0, left / settings.chance_leaves)
+    widen(found.best, found.widening)
     set_probabilities(found, kind)
 
 
@@ -350,13 +351,6 @@ def _one_term_explains_more(found: Search, value: float) -> bool:
     """
     needed = value + found.settings.law_gain
     return best_term(found.twin, found.whitening, found.null, found.nameless(), needed) > needed
-
-
-def _widen(at: Linearisation, over_chance: float) -> None:
-    """Intervals for an explanation that isn't quite right: wider by what it leaves over what chance leaves (Birge)."""
-    factor = max(1.0, over_chance)
-    at.covariance = factor * at.covariance
-    at.fit = replace(at.fit, covariance=at.covariance)
 
 
 def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:

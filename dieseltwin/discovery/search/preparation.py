@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_of, widened
-from dieseltwin.discovery.likelihood.circumstances import at_estimates, circumstance_nuisances, open_circumstances
+from dieseltwin.discovery.likelihood.circumstances import at_estimates, circumstance_nuisances
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import (
@@ -267,12 +267,12 @@ def recentred(found: Search, fit: Fit) -> Linearisation:
 
 
 def beside_fine_maps(found: Search, at: Linearisation) -> Linearisation:
-    """A fit with maps that may be off in all the detail that is believed, for what it says of circumstances.
+    """A fit with maps that may be off in all the detail that is believed, for what it says of circumstances and health.
 
     The leading modes carry little of a map's error where the engine seldom is. There the weather shows best: what they
     leave out, a twentieth of a tolerance, moved it by up to four standard deviations.
     """
-    if not open_circumstances(at.twin) or belief_of(at.twin) is not None or isinstance(at.twin, KnownErrors):
+    if belief_of(at.twin) is not None or isinstance(at.twin, KnownErrors):
         return at
     own = tolerances(at.twin, at, found.settings, FINE)
     if len(own) * at.simulated.size > _MOST_NUMBERS:

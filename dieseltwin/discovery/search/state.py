@@ -26,7 +26,8 @@ class Search:
 
     `null` is the health-only fit, `best` the explanation; `second_effect_gain` is what the best second effect would
     gain beside the best single one, `spreads` which share of it each second effect keeps without its best window.
-    `stage` is what is looked at, `unfinished` the stages that no time was left for. `unsettled` are the explanations
+    `stage` is what is looked at, `unfinished` the stages that no time was left for. `widening` is the factor of
+    the variances of `best` beyond its own fit's. `unsettled` are the explanations
     that led in turns when the likelihood was renewed about the leading one; none where it stayed the same.
     """
 
@@ -48,6 +49,7 @@ class Search:
     left: list[Structure] = field(default_factory=list)
     left_local: list[Structure] = field(default_factory=list)
     best: Linearisation | None = None
+    widening: float = 1.0
     kind: str = "healthy"
     probabilities: dict[str, float] = field(default_factory=dict)
     equivalent: list[tuple[str, ...]] = field(default_factory=list)

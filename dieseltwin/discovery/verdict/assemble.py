@@ -34,7 +34,7 @@ from dieseltwin.discovery.verdict.document import (
 )
 from dieseltwin.discovery.verdict.document import Fit as FitFigures
 from dieseltwin.discovery.verdict.effect_curve import effect_curves
-from dieseltwin.discovery.verdict.explained import disagreement, explained_at
+from dieseltwin.discovery.verdict.explained import disagreement, explained_at, in_all_detail
 from dieseltwin.discovery.verdict.findings import finite
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
 from dieseltwin.discovery.verdict.observed import observed
@@ -75,9 +75,10 @@ def assemble(
     twin = cast(EngineTwin | SeveralTwin, found.twin)
     mismatch = found.kind != "healthy"
     at = explained_at(found)
-    after, parameters = at.simulated, at.fit.parameters[: len(twin.parameters)]
+    fine = in_all_detail(found, at)
+    after, parameters = at.simulated, fine.fit.parameters[: len(twin.parameters)]
     apart = disagreement(found, at)
-    own = at.covariance[: apart.size, : apart.size] + np.diag(apart**2)
+    own = fine.covariance[: apart.size, : apart.size] + np.diag(apart**2)
     covariance = no_better_than_then(own, parameters, then)
     since = since_reference(at, found.twin, apart)
     evidence = _evidence(found, after)
@@ -88,7 +89,7 @@ def assemble(
         mismatch=mismatch,
         p_value=p_value(found),
         location=onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None,
-        effects=with_words(findings.effects(found), differ) if mismatch else (),
+        effects=with_words(findings.effects(found, fine.fit), differ) if mismatch else (),
         more_is_missing=found.more_is_missing(),
         health=health_values(found, (parameters, covariance), since),
         fit=fit_figures(found, after),
@@ -96,10 +97,10 @@ def assemble(
         provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
         out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
         recordings=judged(found, days, (parameters, covariance), since, sizes),
-        circumstances=_circumstances(found, after),
+        circumstances=_circumstances(found, fine, after),
     )  # fmt: skip
     before_engine = _engine(twin, null.fit.parameters, ())
-    terms = _terms(found, twin) if mismatch else ()
+    terms = _terms(found, twin, fine.fit) if mismatch else ()
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
@@ -111,7 +112,8 @@ def assemble(
         allowed=_allowed(found, after),
     )  # fmt: skip
     details = details_of_search(found, rows, best)
-    starts, local = twin.starts, twin.initial(_local(found))
+    law = found.law if found.kind == "law" else None
+    starts, local = twin.starts, twin.initial(fine.fit.local if law is None else law.local)
     if isinstance(twin, SeveralTwin):
         starts, local = twin.parts[-1].starts, local[-twin.parts[-1].starts.size :]
     return Discovery(
@@ -139,11 +141,11 @@ def together_sha256(recordings: Sequence[Recording]) -> str:
     return hashlib.sha256("".join(sorted(item.sha256 for item in recordings)).encode()).hexdigest()
 
 
-def _circumstances(found: Search, after: Array) -> tuple[FoundCircumstance, ...]:
-    """What the recording says of its circumstances under the explanation that was chosen."""
-    chosen = found.best if found.best is not None and found.kind != "law" else None
-    left = None if chosen is not None else found.twin.measured - after
-    said = estimates(beside_fine_maps(found, chosen or found.null), left)
+def _circumstances(found: Search, fine: Linearisation, after: Array) -> tuple[FoundCircumstance, ...]:
+    """What the recording says of its circumstances under the explanation that was chosen, `fine` of `in_all_detail`."""
+    named = found.best is not None and found.kind != "law"
+    at = fine if named or found.kind == "healthy" else beside_fine_maps(found, found.null)
+    said = estimates(at, None if named else found.twin.measured - after)
     return tuple(found_circumstance(item) for item in said)
 
 
@@ -154,14 +156,6 @@ def found_circumstance(estimate: Estimate) -> FoundCircumstance:
         name=item.plain, value=estimate.value, std=estimate.std, assumed=item.assumed, unit=item.unit, off=estimate.off,
         equivalent_names=item.effects, recording=None if item.recording is None else 1 + item.recording,
     )  # fmt: skip
-
-
-def _local(found: Search) -> Array:
-    """Initial states (W, 1) of the chosen explanation."""
-    if found.kind == "law" and found.law is not None:
-        return found.law.local
-    at = found.best if found.best is not None and found.kind != "law" else found.null
-    return at.fit.local
 
 
 def _options_hash(options: Options) -> str:
@@ -238,12 +232,9 @@ def _held_rows(found: Search) -> np.ndarray:
     return rows_of(found.twin, held_windows(found.twin))
 
 
-def _terms(found: Search, twin: EngineTwin | SeveralTwin) -> tuple[Any, ...]:
+def _terms(found: Search, twin: EngineTwin | SeveralTwin, fit: Fit) -> tuple[Any, ...]:
     if found.kind == "law":
         return () if found.law is None else law_terms_of(found.law, twin.points)
-    at = found.best
-    if at is None:
-        return ()
     P = len(twin.parameters)
     variant = found.variant if found.kind == "variant" else None
     onset, share = None, 1.0  # of its size, on the last recording
@@ -252,11 +243,11 @@ def _terms(found: Search, twin: EngineTwin | SeveralTwin) -> tuple[Any, ...]:
     if variant is not None and variant.profile is not None:
         share = float(variant.schedule[-1])
     terms = []
-    for j, name in enumerate(at.fit.candidate.names):
+    for j, name in enumerate(fit.candidate.names):
         terms.append(
             Term(
-                effect=name, magnitude=float(np.clip(share * at.fit.magnitudes[j], *EFFECTS[name].limits)),
-                std=finite(share * float(at.fit.std[P + j])), onset_s=onset,
+                effect=name, magnitude=float(np.clip(share * fit.magnitudes[j], *EFFECTS[name].limits)),
+                std=finite(share * float(fit.std[P + j])), onset_s=onset,
                 region=dict(variant.region) if variant is not None and variant.region else None,
                 valid_for=findings.valid_for(found),
             )

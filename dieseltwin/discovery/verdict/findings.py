@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.special import expit, logsumexp
 
+from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.search.run import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
@@ -103,16 +104,17 @@ def _smooth(values: Array, width: int = 5) -> Array:
     return np.convolve(values, np.ones(width) / width, mode="same")
 
 
-def effects(found: Search) -> tuple[FoundEffect, ...]:
-    """What was left out, strongest first."""
+def effects(found: Search, fit: Fit | None = None) -> tuple[FoundEffect, ...]:
+    """What was left out, strongest first; `fit` of the chosen explanation gives the sizes, None: as it was chosen."""
     if found.kind == "law":
         return (_unnamed(found),)
-    at = found.best
-    if at is None:
-        return ()
+    if fit is None:
+        if found.best is None:
+            return ()
+        fit = found.best.fit
     P = len(found.twin.parameters)
     entries = []
-    names = at.fit.candidate.names
+    names = fit.candidate.names
     pool = found.equivalent
     for j, name in enumerate(names):
         effect = found.twin.hypotheses[name]
@@ -131,8 +133,8 @@ def effects(found: Search) -> tuple[FoundEffect, ...]:
         entries.append(
             FoundEffect(
                 name=name, probability=float(min(probability, 1.0)), equivalent_names=tuple(equivalents),
-                law=effect.law, magnitude=float(at.fit.magnitudes[j]),
-                std=finite(float(at.fit.std[P + j])), unit=effect.unit, valid_for=valid_for(found),
+                law=effect.law, magnitude=float(fit.magnitudes[j]),
+                std=finite(float(fit.std[P + j])), unit=effect.unit, valid_for=valid_for(found),
                 split_by=split_by(found, name, equivalents) if equivalents else None,
             )
         )

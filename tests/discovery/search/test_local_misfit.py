@@ -12,7 +12,7 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.search.run import Search, run
 from dieseltwin.discovery.twins.diesel import EngineTwin
-from dieseltwin.discovery.verdict.explained import disagreement
+from dieseltwin.discovery.verdict.explained import disagreement, in_all_detail
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.terms import LawGroup, LawTerm
 from dieseltwin.recordings.reader import recording
@@ -55,10 +55,27 @@ def test_a_bump_of_a_map_gets_no_name(bumped: Search) -> None:
     assert bumped.share_explained() == 0.0 and bumped.more_is_missing()
 
 
-def test_a_healthy_machine_has_no_bumps() -> None:
-    found = _searched(False)
-    assert found.kind == "healthy" and not found.more_is_missing() and found.share_explained() is None
-    assert max(item.gain for item in found.local) < found.settings.local_gain
+@pytest.fixture(scope="module")
+def healthy() -> Search:
+    return _searched(False)
+
+
+def test_a_healthy_machine_has_no_bumps(healthy: Search) -> None:
+    assert healthy.kind == "healthy" and not healthy.more_is_missing() and healthy.share_explained() is None
+    assert max(item.gain for item in healthy.local) < healthy.settings.local_gain
+
+
+def test_health_is_told_beside_maps_in_all_detail(healthy: Search) -> None:
+    at, count = healthy.null, len(healthy.twin.parameters)
+    fine = in_all_detail(healthy, at)
+    assert len(fine.nuisance_response) > len(at.nuisance_response)
+    std = np.sqrt(np.diag(fine.covariance)[:count])
+    leading = np.sqrt(np.diag(at.covariance)[:count])
+    assert (std >= leading).all() and (std > 1.001 * leading).any()
+    wider = in_all_detail(replace(healthy, widening=4.0), at)
+    assert wider.covariance == pytest.approx(4.0 * fine.covariance)
+    assert wider.fit.std[:count] == pytest.approx(2.0 * std)
+    assert in_all_detail(replace(healthy, kind="law"), at) is at
 
 
 def test_the_law_of_an_engine_file_is_the_bump_itself() -> None:
