@@ -21,7 +21,7 @@ from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import Belief, prior_belief
+from dieseltwin.learning.belief import prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
 from dieseltwin.learning.files import LearnedEngine, distinct, learned_engine_of, save_learned
 from dieseltwin.learning.levels import health_covariance
@@ -155,7 +155,11 @@ def _learn_diesel(
     size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
     own = {item.sha256 for item in (*sources, *(before.recordings if before is not None else ()))}
     others = _siblings(siblings, base, size, own)
-    prior = belief_from_siblings(others, base, size, settings.type_share) if others else None
+    prior = None
+    if others:
+        beliefs = [(one.believed, one.belief) for one in others]
+        roughness = float(np.mean([one.roughness for one in others]))
+        prior = belief_from_siblings(beliefs, base, size, settings.type_share, roughness)
     known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in sources:
         _check_misfit(known, source, settings.misfit_max)
@@ -178,8 +182,8 @@ def known_engine(
 
 def _siblings(
     siblings: Sequence[str | Path], base: EngineParameters, map_rms: float, own: AbstractSet[str]
-) -> list[tuple[Belief, Belief]]:
-    """What was believed of every engine of the type before and after it was learned, each once, in an order of its own.
+) -> list[LearnedEngine]:
+    """Every engine of the type, each once, in an order of its own.
 
     Args:
         own: hashes of the new engine's recordings, on which no sibling may rest.
@@ -200,7 +204,7 @@ def _siblings(
             raise InputError(f"--siblings {name}", "learned from another base engine", "the base of the new engine",
                              "name the same --engine")
         found["".join(item.sha256 for item in one.recordings)] = one
-    return [(found[key].believed, found[key].belief) for key in sorted(found)]
+    return [found[key] for key in sorted(found)]
 
 
 def _maps_of(engine: EngineParameters) -> EngineParameters:
@@ -228,6 +232,10 @@ def summary(learned: LearnedEngine) -> list[str]:
         f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
+    if learned.roughness > 0.0:
+        further = 100.0 * learned.map_rms * learned.roughness**0.5
+        lines.append(f"  its maps are rougher than usual: further errors of {further:.2g} % with half the correlation "
+                     "are believed")  # fmt: skip
     known = {row.point: row for row in corrected_maps(learned)}
     for point in CORRECTED_POINTS:
         if point not in known:

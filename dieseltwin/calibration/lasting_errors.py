@@ -45,7 +45,7 @@ def with_lasting_errors(
     columns: dict[str, NDArray[np.float64]] = {}
     found = []
     for m, name in enumerate(CORRECTED_POINTS):
-        for k, mode in enumerate(_leading(along[basis().maps == m])):
+        for k, mode in enumerate(_leading(along[_smooth(m)])):
             label = f"{MAP_MODE}{name}:{k}"
             columns[label] = believed.map_beside_reference * mode
             found.append(Coefficient(label, SUBMODEL_OF[name], 0.0, 1.0, -_MOST, _MOST, "-", "smooth error of the map"))
@@ -81,12 +81,17 @@ def map_corrections(
     along = basis_along(_variables(points, model, values))
     coefficients = np.zeros(len(along))
     for m, point in enumerate(CORRECTED_POINTS):
-        functions, own = basis().maps == m, [name for name in modes if name.split(":")[1] == point]
+        functions, own = _smooth(m), [name for name in modes if name.split(":")[1] == point]
         error = np.sum([values[name] * points[name] for name in own], axis=0)
         A = believed.map_beside_reference * along[functions].T / _TOLD
         smallest = np.linalg.solve(A.T @ A + np.eye(A.shape[1]), A.T @ (error / _TOLD))
         coefficients[functions] = believed.map_beside_reference * smallest
     return coefficients
+
+
+def _smooth(m: int) -> NDArray[np.bool_]:
+    """(K,) which functions are the smooth ones of a map: settled points are too few for finer ones."""
+    return np.asarray((basis().maps == m) & ~basis().finer)
 
 
 def _variables(points: SteadyPoints, model: SteadyModel, values: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:

@@ -4,11 +4,14 @@ A correction is a sum of fixed smooth functions, the leading ones of a Gaussian 
 kernel (Rasmussen & Williams, 2006, sections 4.2 and 4.3) over fixed ranges of the map's arguments. They are the same
 for every recording and every engine, so that a coefficient learned on one keeps its meaning on the next. A coefficient
 of one is one standard deviation of a correction of 100 % rms.
+
+Finer functions stand behind them, for engines whose reference says that its maps are rougher: with the smooth ones they
+hold errors of half the correlation length.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -32,8 +35,13 @@ RANGES: dict[str, tuple[float, float]] = {
 CORRELATION_LENGTH = 0.25
 """Of the ranges: of a third of what is usually driven, which is some three quarters of them [-]."""
 
+FINER_LENGTH = 0.5 * CORRELATION_LENGTH
+"""Correlation length of errors that the finer functions are for, of the ranges [-]."""
+
 NODES = 41
 _KEPT_VARIANCE = 0.998  # of a correction; the rest of 2 % rms is 0.09 %
+_KEPT_OF_FINER = 0.98  # of one of the finer length; with 0.95 one of three healthy rough engines kept its alarm
+_FINER_ORDERS = 10  # of one argument, behind those of the smooth functions; what is left out of its variance is 1e-6
 
 
 @dataclass(frozen=True)
@@ -43,39 +51,99 @@ class Basis:
     Attributes:
         tables: (K, NODES, NODES) each on the grid of its map's arguments, of unit prior variance.
         maps: (K,) index of each one's map in `CORRECTED_POINTS`.
-        names: (K,) "W_t 1", "W_t 2", ...
+        names: (K,) "W_t 1", "W_t 2", ..., then "W_t finer 1", ...
+        finer: (K,) whether it is one of the finer ones.
+        finer_covariance: (K, K) of the coefficients of an error of unit rms and the finer length.
     """
 
     tables: np.ndarray
     maps: np.ndarray
     names: tuple[str, ...]
+    finer: np.ndarray
+    finer_covariance: np.ndarray
 
 
 @lru_cache(maxsize=1)
 def basis() -> Basis:
-    """The fixed basis, most important functions of each map first."""
+    """The fixed basis, most important functions of each map first, the finer ones of all maps behind the smooth."""
+    values, vectors = _modes(_kernel(CORRELATION_LENGTH))
+    smooth = [(m, pair) for m in range(len(CORRECTED_POINTS)) for pair in _leading(m, values, _KEPT_VARIANCE)]
+    orders = 1 + max(max(pair) for _, pair in smooth)
+    vectors = vectors[:, :orders]
+    rest = np.eye(NODES) - vectors @ vectors.T
+    further = _modes(rest @ _kernel(FINER_LENGTH) @ rest)[1][:, :_FINER_ORDERS]
+    vectors = np.concatenate([vectors, further], axis=1)  # orthonormal functions of one argument
+    spread = vectors.T @ _kernel(FINER_LENGTH) @ vectors  # covariance of an error of the finer length along them
+    known = set(smooth)
+    finer = [
+        (m, pair)
+        for m in range(len(CORRECTED_POINTS))
+        for pair in _leading(m, np.diag(spread), _KEPT_OF_FINER, {p for n, p in known if n == m})
+    ]
+    both = [*smooth, *finer]
+    maps, first, second = (np.array(column) for column in zip(*((m, *pair) for m, pair in both), strict=True))
+    sizes = np.sqrt([
+        _variance(values if k < len(smooth) else np.diag(spread), pair) for k, (_, pair) in enumerate(both)
+    ])  # fmt: skip
+    tables = [
+        size * np.outer(vectors[:, i], vectors[:, j] if j >= 0 else np.ones(NODES))
+        for size, (_, (i, j)) in zip(sizes, both, strict=True)
+    ]
+    along_second = np.where(np.minimum.outer(second, second) >= 0, spread[np.ix_(second, second)], 1.0)
+    covariance = np.equal.outer(maps, maps) * spread[np.ix_(first, first)] * along_second
+    names = [*_numbered(smooth, ""), *_numbered(finer, "finer ")]
+    return Basis(
+        np.array(tables), maps, tuple(names), np.arange(len(both)) >= len(smooth), covariance / np.outer(sizes, sizes)
+    )
+
+
+def _kernel(length: float) -> np.ndarray:
+    """Covariance (NODES, NODES) of a random function of one argument, of unit variance."""
     at = np.linspace(0.0, 1.0, NODES)
-    values, vectors = np.linalg.eigh(np.exp(-0.5 * (np.subtract.outer(at, at) / CORRELATION_LENGTH) ** 2))
+    return np.asarray(np.exp(-0.5 * (np.subtract.outer(at, at) / length) ** 2))
+
+
+def _modes(kernel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Variances, largest first, and modes (NODES, NODES), one a column."""
+    values, vectors = np.linalg.eigh(kernel)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    vectors = vectors * np.sign(vectors[-1])  # a vector's sign is any; its last element is never zero
-    along = (np.sqrt(values) * vectors).T  # (NODES, NODES) functions of one argument
-    tables, maps, names = [], [], []
-    for m, point in enumerate(CORRECTED_POINTS):
-        if len(ARGUMENTS[point]) == 1:
-            pairs = [(i, -1) for i in range(NODES)]
-            shares = values / values.sum()
-        else:
-            pairs = [(i, j) for i in range(NODES) for j in range(NODES)]
-            shares = np.outer(values, values).ravel() / values.sum() ** 2
-        # rounded, so that the order of the pairs (i, j) and (j, i) is that of their names on every machine
-        order = sorted(range(len(pairs)), key=lambda k: (-float(f"{shares[k]:.9g}"), pairs[k]))
-        count = int(np.searchsorted(np.cumsum(shares[order]), _KEPT_VARIANCE)) + 1
-        for number, k in enumerate(order[:count]):
-            i, j = pairs[k]
-            tables.append(np.outer(along[i], along[j] if j >= 0 else np.ones(NODES)))
-            maps.append(m)
-            names.append(f"{point} {number + 1}")
-    return Basis(np.array(tables), np.array(maps), tuple(names))
+    return values, vectors * np.sign(vectors[-1])  # a mode's sign is any; its last element is never zero
+
+
+def _leading(
+    m: int, values: np.ndarray, kept: float, known: Collection[tuple[int, int]] = ()
+) -> list[tuple[int, int]]:
+    """Orders of the functions of a map, one of each argument, that with those known carry a share of the variance.
+
+    Args:
+        m: of the map; the second order of a map of one argument is -1.
+        values: variance along each order; kept: share that is carried.
+        known: orders of functions that are there already.
+    """
+    if len(ARGUMENTS[CORRECTED_POINTS[m]]) == 1:
+        pairs = [(i, -1) for i in range(values.size)]
+    else:
+        pairs = [(i, j) for i in range(values.size) for j in range(values.size)]
+    shares = {pair: _variance(values, pair) for pair in pairs}
+    # the variance of a function of unit variance is NODES, along each argument
+    whole = float(NODES) ** len(ARGUMENTS[CORRECTED_POINTS[m]])
+    # rounded, so that the order of the pairs (i, j) and (j, i) is that of their names on every machine
+    order = sorted((p for p in pairs if p not in known), key=lambda p: (-float(f"{shares[p]:.9g}"), p))
+    carried = sum(shares[pair] for pair in known) + np.cumsum([shares[pair] for pair in order])
+    return order[: int(np.searchsorted(carried / whole, kept)) + 1]
+
+
+def _variance(of_order: np.ndarray, pair: tuple[int, int]) -> float:
+    """Of a function with an order of each argument."""
+    return float(of_order[pair[0]] * (of_order[pair[1]] if pair[1] >= 0 else 1.0))
+
+
+def _numbered(functions: Sequence[tuple[int, tuple[int, int]]], kind: str) -> Iterator[str]:
+    """Names of the functions of each map, in their order."""
+    count = dict.fromkeys(range(len(CORRECTED_POINTS)), 0)
+    for m, _ in functions:
+        count[m] += 1
+        yield f"{CORRECTED_POINTS[m]} {kind}{count[m]}"
 
 
 @dataclass(frozen=True)

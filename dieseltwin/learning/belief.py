@@ -22,6 +22,10 @@ SENSOR_GAIN, SENSOR_OFFSET = 0.005, 0.003
 offset is a property of the sensor, not of what was driven."""
 
 
+HELD = 1e-6
+"""Standard deviation of a finer function's coefficient where maps are believed smooth: so small that none shows [-]."""
+
+
 def coordinate_names() -> tuple[str, ...]:
     """Names of a belief's coordinates: health, coefficients of the corrections, gains, offsets."""
     return (
@@ -66,6 +70,11 @@ class Belief:
         return self.mean[MAPS_AT]
 
     @property
+    def free(self) -> np.ndarray:
+        """(K,) which of the corrections' functions may be there at all."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[MAPS_AT]) > 2.0 * HELD)
+
+    @property
     def gains(self) -> Array:
         """Mean relative error of every sensor, (C,) [-]."""
         return self.mean[GAINS_AT]
@@ -75,30 +84,51 @@ class Belief:
         """Mean offset of every sensor, (C,) [unit of the column]."""
         return self.mean[OFFSETS_AT]
 
+    @property
+    def open(self) -> np.ndarray:
+        """(D,) the coordinates without the functions that aren't free."""
+        out = np.ones(self.mean.size, dtype=bool)
+        out[MAPS_AT] = self.free
+        return out
+
     @cached_property
     def factor(self) -> Array:
-        """(D, D) whose product with its transpose is the covariance."""
-        scale = np.sqrt(np.diag(self.covariance))
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
-        return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        """(D, F) whose product with its transpose is the covariance of the F coordinates that are open."""
+        which = self.open
+        covariance = self.covariance[np.ix_(which, which)]
+        scale = np.sqrt(np.diag(covariance))
+        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+        out = np.zeros((which.size, scale.size))
+        out[which] = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        return out
 
     def truthful(self, readings: Array) -> Array:
         """Readings (..., C) of the sensors -> what they would be without the sensors' mean errors."""
         return (readings - self.offsets) / (1.0 + self.gains)
 
 
-def prior_belief(engine: EngineParameters, map_rms: float) -> Belief:
+def prior_belief(engine: EngineParameters, map_rms: float, roughness: float = 0.0) -> Belief:
     """What is believed before any recording.
 
     Args:
         engine: gives the means of the health parameters.
         map_rms: size of the maps' smooth relative errors [-].
+        roughness: variance of further errors of half the correlation length, over that of the smooth ones [-].
     """
     health = np.array(engine.health())
     mean = np.zeros(OFFSETS_AT.stop)
     mean[HEALTH_AT] = health
     std = np.concatenate([
-        HEALTH_PRIOR * health, np.full(len(basis().names), map_rms), np.full(len(MEASURED), SENSOR_GAIN),
+        HEALTH_PRIOR * health, np.where(basis().finer, HELD, map_rms), np.full(len(MEASURED), SENSOR_GAIN),
         SENSOR_OFFSET * np.array([sensor.usual for sensor in SENSORS]),
     ])  # fmt: skip
-    return Belief(mean, np.diag(std**2))
+    return rougher(Belief(mean, np.diag(std**2)), map_rms, roughness)
+
+
+def rougher(belief: Belief, map_rms: float, roughness: float) -> Belief:
+    """A belief with further errors of the maps, of half the correlation length; arguments as of `prior_belief`."""
+    if roughness == 0.0:
+        return belief
+    covariance = belief.covariance.copy()
+    covariance[MAPS_AT, MAPS_AT] += roughness * map_rms**2 * basis().finer_covariance
+    return Belief(belief.mean, covariance)

@@ -27,7 +27,7 @@ from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
 from dieseltwin.engine.learned_file import LEARN_AGAIN, LEARNED, SHA256, WITHOUT_THREADS, learned_bytes
 from dieseltwin.engine.terms import CorrectionTerm
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief
+from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief, rougher
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
@@ -52,6 +52,8 @@ class LearnedEngine:
         domain: point -> lowest and highest of each argument where the belief was cut to less than half.
         misfits: hash -> squared whitened residual a reading.
         prior: what was believed before any recording, where engines of the same type say it; None for the usual.
+        roughness: variance of errors of half the correlation length, over that of the smooth ones, that the recordings
+            ask for; it is part of what is believed, and of no `prior` [-].
     """
 
     base: EngineParameters
@@ -61,11 +63,13 @@ class LearnedEngine:
     domain: dict[str, dict[str, tuple[float, float]]]
     misfits: dict[str, float]
     prior: Belief | None = None
+    roughness: float = 0.0
 
     @property
     def believed(self) -> Belief:
-        """What was believed before any recording."""
-        return prior_belief(self.base, self.map_rms) if self.prior is None else self.prior
+        """What was believed before any recording, of maps as rough as these."""
+        usual = prior_belief(self.base, self.map_rms) if self.prior is None else self.prior
+        return rougher(usual, self.map_rms, self.roughness)
 
     @property
     def engine(self) -> EngineParameters:
@@ -132,6 +136,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
     table = pa.table(columns)
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
+        "roughness": learned.roughness,
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -173,7 +178,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
     return LearnedEngine(
         base, belief, float(about["map_rms"]), tuple(_recording(row, data, base) for row, data in known),
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
-        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior,
+        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, float(about["roughness"]),
     )  # fmt: skip
 
 

@@ -42,13 +42,14 @@ def without_shape(belief: Belief, believed: Belief, functions: dict[str, Array])
     seen = (vectors * np.maximum(values, 0.0)) @ vectors.T  # rounding makes directions that nothing says negative
     maps = basis().maps
     for name, along in functions.items():
-        at = np.flatnonzero(maps == CORRECTED_POINTS.index(name)) + MAPS_AT.start
+        own = maps == CORRECTED_POINTS.index(name)
+        at, along = np.flatnonzero(own & believed.free) + MAPS_AT.start, along[believed.free[own]]
         mean = along.mean(axis=1)
         gram = along @ along.T / along.shape[1] + _MET**2 * np.eye(len(at))
         constant = np.linalg.solve(gram, mean) / scale[at]
         mean = mean * scale[at]
         constant /= float(mean @ constant)
-        own = prior[np.ix_(at, at)]
+        before = prior[np.ix_(at, at)]
         product = np.zeros(len(prior))  # more of the one and less of the other: no reading shows it
         health = HEALTH.index(LEVELS[name])
         product[health], product[at] = belief.mean[health] / scale[health], -constant
@@ -56,7 +57,7 @@ def without_shape(belief: Belief, believed: Belief, functions: dict[str, Array])
         if product @ shown > 0.0:  # where the flow's slope has no limit, linear responses to the two differ
             seen = seen - np.outer(shown, shown) / float(product @ shown)
         shape = np.eye(len(at)) - np.outer(constant, mean)
-        prior[np.ix_(at, at)] = shape @ own @ shape.T + float(mean @ own @ mean) * np.outer(constant, constant)
+        prior[np.ix_(at, at)] = shape @ before @ shape.T + float(mean @ before @ mean) * np.outer(constant, constant)
     covariance = np.linalg.inv(seen + np.linalg.inv(prior))
     return np.asarray((0.5 * (covariance + covariance.T) * across)[HEALTH_AT, HEALTH_AT])
 

@@ -16,10 +16,13 @@ import numpy as np
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.belief import MAPS_AT, Array, Belief, prior_belief
 
+_LEAST_SHARE = 1e-12  # where nothing is the type's
+
 
 def belief_from_siblings(
-    siblings: Sequence[tuple[Belief, Belief]], engine: EngineParameters, map_rms: float, type_share: float
-) -> Belief:
+    siblings: Sequence[tuple[Belief, Belief]], engine: EngineParameters, map_rms: float, type_share: float,
+    roughness: float = 0.0,
+) -> Belief:  # fmt: skip
     """What is believed of a new engine of a type of which some engines were learned.
 
     Args:
@@ -27,21 +30,23 @@ def belief_from_siblings(
         engine: base of the new one, with the same published maps.
         map_rms: size of the maps' smooth relative errors [-].
         type_share: of their variance that is the type's, 0-1 [-].
+        roughness: of the maps of the type (`learning.belief.prior_belief`) [-].
     """
-    prior = prior_belief(engine, map_rms)
-    own = (1.0 - type_share) * map_rms**2
-    count = MAPS_AT.stop - MAPS_AT.start
-    information, vector = np.eye(count) / max(type_share * map_rms**2, 1e-30), np.zeros(count)
+    prior = prior_belief(engine, map_rms, roughness)
+    believed = prior.covariance[MAPS_AT, MAPS_AT]
+    own = (1.0 - type_share) * believed
+    count = len(believed)
+    information, vector = np.linalg.inv(believed) / max(type_share, _LEAST_SHARE), np.zeros(count)
     for before, after in siblings:
         seen, pushed = _factor(before, after)
-        kept = np.linalg.inv(np.eye(count) + own * seen)
+        kept = np.linalg.inv(np.eye(count) + seen @ own)
         some = kept @ seen
         information += 0.5 * (some + some.T)
         vector += kept @ pushed
     of_type = np.linalg.inv(information)
     mean, covariance = prior.mean.copy(), prior.covariance.copy()
     mean[MAPS_AT] = of_type @ vector
-    covariance[MAPS_AT, MAPS_AT] = 0.5 * (of_type + of_type.T) + own * np.eye(count)
+    covariance[MAPS_AT, MAPS_AT] = 0.5 * (of_type + of_type.T) + own
     return Belief(mean, covariance)
 
 

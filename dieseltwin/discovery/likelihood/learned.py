@@ -49,11 +49,19 @@ def belief_of(twin: Twin) -> Belief | None:
     return twin.belief if isinstance(twin, LearnedTwin) else None
 
 
-def map_columns(twin: Twin, lanes: Lanes, simulated: Array) -> Array:
-    """Responses (K, n, C) of the readings to every coefficient of the corrections, next to one lane."""
-    points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps]
-    signals = _SMALL * basis_along(twin.variables(lanes))
-    return signal_responses(twin, lanes, simulated, points, signals, linear=True) / _SMALL
+def map_columns(twin: Twin, lanes: Lanes, simulated: Array, which: np.ndarray) -> Array:
+    """Responses (K, n, C) of the readings to the coefficients of the corrections, next to one lane.
+
+    Args:
+        twin: bound to its recording.
+        lanes: one; simulated: its readings (n, C).
+        which: (K,) whose responses are asked; those of the others are nought.
+    """
+    columns = np.zeros((which.size, *simulated.shape))
+    points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps[which]]
+    signals = _SMALL * basis_along(twin.variables(lanes))[which]
+    columns[which] = signal_responses(twin, lanes, simulated, points, signals, linear=True) / _SMALL
+    return columns
 
 
 def learned_nuisances(
@@ -67,7 +75,7 @@ def learned_nuisances(
         whitening: of the readings.
     """
     columns = np.zeros((belief.mean.size, *simulated.shape))
-    columns[MAPS_AT] = map_columns(twin, lanes, simulated)
+    columns[MAPS_AT] = map_columns(twin, lanes, simulated, belief.free)
     for j, name in enumerate(twin.channels):
         channel = MEASURED.index(name)
         factor = 1.0 / (1.0 + belief.gains[channel])
@@ -99,11 +107,11 @@ def about(twin: Twin, lanes: Lanes, nuisances: Sequence[Nuisance], estimate: Arr
         lanes: one, next to which the responses are taken.
         nuisances, estimate: directions, and (K,) where along them in standard deviations.
     """
-    if not isinstance(twin, LearnedTwin):
+    if not isinstance(twin, LearnedTwin) or twin.belief is None:
         return twin
     deviation = np.tensordot(estimate, np.stack([n.loading for n in nuisances]), 1)[MAPS_AT]  # type: ignore[misc]
     other = twin.deviating(deviation, np.zeros_like(twin.measured))
-    columns = map_columns(other, lanes, other.simulate(lanes)[0])
+    columns = map_columns(other, lanes, other.simulate(lanes)[0], twin.belief.free)
     return twin.deviating(deviation, np.tensordot(deviation, columns, 1))
 
 

@@ -3,7 +3,9 @@
 The unknowns are the coordinates of `learning.belief`. The maximum a posteriori of all recordings together is found by
 Gauss-Newton with the metric of discovery: initial states of the windows are free, the corrections are simulated with
 their own arguments, and convergence is judged by sensitivities taken there, since errors of 2-5 % bend. What remains
-of each recording is its information about that point (Laplace). Information of several recordings adds.
+of each recording is its information about that point (Laplace). Information of several recordings adds. Where the
+readings ask for rougher maps than are believed (`reference.roughness`), all is fitted anew with the belief that they
+ask for.
 """
 
 from __future__ import annotations
@@ -15,9 +17,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from dieseltwin.discovery.reference.part import Part
+from dieseltwin.discovery.reference.roughness import roughness_of
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import EngineParameters
-from dieseltwin.learning.belief import HEALTH_AT, Belief, prior_belief
+from dieseltwin.learning.belief import HEALTH_AT, Belief, prior_belief, rougher
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.files import LearnedEngine, distinct
 from dieseltwin.recordings.reader import Recording
@@ -92,12 +95,14 @@ class Learned:
         belief: after all of them.
         evidence: of each, linearised about what all say.
         converged: whether all fits did, and linearising anew changed nothing worth naming.
+        roughness: of the maps (`learning.belief.prior_belief`), as the recordings ask for it [-].
         suspicions: effects by which the reference itself looks faulty, strongest first.
     """
 
     belief: Belief
     evidence: tuple[Evidence, ...]
     converged: bool
+    roughness: float
     suspicions: tuple[Suspicion, ...] = ()
 
 
@@ -125,7 +130,7 @@ def learn_engine(
     found = learn(together, base, map_rms, settings, prior)
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
     domain = domain_of(found.belief, map_rms)
-    return LearnedEngine(base, found.belief, map_rms, together, domain, misfits, prior), found
+    return LearnedEngine(base, found.belief, map_rms, together, domain, misfits, prior, found.roughness), found
 
 
 def learn(
@@ -149,11 +154,18 @@ def learn(
     joint = _Joint([Part(item, engine, prior) for item in sorted(recordings, key=lambda r: r.sha256)], prior)
     joint.fit(_FIRST_ROUNDS)
     joint.whiten_anew()
+    roughness = roughness_of(prior, map_rms, *joint.of_all_functions())
+    if roughness > 0.0:
+        prior = rougher(prior, map_rms, roughness)
+        joint.begin(prior)  # the smooth maps' fit lies where steps stop short of a minimum
+        joint.fit(_FIRST_ROUNDS)
+        joint.whiten_anew()
     joint.fit(_ROUNDS)
     joint.leave_crooked_out(np.random.default_rng(settings.seed))
     converged = joint.fit(_ROUNDS)
     evidence = joint.evidence()
-    return Learned(combined(prior, evidence), evidence, converged, joint.suspicions(settings.suspicious_gain))
+    suspicions = joint.suspicions(settings.suspicious_gain)
+    return Learned(combined(prior, evidence), evidence, converged, roughness, suspicions)
 
 
 class _Joint:
@@ -164,14 +176,32 @@ class _Joint:
     """
 
     def __init__(self, parts: Sequence[Part], prior: Belief) -> None:
-        self.parts, self.prior = parts, prior
+        self.parts = parts
+        self.begin(prior)
+
+    def begin(self, prior: Belief) -> None:
+        """Judge by a prior, from the fits of health alone on."""
+        self.prior = prior
         self.scale = np.sqrt(np.diag(prior.covariance))
         self.precision = np.linalg.inv(prior.covariance / np.outer(self.scale, self.scale))
+        self.unknowns = int(np.count_nonzero(prior.open))
         self.x = np.zeros(prior.mean.size)
-        if parts:
-            health = np.mean([part.health for part in parts], axis=0)
+        if self.parts:
+            health = np.mean([part.health for part in self.parts], axis=0)
             self.x[HEALTH_AT] = (health - prior.health) / self.scale[HEALTH_AT]
+        for part in self.parts:
+            part.begin(prior)
         self._linearise()
+
+    def of_all_functions(self) -> tuple[Array, Array]:
+        """Information (D, D) of the readings about all coordinates, those included that aren't open, and the vector
+        (D,) to which it takes the coordinates' distance from the prior's mean [inverse units]."""
+        information, vector = np.zeros_like(self.precision), np.zeros_like(self.x)
+        for part, at, rest in zip(self.parts, self.at, self.projected, strict=True):
+            rows = at.projected / self.scale[:, None] + part.finer(at, self.x)
+            information += rows @ rows.T
+            vector += rows @ (rest + at.projected.T @ self.x)
+        return information, vector
 
     def fit(self, rounds: int) -> bool:
         """Damped Gauss-Newton with at most so many sets of sensitivities; whether it converged."""
@@ -181,7 +211,7 @@ class _Joint:
             if predicted < _CONVERGED:
                 return True
             if not self._advance(step):
-                return predicted < _STUCK * self.x.size
+                return predicted < _STUCK * self.unknowns
             while True:
                 before = predicted
                 step, predicted = self._step(factor)

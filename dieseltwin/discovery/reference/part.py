@@ -8,6 +8,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import noise_beside
 from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
+from dieseltwin.discovery.likelihood.learned import map_columns
 from dieseltwin.discovery.likelihood.metric import Metric, ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import secant_sizes
@@ -56,20 +57,24 @@ class Part:
     """
 
     def __init__(self, recording: Recording, engine: EngineParameters, prior: Belief) -> None:
-        self.prior = prior
-        self.scale = np.sqrt(np.diag(prior.covariance))
         self.twin = EngineTwin(recording, engine)
         self.at = [MEASURED.index(name) for name in self.twin.channels]
         twin = self.twin
         whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
         rough = fit_fully(twin, whitening, first_fit(twin), rounds=_ROUGH_ROUNDS)
         start = split_growing(rough) or rough.fit
-        self.local = start.local
+        self._first = start.local
+        self.begin(prior)
         self.health = rough.fit.parameters
         lanes = single(self.health, self.local)
         self._scatter = ModelScatter(None, twin.covariance_between_rows(lanes))
         self.whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts, self._scatter)
         self.left_out = np.zeros(twin.starts.size, dtype=bool)
+
+    def begin(self, prior: Belief) -> None:
+        """Take points to be about a prior, and the initial states as the fit of health alone has them."""
+        self.prior, self.local = prior, self._first
+        self.scale = np.sqrt(np.diag(prior.covariance))
 
     @property
     def readings(self) -> int:
@@ -108,11 +113,13 @@ class Part:
         simulated = twin.simulate(lanes)
         clean, factor = simulated[0], 1.0 + values[GAINS_AT][self.at]
         differences = (simulated[1:] - clean) / steps[:, None, None]
-        points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps]
-        signals = _SMALL * basis_along(twin.variables(fit.lanes()))
+        free = self.prior.free
+        points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps[free]]
+        signals = _SMALL * basis_along(twin.variables(fit.lanes()))[free]
         columns = np.zeros((x.size, *clean.shape))
         columns[HEALTH_AT] = differences[: len(twin.parameters)] * factor
-        columns[MAPS_AT] = signal_responses(twin, fit.lanes(), clean, points, signals) * (factor / _SMALL)
+        responses = signal_responses(twin, fit.lanes(), clean, points, signals) * (factor / _SMALL)
+        columns[MAPS_AT.start + np.flatnonzero(free)] = responses
         for j, channel in enumerate(self.at):
             columns[GAINS_AT.start + channel, :, j] = clean[:, j]
             columns[OFFSETS_AT.start + channel, :, j] = 1.0
@@ -120,6 +127,18 @@ class Part:
         local = differences[len(twin.parameters) :] * factor
         metric = Metric(self.whitening, twin.starts, local, twin.state_scales)
         return Linear(columns, metric, metric.without_local(columns))
+
+    def finer(self, here: Linear, x: Array) -> Array:
+        """Responses (D, rows), in the metric of `here` about x, to a coefficient of one of the functions that aren't
+        free; those of all other coordinates are nought."""
+        values = self._values(x)
+        twin = self.twin.with_coefficients(values[MAPS_AT])
+        lanes = single(values[HEALTH_AT], self.local)
+        held = ~self.prior.free
+        columns = map_columns(twin, lanes, twin.simulate(lanes)[0], held)[held] * (1.0 + values[GAINS_AT][self.at])
+        rows = np.zeros_like(here.projected)
+        rows[MAPS_AT.start + np.flatnonzero(held)] = here.metric.without_local(columns)
+        return rows
 
     def moved(self, here: Linear, x: Array, residual: Array, change: Array) -> tuple[Array, Array]:
         """Initial states that go with a change (D,) of x, each window's at its minimum, and the residual there."""
@@ -145,11 +164,12 @@ class Part:
 
     def crooked(self, here: Linear, x: Array, covariance: Array, rng: np.random.Generator) -> np.ndarray:
         """(W,) windows in which draws of what is believed now, (D, D) about x, don't act linearly."""
-        values, vectors = np.linalg.eigh(covariance)
+        which = self.prior.open
+        values, vectors = np.linalg.eigh(covariance[np.ix_(which, which)])
         shown = self.shown(x, self.local)
-        worst = np.zeros(self.twin.starts.size)
+        worst, change = np.zeros(self.twin.starts.size), np.zeros(x.size)
         for _ in range(_DRAWS):
-            change = vectors @ (rng.standard_normal(x.size) * np.sqrt(np.maximum(values, 0.0)))
+            change[which] = vectors @ (rng.standard_normal(values.size) * np.sqrt(np.maximum(values, 0.0)))
             bend = self.shown(x + change, self.local) - shown - np.tensordot(change, here.columns, 1)
             projected = here.metric.without_local(bend[None])[0][: bend.size].reshape(bend.shape)
             worst = np.maximum(worst, np.add.reduceat((projected**2).sum(axis=1), self.twin.starts))
