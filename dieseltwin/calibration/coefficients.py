@@ -121,15 +121,18 @@ _ROW_OF_SITE = {
 }  # fmt: skip
 _WIDE = 30.0  # tolerances: prior standard deviation of a found magnitude
 
+FOUND = "found"
+"""`Coefficient.source` of what the search added."""
+
 
 def effect_coefficients(name: str, hypothesis: Hypothesis, flap_spread: float) -> tuple[Coefficient, ...]:
     """Magnitude of an effect as a free number with a wide belief about 0, and the coefficients of its law."""
     low, high = hypothesis.limits
     row = _ROW_OF_SITE.get(hypothesis.site, hypothesis.site)
-    found = [Coefficient(name, row, 0.0, _WIDE * hypothesis.tolerance, low, high, hypothesis.unit, "found")]
+    found = [Coefficient(name, row, 0.0, _WIDE * hypothesis.tolerance, low, high, hypothesis.unit, FOUND)]
     if name == "exhaust_flap":
         nominal = EFFECTS[name].coefficients
-        found += [Coefficient(column, row, nominal[key], flap_spread, -8.0, 20.0, "-", "found")
+        found += [Coefficient(column, row, nominal[key], flap_spread, -8.0, 20.0, "-", FOUND)
                   for column, key in FLAP_COEFFICIENTS.items()]
     return tuple(found)
 

@@ -1,9 +1,9 @@
 """What settled points say that the mean-value model lacks: the search of recordings, round by round.
 
-Every round runs `discovery.search.run` on the balances (`SteadyTwin`) about the present engine. What it names enters
-the engine, all coefficients are fitted again together with its magnitude, and a held-out third of the points judges
-whether that foretells better; then the search looks at what is left. So a second effect is sought with maps that the
-first no longer bends.
+Every round runs `discovery.search.run` on the balances (`SteadyTwin`) about the present engine; beside a reference
+about the engine that the reference tells (`reference_engine`). What it names enters the engine, all coefficients are
+fitted again together with its magnitude, and a held-out third of the points judges whether that foretells better; then
+the search looks at what is left. So a second effect is sought with maps that the first no longer bends.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from dieseltwin.calibration.coefficients import (
 )
 from dieseltwin.calibration.lasting_errors import map_corrections
 from dieseltwin.calibration.likelihood import DEGREES, Estimate, estimate, log_density
+from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
 from dieseltwin.calibration.scatter import Scatter, scatter_of
 from dieseltwin.calibration.steady_model import COOLED_CHARGE, COOLED_EGR, ROWS, WORK_ROW, SteadyModel, term_values
 from dieseltwin.calibration.steady_twin import SteadyTwin, hypotheses_of
@@ -186,8 +187,10 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     rounds: list[Round] = []
     names: list[str] = []
     faded: set[str] = set()
+    told = told_by_reference(calibration)
     while True:
-        twin = SteadyTwin(here, options.search, options.sensors, options.seed)
+        there = about_reference(here, told)
+        twin = SteadyTwin(there, options.search, options.sensors, options.seed)
         settings = options.settings()
         found = search.run(twin, settings.asked(tuple(faded), options.seed), laws=False)
         added = _named(found, options.search.least_explained)
@@ -195,7 +198,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
             rounds.append(Round(found, (), nll, False))
             break
         more = [c for name in added for c in effect_coefficients(name, hypotheses[name], options.search.flap_spread)]
-        candidate = _refitted(here, [*free, *more], _start_of(found, added, more))
+        candidate = _refitted(there, [*free, *more], _start_of(found, added, more))
         vanished = _vanished(candidate, added, hypotheses, found)
         if vanished:  # the maps bend so that nothing is left of it: the search looks again without that name
             faded |= vanished

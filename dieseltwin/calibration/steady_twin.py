@@ -8,7 +8,8 @@ little as it knows. Smooth errors of maps are directions that the search takes o
 
 A sensor's gain and offset don't move the balances in proportion: EGR flow goes with the root of a small difference of
 pressures. So they are parameters of the twin, estimated and simulated in every fit, believed about nought. Beside a
-reference, which tells them whatever is missing now, they are directions like the other coefficients.
+reference, which tells them whatever is missing now, they are directions like the other coefficients. What is simulated
+there is the wear since: a fault can move it by as much as is believed of it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.calibration.calibrate import Calibration
-from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS
+from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.calibration.lasting_errors import SUBMODEL_OF, sensor_errors
 from dieseltwin.calibration.likelihood import NOISE, reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import MAP_MODE, SteadyModel, law_variables
@@ -54,6 +55,7 @@ MOVING_ONLY = (
 """Effects that a settled point can't show: they need time."""
 
 _WITHOUT_SIGNAL = ("T_e",)
+_TYPICAL = 0.3  # prior standard deviations of a health parameter or its wear, for differences and step limits
 _COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
 _LIMIT = 30.0  # whitened balances beyond are cut: a trial state far off
 _OUTLIER, _MAD_TO_STD = 6.0, 1.4826
@@ -98,11 +100,16 @@ class SteadyTwin(TwinDefaults):
         judged = self.data.columns.get(JUDGED)
         self._acts: Array = np.ones(self.data.size) if judged is None else np.asarray(judged)
         told = any(c.name.startswith(MAP_MODE) for c in self._coefficients)
-        self.parameters: tuple[Parameter, ...] = tuple(
-            Parameter(c.name, float(v), c.std, c.unit, 0.3 * c.std)
-            for c, v in zip(self._coefficients, calibration.estimate.theta, strict=True) if c.name in HEALTH
-        )
-        if not told:
+        if told:
+            self.parameters: tuple[Parameter, ...] = tuple(
+                Parameter(c.name, c.mean, c.std, c.unit, _TYPICAL * c.std, start=self._fixed[c.name])
+                for c in self._coefficients if c.name in WEAR.values()
+            )
+        else:
+            self.parameters = tuple(
+                Parameter(c.name, self._fixed[c.name], c.std, c.unit, _TYPICAL * c.std)
+                for c in self._coefficients if c.name in HEALTH
+            )
             self.parameters += tuple(
                 Parameter(c.name, 0.0, c.std, c.unit, c.std, start=self._fixed.get(c.name))
                 for c in sensor_errors(self.data, settings)

@@ -16,6 +16,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.search import run as shared
+from dieseltwin.discovery.search.explanations import choose
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant
@@ -135,13 +136,21 @@ def judge(
 
 
 def _one_fault_a_sensor(found: Search) -> None:
-    """Of a gain and an offset of one sensor the better one alone: known near one value they only balance each other."""
-    if found.kind != "pair" or found.best is None:
-        return
-    sites = {found.twin.hypotheses[name].site for name in found.best.fit.candidate.names}
-    if len(sites) == 1 and found.of_interest(found.singles[0]):
-        found.kind, found.best = "single", recentred(found, found.singles[0])
-        set_probabilities(found, "single")
+    """Of a gain and an offset of one sensor the better one alone: known near one value they only balance each other,
+    and what both together leave says nothing of what one does."""
+
+    def of_one_sensor(fit: Fit) -> bool:
+        return len({found.twin.hypotheses[name].site for name in fit.candidate.names}) == 1
+
+    if found.kind == "pair" and found.best is not None:
+        if of_one_sensor(found.best.fit) and found.of_interest(found.singles[0]):
+            found.kind, found.best = "single", recentred(found, found.singles[0])
+            set_probabilities(found, "single")
+    elif found.refused == "pair" and of_one_sensor(found.pairs[0]) and found.of_interest(found.singles[0]):
+        found.pairs, found.refused = [fit for fit in found.pairs if not of_one_sensor(fit)], ""
+        choose(found, None)
+        if found.kind == "law":
+            found.best = None
 
 
 def _likelier_first(found: Search) -> None:

@@ -19,6 +19,9 @@ _LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
 _RAREST = 12.0  # largest value of a signal of unit mean square: what acts on fewer samples hangs on a moment
 _STEP = 0.005  # of a point's scale: small enough to be linear
 _MATTERS = 3.0  # gain by responses at another fit from which a feature is simulated: a third of what chance leaves
+# of a feature's length that parameters and effects of the fit must leave: what is left of a term that is one of them is
+# how the machine bends, a direction without a meaning (0.02 of it and less; 0.04 and more of any other term)
+_APART = 0.03
 _MATTERS_AT_LEAST = 8  # features, which are simulated together
 
 
@@ -179,13 +182,15 @@ def _responses(at: Linearisation, features: Sequence[Feature]) -> Array:
 
 
 def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) -> list[Structure]:
-    projected = without_parameters(at, at.metric.project(responses))
+    directions = at.metric.project(responses)
+    projected = without_parameters(at, directions)
     found = []
-    for feature, vector, response in zip(features, projected, responses, strict=True):
+    for feature, direction, vector, response in zip(features, directions, projected, responses, strict=True):
         information = float(vector @ vector)
-        if information > 0:
+        if information > _APART**2 * float(direction @ direction):
             push = float(vector @ at.projected_residual)
             gain = push * push / information
             held = gain * spread(at, vector)
             found.append(Structure(feature, push / information, information**-0.5, gain, response, held))
     return sorted(found, key=lambda item: -item.gain)
+

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
 from dieseltwin.discovery.laws.sensor import best_law
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
@@ -47,6 +47,7 @@ STAGES = ("terms without a name", "onsets and regions", "two effects", "a law")
 """What is looked at behind single effects, in this order."""
 
 _REFIT_SHARE = 0.35  # of the best linear gain: weaker hypotheses can't win even when non-linearity moves them
+_UNSTUCK_ROUNDS = 6
 _RENEWALS = 3  # about the leading explanation, until it stays the same
 _WEATHERS = 3  # in which a name is tried that isn't enough in that of before
 _WITHIN = 1.25  # times the name's gain: what explains more than that isn't the weather's doing
@@ -202,10 +203,23 @@ def _with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
     top = max(ranked[0].gain, 1e-9) if ranked else 0.0
     kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < found.settings.refits]
     fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
+    promising = [s.gain > found.settings.alarm_gain for s in kept]
+    fits = [_unstuck(found, fit) if more else fit for more, fit in zip(promising, fits, strict=True)]
     found.singles = sorted(nearer(found.null, fits, before), key=lambda fit: fit.objective)
     found.singles = polish(found, found.singles)
     found.seconds["singles"] = time.perf_counter() - clock
     return found
+
+
+def _unstuck(found: Search, fit: Fit) -> Fit:
+    """A refit that found no way down, with sensitivities of its own; any other as it is.
+
+    Next to a kink the response to a size of interest may point the wrong way (a pressure read low beside one read
+    high), and a chord along it leads uphill in every length.
+    """
+    if fit.converged or found.gain(fit) > 0.0:
+        return fit
+    return fit_fully(found.twin, found.whitening, fit, rounds=_UNSTUCK_ROUNDS, frozen=found.null).fit
 
 
 def _nameless(found: Search) -> None:

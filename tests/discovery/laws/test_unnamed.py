@@ -66,6 +66,18 @@ def test_what_is_left_is_scored_as_without_the_scores_before(withheld: _Withheld
     assert len(score_what_is_left(at, features, short)) == len(alone)
 
 
+def test_a_term_that_the_fit_has_by_name_is_not_scored_beside_it(withheld: _Withheld) -> None:
+    found, null = withheld.found, withheld.found.null
+    start = Fit(Candidate(("leak",)), null.fit.parameters, np.array([0.01]), null.fit.local, np.inf, False)
+    named = fit_fully(withheld.toy, found.whitening, start, frozen=null)
+
+    def places(items: list[Structure]) -> set[tuple[str, str]]:
+        return {(i.feature.form.point, i.feature.text) for i in items if i.feature.form is not None}
+
+    beside = places(score_features(named, generic_features(withheld.toy, named.fit)))
+    assert places(withheld.structure) - beside == {("balance", "x")}
+
+
 def test_leading_terms_are_of_several_points(withheld: _Withheld) -> None:
     many = [replace(item, gain=1.0) for item in withheld.structure for _ in range(9)]
     points = [item.feature.point for item in leading(many)]

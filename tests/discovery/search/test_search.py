@@ -317,3 +317,15 @@ def test_an_onset_that_only_the_linear_scan_promises_is_no_alarm(monkeypatch: py
 
     monkeypatch.setattr(search, "scan", promising)
     assert search.run(toy, SETTINGS, laws=False).kind == "healthy"
+
+
+def test_a_refit_that_found_no_way_down_gets_sensitivities_of_its_own() -> None:
+    toy = Toy(2000, 10).record(leak=0.15)
+    found = search.prepare(toy, SETTINGS)
+    null = found.null.fit
+    stuck = Fit(Candidate(("leak",)), null.parameters, np.zeros(1), null.local, null.objective, False)
+    freed = search._unstuck(found, stuck)
+    assert freed.magnitudes[0] == pytest.approx(0.15, rel=0.1)
+    assert found.gain(freed) > 100.0
+    done = replace(stuck, converged=True)
+    assert search._unstuck(found, done) is done

@@ -1,0 +1,62 @@
+"""Beside a reference what came since is sought about the engine of the reference, which no fault bends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dieseltwin.calibration import calibrate as module
+from dieseltwin.calibration.calibrate import Calibration, calibrate
+from dieseltwin.calibration.coefficients import WEAR
+from dieseltwin.calibration.discover import Options, discover_points
+from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
+from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR
+from dieseltwin.calibration.steady_twin import SteadyTwin
+from dieseltwin.recordings.steady_points import beside_reference
+from dieseltwin.settings.params import default_search
+from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
+
+BLOW_BY = 0.035
+SEARCH = default_search().points.model_copy(update={"most_effects": 1})
+
+
+@pytest.fixture(scope="module")
+def blowing() -> Calibration:
+    """Points with blow-by beside those of when the engine was well, 0.2 % noise on every reading."""
+    well = made_points(TRUTH, 100, 0.002, 5, u_flap_pct=100.0)
+    now = made_points(TRUTH, 90, 0.002, 6, {"blow_by": BLOW_BY}, u_flap_pct=100.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "STARTS", 0)
+        return calibrate(beside_reference(now, [well]), TRUTH, GEOMETRY, believed=SEARCH)
+
+
+def test_a_fault_bends_the_joint_fit_and_not_what_the_reference_tells(blowing: Calibration) -> None:
+    told = told_by_reference(blowing)
+    lasting = [c for c in blowing.estimate.coefficients if c.name not in WEAR.values()]
+    assert set(told) == {c.name for c in lasting}
+
+    def off(values: dict[str, float]) -> float:
+        """Coefficients of the engine beside the truth, in standard deviations of their belief, all together."""
+        own = [c for c in lasting if not c.name.startswith((MAP_MODE, SENSOR_ERROR))]
+        return float(np.sqrt(sum(((values[c.name] - c.mean) / c.std) ** 2 for c in own)))
+
+    assert off(dict(told)) < off(blowing.estimate.values())
+
+
+def test_wear_is_simulated_and_believed_about_nought(blowing: Calibration) -> None:
+    there = about_reference(blowing, told_by_reference(blowing))
+    twin = SteadyTwin(there, SEARCH)
+    assert {p.name for p in twin.parameters} == set(WEAR.values())
+    assert all(p.value == 0.0 for p in twin.parameters)
+    assert [p.first for p in twin.parameters] == [there.start[p.name] for p in twin.parameters]
+
+
+def test_without_a_reference_nothing_is_told(blowing: Calibration) -> None:
+    assert about_reference(blowing, {}) is blowing
+
+
+def test_the_fault_is_named(blowing: Calibration) -> None:
+    found = discover_points(blowing, Options(law_search=False, search=SEARCH))
+    assert tuple(found.effects) == ("blow_by",)
+    magnitude, std = found.effects["blow_by"]
+    assert magnitude == pytest.approx(BLOW_BY, abs=3.0 * std)
