@@ -58,6 +58,3 @@ def about_reference(here: Calibration, told: Mapping[str, float]) -> Calibration
 
 def _is_since(coefficient: Coefficient) -> bool:
     return coefficient.source == FOUND or coefficient.name in WEAR.values()
-
-
-__all__ = ["about_reference", "told_by_reference"]

@@ -193,4 +193,3 @@ def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) ->
             held = gain * spread(at, vector)
             found.append(Structure(feature, push / information, information**-0.5, gain, response, held))
     return sorted(found, key=lambda item: -item.gain)
-
