@@ -112,8 +112,7 @@ def assemble(
         allowed=_allowed(found, after),
     )  # fmt: skip
     details = details_of_search(found, rows, best)
-    law = found.law if found.kind == "law" else None
-    starts, local = twin.starts, twin.initial(fine.fit.local if law is None else law.local)
+    starts, local = twin.starts, twin.initial(at.fit.local)
     if isinstance(twin, SeveralTwin):
         starts, local = twin.parts[-1].starts, local[-twin.parts[-1].starts.size :]
     return Discovery(
