@@ -70,6 +70,8 @@ class RigTwin(SimpleTwin):
         window_s: of a fit [s]; None for one run.
     """
 
+    exact_responses = True  # integrated with steps far below what any force changes in
+
     def __init__(self, rig: RigParameters, recording: RigRecording, window_s: float | None = None) -> None:
         none = np.full(len(recording.time_s), np.nan)
         measured = np.stack([recording.readings.get(name, none) for name in rig.readings], axis=1)

@@ -24,6 +24,7 @@ class SearchSettings(StrictModel):
                                "leave out [-]")
     least_spread: float = Field(ge=0, le=1, description="share of its gain (`score.spread`) that a finding near its "
                                 "bar must keep without its best window [-]")
+    unstick: bool = Field(description="whether a refit that found no way down gets sensitivities of its own")
     refits: PositiveInt = Field(description="names that are refitted at least, however little their linear score says")
     second_gain: NonNegativeFloat = Field(description="that a second effect must add; it must keep that share of it")
     other_pair_gain: NonNegativeFloat = Field(description="that two effects must be ahead of the best single one "

@@ -12,7 +12,7 @@ from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import spread, without_parameters
-from dieseltwin.discovery.twins.interface import Array, Twin, law_scope_of
+from dieseltwin.discovery.twins.interface import Array, Twin, WithExactResponses, law_scope_of
 
 _OF_SPEED = (2.0, 3.0)  # powers lost to bearings and to a fluid that is stirred
 _LOCAL_WIDTHS = (0.12,)  # of the range driven; the law search has finer ones
@@ -183,11 +183,12 @@ def _responses(at: Linearisation, features: Sequence[Feature]) -> Array:
 
 def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) -> list[Structure]:
     directions = at.metric.project(responses)
+    apart = 0.0 if isinstance(at.twin, WithExactResponses) else _APART
     projected = without_parameters(at, directions)
     found = []
     for feature, direction, vector, response in zip(features, directions, projected, responses, strict=True):
         information = float(vector @ vector)
-        if information > _APART**2 * float(direction @ direction):
+        if information > apart**2 * float(direction @ direction):
             push = float(vector @ at.projected_residual)
             gain = push * push / information
             held = gain * spread(at, vector)

@@ -203,7 +203,7 @@ def _with_singles(found: Search, before: Sequence[Fit] = ()) -> Search:
     top = max(ranked[0].gain, 1e-9) if ranked else 0.0
     kept = [s for k, s in enumerate(ranked) if s.gain > _REFIT_SHARE * top or k < found.settings.refits]
     fits = refit_all(found.null, [Candidate((s.name,)) for s in kept], [s.response[None] for s in kept])
-    promising = [s.gain > found.settings.alarm_gain for s in kept]
+    promising = [found.settings.unstick and s.gain > found.settings.alarm_gain for s in kept]
     fits = [_unstuck(found, fit) if more else fit for more, fit in zip(promising, fits, strict=True)]
     found.singles = sorted(nearer(found.null, fits, before), key=lambda fit: fit.objective)
     found.singles = polish(found, found.singles)

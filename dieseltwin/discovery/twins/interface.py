@@ -240,6 +240,16 @@ class TwinDefaults:
 
 
 @runtime_checkable
+class WithExactResponses(Protocol):
+    """A twin whose responses are true to far less than a hundredth: what is left of a term beside its like is physics.
+
+    An axis' constant force and a friction that differs with the direction are the same but where it stands still.
+    """
+
+    exact_responses: bool
+
+
+@runtime_checkable
 class WithLawScope(Protocol):
     """A twin that says what its laws may be made of."""
 
