@@ -203,12 +203,14 @@ def look_up(tables: np.ndarray, m: int, x: np.ndarray, y: np.ndarray) -> np.ndar
     return (1.0 - a) * near + a * far
 
 
-def basis_along(variables: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Every function of `basis()` along a trajectory, (K, n) [-]."""
+def basis_along(variables: Mapping[str, np.ndarray], which: np.ndarray | None = None) -> np.ndarray:
+    """Functions of `basis()` along a trajectory, (F, n) [-]; `which` (K,) says whose, None: of all."""
     functions = basis()
+    which = np.ones(len(functions.maps), dtype=bool) if which is None else which
+    tables, maps = functions.tables[which], functions.maps[which]
     first = next(iter(ARGUMENTS.values()))[0]
-    out = np.empty((len(functions.maps), len(variables[first])))
+    out = np.empty((len(maps), len(variables[first])))
     for m, point in enumerate(CORRECTED_POINTS):
-        at = functions.maps == m
-        out[at] = look_up(functions.tables[at], m, *arguments_of(point, variables))
+        at = maps == m
+        out[at] = look_up(tables[at], m, *arguments_of(point, variables))
     return out

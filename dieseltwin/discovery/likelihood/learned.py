@@ -50,18 +50,16 @@ def belief_of(twin: Twin) -> Belief | None:
 
 
 def map_columns(twin: Twin, lanes: Lanes, simulated: Array, which: np.ndarray) -> Array:
-    """Responses (K, n, C) of the readings to the coefficients of the corrections, next to one lane.
+    """Responses (F, n, C) of the readings to the coefficients of the corrections, next to one lane.
 
     Args:
         twin: bound to its recording.
         lanes: one; simulated: its readings (n, C).
-        which: (K,) whose responses are asked; those of the others are nought.
+        which: (K,) whose F responses are asked.
     """
-    columns = np.zeros((which.size, *simulated.shape))
     points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps[which]]
-    signals = _SMALL * basis_along(twin.variables(lanes))[which]
-    columns[which] = signal_responses(twin, lanes, simulated, points, signals, linear=True) / _SMALL
-    return columns
+    signals = _SMALL * basis_along(twin.variables(lanes), which)
+    return signal_responses(twin, lanes, simulated, points, signals, linear=True) / _SMALL
 
 
 def learned_nuisances(
@@ -75,7 +73,7 @@ def learned_nuisances(
         whitening: of the readings.
     """
     columns = np.zeros((belief.mean.size, *simulated.shape))
-    columns[MAPS_AT] = map_columns(twin, lanes, simulated, belief.free)
+    columns[MAPS_AT][belief.free] = map_columns(twin, lanes, simulated, belief.free)
     for j, name in enumerate(twin.channels):
         channel = MEASURED.index(name)
         factor = 1.0 / (1.0 + belief.gains[channel])
@@ -111,8 +109,9 @@ def about(twin: Twin, lanes: Lanes, nuisances: Sequence[Nuisance], estimate: Arr
         return twin
     deviation = np.tensordot(estimate, np.stack([n.loading for n in nuisances]), 1)[MAPS_AT]  # type: ignore[misc]
     other = twin.deviating(deviation, np.zeros_like(twin.measured))
-    columns = map_columns(other, lanes, other.simulate(lanes)[0], twin.belief.free)
-    return twin.deviating(deviation, np.tensordot(deviation, columns, 1))
+    free = twin.belief.free
+    columns = map_columns(other, lanes, other.simulate(lanes)[0], free)
+    return twin.deviating(deviation, np.tensordot(deviation[free], columns, 1))
 
 
 def rebased_learned(twin: Twin, nuisances: Sequence[Nuisance], estimate: Array) -> Twin:

@@ -115,11 +115,11 @@ class Part:
         differences = (simulated[1:] - clean) / steps[:, None, None]
         free = self.prior.free
         points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps[free]]
-        signals = _SMALL * basis_along(twin.variables(fit.lanes()))[free]
+        signals = _SMALL * basis_along(twin.variables(fit.lanes()), free)
         columns = np.zeros((x.size, *clean.shape))
         columns[HEALTH_AT] = differences[: len(twin.parameters)] * factor
         responses = signal_responses(twin, fit.lanes(), clean, points, signals) * (factor / _SMALL)
-        columns[MAPS_AT.start + np.flatnonzero(free)] = responses
+        columns[MAPS_AT][free] = responses
         for j, channel in enumerate(self.at):
             columns[GAINS_AT.start + channel, :, j] = clean[:, j]
             columns[OFFSETS_AT.start + channel, :, j] = 1.0
@@ -135,9 +135,9 @@ class Part:
         twin = self.twin.with_coefficients(values[MAPS_AT])
         lanes = single(values[HEALTH_AT], self.local)
         held = ~self.prior.free
-        columns = map_columns(twin, lanes, twin.simulate(lanes)[0], held)[held] * (1.0 + values[GAINS_AT][self.at])
+        columns = map_columns(twin, lanes, twin.simulate(lanes)[0], held) * (1.0 + values[GAINS_AT][self.at])
         rows = np.zeros_like(here.projected)
-        rows[MAPS_AT.start + np.flatnonzero(held)] = here.metric.without_local(columns)
+        rows[MAPS_AT][held] = here.metric.without_local(columns)
         return rows
 
     def moved(self, here: Linear, x: Array, residual: Array, change: Array) -> tuple[Array, Array]:
