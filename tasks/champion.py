@@ -79,7 +79,7 @@ class Champion(PythonModel):
         start = settle_first(inputs, engine)
         first = (inputs.n_e_rpm[0], inputs.u_delta_mg[0], inputs.u_egr_pct[0], inputs.u_vgt_pct[0])
         settled = rest(self.maps.replacements("numpy"), first, engine, start)
-        initial = start if settled is None else settled.states[:3]  # no engine rests stably everywhere
+        initial = start if settled is None else settled[:3]  # no engine rests stably everywhere
         found = self.simulator(actuate(inputs, engine), parameter_batch(engine), initial)
         columns = {"time_s": inputs.time_s, **dict(zip(STATES, found.states[0].T, strict=True))}
         columns |= dict(zip(MEASURED, np.asarray(found.measured[0]).T, strict=True))

@@ -26,8 +26,6 @@ from typing import Any
 from tasks import databases
 from tasks.workspace import Workspace
 
-README = "README.md"
-
 _SCHEME = "mlflow-artifacts:/"
 _IDENTITY = "dieseltwin.result"
 

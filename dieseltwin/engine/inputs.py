@@ -15,8 +15,6 @@ DEFAULT_STEP_S = 0.0125
 STEP_TOLERANCE = 1e-3  # of a step: time stamps far from zero (epoch time) are rounded by 1e-7 s
 
 INPUT_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
-OPTIONAL_COLUMNS = ("u_flap_pct",)
-"""Further inputs that terms of an engine may need."""
 
 
 @dataclass(frozen=True)

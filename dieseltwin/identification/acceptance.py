@@ -23,7 +23,7 @@ from dieseltwin.recordings.reader import recording
 from dieseltwin.settings.discovery import AcceptanceConfig
 from dieseltwin.settings.params import IdentifyConfig
 from dieseltwin.surrogates.empirical import EmpiricalMaps, map_arguments
-from dieseltwin.surrogates.map_simulator import MapFunctions, Point, Rest, numpy_simulator, rest
+from dieseltwin.surrogates.map_simulator import MapFunctions, Point, numpy_simulator, rest
 
 Array = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ def balances(functions: MapFunctions, engine: EngineParameters, limit: float) ->
     found: dict[str, float] = {}
     for point in POINTS:
         with np.errstate(all="ignore"):
-            q = model.quantities(*_settled(engine, point).states, *point, c)
+            q = model.quantities(*_settled(engine, point), *point, c)
             open_by = {
                 "mass in the intake manifold": (q.W_c + q.W_egr - q.W_ei) / q.W_ei,
                 "mass in the exhaust manifold": (q.W_eo - q.W_t - q.W_egr) / q.W_eo,
@@ -167,11 +167,11 @@ def place_of_rest(functions: MapFunctions, engine: EngineParameters, limit: floa
     """
     found: dict[str, float] = {}
     for point in POINTS:
-        true = _settled(engine, point).states
+        true = _settled(engine, point)
         with_maps = rest(functions, point, engine, true[:3])
         if with_maps is None:
             return AcceptanceTest("rest", np.inf, limit, f"the engine comes to no stable rest at {_words(point)}")
-        difference = np.abs(with_maps.states[:3] / true[:3] - 1.0)
+        difference = np.abs(with_maps[:3] / true[:3] - 1.0)
         found |= {f"{name} at {_words(point)}": float(d) for name, d in zip(_SIMULATED, difference, strict=True)}
     worst, figure = _largest(found)
     return AcceptanceTest("rest", figure, limit, f"{worst} comes to rest {_percent(figure)} from where it does; "
@@ -281,7 +281,7 @@ def known_engine(
 
 
 @lru_cache(maxsize=32)
-def _settled(engine: EngineParameters, point: Point) -> Rest:
+def _settled(engine: EngineParameters, point: Point) -> Array:
     """Where the engine itself rests; raises `InputError` for one that has no stable rest there."""
     found = rest({}, point, engine, settle(*point, engine))
     if found is None:

@@ -1,6 +1,6 @@
-"""Learned maps in compiled code: functions for ``bind("numba", replace=...)``, and a simulator with maps.
+"""Learned maps in compiled code: a simulator with maps.
 
-The simulator runs eight lanes in one vector register, which a loop over neurons would break. The maps of one hidden
+It runs eight lanes in one vector register, which a loop over neurons would break. The maps of one hidden
 layer are therefore written out, neuron by neuron, and their weights travel like the engine's constants: as further
 rows of the parameter batch. One kernel serves all trainings and members of equal sizes.
 """
@@ -33,69 +33,7 @@ if TYPE_CHECKING:
 Sizes = tuple[tuple[str, int, int], ...]
 """Name, number of inputs and number of neurons of each map."""
 
-
-def numba_replacements(maps: EmpiricalMaps, member: int | Sequence[int] | None = None) -> dict[str, Callable[..., Any]]:
-    """Compiled scalar functions of the engine's signatures, weights frozen in; networks of any depth.
-
-    Args:
-        maps: the maps. member: see `EmpiricalMaps.layers`; one only.
-
-    Raises:
-        InputError: several members.
-    """
-    if isinstance(member, Sequence):
-        raise InputError("compiled maps", f"{len(member)} members", "one", "compile each by itself")
-    forms = bound_forms(maps.kind, "numba")
-    return {name: _scalar_map(maps, name, member, forms[name]) for name in MAPS}
-
-
-def _scalar_map(maps: EmpiricalMaps, name: str, member: int | None, form: Any) -> Callable[..., Any]:
-    item = maps.maps[name]
-    layers = maps.layers(name, member)
-    widths = np.array(item.network.widths)
-    flat = np.concatenate([np.concatenate([w.numpy().ravel(), b.numpy().ravel()]) for w, b in layers])
-    tanh = item.network.activation == "tanh"
-    low, high = item.low, item.high
-    inputs, output = form.inputs, form.output
-    widest = int(widths.max())
-
-    @numba.njit(error_model="numpy", fastmath={"contract"})
-    def evaluate(x):  # type: ignore[no-untyped-def]
-        a = np.empty(widest)
-        b = np.empty(widest)
-        for i in range(widths[0]):
-            a[i] = x[i]
-        at = 0
-        for layer in range(widths.size - 1):
-            n_in, n_out = widths[layer], widths[layer + 1]
-            for o in range(n_out):
-                z = flat[at + n_in * n_out + o]
-                for i in range(n_in):
-                    z += a[i] * flat[at + i * n_out + o]
-                if layer < widths.size - 2:
-                    z = np.tanh(z) if tanh else z / np.sqrt(1.0 + z * z)
-                b[o] = z
-            for o in range(n_out):
-                a[o] = b[o]
-            at += (n_in + 1) * n_out
-        return a[0]
-
-    # written out for its number of arguments: compiled code knows no *arguments
-    names = ", ".join(f"a{i}" for i in range(_N_ARGUMENTS[name]))
-    limited = ", ".join(f"min(max(x[{i}], low[{i}]), high[{i}])" for i in range(int(widths[0])))
-    source = (
-        f"def {name}({names}, c):\n    x = inputs({names}, c)\n    y = ({limited},)\n"
-        "    return output(evaluate(y), y)\n"
-    )
-    scope = {"inputs": inputs, "output": output, "evaluate": evaluate, "low": low, "high": high}
-    exec(source, scope)
-    return numba.njit(error_model="numpy", fastmath={"contract"})(scope[name])
-
-
 _N_ARGUMENTS = {"eta_vol": 2, "f_egr": 1, "F_vgt_Pi_t": 2, "eta_tm": 3, "eta_c": 2, "Phi_c": 3}
-
-
-# --- simulator ---------------------------------------------------------------------------------------------------
 
 
 def compiled_simulator(

@@ -7,7 +7,6 @@ depth, formulae), without compiling: a minute of twenty lanes takes five seconds
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,22 +43,9 @@ _PUSH = 1e-6  # of the scaled states: the step of central differences
 _AT_REST = 1e-9  # largest scaled rate that counts as none [1/s]
 
 
-@dataclass(frozen=True)
-class Rest:
-    """A stable rest of the engine.
-
-    Attributes:
-        states: p_im, p_em [Pa], omega_t [rad/s], x_r [-], T_1 [K]; (5,).
-        slowest: real part of the slowest eigenvalue [1/s], negative.
-    """
-
-    states: Array
-    slowest: float
-
-
 def rest(
     functions: MapFunctions, point: Point, parameters: EngineParameters, start: Array
-) -> Rest | None:
+) -> Array | None:
     """Where the engine with these maps rests at constant inputs; None where no stable rest is found.
 
     Args:
@@ -67,6 +53,9 @@ def rest(
         point: the inputs.
         parameters: the engine.
         start: p_im, p_em [Pa], omega_t [rad/s] from which the search goes out, (3,).
+
+    Returns:
+        p_im, p_em [Pa], omega_t [rad/s], x_r [-], T_1 [K]; (5,).
     """
     model, c = bind("numpy", functions), constants(parameters)
 
@@ -85,7 +74,7 @@ def rest(
     # x_r and T_1 follow at once: they are a fixed point, not states with a rate
     followed = np.linalg.solve(jacobian[3:, 3:], jacobian[3:, :3])
     slowest = float(np.linalg.eigvals(jacobian[:3, :3] - jacobian[:3, 3:] @ followed).real.max())
-    return Rest(x * _SCALE, slowest) if slowest < 0.0 else None
+    return np.asarray(x * _SCALE) if slowest < 0.0 else None
 
 
 def numpy_simulator(functions: MapFunctions) -> Callable[..., Observations]:

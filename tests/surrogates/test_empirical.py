@@ -15,7 +15,7 @@ from dieseltwin.settings.maps import MapsConfig
 from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
 from dieseltwin.surrogates.empirical_training import MapData, _with_a_slope, train_maps
-from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights, numba_replacements
+from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights
 
 KINDS = ("paper", "improved")
 C = constants(we2011.PARAMETERS)
@@ -323,15 +323,6 @@ def test_maps_replace_the_formulae_in_torch_and_numpy(trained, kind):
     single = trained[kind].replacements("torch", dtype=torch.float32)["eta_c"](torch.tensor(0.2), torch.tensor(1.5), C)
     assert single.dtype == torch.float32
     assert single.shape == ()
-
-
-@pytest.mark.parametrize(("kind", "name"), [("paper", "eta_c"), ("improved", "f_egr")])  # compiling takes seconds
-def test_compiled_scalars_equal_numpy(trained, kind, name):
-    function = numba_replacements(trained[kind], member=1)[name]
-    arguments = map_arguments(operating_points(5, 2), we2011.PARAMETERS)[name]
-    expected = trained[kind].evaluate(name, *arguments, member=1)
-    found = [function(*(float(a[row]) for a in arguments), C) for row in range(5)]
-    assert found == pytest.approx(expected, rel=1e-9)
 
 
 def test_compiled_simulator_follows_the_equations_with_the_maps(config):

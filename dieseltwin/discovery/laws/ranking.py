@@ -90,8 +90,8 @@ class _Scored:
 def rank(
     twin: Twin, responses: Responses, variables: Mapping[str, Array], points: Sequence[str] | None = None,
     readings: float | None = None, kinds: Sequence[str] | None = None, screened: Sequence[str] | None = None,
-) -> tuple[list[Ranked], int]:  # fmt: skip
-    """Candidate laws of all points, best first, and how many forms were tried.
+) -> list[Ranked]:  # fmt: skip
+    """Candidate laws of all points, best first.
 
     Args:
         twin: gives points and ports.
@@ -113,14 +113,10 @@ def rank(
     )  # fmt: skip
     admitted = variables.keys() if scope.variables is None else variables.keys() & set(scope.variables)
     out: list[Ranked] = []
-    tried = 0
     for index in chosen:
-        if screened is not None and twin.points[index].name not in screened:
-            continue
-        found, count = _AtPoint(field, index, responses.point(index), admitted).ranked()
-        tried += count
-        out += found
-    return sorted(out, key=lambda item: -item.score), tried
+        if screened is None or twin.points[index].name in screened:
+            out += _AtPoint(field, index, responses.point(index), admitted).ranked()
+    return sorted(out, key=lambda item: -item.score)
 
 
 @dataclass(frozen=True)
@@ -165,11 +161,11 @@ class _AtPoint:
         of_map = {name: field.variables[name] for name in map_arguments(point) if name in known}
         self.local = bumps(of_map, field.units) if field.tries("bump") else []
 
-    def ranked(self) -> tuple[list[Ranked], int]:
-        """The forms that differ in the metric and sums of two of them, and how many forms were tried."""
+    def ranked(self) -> list[Ranked]:
+        """The forms that differ in the metric and sums of two of them."""
         point = self.point
         singles = self._scored([Form(point.name), *(Form(point.name, (f,)) for f in (*self.pool, *self.local))])
-        products, tried = self._products(singles)
+        products = self._products(singles)
         acting = self._scored(self._operators())
         best = sorted([*singles, *products, *acting], key=lambda s: -s.score)[: 3 * _KEPT]
         kept = _distinct(self.response, best)
@@ -177,8 +173,7 @@ class _AtPoint:
         free = [s for s in kept if s.form.fixed is None]
         firsts = free[:_FIRST_TERMS]
         firsts += [s for s in singles if not s.form.factors and s not in firsts]  # the constant is always one of them
-        ranked += _pairs(self.index, point, self.response, firsts, [*singles, *free], self.field.worth)
-        return ranked, len(singles) + tried
+        return ranked + _pairs(self.index, point, self.response, firsts, [*singles, *free], self.field.worth)
 
     def _operators(self) -> list[Form]:
         """Forms with a coefficient of 1 that act on what passes the point: lags, delays, plays."""
@@ -186,10 +181,10 @@ class _AtPoint:
         own_unit = unit_of(point.name, field.units) if point.name in field.variables else "-"
         return [Form(point.name, (f,), 1.0) for f in operators(point, own_unit) if field.tries(f.kind)]
 
-    def _products(self, singles: Sequence[_Scored]) -> tuple[list[_Scored], int]:
-        """Products of two and three factors, each round the last round's best by every further factor; how many."""
+    def _products(self, singles: Sequence[_Scored]) -> list[_Scored]:
+        """Products of two and three factors, each round the last round's best by every further factor."""
         everything: list[_Scored] = []
-        last, seen, tried = singles, {s.form.key for s in singles}, 0
+        last, seen = singles, {s.form.key for s in singles}
         for beam in _BEAM:
             best = sorted((s for s in last if s.form.factors), key=lambda s: -s.score)[:beam]
             forms = []
@@ -204,8 +199,7 @@ class _AtPoint:
             for first in range(0, len(forms), _AT_ONCE):
                 last += _trimmed(self._scored(forms[first : first + _AT_ONCE]))
             everything += last
-            tried += len(forms)
-        return everything, tried
+        return everything
 
     def _scored(self, forms: Sequence[Form]) -> list[_Scored]:
         """Linear estimates of the forms that are finite along the trajectory and show in the readings at all."""

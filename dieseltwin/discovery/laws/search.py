@@ -132,13 +132,11 @@ class Found:
     Attributes:
         law: the best one, None where none is resolved.
         curve: without a law, the effect bin by bin over one variable at the likeliest point, or None where nothing is.
-        tried: number of forms ranked.
         ranked: the refitted ones, best first: (text, site, score).
     """
 
     law: Law | None
     curve: Curve | None
-    tried: int
     ranked: tuple[tuple[str, str, float], ...]
 
 
@@ -164,7 +162,7 @@ def search(
     responses = Responses(cast(Linearised, at), base_lanes)
     readings = independent(at.residual, twin.starts, len(twin.states)) if options.unknown_misfit else None
     worth = Worth(at.fit.objective, readings)
-    ranked, tried = rank(twin, responses, variables, options.points, readings, options.kinds, options.screened)
+    ranked = rank(twin, responses, variables, options.points, readings, options.kinds, options.screened)
     refits: list[Refit] = []
     here: Linearisation = at
     for renewal in range(options.renewals + 1):
@@ -185,9 +183,9 @@ def search(
     refits.sort(key=lambda r: -r.score)
     resolved = bool(refits) and refits[0].score > options.false_law
     if not resolved:
-        return Found(None, _loose_curve(twin, responses, ranked, variables, at), tried, _table(twin, refits))
+        return Found(None, _loose_curve(twin, responses, ranked, variables, at), _table(twin, refits))
     law = _report(twin, at, _simplest_first(refits), nuisance_response, options, worth, tolerances)
-    return Found(law, None, tried, _table(twin, refits))
+    return Found(law, None, _table(twin, refits))
 
 
 def _single_terms(refits: Sequence[Refit], twin: Twin, of: int = 3) -> list[Ranked]:
@@ -261,7 +259,7 @@ def _renewed(
     variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
     names = (twin.points[r.ranked.index].name for r in refits if r.score > _LEADING * refits[0].score)
     leading = tuple(dict.fromkeys(names))
-    ranked, _ = rank(twin, responses, variables, leading, readings, options.kinds)
+    ranked = rank(twin, responses, variables, leading, readings, options.kinds)
     return ranked, here, responses, variables
 
 

@@ -76,7 +76,7 @@ _SECONDS: Mapping[str, float] = {
     "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0, "d": 86400.0}  # fmt: skip
 _CLOCK_WORDS = ("time", "zeit", "stamp", "stempel", "sekunde", "second", "temps")
 SPREADSHEET_DAYS = (3.6e4, 6.0e4)  # days since 1900 as spreadsheets count dates: 1998 to 2064
-SLOWEST_ROWS_S, QUICKEST_ROWS_S = 60.0, 1e-4  # a table of driving has rows between these
+QUICKEST_ROWS_S = 1e-4  # a table of driving has rows further apart
 
 
 def clock_of(raw: RawChannels) -> tuple[str, float] | None:

@@ -61,10 +61,6 @@ class RawChannels:
         """Names of the channels as the file calls them."""
         return tuple(self.signals) if self.table is None else tuple(str(name) for name in self.table.columns)
 
-    def with_notes(self, *notes: str) -> RawChannels:
-        """The same channels with further notes."""
-        return replace(self, notes=(*self.notes, *notes))
-
 
 def unique_names(signals: Sequence[Signal]) -> dict[str, Signal]:
     """Name -> signal; a name met again gets its origin added, so that each can be told in a channel map."""

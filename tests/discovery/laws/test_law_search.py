@@ -129,8 +129,8 @@ def test_port_rule():
     twin = _tanks(5, Placed(Form("upper_balance", (ROOT,)), -0.006), n=200)
     at = _null(twin)
     lanes = at.fit.lanes()
-    ranked, tried = rank(twin, Responses(at, lanes), {**twin.variables(lanes), "time_s": twin.time_s})
-    assert tried > 100 and ranked
+    ranked = rank(twin, Responses(at, lanes), {**twin.variables(lanes), "time_s": twin.time_s})
+    assert ranked
     for item in ranked:
         for placed in item.placed:
             assert set(placed.form.variables) <= set(arguments(twin.points[item.index]))
