@@ -26,9 +26,9 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.export import export as export
     from dieseltwin.api.identification import Setup as Setup
     from dieseltwin.api.identification import identify as identify
-    from dieseltwin.api.labelled import dataset as dataset
     from dieseltwin.api.learning import learn as learn
     from dieseltwin.api.points import imply as imply
+    from dieseltwin.api.reading import dataset as dataset
     from dieseltwin.api.reading import read as read
     from dieseltwin.api.simulation import simulate as simulate
     from dieseltwin.api.versions import show_versions as show_versions
@@ -40,7 +40,7 @@ _ROOMS = {
     "Setup": "identification",
     "calibrate": "calibration",
     "channels": "channels",
-    "dataset": "labelled",
+    "dataset": "reading",
     "discover": "discovery",
     "export": "export",
     "history": "watch",

@@ -13,15 +13,17 @@ from dieseltwin.errors import InputError
 _NOT_THERE = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}
 
 
-def refuse_unreadable(path: str | Path, allowed: str) -> None:
-    """Refuse a path that no content can be read from.
+def refuse_unreadable(path: str | Path | None, allowed: str = "a recording") -> None:
+    """Refuse a path that no content can be read from; None (an option that wasn't given) passes.
 
     Args:
-        allowed: what was expected there, for the message ("a recording").
+        allowed: what was expected there, for the message.
 
     Raises:
         InputError: nothing there (or a link to nowhere), a folder, a pipe or device, no permission, an impossible name.
     """
+    if path is None:
+        return
     try:
         mode = os.stat(path).st_mode
     except ValueError:  # a zero byte

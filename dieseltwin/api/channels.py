@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.figures import drawn
-from dieseltwin.api.results import Result
+from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import write_text
 from dieseltwin.recordings.channels import CONVERSIONS, TIME, channel_map, unit_of
 from dieseltwin.recordings.derived import DERIVATIONS
@@ -19,7 +18,7 @@ from dieseltwin.recordings.guess.facts import Facts, signals_of
 from dieseltwin.recordings.guess.propose import Proposal, propose
 from dieseltwin.recordings.guess.words import COSTS, ORDER, channel_lines, guess_lines, map_text, missing, remarks
 from dieseltwin.recordings.importers.read import read_raw
-from dieseltwin.report.channels import overview
+from dieseltwin.report.over_time import overview
 from dieseltwin.symbols import symbol
 
 if TYPE_CHECKING:

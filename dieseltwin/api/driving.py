@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
-from dieseltwin.api.figures import drawn
-from dieseltwin.api.findings import Asked, Discovered, Question, machine, refuse_shared
+from dieseltwin.api.findings import Asked, Discovered, Question, machine
 from dieseltwin.api.reading import Channels
+from dieseltwin.api.results import drawn
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
 from dieseltwin.discovery.options import Options
@@ -37,6 +37,7 @@ from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording, read_recording
+from dieseltwin.recordings.shared_rows import refuse_shared
 from dieseltwin.report.beside import begin_beside, ready_beside
 from dieseltwin.report.circumstance_words import alike_words, circumstances_words
 from dieseltwin.report.discovery_words import magnitude_words

@@ -19,12 +19,10 @@ from dieseltwin.api.reading import Source
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explain import Known
-from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.discovery import DiscoverConfig
 from dieseltwin.settings.params import load_params
 
-_MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
 COLUMNS = ("effect", "magnitude", "std", "unit", "probability", "equivalent", "law")
 
 
@@ -127,16 +125,3 @@ def machine() -> dict[str, Any]:
         "platform": platform.platform(),
         "cpus": os.cpu_count(),
     }
-
-
-def refuse_shared(where: str, share: float) -> None:
-    """Refuse a recording of which more than a little is driving that its engine was learned from.
-
-    Raises:
-        InputError: it is.
-    """
-    if share > _MOST_SHARED:
-        raise InputError(
-            where, f"{100 * share:.0f} % of its rows are in the reference",
-            "driving that the engine wasn't learned from", "judge another recording, or learn without this one",
-        )  # fmt: skip

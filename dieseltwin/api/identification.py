@@ -14,7 +14,7 @@ import pandas as pd
 from dieseltwin.api.engines import Engine, diesel_engine, rig_of
 from dieseltwin.api.identified_words import misfits, text_table
 from dieseltwin.api.reading import Channels, Source, diesel_recording
-from dieseltwin.api.results import Result
+from dieseltwin.api.results import Result, drawn
 from dieseltwin.api.rigs import RigIdentified, identify_rig
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.fit_test import tested
@@ -121,7 +121,6 @@ class Identified(Result):
 
     def plot(self, name: str | None = None) -> Figure:
         """`parameters` (estimates of every segment), `states`, `flows` or `empirical` over time."""
-        from dieseltwin.api.figures import drawn
         from dieseltwin.report import timeseries, violins  # loads matplotlib
         from dieseltwin.report.inputs import results_of
 

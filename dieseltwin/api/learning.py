@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine, petrol_base
-from dieseltwin.api.figures import drawn
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Source, diesel_recording
-from dieseltwin.api.results import Result
+from dieseltwin.api.results import Result, drawn
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, EngineParameters, we2011

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from dieseltwin.api.figures import drawn
-from dieseltwin.api.findings import Asked, Discovered, Question, machine, refuse_shared
+from dieseltwin.api.findings import Asked, Discovered, Question, machine
 from dieseltwin.api.reading import Channels, Source, petrol_recording
-from dieseltwin.api.results import Result
+from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
 from dieseltwin.discovery.verdict.explain import DETAILS, Known, plain
@@ -28,6 +27,7 @@ from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, shared_rows
 from dieseltwin.recordings.channel_checks import series_notes
 from dieseltwin.recordings.named_columns import Imported
+from dieseltwin.recordings.shared_rows import refuse_shared
 from dieseltwin.report import petrol as pages
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import listed, unknown_name

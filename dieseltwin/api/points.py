@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine
-from dieseltwin.api.figures import drawn
 from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.reading import Channels, Source, settled_points
-from dieseltwin.api.results import Result
+from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.calibration.calibrate import Calibration, read_geometry
 from dieseltwin.calibration.calibrate import calibrate as calibrated

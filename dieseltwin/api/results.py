@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import html
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from dieseltwin.errors import InputError
+from dieseltwin.settings.names import unknown_name
 
 if TYPE_CHECKING:  # a simulation without a figure needn't load matplotlib
     import pandas as pd
     from matplotlib.figure import Figure
+
+    from dieseltwin.report.style import ReportFigure
+
+Found = TypeVar("Found")
 
 
 class Result(ABC):
@@ -58,3 +66,18 @@ class Result(ABC):
     def _repr_html_(self) -> str:
         """For notebooks: the sentence and the table."""
         return f"<p>{html.escape(self.sentence)}</p>{self.table().to_html(max_rows=20, float_format='{:.6g}'.format)}"
+
+
+def drawn(found: Found, drawings: Mapping[str, Callable[[Found], ReportFigure | None]], name: str | None) -> Figure:
+    """The drawing of that name; None takes the first that there is data for.
+
+    Raises:
+        InputError: an unknown name, or no data for what was asked.
+    """
+    if name is not None and name not in drawings:
+        raise unknown_name("plot", name, list(drawings))
+    for draw in drawings.values() if name is None else [drawings[name]]:
+        figure = draw(found)
+        if figure is not None:
+            return figure.figure
+    raise InputError("plot", f"no data for {name or 'any figure'}", ", ".join(drawings), "choose another")

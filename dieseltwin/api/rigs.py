@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from dieseltwin.api.figures import drawn
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
 from dieseltwin.api.reading import Source, rig_recording
-from dieseltwin.api.results import Result
+from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers
@@ -63,7 +62,7 @@ class RigDiscovered(Discovered):
 
     def plot(self, name: str | None = None) -> Figure:
         """`readings`: the repaired machine in free runs beside what was recorded."""
-        from dieseltwin.report.simulated import beside_readings
+        from dieseltwin.report.over_time import beside_readings
 
         frame = simulate_rig(self.engine, self.found.recording)
         return drawn(self, {"readings": lambda s: beside_readings(frame, s.found.recording.readings)}, name)

@@ -12,7 +12,7 @@ import pandas as pd
 
 from dieseltwin.api.engines import Engine, with_effects
 from dieseltwin.api.reading import Channels, Source, as_engine, diesel_recording, petrol_recording, rig_recording
-from dieseltwin.api.results import Result
+from dieseltwin.api.results import Result, drawn
 from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine import simulate as simulate_inputs
 from dieseltwin.engine.simulate import settle_first
@@ -62,8 +62,7 @@ class Simulation(Result):
         return self.frame
 
     def plot(self, name: str | None = None) -> Figure:
-        from dieseltwin.api.figures import drawn  # matplotlib takes longer to load than a minute to simulate
-        from dieseltwin.report.simulated import beside_readings
+        from dieseltwin.report.over_time import beside_readings
 
         return drawn(self, {"readings": lambda s: beside_readings(s.frame, s.readings)}, name)
 

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dieseltwin.api.driving import DrivingDiscovered, ask_driving
-from dieseltwin.api.figures import drawn
 from dieseltwin.api.findings import Asked
 from dieseltwin.api.reading import Channels
-from dieseltwin.api.results import Result
+from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Course, course

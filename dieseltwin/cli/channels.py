@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.early import check_apart
+from dieseltwin.cli.options import check_apart
 from dieseltwin.errors import InputError
 
 MAP_SUFFIXES = (".yaml", ".yml")

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_folder
-from dieseltwin.cli.early import check_there
 from dieseltwin.cli.options import (
     ChannelsFile,
     EngineFile,
@@ -22,6 +21,7 @@ from dieseltwin.cli.options import (
     strictly,
 )
 from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable
 from dieseltwin.settings.names import refuse_options
 
 
@@ -68,11 +68,11 @@ def discover_command(
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
     for path in (*(recordings or ()), *(reference or ())):
-        check_there(path)
+        refuse_unreadable(path)
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
-    from dieseltwin.api.printing import check_printable, print_report
     from dieseltwin.discovery.verdict.explain import check_name, explain
+    from dieseltwin.report.pdf import browser, print_report
     from dieseltwin.settings.params import load_params
 
     if not recordings:
@@ -92,7 +92,7 @@ def discover_command(
             say(explain(name, out, question.catalogue))
             return
     if pdf:
-        check_printable()
+        browser()  # none is better known before the work
     check_folder(out)  # a place that cannot be written to is better known before the work
     with question.getting_ready():
         progress(question.about)

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from dieseltwin.cli.early import check_apart, check_there
+from dieseltwin.cli.options import check_apart
+from dieseltwin.paths import refuse_unreadable
 
 
 def export_command(
@@ -36,7 +37,7 @@ def export_command(
 ) -> None:
     """Write an engine with its effects and learned maps as C, as an FMU or as tables, and networks as ONNX."""
     if os.path.exists(engine) or Path(engine).suffix:
-        check_there(Path(engine), "an engine file")
+        refuse_unreadable(Path(engine), "an engine file")
     for out in (c, fmu):
         if out is not None:
             check_apart(out, engine)

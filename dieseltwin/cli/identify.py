@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_folder
-from dieseltwin.cli.early import check_there
 from dieseltwin.cli.options import (
     ChannelsFile,
     EngineFile,
@@ -21,6 +20,7 @@ from dieseltwin.cli.options import (
     say,
     strictly,
 )
+from dieseltwin.paths import refuse_unreadable
 from dieseltwin.settings import methods
 from dieseltwin.settings.names import refuse_options, unknown_name
 
@@ -69,11 +69,11 @@ def identify_command(
     """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty."""
     if method not in methods.names():
         raise unknown_name("--method", method, methods.names())
-    check_there(recording)
+    refuse_unreadable(recording)
     from dieseltwin.api.engines import rig_of
     from dieseltwin.api.identification import Setup, ask
-    from dieseltwin.api.printing import check_printable, print_report
     from dieseltwin.api.rigs import identify_rig
+    from dieseltwin.report.pdf import browser, print_report
 
     rig = rig_of(engine)
     if rig is not None:
@@ -89,7 +89,7 @@ def identify_command(
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
     if pdf:
-        check_printable()
+        browser()  # none is better known before the work
     check_folder(out)  # a place that cannot be written to is better known before the work
     with question.getting_ready():
         progress(f"{recording}: {len(question.problems)} segments, {question.runs} runs each, {method} ...")

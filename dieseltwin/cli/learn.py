@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.early import check_apart, check_there
-from dieseltwin.cli.options import ChannelsFile, EngineFile, progress, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, progress, say
 from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable
 
 
 def learn_command(
@@ -38,7 +38,7 @@ def learn_command(
     if out.suffix not in (".yaml", ".yml"):
         raise InputError("--out", str(out), "a name that ends in .yaml", "choose another")
     for path in (*recordings, *(siblings or ())):
-        check_there(path)
+        refuse_unreadable(path)
     check_apart(out, *recordings, *(siblings or ()), channels)
     check_writable(out)
     progress("learning ...")

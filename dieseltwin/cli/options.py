@@ -1,4 +1,4 @@
-"""Options that several commands take, and what one who waits is told."""
+"""Options that several commands take, what one who waits is told, and checks before anything slow is imported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Annotated
 
 import typer
 
+from dieseltwin.errors import InputError
 from dieseltwin.notes import STRICT_CODE
+from dieseltwin.paths import same_file
 
 EngineFile = Annotated[
     Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")
@@ -42,6 +44,17 @@ def names(text: str | None) -> tuple[str, ...] | None:
     if text is None:
         return None
     return tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+
+
+def check_apart(out: Path, *inputs: Path | str | None) -> None:
+    """Refuse to write over what is read.
+
+    Raises:
+        InputError: `out` is one of the inputs, by whatever name.
+    """
+    for path in inputs:
+        if path is not None and same_file(out, path):
+            raise InputError(f"--out {out}", f"the file that is read ({path})", "another file", "choose another name")
 
 
 def strictly(strict: bool, warnings: Sequence[object]) -> None:

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.early import check_apart, check_there
-from dieseltwin.cli.options import Strict, say, strictly
+from dieseltwin.cli.options import Strict, check_apart, say, strictly
 from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable
 
 ENGINE_SUFFIXES = (".yaml", ".yml")
 
@@ -35,7 +35,7 @@ def calibrate_command(
     strict: Strict = False,
 ) -> None:
     """Calibrate another engine of the same kind from steady points."""
-    check_there(points)
+    refuse_unreadable(points)
     from dieseltwin.api.calibration import calibrate
 
     began = time.perf_counter()
@@ -58,7 +58,7 @@ def imply_command(
     strict: Strict = False,
 ) -> None:
     """Say, for each point, every quantity that nobody measured, with its standard deviation."""
-    check_there(points)
+    refuse_unreadable(points)
     from dieseltwin.api.points import imply
 
     check_apart(out, points, engine, channels)

@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.early import check_apart, check_there
 from dieseltwin.cli.effects import EffectOption, named_values
-from dieseltwin.cli.options import ChannelsFile, EngineFile, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, say
 from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable
 
 SUFFIXES = (".csv", ".parquet")
 
@@ -33,7 +33,7 @@ def simulate_command(
     effect: EffectOption = None,
 ) -> None:
     """Simulate the engine over recorded or made-up inputs."""
-    check_there(inputs)
+    refuse_unreadable(inputs)
     from dieseltwin.api.simulation import simulate
 
     if out.suffix.lower() not in SUFFIXES:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dieseltwin.atomic import check_folder
-from dieseltwin.cli.early import check_there
 from dieseltwin.cli.options import ChannelsFile, ParamsFile, Profile, help_without_command, names, progress, say
 from dieseltwin.errors import InputError, Refused
 from dieseltwin.notes import counted
+from dieseltwin.paths import refuse_unreadable
 
 if TYPE_CHECKING:
     from dieseltwin.settings.watch import WatchConfig
@@ -45,7 +45,7 @@ def add_command(
 ) -> None:
     """Judge recordings, add each to the history once, and say whether the engine has changed."""
     for path in recordings:
-        check_there(path)
+        refuse_unreadable(path)
     progress(f"{counted(len(recordings), 'recording')} ...")
     from dieseltwin.api.watch import watch
 

@@ -13,8 +13,7 @@ from scipy.optimize import minimize
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.discover import judge
 from dieseltwin.petrol.effects import undo_all
-from dieseltwin.petrol.least_squares import FREEDOM, normal_equations
-from dieseltwin.petrol.maps import BEND, sum_roughness, tensor_roughness
+from dieseltwin.petrol.maps import BEND, FREEDOM, normal_equations, sum_roughness, tensor_roughness
 from dieseltwin.petrol.model import (
     ALPHA_SHIFT,
     at_rest,

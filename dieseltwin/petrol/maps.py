@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 Array = NDArray[np.float64]
 DEGREE = 3
+FREEDOM = 4.0  # of Student's t: tip-ins and gear changes are outliers
 STRAIGHT = 1.0  # steps of the knots that a map is believed to go straight on beyond them, within what it may bend
 BEND = 0.3  # standard deviation of a map's second differences: a wavy eta_vol (cam phasing) needs as much [-]
 
@@ -64,3 +66,31 @@ def sum_roughness(size_x: int, size_y: int) -> Array:
     both = np.zeros((size_x + size_y, size_x + size_y))
     both[:size_x, :size_x], both[size_x:, size_x:] = roughness(size_x), roughness(size_y)
     return both
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def normal_equations(design, weight, target, precision):  # type: ignore[no-untyped-def]
+    """precision + B' W B and B' W y for a design with few entries a row; about 20 of 140 here."""
+    m, k = design.shape
+    A = precision.copy()
+    b = np.zeros(k)
+    places = np.empty(k, dtype=np.int64)
+    for i in range(m):
+        w = weight[i]
+        if w == 0.0:
+            continue
+        count = 0
+        for j in range(k):
+            if design[i, j] != 0.0:
+                places[count] = j
+                count += 1
+        for p in range(count):
+            j = places[p]
+            scaled = w * design[i, j]
+            b[j] += scaled * target[i]
+            for q in range(p + 1):
+                A[j, places[q]] += scaled * design[i, places[q]]
+    for j in range(k):
+        for q in range(j):
+            A[q, j] = A[j, q]
+    return A, b

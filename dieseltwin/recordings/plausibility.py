@@ -2,7 +2,7 @@
 
 The ranges are those of `symbols`: every engine of this class passes at any operating point, the usual wrong units do
 not. They are about medians and quantiles, so that a few bad rows (which an estimator masks or weighs) do not refuse a
-recording.
+recording. Short holes of the inputs are bridged, longer ones split a recording.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE
+from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, OPTIONAL_INPUTS, TIME
 from dieseltwin.recordings.noise import cut_off
 from dieseltwin.sensors import MEASURED
 from dieseltwin.symbols import symbol
@@ -37,6 +37,8 @@ SLIPS: Mapping[str, tuple[Slip, ...]] = {
 }
 # columns that are checked, in the order of the complaints; the ranges are in `symbols`
 CHECKED = (*INPUTS, *MEASURED, INTAKE, *AMBIENT)
+LONGEST_GAP_S = 1.0
+JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
 TINY_FUEL_MG = 0.1  # a median below this is no fuel of a running engine in mg/cycle
 
 FRACTION = 1.2  # positions whose largest value is below this are fractions, if the valve is not simply shut
@@ -176,3 +178,29 @@ def _check_exhaust(
             allowed,
             do,
         )
+
+
+def longest_gap(time_s: np.ndarray) -> float:
+    """The longest time between two rows (n,) of one piece [s]."""
+    return max(LONGEST_GAP_S, JITTER * float(np.median(np.diff(time_s))))
+
+
+def bridge_inputs(columns: dict[str, np.ndarray]) -> list[str]:
+    """Fill holes of inputs that split nothing by straight lines; a sentence for each column.
+
+    Args:
+        columns: our column names -> (n,) [SI], time among them; replaced where they are bridged.
+    """
+    time, notes = columns[TIME], []
+    for name in (name for name in (*INPUTS, *OPTIONAL_INPUTS) if name in columns):
+        values = columns[name]
+        there, missing = np.flatnonzero(np.isfinite(values)), np.flatnonzero(~np.isfinite(values))
+        after = np.searchsorted(there, missing)  # number of the next row that is there
+        inside = (after > 0) & (after < there.size)
+        missing, after = missing[inside], after[inside]
+        filled = missing[time[there[after]] - time[there[after - 1]] <= longest_gap(time)]
+        if filled.size:
+            columns[name] = values.copy()
+            columns[name][filled] = np.interp(time[filled], time[there], values[there])
+            notes.append(f"{filled.size} missing values of {name} are bridged by straight lines")
+    return notes

@@ -20,7 +20,6 @@ import pandas as pd
 from dieseltwin.atomic import atomic_path
 from dieseltwin.engine import MEASURED, EngineParameters, Inputs, we2011
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.bridged import LONGEST_GAP_S, bridge_inputs, longest_gap
 from dieseltwin.recordings.channels import (
     AMBIENT,
     INPUTS,
@@ -33,7 +32,14 @@ from dieseltwin.recordings.channels import (
 )
 from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.named_columns import Imported, columns_sha256, import_columns, numbers
-from dieseltwin.recordings.plausibility import check_plausible, cut_off_notes, mask_wild
+from dieseltwin.recordings.plausibility import (
+    LONGEST_GAP_S,
+    bridge_inputs,
+    check_plausible,
+    cut_off_notes,
+    longest_gap,
+    mask_wild,
+)
 from dieseltwin.settings.strict import listed
 
 SLOWEST_HZ, FASTEST_HZ = 1.0, 100.0

@@ -7,10 +7,27 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.errors import InputError
+
 Rows = NDArray[np.float64]
+
+_MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
 
 
 def share_known(rows: Rows, known: Iterable[Rows]) -> float:
     """Share of rows (n, C) that stand, to the bit, among others of the same C columns, 0-1."""
     seen = {row.tobytes() for others in known for row in others}
     return sum(row.tobytes() in seen for row in rows) / max(len(rows), 1)
+
+
+def refuse_shared(where: str, share: float) -> None:
+    """Refuse a recording of which more than a little is driving that its engine was learned from.
+
+    Raises:
+        InputError: it is.
+    """
+    if share > _MOST_SHARED:
+        raise InputError(
+            where, f"{100 * share:.0f} % of its rows are in the reference",
+            "driving that the engine wasn't learned from", "judge another recording, or learn without this one",
+        )  # fmt: skip

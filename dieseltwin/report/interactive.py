@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.report import quantities, style
-from dieseltwin.report.extremes import extremes
+from dieseltwin.report.over_time import extremes
 from dieseltwin.report.results import Results
 from dieseltwin.report.segment_axis import WIDTH_IN
 

@@ -16,6 +16,7 @@ _FLAGS = (
     "--disable-sync", "--disable-quic", "--disable-extensions", "--no-pdf-header-footer", "--virtual-time-budget=5000",
 )  # fmt: skip
 LONGEST_S = 120.0
+REPORT, PDF = "report.html", "report.pdf"
 
 
 def browser() -> str:
@@ -52,3 +53,15 @@ def print_pdf(page: str | Path, out: str | Path) -> Path:
             raise InputError("--pdf", f"no page from {program} ({words[-1] if words else done.returncode})",
                              "a browser that prints", "print report.html by hand")  # fmt: skip
     return Path(out)
+
+
+def print_report(folder: str | Path) -> Path:
+    """Print the report of a result folder to `report.pdf` beside it.
+
+    Raises:
+        InputError: no report there, or no browser that prints.
+    """
+    page = Path(folder) / REPORT
+    if not page.is_file():
+        raise InputError(str(page), "no report", "the folder of a result that has one", "leave --pdf out")
+    return print_pdf(page, page.with_name(PDF))

@@ -24,7 +24,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.few_shot._compiled import N_CHANNELS, curvature, residuals
 from dieseltwin.paper.datasets import add_noise
 from dieseltwin.recordings.reader import recording
-from dieseltwin.report.simulated import beside_readings
+from dieseltwin.report.over_time import beside_readings
 from dieseltwin.settings.params import load_params
 
 told = {"columns": MEASURED}

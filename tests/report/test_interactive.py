@@ -13,9 +13,9 @@ import pytest
 from dieseltwin.errors import InputError
 from dieseltwin.report import pdf
 from dieseltwin.report.discovery_page import build_discovery_report
-from dieseltwin.report.extremes import extremes
 from dieseltwin.report.interactive import MOST_ROWS, discovery_series
 from dieseltwin.report.law_cards import law_cards
+from dieseltwin.report.over_time import extremes
 from tests.report import synthetic_discovery
 
 SMALLER_THAN = 3_000_000
