@@ -24,11 +24,12 @@ from dieseltwin.petrol.calibrate import calibrate as calibrated
 from dieseltwin.petrol.discover import PetrolDiscovery, PetrolOptions, details, discover_petrol
 from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
-from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, shared_rows
+from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, rows_of
 from dieseltwin.recordings.channel_checks import series_notes
 from dieseltwin.recordings.named_columns import Imported
-from dieseltwin.recordings.shared_rows import refuse_shared
+from dieseltwin.recordings.shared_rows import refuse_shared, share_known
 from dieseltwin.report import petrol as pages
+from dieseltwin.report.page import write_page
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.params import params_sha256
@@ -82,7 +83,7 @@ class PetrolDiscovered(Discovered):
             write_json(folder / DETAILS, sealed_json(plain(details(self.found, self.question.asked))))
             save_petrol(self.engine, folder / "engine.yaml")
             told = replace(self.found, document=self.document)
-            pages.build_petrol_report(told, folder / "report.html", folder / "figures")
+            write_page(pages.petrol_page(told), folder / "report.html", folder / "figures")
             seconds = self.found.runtime_s + time.perf_counter() - began
             write_json(folder / "runtime.json", {"seconds": seconds, **machine()})
         return Path(out)
@@ -148,7 +149,8 @@ def ask_petrol(
     notes: tuple[Note, ...] = ()
     reference = [petrol_recording(item, channels) for item in question.reference]
     if reference:
-        refuse_shared(judged.path, shared_rows(judged, reference))
+        known = (rows_of(other.signals) for other in reference)
+        refuse_shared(judged.path, share_known(rows_of(judged.signals), known))
         learned = learn_petrol(reference, parameters, channels)
         parameters, engine_file = learned.engine, None
         notes = tuple(Note(note["text"], "reference") for note in learned.warnings)

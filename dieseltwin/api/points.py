@@ -42,6 +42,7 @@ from dieseltwin.recordings.reader import write_recording
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
 from dieseltwin.report import calibration as pages
 from dieseltwin.report import points as points_pages
+from dieseltwin.report.page import write_page
 from dieseltwin.report.style import ReportFigure
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import unknown_name
@@ -203,7 +204,8 @@ class PointsDiscovered(Discovered):
             write_json(folder / DETAILS, sealed_json(details(self.found, self.asked)))
             write_repaired(self.found, folder / "repaired.yaml")
             _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
-            points_pages.build_points_report(self.found, self.document, self.sentence, implied, folder)
+            page = points_pages.points_page(self.found, self.document, self.sentence, implied)
+            write_page(page, folder / "report.html", folder / "figures")
             seconds = self.seconds + time.perf_counter() - began
             write_json(folder / "runtime.json", {"seconds": seconds, "version": __version__})
         return Path(out)

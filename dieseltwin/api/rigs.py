@@ -69,14 +69,16 @@ class RigDiscovered(Discovered):
 
     def save(self, out: str | Path) -> Path:
         """discrepancy.json, details.json, report.html, figures/, engine.yaml (repaired), runtime.json."""
-        from dieseltwin.report.rigs import build_rig_report  # matplotlib takes longer to load than a rig to simulate
+        from dieseltwin.report.page import write_page
+        from dieseltwin.report.rigs import rig_page  # matplotlib takes longer to load than a rig to simulate
 
         with atomic_folder(out, owned=OWNED) as folder:
             self.document.write(folder / FILE_NAME)
             write_json(folder / DETAILS, sealed_json(details(self.found, self.question.asked)))
             save_rig(self.engine, folder / "engine.yaml")
             runtime = {"seconds": self.found.seconds, **machine()}
-            build_rig_report(self.found, self.document, self.sentence, runtime, folder)
+            page = rig_page(self.found, self.document, self.sentence, runtime)
+            write_page(page, folder / "report.html", folder / "figures")
             write_json(folder / "runtime.json", runtime)
         return Path(out)
 

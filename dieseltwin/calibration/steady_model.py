@@ -7,7 +7,7 @@ have the names, laws and units of the engine's catalogue; one that is not among 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -378,6 +378,3 @@ def _log_ratio(measured: Array, predicted: Array) -> Array:
         middle = np.nanmedian(np.abs(measured)) if np.isfinite(measured).any() else 1.0
     floor = SMALL_FLOW * middle + 1e-9
     return np.log((np.maximum(measured, 0.0) + floor) / (np.maximum(predicted, 0.0) + floor))
-
-
-Evaluate = Callable[[Array, Mapping[str, Any]], Relations]

@@ -28,7 +28,7 @@ from dieseltwin.identification.shooting import (
     learned_errors,
     sample_states,
 )
-from dieseltwin.identification.unknowns import START_SIGMA, health_of, start_centre, starts
+from dieseltwin.identification.unknowns import StartSettings, health_of, start_centre, starts
 from dieseltwin.least_squares import (
     Box,
     Fit,
@@ -64,41 +64,21 @@ START_PRESSURES = np.array([UNKNOWNS.index("p_im"), UNKNOWNS.index("p_em")])
 
 
 @dataclass(frozen=True)
-class ClassicalSettings:
+class ClassicalSettings(StartSettings):
     """Settings of the estimator; `from_config` takes them from params.yaml.
 
     Attributes:
-        start_at: "lab" (nominal values of the problem) or "truth" (only to show how much that flatters).
-        start_sigma: spread of the starts in masked space [-].
         iterations_max: most evaluations of a run.
         tolerance: Newton decrement at which a run stops [standard deviations].
         damping_start: first Levenberg-Marquardt factor [-].
         samples: draws from the uncertainty of each segment that are simulated for the bands of the states.
     """
 
-    start_at: str = "lab"
-    start_sigma: float = START_SIGMA
+    method = METHOD
     iterations_max: int = 60
     tolerance: float = 0.02
     damping_start: float = 1e-2
     samples: int = 24
-
-    @classmethod
-    def from_config(cls, config: IdentifyConfig | ClassicalSettings | None) -> ClassicalSettings:
-        """Take the settings from params.yaml.
-
-        Args:
-            config: `IdentifyConfig`, the settings themselves, or None for the defaults.
-
-        Returns:
-            The settings.
-        """
-        if isinstance(config, ClassicalSettings):
-            return config
-        if config is None:
-            return cls()
-        own = config.of(METHOD).model_dump(exclude={"members"})
-        return cls(start_at=config.start.at, start_sigma=config.start.sd_masked, **own)
 
 
 def estimate(

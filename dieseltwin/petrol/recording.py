@@ -19,7 +19,6 @@ from dieseltwin.errors import InputError
 from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
 from dieseltwin.recordings.channels import ChannelMap
 from dieseltwin.recordings.named_columns import Imported, named_columns
-from dieseltwin.recordings.shared_rows import share_known
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
@@ -154,12 +153,8 @@ def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
     return PetrolRecording(Signals(**values), 0.0, ", ".join(r.path for r in once), sha256, columns)
 
 
-def shared_rows(one: PetrolRecording, others: Sequence[PetrolRecording]) -> float:
-    """Share of a recording's rows that are also in others, 0-1: alike in all channels but for the time."""
-    return share_known(_rows(one.signals), (_rows(other.signals) for other in others))
-
-
-def _rows(signals: Signals) -> Array:
+def rows_of(signals: Signals) -> Array:
+    """All channels but the time side by side, (n, C)."""
     return np.stack([value for name, value in vars(signals).items() if value is not None and name != "time_s"], axis=1)
 
 

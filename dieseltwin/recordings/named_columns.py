@@ -74,13 +74,7 @@ def import_columns(
     if isinstance(source, pd.DataFrame):
         return Imported(renamed(source, channels))
     path = Path(source)
-    mapping = (
-        channel_map({})
-        if channels is None
-        else channels
-        if isinstance(channels, ChannelMap)
-        else read_channel_map(channels)
-    )
+    mapping = _map(channels)
     wanted = {*mapping.entries, *known_columns()} if mapping.entries else None
     raw = read_raw(path, mapping.database, wanted)
     if raw.table is None and any(name not in raw.signals for name in mapping.entries):
@@ -120,10 +114,13 @@ def renamed(table: pd.DataFrame, channels: ChannelMap | str | Path | None) -> di
         InputError: a map that can't be read, or that names what isn't there.
     """
     columns = {str(name): table[name].to_numpy() for name in table.columns}
+    return columns if channels is None else _map(channels).apply(columns, "the table")
+
+
+def _map(channels: ChannelMap | str | Path | None) -> ChannelMap:
     if channels is None:
-        return columns
-    mapping = channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
-    return mapping.apply(columns, "the table")
+        return channel_map({})
+    return channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
 
 
 def numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndarray:

@@ -19,7 +19,7 @@ from dieseltwin.report import findings, quantities, style
 from dieseltwin.report.discovery_words import display_unit, magnitude_words
 from dieseltwin.report.interactive import Line, Mark, Panel, Series, over, still
 from dieseltwin.report.law_cards import Told, law_cards
-from dieseltwin.report.page import Page, Section, Table, write_page
+from dieseltwin.report.page import Page, Section, Table
 from dieseltwin.report.style import ReportFigure
 
 BEFORE, AFTER, LIMIT = "#D55E00", "#0072B2", "#000000"
@@ -164,10 +164,6 @@ def _fit(said: Discrepancy) -> Table:
     whole = findings.fit(said)
     return replace(whole, rows=whole.rows[:2])
 
-
-def build_petrol_report(found: PetrolDiscovery, path: Path, figures_dir: Path) -> Path:
-    """Write one self-contained page and its figures."""
-    return write_page(petrol_page(found), path, figures_dir)
 
 
 @style.styled

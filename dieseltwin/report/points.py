@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -25,7 +24,7 @@ from dieseltwin.report.calibration import TITLES, parity
 from dieseltwin.report.discovery_words import magnitude_words, site_words
 from dieseltwin.report.interactive import AFTER, BEFORE, Line, Panel, Series, over, still
 from dieseltwin.report.law_cards import law_cards
-from dieseltwin.report.page import Page, Section, Table, write_page
+from dieseltwin.report.page import Page, Section, Table
 from dieseltwin.report.style import ReportFigure, styled
 
 IMPLIED = (("p_es_pa", "behind the turbine p_es", "kPa", 1e-3), ("p_bc_pa", "before the compressor p_bc", "kPa", 1e-3),
@@ -214,10 +213,3 @@ def points_page(result: PointsDiscovery, said: Discrepancy, words: str, implied:
         tables=(findings.places(said), findings.levels(said, "health parameter"), findings.fit(said)),
         sections=sections, provenance=findings.provenance(said),
     )  # fmt: skip
-
-
-def build_points_report(
-    result: PointsDiscovery, said: Discrepancy, words: str, implied: pd.DataFrame, folder: Path
-) -> Path:
-    """Write `report.html` and `figures/` into a folder; see `points_page`."""
-    return write_page(points_page(result, said, words, implied), folder / "report.html", folder / "figures")

@@ -16,7 +16,7 @@ from dieseltwin.report import findings
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.interactive import AFTER, BEFORE, MEASURED, Line, Mark, Panel, Series, repair_panels, still
 from dieseltwin.report.law_cards import Told, law_cards
-from dieseltwin.report.page import EMPTY, Page, Section, Table, write_page
+from dieseltwin.report.page import EMPTY, Page, Section, Table
 from dieseltwin.rigs.discover import RigDiscovery, checked_rows
 from dieseltwin.rigs.equations import equations
 from dieseltwin.rigs.expressions import names_in
@@ -143,10 +143,3 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
         sections=sections, provenance=findings.provenance(document),
         machine=[(key, str(value)) for key, value in machine.items()], source=rig.source or f"the file of {rig.name}",
     )  # fmt: skip
-
-
-def build_rig_report(
-    found: RigDiscovery, document: Discrepancy, words: str, machine: Mapping[str, object], folder: Path
-) -> Path:
-    """Write `report.html` and `figures/` into a folder; see `rig_page`."""
-    return write_page(rig_page(found, document, words, machine), folder / "report.html", folder / "figures")

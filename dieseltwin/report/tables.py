@@ -12,7 +12,7 @@ import pandas as pd
 
 from dieseltwin.notes import listing
 from dieseltwin.report import quantities, style
-from dieseltwin.report.results import PARAMETERS, MethodResult, Results, SegmentResult
+from dieseltwin.report.results import PARAMETERS, Estimate, MethodResult, Results, SegmentResult
 from dieseltwin.report.statistics import (
     agree,
     relative_bound,
@@ -40,11 +40,7 @@ def summary_table(results: Results) -> pd.DataFrame:
                 {
                     "method": method.method,
                     "parameter": parameter,
-                    "mean": estimate.mean,
-                    "std": estimate.std,
-                    "low": estimate.interval_90[0],
-                    "high": estimate.interval_90[1],
-                    "bound": estimate.bound,
+                    **_numbers(estimate),
                     "identifiable": estimate.finite and any(flags),
                     "error": relative_error(estimate.mean, truth),
                     "nominal_change": relative_error(estimate.mean, results.nominal.get(parameter, math.nan)),
@@ -78,11 +74,7 @@ def segment_table(results: Results) -> pd.DataFrame:
                         "t0_s": segment.t0_s,
                         "t1_s": segment.t1_s,
                         "parameter": parameter,
-                        "mean": estimate.mean,
-                        "std": estimate.std,
-                        "low": estimate.interval_90[0],
-                        "high": estimate.interval_90[1],
-                        "bound": estimate.bound,
+                        **_numbers(estimate),
                         "relative_bound": relative_bound(results, estimate, parameter),
                         "identifiable": estimate.identifiable,
                         "error": relative_error(estimate.mean, truth),
@@ -90,6 +82,11 @@ def segment_table(results: Results) -> pd.DataFrame:
                     }
                 )
     return pd.DataFrame(rows)
+
+
+def _numbers(estimate: Estimate) -> dict[str, float]:
+    low, high = estimate.interval_90
+    return {"mean": estimate.mean, "std": estimate.std, "low": low, "high": high, "bound": estimate.bound}
 
 
 def summary_text(results: Results) -> str:

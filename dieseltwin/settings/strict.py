@@ -110,23 +110,12 @@ def overridden(common: Mapping[str, Any], overrides: Mapping[str, Any], where: s
     Raises:
         InputError: a key that `common` doesn't have: a typing error.
     """
-    _refuse_new_keys(overrides, common, where)
-    return _merged(common, overrides)
-
-
-def _refuse_new_keys(overrides: Mapping[str, Any], common: Mapping[str, Any], where: str) -> None:
+    result = dict(common)
     for key, value in overrides.items():
         if key not in common:
             raise unknown_name(where, str(key), [str(k) for k in common])
-        if isinstance(value, Mapping) and isinstance(common[key], Mapping):
-            _refuse_new_keys(value, common[key], f"{where}.{key}")
-
-
-def _merged(common: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    result = dict(common)
-    for key, value in overrides.items():
-        both = isinstance(value, Mapping) and isinstance(result.get(key), Mapping)
-        result[key] = _merged(result[key], value) if both else value
+        both = isinstance(value, Mapping) and isinstance(common[key], Mapping)
+        result[key] = overridden(common[key], value, f"{where}.{key}") if both else value
     return result
 
 

@@ -24,7 +24,8 @@ from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 from dieseltwin.report.calibration import calibration_report
-from dieseltwin.report.points import build_points_report, sentence
+from dieseltwin.report.page import write_page
+from dieseltwin.report.points import points_page, sentence
 from dieseltwin.settings.params import default_search
 from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
 
@@ -128,7 +129,8 @@ def test_a_file_of_before_still_answers(mended: PointsDiscovery, data: SteadyPoi
 
 def test_reports_are_written(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
     pages = calibration_report(mended.calibration, tmp_path / "engine.html")
-    pages.append(build_points_report(mended, document(mended), sentence(mended), answers_of(mended)(data), tmp_path))
+    page = points_page(mended, document(mended), sentence(mended), answers_of(mended)(data))
+    pages.append(write_page(page, tmp_path / "report.html", tmp_path / "figures"))
     pages += (tmp_path / "figures").iterdir()
     assert len(pages) == 7 and all(page.stat().st_size > 5000 for page in pages)
     assert "exhaust_flap" in (tmp_path / "report.html").read_text()

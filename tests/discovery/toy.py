@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from dieseltwin.discovery.twins.interface import Hypothesis, Lanes, Parameter, Point, TwinDefaults
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, Twin, TwinDefaults
 from dieseltwin.settings.params import default_search
 
 STEP_S = 0.2
 SETTINGS = default_search().driving.model_copy(update={"sensor_gain": 0.0, "sensor_offset": 0.0})  # perfect sensors
+
+
+def null_fit(
+    twin: Twin, whitening: Whitening, parameters: Array | None = None, nuisance_response: Array | None = None
+) -> Linearisation:
+    """Fit of the free parameters and initial states alone."""
+    first = np.array([p.first for p in twin.parameters]) if parameters is None else parameters
+    start = Fit(Candidate(), first, np.zeros(0), twin.first_local(), np.inf, False)
+    return fit_fully(twin, whitening, start, nuisance_response, rounds=30)
 
 
 class Toy(TwinDefaults):

@@ -22,8 +22,7 @@ from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.refit import Refit, disagreement, refit_all_laws, spread_over_forms, start_of
 from dieseltwin.discovery.laws.responses import Linearised, Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
-from dieseltwin.discovery.likelihood.metric import Whitening
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.worth import Worth, independent
 from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
 
@@ -384,14 +383,4 @@ def _loose_curve(
     return best
 
 
-def null_fit(
-    twin: Twin, whitening: Whitening, parameters: Array | None = None, nuisance_response: Array | None = None,
-    rounds: int = 30,
-) -> Linearisation:
-    """Fit of the free parameters and initial states alone."""
-    first = np.array([p.first for p in twin.parameters]) if parameters is None else parameters
-    start = Fit(Candidate(), first, np.zeros(0), twin.first_local(), np.inf, False)
-    return fit_fully(twin, whitening, start, nuisance_response, rounds)
-
-
-__all__ = ["Found", "Law", "Options", "Rival", "law_text", "null_fit", "rounded", "search"]
+__all__ = ["Found", "Law", "Options", "Rival", "law_text", "rounded", "search"]

@@ -74,9 +74,6 @@ STATE_EFFECTS = _entering("quantity", "gas")
 ACTUATION_EFFECTS = _entering("command", "input")
 """Effects on what drives the engine, before the right-hand side."""
 
-SENSOR_EFFECTS = _entering("reading")
-"""Effects on readings alone."""
-
 GAS_LAG = next(name for name, effect in EFFECTS.items() if effect.enters.through == "gas")
 """The effect by which the gas temperature in the exhaust manifold lags; there is one such state."""
 

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from dieseltwin.identification.unknowns import START_SIGMA
-
-if TYPE_CHECKING:
-    from dieseltwin.settings.params import IdentifyConfig
+from dieseltwin.identification.unknowns import StartSettings
 
 METHOD = "few-shot-newton"
 PATIENT_STAGES = (100.0, 30.0, 10.0, 3.0, 1.0)
@@ -20,12 +16,10 @@ PATIENT_NOTICED_SHARE = 0.3
 
 
 @dataclass(frozen=True)
-class NewtonSettings:
+class NewtonSettings(StartSettings):
     """Settings; `from_config` takes them from params.yaml.
 
     Attributes:
-        start_at: "lab" or "truth" (only to show how much that flatters).
-        start_sigma: spread of the starts in masked space [-].
         stages: multiples of the process noise, one stage each, the last 1.
         iterations_early: most steps of a stage but the last, which need not converge.
         iterations_max: most steps of the last stage, and of each renewal of the defect.
@@ -37,8 +31,7 @@ class NewtonSettings:
         samples: draws from the uncertainty for the bands.
     """
 
-    start_at: str = "lab"
-    start_sigma: float = START_SIGMA
+    method = METHOD
     stages: tuple[float, ...] = (30.0, 5.0, 1.0)
     iterations_early: int = 8
     iterations_max: int = 12
@@ -50,16 +43,6 @@ class NewtonSettings:
     noticed_share: float = 0.1
     renewals_max: int = 6
     samples: int = 24
-
-    @classmethod
-    def from_config(cls, config: IdentifyConfig | NewtonSettings | None) -> NewtonSettings:
-        """Take the settings from `identify` of params.yaml; they may also be given themselves, or None."""
-        if isinstance(config, NewtonSettings):
-            return config
-        if config is None:
-            return cls()
-        own = config.of(METHOD).model_dump(exclude={"members"})
-        return cls(start_at=config.start.at, start_sigma=config.start.sd_masked, **own)
 
     def patient(self) -> NewtonSettings:
         """Settings of the second attempt, which starts from the laboratory values themselves."""

@@ -23,7 +23,7 @@ from dieseltwin.identification.few_shot.residuals import (
 )
 from dieseltwin.identification.few_shot.term_model import TermModel
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.unknowns import START_SIGMA, health_of, start_centre, starts, to_masked, to_physical
+from dieseltwin.identification.unknowns import StartSettings, health_of, start_centre, starts, to_masked, to_physical
 from dieseltwin.paper.loops.fused_maps import Dropout, fused_replacements
 from dieseltwin.paper.loops.losses import (
     PAPER_WEIGHTS,
@@ -37,7 +37,6 @@ from dieseltwin.paper.loops.losses import (
 from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
 if TYPE_CHECKING:
-    from dieseltwin.settings.params import IdentifyConfig
     from dieseltwin.surrogates.bodies import Bodies
     from dieseltwin.surrogates.empirical import EmpiricalMaps
     from dieseltwin.surrogates.operators import ActuatorOperators
@@ -49,12 +48,10 @@ _T_1 = TRANSFORMS["t_1_k"]
 
 
 @dataclass(frozen=True)
-class AdamSettings:
+class AdamSettings(StartSettings):
     """Settings; `from_config` takes them from params.yaml.
 
     Attributes:
-        start_at: "lab" or "truth" (only to show how much that flatters).
-        start_sigma: spread of the starts in masked space [-] (paper: 0.2).
         epochs: epochs (paper: 30,000).
         weights_until_epoch: the self-adaptive weights rest from here on (paper: 20,000).
         rate_heads, rate_unknowns, rate_weights: learning rates (not printed).
@@ -71,8 +68,7 @@ class AdamSettings:
         compiled: whether loss and gradient are compiled (`compiled_loss`); None: where it pays.
     """
 
-    start_at: str = "lab"
-    start_sigma: float = START_SIGMA
+    method = METHOD
     epochs: int = 30000
     weights_until_epoch: int = 20000
     rate_heads: float = 1e-2
@@ -91,16 +87,10 @@ class AdamSettings:
     compiled: bool | None = None
 
     @classmethod
-    def from_config(cls, config: IdentifyConfig | AdamSettings | None) -> AdamSettings:
-        """Take the settings from `identify` of params.yaml; they may also be given themselves, or None."""
-        if isinstance(config, AdamSettings):
-            return config
-        if config is None:
-            return cls()
-        own = config.of(METHOD).model_dump(exclude={"members"})
+    def of_section(cls, section: dict[str, Any]) -> dict[str, Any]:
         units = {"T_1": "scale_t_1_k", "T_em": "scale_t_em_k", "rate": "scale_rates", "x_r": "scale_x_r"}
-        scales = Scales(**{name: own.pop(key) for name, key in units.items()})
-        return cls(start_at=config.start.at, start_sigma=config.start.sd_masked, scales=scales, **own)
+        scales = Scales(**{name: section.pop(key) for name, key in units.items()})
+        return {**section, "scales": scales}
 
 
 @dataclass(frozen=True)

@@ -42,12 +42,7 @@ def read_raw(path: str | Path, database: Path | None = None, wanted: Collection[
         frames = read_frames(path, content)
         return _from_frames(path, TRACES[content.format], frames, database)
     if database is not None and content.format != "mdf":
-        raise InputError(
-            f"{path} with {database.name}",
-            "a file without CAN frames",
-            "a DBC for a CAN trace only",
-            "leave the DBC out",
-        )
+        raise _no_frames(path, database)
     if content.format == "mdf":
         return _from_mdf(path, database, wanted)
     if content.format == "csv":
@@ -60,16 +55,16 @@ def read_raw(path: str | Path, database: Path | None = None, wanted: Collection[
     return taken_apart(raw)
 
 
+def _no_frames(path: Path, database: Path) -> InputError:
+    return InputError(f"{path} with {database.name}", "a file without CAN frames", "a DBC for a CAN trace only",
+                      "leave the DBC out")  # fmt: skip
+
+
 def _from_mdf(path: Path, database: Path | None, wanted: Collection[str] | None) -> RawChannels:
     kind, signals, frames, notes, began = read_mdf(path, wanted)
     if frames is None:
         if database is not None:
-            raise InputError(
-                f"{path} with {database.name}",
-                "a file without CAN frames",
-                "a DBC for a CAN trace only",
-                "leave the DBC out",
-            )
+            raise _no_frames(path, database)
         return _in_order(RawChannels(path, kind, unique_names(signals), notes=tuple(notes), began=began))
     bus = _from_frames(path, f"{kind} bus log", frames, database)
     return _in_order(

@@ -31,6 +31,7 @@ from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.twins.interface import Lanes, Parameter, Point, Twin
 from dieseltwin.discovery.twins.simple import Model, SimpleTwin
 from dieseltwin.errors import InputError
+from tests.discovery.toy import null_fit
 
 NOISE_V = 0.02
 ROOT = Factor("power", ("h_1",), (1.0,), 0.5, ("m",))
@@ -82,7 +83,7 @@ def _tanks(seed: int, placed: Placed | None = None, n: int = 600, window_s: floa
 
 
 def _null(twin: SimpleTwin) -> Linearisation:
-    return law_search.null_fit(twin, Whitening.of(twin.measured, twin.noise(), twin.starts))
+    return null_fit(twin, Whitening.of(twin.measured, twin.noise(), twin.starts))
 
 
 def test_planted_leak_is_found_with_exponent_and_coefficient():
@@ -183,7 +184,7 @@ def test_law_as_signals_is_refitted_alike():
     plain = _Plain(twin)
     whitening = Whitening.of(twin.measured, twin.noise(), twin.starts)
     options = law_search.Options(refits=12, points=("lower_balance",), free_shape=False)
-    found = law_search.search(plain, law_search.null_fit(plain, whitening), options=options).law
+    found = law_search.search(plain, null_fit(plain, whitening), options=options).law
     assert found is not None and found.site == "lower_tank"
     assert "h_2" in found.form.variables and found.chi2_after < 1.1 < found.chi2_before
     assert found.chi2_before > 1.3

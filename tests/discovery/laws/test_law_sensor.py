@@ -12,7 +12,7 @@ from dieseltwin.discovery.laws.features import generic_features, score_features
 from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.ranking import Ranked, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault
-from dieseltwin.discovery.laws.search import Law, _simplest_first, null_fit
+from dieseltwin.discovery.laws.search import Law, _simplest_first
 from dieseltwin.discovery.laws.sensor import best_law, faults_of, sensor_law
 from dieseltwin.discovery.laws.shapes import lagged, orifice
 from dieseltwin.discovery.laws.terms import law_terms_of
@@ -24,7 +24,7 @@ from dieseltwin.engine.binding import bind
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
 from dieseltwin.recordings.noise import estimate_noise
-from tests.discovery.toy import Toy
+from tests.discovery.toy import Toy, null_fit
 
 
 def _null(toy: Toy) -> Linearisation:
