@@ -149,8 +149,8 @@ def ask_petrol(
     notes: tuple[Note, ...] = ()
     reference = [petrol_recording(item, channels) for item in question.reference]
     if reference:
-        known = (rows_of(other.signals) for other in reference)
-        refuse_shared(judged.path, share_known(rows_of(judged.signals), known))
+        rows, *known = (rows_of(item.signals) for item in (judged, *reference))
+        refuse_shared(judged.path, share_known(rows, known))
         learned = learn_petrol(reference, parameters, channels)
         parameters, engine_file = learned.engine, None
         notes = tuple(Note(note["text"], "reference") for note in learned.warnings)

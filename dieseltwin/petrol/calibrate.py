@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -247,15 +247,14 @@ def _robust_std(x: Array) -> float:
     return float(1.4826 * np.median(np.abs(x - np.median(x)))) if len(x) else float("nan")
 
 
-def pieces(duration_s: float, piece_s: float = PIECE_S) -> list[tuple[float, float]]:
-    """Spans of `piece_s` [s]; a rest shorter than half a piece goes to the last one."""
-    count = max(round(duration_s / piece_s), 1)
-    edges = [k * piece_s for k in range(count)] + [duration_s + 1.0]
+def pieces(duration_s: float) -> list[tuple[float, float]]:
+    """Spans of `PIECE_S` [s]; a rest shorter than half a piece goes to the last one."""
+    count = max(round(duration_s / PIECE_S), 1)
+    edges = [k * PIECE_S for k in range(count)] + [duration_s + 1.0]
     return list(pairwise(edges))
 
 
-def calibrate(signals: Signals, base: PetrolParameters, sha256: str, tell: Callable[[str], None] = lambda _: None
-              ) -> tuple[PetrolParameters, list[SubmodelFit]]:
+def calibrate(signals: Signals, base: PetrolParameters, sha256: str) -> tuple[PetrolParameters, list[SubmodelFit]]:
     """Calibrate, then judge pieces of the recording with maps that did not see them: an alarm there is a false one.
 
     Returns:
@@ -268,16 +267,12 @@ def calibrate(signals: Signals, base: PetrolParameters, sha256: str, tell: Calla
     if duration < LEAST_DURATION_S:
         raise InputError("calibration", f"{duration:.0f} s", f"at least {LEAST_DURATION_S:.0f} s", "record longer")
     engine, fits = fit_maps(signals, base)
-    for f in fits:
-        tell(f"{f.name}: {100 * f.steady:.2f} % over steady, {100 * f.all_blocks:.2f} % over all held-out blocks")
     judged = []
     for span in pieces(duration):
         rest, _ = fit_maps(signals, base, without=span)
         _, found = judge(rest, signals.part(*span))
         best = max([(found.gain(fit), fit.candidate.names[0]) for fit in found.singles[:1]]
                    + [(v.gain, v.name) for v in found.scanned[:1]], default=(0.0, "none"))
-        alarm = found.kind != "healthy"
         judged.append(FaultFreePiece(start_s=span[0], end_s=min(span[1], duration), gain=max(best[0], 0.0),
-                                     name=best[1], alarm=alarm))
-        tell(f"fault-free piece {span[0]:.0f}-{span[1]:.0f} s: gain {best[0]:.1f} ({best[1]}){', alarm' * alarm}")
+                                     name=best[1], alarm=found.kind != "healthy"))
     return engine.model_copy(update={"pieces": tuple(judged), "calibrated_on": sha256}), fits

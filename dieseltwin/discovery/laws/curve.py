@@ -41,18 +41,17 @@ class Curve:
     score: float
 
 
-def _hats(values: Array, bins: int) -> tuple[Array, Array]:
+def _hats(values: Array) -> tuple[Array, Array]:
     """Knots at quantiles (m,), and piecewise-linear shares of the samples (m, n)."""
-    knots = np.unique(np.quantile(values, np.linspace(0.01, 0.99, bins)))
+    knots = np.unique(np.quantile(values, np.linspace(0.01, 0.99, _BINS)))
     if len(knots) < 2:
         return knots, np.ones((1, len(values)))
     return knots, np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))])
 
 
 def binned(
-    point: Point, variables: Mapping[str, Array], argument: str, response: PointResponse, price: float = 0.0,
-    bins: int = _BINS,
-) -> Curve:  # fmt: skip
+    point: Point, variables: Mapping[str, Array], argument: str, response: PointResponse, price: float = 0.0
+) -> Curve:
     """Piecewise-linear signal over one variable by least squares in the metric.
 
     Args:
@@ -61,9 +60,8 @@ def binned(
         argument: over which.
         response: of the point.
         price: of each bin in the score.
-        bins: number of knots.
     """
-    knots, hats = _hats(variables[argument], bins)
+    knots, hats = _hats(variables[argument])
     at = response.at_knots(hats)
     information = response.products(at, at)
     ridge = 1e-8 * np.trace(information) / len(information)

@@ -29,6 +29,8 @@ _BEAM = (24, 10)  # forms of one and of two factors that are multiplied by every
 _KEPT = 24  # forms of a point that compete over all, and for pairs
 _FIRST_TERMS = 6  # of a point's best forms, to which every further one is added as a second term
 _OF_PAIRS = 4
+_SIMPLER = 4  # candidates at the best one's point that are refitted as well
+_OF_ONE_POINT = 4  # refits at least
 _NEAR = 18.0  # of the best score: candidates whose simplicity counts; twice what a refit can't tell apart
 _ALIKE = 0.9995  # correlation in the metric above which the simpler of two forms stands for both
 _OPERATOR_AMPLITUDE = (0.2, 3.0)  # an operator's coefficient is 1; its size isn't known yet
@@ -313,21 +315,21 @@ def simplest(items: Sequence[Ranked], score: float, count: int) -> list[Ranked]:
     return sorted((i for i in items if i.score > score), key=lambda i: (i.complexity, -i.score))[:count]
 
 
-def simpler(ranked: Sequence[Ranked], than: Ranked, count: int = 4) -> list[Ranked]:
+def simpler(ranked: Sequence[Ranked], than: Ranked) -> list[Ranked]:
     """Candidates at the same point, simpler than one and near the best there by their linear scores."""
     there = [item for item in ranked if item.index == than.index]
     fewer = [item for item in there if item.complexity < than.complexity]
-    return simplest(fewer, max((item.score for item in there), default=0.0) - _NEAR, count)
+    return simplest(fewer, max((item.score for item in there), default=0.0) - _NEAR, _SIMPLER)
 
 
-def shortlist(ranked: Sequence[Ranked], count: int, of_one_point: int = 4) -> list[Ranked]:
+def shortlist(ranked: Sequence[Ranked], count: int) -> list[Ranked]:
     """The best few: first the best of each point, as a refit may choose another site, then the best of all."""
     fair = [item for item in ranked if item.score > 0.0]
     first: dict[int, Ranked] = {}
     for item in fair:
         first.setdefault(item.index, item)
     out = list(first.values())[: count // 2]
-    of_one_point = max(of_one_point, count // max(len(first), 1))
+    of_one_point = max(_OF_ONE_POINT, count // max(len(first), 1))
     used = {item.index: 1 for item in out}
     for item in fair:
         if len(out) == count:

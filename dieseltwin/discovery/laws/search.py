@@ -29,6 +29,7 @@ from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
 _FINAL_ROUNDS = 8
+_OF_SUMS = 3  # of the best, whose terms are refitted alone
 _LEADING = 0.5  # of the best score: points whose laws reach it are ranked again with the best law inside
 
 
@@ -187,11 +188,11 @@ def search(
     return Found(law, None, _table(twin, refits))
 
 
-def _single_terms(refits: Sequence[Refit], twin: Twin, of: int = 3) -> list[Ranked]:
+def _single_terms(refits: Sequence[Refit], twin: Twin) -> list[Ranked]:
     """Each term alone of the best sums of two: a second term that a refit shrinks to nothing isn't worth its charge."""
     known = {r.ranked.key for r in refits}
     out: dict[object, Ranked] = {}
-    for refit in [r for r in refits if len(r.ranked.placed) > 1 and r.score > 0.0][:of]:
+    for refit in [r for r in refits if len(r.ranked.placed) > 1 and r.score > 0.0][:_OF_SUMS]:
         charge = 0.5 * (refit.ranked.charge + 2.0 * np.log(2.0))
         for law, (coefficient, _) in zip(refit.twin.laws, refit.twin.values(refit.fit.parameters), strict=True):
             placed = replace(law, coefficient=float(coefficient))

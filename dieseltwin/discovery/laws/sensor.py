@@ -61,25 +61,22 @@ def near_the_best(structure: Sequence[Structure], twin: Twin) -> tuple[str, ...]
 
 def sensor_law(
     twin: Twin, at: Linearisation, faults: Sequence[ReadingFault], nuisance_response: np.ndarray | None = None,
-    lags: bool = True, tolerances: Tolerances | None = None,
+    tolerances: Tolerances | None = None,
 ) -> Law | None:  # fmt: skip
-    """The fault of a sensor that explains most of what is left of a fit.
+    """The fault of a sensor that explains most of what is left of a fit; lags of sensors that may lag (`LawScope`) too.
 
     Args:
         twin: without it.
         at: converged linearisation of that twin.
         faults: to choose from, with first sizes (`faults_of`).
         nuisance_response: (K, n, C) tolerance directions, as used for `at`.
-        lags: try lags of the sensors that the twin says may lag (`LawScope`).
         tolerances: directions about the fault found, for its last fit; None keeps those given.
 
     Returns:
         The law, its std with the tolerances inside; None where none is resolved.
     """
-    tried = list(faults)
-    if lags:
-        lagging = [name for name in law_scope_of(twin).lagging_sensors if name in twin.channels]
-        tried += [ReadingFault(name, "lag", size) for name in lagging for size in _LAGS_S]
+    lagging = [name for name in law_scope_of(twin).lagging_sensors if name in twin.channels]
+    tried = [*faults, *(ReadingFault(name, "lag", size) for name in lagging for size in _LAGS_S)]
     fits: list[tuple[float, ReadingFault, Linearisation]] = []
     P = len(twin.parameters)
     for fault in tried:

@@ -28,20 +28,15 @@ _NEAR = 60.0  # of the gain needed: terms that get slopes of their own
 _ROUNDS = 6
 
 
-def leading(structure: Sequence[Structure], count: int = MOST) -> list[Structure]:
-    """The strongest terms inside the machine, a few of each point.
-
-    Args:
-        structure: scored terms, strongest first.
-        count: at most so many.
-    """
+def leading(structure: Sequence[Structure]) -> list[Structure]:
+    """The strongest terms inside the machine, a few of each point, of scored ones with the strongest first."""
     kept: list[Structure] = []
     inside = [item for item in structure if item.feature.form is not None]
     for item in inside:
         of_point = sum(other.feature.point == item.feature.point for other in kept)
         if of_point < _OF_A_POINT and item.gain > _LEAST_SHARE * inside[0].gain:
             kept.append(item)
-    return kept[:count]
+    return kept[:MOST]
 
 
 def refit_terms(twin: Twin, at: Linearisation, items: Sequence[Structure]) -> list[Refit]:

@@ -46,6 +46,7 @@ _CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw
 _GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
 _PARTS = 4
 _FINE_ROUNDS = 3
+_REBASINGS = 2  # of a fit about its own estimate of the maps' errors
 _MOST_NUMBERS = 50_000_000  # of responses in all detail: 400 MB, five recordings of ten minutes
 
 
@@ -219,7 +220,7 @@ def verify(found: Search) -> Linearisation:
     return beside
 
 
-def rebased(found: Search, fit: Fit, rounds: int = 2, in_weather: bool = False) -> Linearisation:
+def rebased(found: Search, fit: Fit, in_weather: bool = False) -> Linearisation:
     """A fit about its own estimate of the maps' errors (`nuisance.Rebased`), in the metric of the health-only fit;
     `in_weather`: and of the weather."""
     null = found.null
@@ -227,7 +228,7 @@ def rebased(found: Search, fit: Fit, rounds: int = 2, in_weather: bool = False) 
     if null.nuisance_response is None:
         return at
     residual = np.nan_to_num(found.twin.measured - simulate_fits(found.twin, [fit])[0])
-    for _ in range(rounds):
+    for _ in range(_REBASINGS):
         estimate = null.metric.nuisance_estimate(residual)
         twin = found.twin
         if belief_of(twin) is not None:

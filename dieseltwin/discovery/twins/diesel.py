@@ -77,9 +77,7 @@ class EngineTwin:
         recording: in the recording format; `time_s` as it is.
         engine: nominal engine; its terms are part of the model.
         sensors: columns of `MEASURED` to use, None for all that the recording has.
-        window_s: length of the windows [s].
         map_tolerance: standard deviation of the maps' smooth errors [-].
-        step_s: integration step of RK4 [s]; None for steps as `engine_steps` says.
         belief: what was learned of the engine: its corrections are simulated, and readings are what they would be
             without its sensors' errors; None for maps and sensors as they are.
 
@@ -96,9 +94,7 @@ class EngineTwin:
         engine: EngineParameters,
         sensors: Sequence[str] | None = None,
         *,
-        window_s: float = WINDOW_S,
         map_tolerance: float = MAP_TOLERANCE,
-        step_s: float | None = None,
         belief: Belief | None = None,
     ) -> None:
         self.belief = belief
@@ -113,9 +109,7 @@ class EngineTwin:
             raise InputError(f"{recording.path or 'recording'}: sensors", ", ".join(missing) or "none",
                              ", ".join(MEASURED), "name columns that the recording has")
         self.engine = engine.replace(p_amb=recording.p_amb_pa, T_amb=recording.t_amb_k)
-        self.step_s = STEP_S if step_s is None else step_s  # even ones
-        self._even_steps = step_s is not None
-        rows, self.starts, self.pieces = windows_of(recording, window_s)
+        rows, self.starts, self.pieces = windows_of(recording, WINDOW_S)
         self.rows = rows
         self.recording_time_s = time = recording.time_s[rows]
         self.time_s = without_gaps(time, self.pieces)
@@ -161,7 +155,7 @@ class EngineTwin:
     @cached_property
     def _even(self) -> list:
         """Actuators at even steps."""
-        return actuate_lanes(self.inputs, self.engine, {}, 1, None, self.step_s)
+        return actuate_lanes(self.inputs, self.engine, {}, 1, None, STEP_S)
 
     @cached_property
     def _stiffness(self) -> Array:
@@ -173,11 +167,7 @@ class EngineTwin:
 
     def _choose_steps(self) -> None:
         """Steps, and the actuators without effects on them."""
-        self.steps_s: float | Array = self.step_s
-        self._late, self._plain = 1.0, self._even
-        if self._even_steps:
-            return
-        self.steps_s, self._late = step_lengths(self._stiffness, self.starts), LATE
+        self.steps_s = step_lengths(self._stiffness, self.starts)
         self._plain = actuate_lanes(self.inputs, self.engine, {}, 1, None, self.steps_s)
 
     def _begin(self) -> None:
@@ -326,7 +316,7 @@ class EngineTwin:
         extension = replace(
             extension_of(lanes, combined, schedules, self.time_s.size), restarts=starts, corrections=self.corrections
         )
-        return simulate_extended(drive if len(drive) > 1 else drive[0], batch, extension, initial, late=self._late)
+        return simulate_extended(drive if len(drive) > 1 else drive[0], batch, extension, initial, late=LATE)
 
     def driven(self, lanes: Lanes, actuations: list[Actuation], constants: Mapping[str, Array] | None = None) -> Array:
         """Readings (B, n, C) of lanes that have actuators of their own, and constants of the engine (B,)."""

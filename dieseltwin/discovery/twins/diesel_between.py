@@ -24,7 +24,7 @@ class Driven(Protocol):
     Attributes:
         engine: its engine; channels: of the readings.
         inputs: at the rows; starts, pieces: first rows of the windows and of the pieces.
-        steps_s: longest integration step [s], or one per interval between rows.
+        steps_s: longest integration step [s] of every interval between rows.
     """
 
     engine: EngineParameters
@@ -32,7 +32,7 @@ class Driven(Protocol):
     inputs: Inputs
     starts: np.ndarray
     pieces: np.ndarray
-    steps_s: float | Array
+    steps_s: Array
 
     def with_own_laws(self, lanes: Lanes) -> Lanes:
         """Lanes with the engine's own laws as signals."""
@@ -109,7 +109,7 @@ def _actuation(twin: Driven, lanes: Lanes, column: str, std: Array | None, node:
     magnitudes, schedules = twin.combined(lanes)
     moved = moving(magnitudes)
     held = {name: np.repeat(schedules[name], every)[: fine_s.size] for name in moved if name in schedules}
-    steps_s = np.repeat(np.broadcast_to(twin.steps_s, (inputs.time_s.size - 1,)), every)
+    steps_s = np.repeat(twin.steps_s, every)
     fine = actuate_lanes(Inputs(fine_s, **columns, start_s=inputs.start_s), twin.engine, moved, 1, held, steps_s)[0]
     rows = slice(None, None, every)  # the same grid, with the recording's rows as samples
     return replace(

@@ -42,7 +42,7 @@ def moving(magnitudes: Mapping[str, Array]) -> dict[str, Array]:
 
 def lane_actuations(
     inputs: Inputs, engine: EngineParameters, moved: Mapping[str, Array], schedules: Mapping[str, Array],
-    plain: Sequence[Actuation], step_s: float | Array,
+    plain: Sequence[Actuation], step_s: Array,
 ) -> list[Actuation]:  # fmt: skip
     """Actuators of every lane under effects on the commands.
 
@@ -51,7 +51,7 @@ def lane_actuations(
         moved: effect -> (B,) magnitudes.
         schedules: effect -> (n,) or (B, n) factor of its magnitude.
         plain: actuators without effects, one.
-        step_s: longest integration step [s], or one per interval.
+        step_s: longest integration step [s] of every interval.
     """
     size = len(next(iter(moved.values())))
     own = {name: values for name, values in schedules.items() if name in moved}

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.diesel import STEP_S, EngineTwin
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import EngineParameters, actuate
 from dieseltwin.engine.effects import EFFECTS
@@ -52,7 +52,7 @@ def implied_frame(
     engine = twin.engine
     if starts is None or local is None:
         starts, local = twin.starts, twin.initial(twin.first_local())
-    actuation = actuate(twin.inputs, engine, twin.step_s)
+    actuation = actuate(twin.inputs, engine, STEP_S)
     observed = simulate_terms(actuation, parameter_batch(engine), local[None], restarts=starts, sensors=False)
     states = observed.states[0]
     frame = extended_frame(states, actuation, engine)
