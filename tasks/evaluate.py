@@ -43,8 +43,7 @@ def ensemble(
     from dieseltwin.atomic import write_json
     from dieseltwin.engine import HEALTH
     from dieseltwin.identification.bound import IDENTIFIABLE_BELOW, cramer_rao
-    from dieseltwin.identification.curves import curves_table
-    from dieseltwin.identification.result import Identification
+    from dieseltwin.identification.result import Identification, curves_table
     from dieseltwin.paper.evaluation.ensembles import (
         at_last_epoch,
         load_estimates,

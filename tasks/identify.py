@@ -71,8 +71,8 @@ def identified(
     """
     import json
 
-    from dieseltwin.identification.curves import curves_table
     from dieseltwin.identification.identify import identify_segments
+    from dieseltwin.identification.result import curves_table
     from dieseltwin.settings.methods import find
     from dieseltwin.surrogates.files import load_networks
 

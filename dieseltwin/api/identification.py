@@ -21,10 +21,9 @@ from dieseltwin.discovery.fit_test import tested
 from dieseltwin.discovery.verdict.assemble import found_circumstance
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.errors import InputError
-from dieseltwin.identification.curves import curves_table
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
-from dieseltwin.identification.result import Identification
+from dieseltwin.identification.result import Identification, curves_table
 from dieseltwin.notes import Note, doubts_among, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS

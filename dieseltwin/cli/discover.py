@@ -14,6 +14,7 @@ from dieseltwin.cli.options import (
     ParamsFile,
     Pdf,
     Profile,
+    Sensors,
     Strict,
     names,
     progress,
@@ -35,9 +36,7 @@ def discover_command(
         ),
     ] = None,
     engine: EngineFile = None,
-    sensors: Annotated[
-        str | None, typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; all without it.")
-    ] = None,
+    sensors: Sensors = None,
     channels: ChannelsFile = None,
     withhold: Annotated[
         str | None, typer.Option("--withhold", metavar="NAME,...", help="Effects to keep out of the catalogue.")

@@ -19,6 +19,9 @@ EngineFile = Annotated[
 ChannelsFile = Annotated[
     Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign column names and units to ours.")
 ]
+Sensors = Annotated[
+    str | None, typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; all without it.")
+]
 ParamsFile = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Settings instead of params.yaml.")]
 Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile of the settings: quick or paper.")]
 

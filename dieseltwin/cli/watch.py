@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dieseltwin.atomic import check_folder
-from dieseltwin.cli.options import ChannelsFile, ParamsFile, Profile, help_without_command, names, progress, say
+from dieseltwin.cli.options import (
+    ChannelsFile,
+    ParamsFile,
+    Profile,
+    Sensors,
+    help_without_command,
+    names,
+    progress,
+    say,
+)
 from dieseltwin.errors import InputError, Refused
 from dieseltwin.notes import counted
 from dieseltwin.paths import refuse_unreadable
@@ -36,9 +45,7 @@ def add_command(
     engine: Annotated[Path, typer.Option("--engine", metavar="FILE", help="File that `dieseltwin learn` wrote.")],
     history: HistoryFolder,
     channels: ChannelsFile = None,
-    sensors: Annotated[
-        str | None, typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; all without it.")
-    ] = None,
+    sensors: Sensors = None,
     alarms_per_year: Rate = None,
     params: ParamsFile = None,
     profile: Profile = "quick",

@@ -24,6 +24,7 @@ from dieseltwin.identification.unknowns import HEALTH, UNITS
 Array = NDArray[np.float64]
 
 SCHEMA = 1
+EPOCH = "epoch"
 Z_90 = float(ndtri(0.5 + INTERVAL / 2.0))
 """Half width of the 90 % interval in standard deviations."""
 MEMBERS_FOR_QUANTILES = 20
@@ -275,6 +276,26 @@ class Identification:
             table.insert(0, "segment", number)
             parts.append(table)
         return pd.concat(parts, ignore_index=True)
+
+
+def curves_table(identification: Identification) -> pd.DataFrame | None:
+    """Convergence curves of all segments in long form: epoch, segment, run, quantity, value; None without curves.
+
+    `SegmentEstimate.curves` holds arrays (n,) or (n, R) and, under "epoch", the epochs (n,) that belong to them.
+    """
+    parts = []
+    for number, segment in enumerate(identification.segments):
+        epochs = segment.curves.get(EPOCH)
+        for name, curve in segment.curves.items():
+            values = np.asarray(curve, dtype=np.float64)
+            if name == EPOCH or values.ndim not in (1, 2) or not len(values):
+                continue
+            told = epochs is not None and len(epochs) == len(values)
+            axis = np.asarray(epochs) if told else np.arange(len(values))
+            for run, column in enumerate(values.reshape(len(values), -1).T):
+                frame = {"epoch": axis, "segment": number, "run": run, "quantity": name, "value": column}
+                parts.append(pd.DataFrame(frame))
+    return pd.concat(parts, ignore_index=True) if parts else None
 
 
 def intervals_from_log_std(values: Array, log_std: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.atomic import atomic_path, write_json
-from dieseltwin.identification.curves import curves_table
+from dieseltwin.identification.result import curves_table
 from dieseltwin.report.results import PARAMETERS, Results, method_from_document
 from dieseltwin.sensors import MEASURED
 

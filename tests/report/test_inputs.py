@@ -11,9 +11,8 @@ import pandas as pd
 import pytest
 
 from dieseltwin.engine import Inputs, we2011
-from dieseltwin.identification.curves import curves_table
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.result import Identification, SegmentEstimate
+from dieseltwin.identification.result import Identification, SegmentEstimate, curves_table
 from dieseltwin.identification.unknowns import HEALTH
 from dieseltwin.report.identification import identification_figures
 from dieseltwin.report.inputs import results_of, write_report_inputs
