@@ -35,7 +35,7 @@ _FIT_ROUNDS = 6
 _LARGEST_STEP = 0.8  # of a prior's standard deviation in one round: farther, responses are others
 _SETTLED = 0.1  # of a prior's standard deviation; the rest is linear
 _MOVED = 0.6  # the same of what is open anyway: it is taken linearly up to here
-_MOVED_UNREAD = 0.15  # the same of an ambient that no column gives: at 3.6 kPa and 10 K health was off by 6 deviations
+_MOVED_UNREAD = 0.15  # of ambient or charge that no column gives: 3.6 kPa and 10 K away health was off by 6 deviations
 _BESIDE = 2.0  # times as far beside an effect: where it is the wrong one, it bends them
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
@@ -123,7 +123,7 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
 
 def _bar(item: Circumstance) -> float:
     """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior."""
-    return _MOVED_UNREAD if item.plain in AMBIENT and not item.read else _MOVED
+    return _MOVED if item.kind or item.read else _MOVED_UNREAD
 
 
 def _movable(found: Search) -> list[Circumstance]:
