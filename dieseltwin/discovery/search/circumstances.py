@@ -105,15 +105,17 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
     values: dict[str, float] = {}
     bars = np.array([_bar(item) for item in movable])
-    if np.any(np.abs(shares[1]) >= (bars if lead is found.null else _BESIDE * bars)):
+    far = [bool(np.any(np.abs(share) >= bars)) for share in shares]
+    alone = _settled(found, twin, found.null.fit, movable, {}) if far[0] else None
+    if lead is found.null:
+        values = alone.values if alone is not None else {}
+    elif alone is not None and alone.evidence < _evidence(lead) + found.settings.alarm_gain:
+        values = alone.values  # they may be all that the effect says
+    elif np.any(np.abs(shares[1]) >= _BESIDE * bars):
         values = {
             item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
             for item, share in zip(movable, shares[1], strict=True)
         }
-    if lead is not found.null and np.any(np.abs(shares[0]) >= bars):  # they may be all that the effect says
-        alone = _settled(found, twin, found.null.fit, movable, {})
-        if alone.evidence < _evidence(lead) + found.settings.alarm_gain:
-            values = alone.values
     if not values:
         return None
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
