@@ -105,8 +105,8 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
     values: dict[str, float] = {}
     bars = np.array([_bar(item) for item in movable])
-    far = [bool(np.any(np.abs(share) >= bars)) for share in shares]
-    alone = _settled(found, twin, found.null.fit, movable, {}) if far[0] else None
+    moves = bool(np.any(np.abs(shares[0]) >= bars))
+    alone = _settled(found, twin, found.null.fit, movable, {}) if moves else None
     if lead is found.null:
         values = alone.values if alone is not None else {}
     elif alone is not None and alone.evidence < _evidence(lead) + found.settings.alarm_gain:
