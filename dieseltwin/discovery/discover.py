@@ -9,15 +9,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.between_rows import windows_between_rows
 from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
-from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit
-from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
-from dieseltwin.discovery.likelihood.score import effect_responses, minimum_detectable, score, secant_sizes
+from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.circumstances import leading
-from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
 from dieseltwin.discovery.verdict.assemble import assemble
@@ -32,46 +28,36 @@ from dieseltwin.notes import Note
 from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, put_right
 from dieseltwin.recordings.dates import ORDER, Dated
 from dieseltwin.recordings.liveliest import liveliest
-from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.settings.search import SearchSettings
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What recordings could show at all, from their inputs and their noise, before any fit.
+    """Recordings with health alone fitted: what they could show is known, no name has been thought of.
 
     Attributes:
-        minimum_detectable: effect -> smallest magnitude that would raise an alarm [unit of the effect].
-        twin: bound to the recordings, for `discover`.
+        found: the search as it begins; it isn't changed.
     """
 
-    minimum_detectable: Mapping[str, float]
-    twin: EngineTwin | SeveralTwin
+    found: search.Search
+
+    @property
+    def minimum_detectable(self) -> Mapping[str, float]:
+        """Effect -> smallest magnitude that would raise an alarm [unit of the effect]."""
+        return minimum_detectable(self.found.scored, self.found.settings.alarm_gain)
 
 
 def prepare(
     recordings: Recording | Sequence[Dated], engine: EngineParameters, options: Options | None = None,
     learned: LearnedEngine | None = None,
 ) -> Prepared:  # fmt: skip
-    """Smallest visible size of each effect on this driving, at the nominal engine, without a fit.
+    """Health alone fitted, and with it the smallest visible size of each effect on this driving.
 
     Raises:
         InputError: as `discover`.
     """
     options = options or Options()
-    twin = _twin_over(_dated(recordings), engine, options, learned)
-    return Prepared(_visible_sizes(twin, options.settings()), twin)
-
-
-def _visible_sizes(twin: EngineTwin | SeveralTwin, settings: SearchSettings) -> dict[str, float]:
-    start = first_fit(twin)
-    scatter = ModelScatter(None, windows_between_rows(twin, start.lanes()))
-    whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts, scatter)
-    bare = Linearisation(twin, whitening, start)
-    at = Linearisation(twin, whitening, start, None, search.tolerance_responses(twin, bare, settings))
-    wanted = secant_sizes(twin, [name for name in twin.hypotheses if name not in settings.withhold])
-    return minimum_detectable(score(at, wanted, effect_responses(twin, at, wanted)), settings.alarm_gain)
+    return Prepared(search.prepare(_twin_over(_dated(recordings), engine, options, learned), options.settings()))
 
 
 def discover(
@@ -88,7 +74,7 @@ def discover(
         engine: what the twin believes; its terms are part of it.
         options: None for the defaults.
         learned: what is known of the engine from recordings of when it was well; `engine` is then its own.
-        prepared: of the same recordings and engine, where that was asked before: its twin is used again.
+        prepared: of the same recordings, engine and options, where that was asked before.
         time_s: of the search, after which the best answer so far is given; None: no limit.
 
     Raises:
@@ -97,8 +83,8 @@ def discover(
     options = options or Options()
     clock = time.perf_counter()
     days = _dated(recordings)
-    twin = _twin_over(days, engine, options, learned) if prepared is None else prepared.twin.fresh()
-    found = search.run(twin, options.settings(), laws=options.law_search, time_s=time_s)
+    prepared = prepared or prepare(days, engine, options, learned)
+    found = search.carry_on(prepared.found.anew(), laws=options.law_search, time_s=time_s)
     then = None if learned is None else np.sqrt(np.diag(health_covariance(learned))) / learned.belief.health
     result = assemble(days, found, options, _reference(found, learned), time_s, then)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
@@ -139,7 +125,7 @@ def as_it_was(
     """
     options = options or Options()
     twin = _twin(recording if minutes_max is None else liveliest(recording, minutes_max), engine, options, None)
-    found = search.looked_at(twin, options.settings())
+    found = search.looked_at(search.prepare(twin, options.settings()))
     moved = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
     shown = tuple(item for item in estimates(leading(found)) if item.off and item.circumstance.kind != DRIFT)
     beside = {item.circumstance.name: item.value for item in shown if item.circumstance.kind != TIME_SHIFT}

@@ -35,7 +35,7 @@ _FIT_ROUNDS = 6
 _LARGEST_STEP = 0.8  # of a prior's standard deviation in one round: farther, responses are others
 _SETTLED = 0.1  # of a prior's standard deviation; the rest is linear
 _MOVED = 0.6  # the same of what is open anyway: it is taken linearly up to here
-_MOVED_UNREAD = 0.15  # the same of an ambient that no column gives: at 3.6 kPa and 10 K health was off by 6 deviations
+_MOVED_UNREAD = 0.15  # of ambient or charge that no column gives: 3.6 kPa and 10 K away health was off by 6 deviations
 _BESIDE = 2.0  # times as far beside an effect: where it is the wrong one, it bends them
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
@@ -105,15 +105,17 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     shares = [_shares(found, at, movable) for at in (found.null, lead)]
     values: dict[str, float] = {}
     bars = np.array([_bar(item) for item in movable])
-    if np.any(np.abs(shares[1]) >= (bars if lead is found.null else _BESIDE * bars)):
+    moves = bool(np.any(np.abs(shares[0]) >= bars))
+    alone = _settled(found, twin, found.null.fit, movable, {}) if moves else None
+    if lead is found.null:
+        values = alone.values if alone is not None else {}
+    elif alone is not None and alone.evidence < _evidence(lead) + found.settings.alarm_gain:
+        values = alone.values  # they may be all that the effect says
+    elif np.any(np.abs(shares[1]) >= _BESIDE * bars):
         values = {
             item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
             for item, share in zip(movable, shares[1], strict=True)
         }
-    if lead is not found.null and np.any(np.abs(shares[0]) >= bars):  # they may be all that the effect says
-        alone = _settled(found, twin, found.null.fit, movable, {})
-        if alone.evidence < _evidence(lead) + found.settings.alarm_gain:
-            values = alone.values
     if not values:
         return None
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
@@ -123,7 +125,7 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
 
 def _bar(item: Circumstance) -> float:
     """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior."""
-    return _MOVED_UNREAD if item.plain in AMBIENT and not item.read else _MOVED
+    return _MOVED if item.kind or item.read else _MOVED_UNREAD
 
 
 def _movable(found: Search) -> list[Circumstance]:

@@ -60,12 +60,24 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: floa
     Args:
         twin: bound to its recording.
         settings: thresholds.
+        laws, time_s: as of `carry_on`, the limit from here on.
+    """
+    began = time.perf_counter()
+    found = prepare(twin, settings)
+    return carry_on(found, laws=laws, time_s=None if time_s is None else time_s - (time.perf_counter() - began))
+
+
+def carry_on(found: Search, *, laws: bool = True, time_s: float | None = None) -> Search:
+    """The search from where `prepare` leaves it, which is used up by it.
+
+    Args:
+        found: as `prepare` made it.
         laws: look for a law where no name fits.
         time_s: after so many seconds the best answer so far is given; the refits of single effects are always
             finished. None: no limit.
     """
     began = time.perf_counter()
-    found = _with_names(twin, settings)
+    found = _with_names(found)
     left = None if time_s is None else time_s - (time.perf_counter() - began)
     try:
         with time_limit(left):
@@ -80,15 +92,15 @@ def run(twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: floa
     return found
 
 
-def _with_names(twin: Twin, settings: SearchSettings) -> Search:
-    """Health-only fit and refits of single effects, about the leading one where what was learned of the maps bends."""
-    found = looked_at(twin, settings)
+def _with_names(found: Search) -> Search:
+    """Refits of single effects, about the leading one where what was learned of the maps bends."""
+    found = looked_at(found)
     clock = time.perf_counter()
     found, starts = refitted(found, starts_by_recording(found))
     found.seconds["by_recording"] = time.perf_counter() - clock
     for renewal in range(_RENEWALS):
         lead = _lead(found)
-        if belief_of(twin) is None or found.gain(lead) < BENDS:
+        if belief_of(found.twin) is None or found.gain(lead) < BENDS:
             break
         unsettled = found.unsettled
         found, starts = refitted(_with_singles(prepared_about(found, lead), found.singles), starts)
@@ -174,15 +186,15 @@ def _lead(found: Search) -> Fit:
     return min([found.singles[0], *(fit for _, fit in found.variants[:1])], key=lambda fit: fit.objective)
 
 
-def looked_at(twin: Twin, settings: SearchSettings) -> Search:
-    """Noise, health-only fit and single effects, under the circumstances that the recording shows."""
-    found = _with_singles(prepare(twin, settings))
+def looked_at(found: Search) -> Search:
+    """A prepared search with its single effects, under the circumstances that the recording shows."""
+    found = _with_singles(found)
     before = found
     for _ in range(ROUNDS):
         other = under_circumstances(found)
         if other is None:
             return found
-        before, found = found, _with_singles(prepare(other, settings))
+        before, found = found, _with_singles(prepare(other, found.settings))
     both = [_lead(each) for each in (before, found)]
     if both[0].candidate.names != both[1].candidate.names and under_circumstances(found) is not None:
         found.unsettled = [fit.candidate.names for fit in both]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -63,6 +64,10 @@ class Search:
     stage: str = ""
     unfinished: tuple[str, ...] = ()
     unsettled: list[tuple[str, ...]] = field(default_factory=list)
+
+    def anew(self) -> Search:
+        """The same for a search of its own, as long as nothing was looked for here."""
+        return replace(self, null=copy(self.null), probabilities={}, seconds=dict(self.seconds))
 
     def gain(self, fit: Fit) -> float:
         """Gain of a fit over the health-only fit."""

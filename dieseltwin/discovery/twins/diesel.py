@@ -181,12 +181,6 @@ class EngineTwin:
         self._choose_steps()
         self._memory = Memory()  # the states' starts are another's
 
-    def fresh(self) -> EngineTwin:
-        """The same twin with readings and windows of its own, for a search that leaves some of them out."""
-        other = copy(self)
-        other.measured, other._law_signals = self.measured.copy(), dict(self._law_signals)
-        return other
-
     def split(self, windows: np.ndarray, parts: int, local: Array) -> Array:
         """Cut some windows into parts and return the initial states (W', 1) of all, new ones from the readings.
 

@@ -130,13 +130,6 @@ class SeveralTwin:
         self.measured: Array = np.concatenate([part.measured for part in self.parts])
         self.moved = np.zeros_like(self.measured)
 
-    def fresh(self) -> SeveralTwin:
-        """The same twin with readings and windows of its own, as `EngineTwin.fresh`."""
-        other = copy(self)
-        other.parts = tuple(part.fresh() for part in self.parts)
-        other.measured, other.moved = self.measured.copy(), self.moved.copy()
-        return other
-
     @property
     def engine(self) -> EngineParameters:
         """The engine on the last recording, before anything is fitted."""

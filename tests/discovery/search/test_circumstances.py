@@ -85,6 +85,17 @@ def test_a_healthy_engine_on_a_hill_is_let_be() -> None:
     assert "the ambient pressure is 9" in sentence(document)
 
 
+def test_a_cold_charge_that_no_column_gives_is_followed_by_simulation() -> None:
+    """Taken linearly up to 6 K it left A_vgtmax 0.6 % off, three and a half stated deviations, ambient recorded."""
+    cold = we2011.PARAMETERS.T_im - 7.0
+    frame = _driven(p_amb=79_820.0, T_amb=312.0, T_im=cold).assign(p_amb_pa=79_820.0, t_amb_k=312.0)
+    document = _judged(frame)
+    assert not document.mismatch
+    said = {item.name: item for item in document.circumstances}
+    assert said["t_im_k"].value == pytest.approx(cold, abs=1.0)
+    assert document.health["A_vgtmax"].value == pytest.approx(we2011.PARAMETERS.A_vgtmax, rel=0.004)
+
+
 def test_each_of_several_recordings_has_a_weather_and_clocks_of_its_own() -> None:
     hill, late = _driven(120.0, p_amb=93_000.0, T_amb=285.15), _driven(120.0)
     late["n_e_rpm"] = np.interp(late["time_s"] - LATE_S, late["time_s"], late["n_e_rpm"])
