@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.challenge.driving import Driving
-from dieseltwin.challenge.map_errors import MapErrors
+from dieseltwin.challenge.map_errors import CORRELATION_LENGTH, MapErrors
 from dieseltwin.challenge.own_engine import (
+    CORRELATION,
     REFERENCE_MIN,
     TIERS,
     draw_health,
@@ -28,7 +29,7 @@ from dieseltwin.challenge.sensors import SENSORS, SensorSet, read
 from dieseltwin.errors import InputError
 
 Kind = Literal["healthy", "withheld", "two", "partial", "single"]
-Tier = Literal["main", "one-percent", "own-engine", "own-engine-5", "petrol", "points"]
+Tier = Literal["main", "one-percent", "own-engine", "own-engine-5", "own-engine-rough", "petrol", "points"]
 PETROL: Tier = "petrol"
 POINTS: Tier = "points"
 DRAWN: tuple[Tier, ...] = (PETROL, POINTS)
@@ -36,7 +37,7 @@ DRAWN: tuple[Tier, ...] = (PETROL, POINTS)
 
 
 MIX: Mapping[Kind, float] = {"healthy": 0.25, "withheld": 0.15, "two": 0.15, "partial": 0.15}  # the rest single
-MAP_RMS: Mapping[Tier, float] = {"main": 0.003, "one-percent": 0.01, "own-engine": 0.02, "own-engine-5": 0.05}
+MAP_RMS: Mapping[str, float] = {"main": 0.003, "one-percent": 0.01, **TIERS}
 HEALTH_SPREAD = {"A_egrmax": 0.25, "A_vgtmax": 0.25, "eta_sc": 0.08, "h_tot": 0.25}  # uniform about the laboratory's
 LARGEST_RATIO = 10.0  # of magnitude to tolerance; log-uniform from 1
 UNCATALOGUED_SHARE = 0.2  # of the withheld cases: families that no catalogue holds
@@ -229,7 +230,8 @@ def _draw_engine(
     if not own:
         for name, spread in HEALTH_SPREAD.items():
             parameters[name] = laboratory[name] * (1.0 + rng.uniform(-spread, spread))
-    return then, wear, parameters, MapErrors.draw(MAP_RMS[tier], rng)
+    maps = MapErrors.draw(MAP_RMS[tier], rng, CORRELATION.get(tier, CORRELATION_LENGTH))
+    return then, wear, parameters, maps
 
 
 def maps_of(answers: Mapping[str, Any], laboratory: Mapping[str, Any]) -> MapErrors:

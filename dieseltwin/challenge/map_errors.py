@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-NODES = 33  # of a table per argument; a field of correlation length 1/3 is met within 0.002 of its rms
+NODES = 33  # of a table per argument; fields of correlation length 1/3 are met within 0.002 of their rms, 1/6 0.008
 FEATURES = 48
 CORRELATION_LENGTH = 1.0 / 3.0  # of the map's range (docs/benchmark.md)
 
@@ -44,14 +44,15 @@ class MapErrors:
         return cls(np.zeros((len(MAPS), NODES, NODES)), low, high)
 
     @classmethod
-    def draw(cls, rms: float, rng: np.random.Generator) -> MapErrors:
-        """Fields of the given rms (over their ensemble; one draw's own rms differs by some 20 %)."""
+    def draw(cls, rms: float, rng: np.random.Generator, length: float = CORRELATION_LENGTH) -> MapErrors:
+        """Fields of the given rms (over their ensemble; one draw's own rms differs by some 20 %) and correlation
+        length [of the map's range]."""
         low, high = _ends()
         at = np.linspace(0.0, 1.0, NODES)
         grid = np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1)
         tables = np.empty((len(MAPS), NODES, NODES))
         for k, name in enumerate(MAPS):
-            waves = rng.standard_normal((FEATURES, 2)) / CORRELATION_LENGTH
+            waves = rng.standard_normal((FEATURES, 2)) / length
             if name == "f_egr":
                 waves[:, 1] = 0.0
             phases = rng.uniform(0.0, 2.0 * np.pi, FEATURES)

@@ -13,13 +13,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin.challenge.map_errors import MapErrors
+from dieseltwin.challenge.map_errors import CORRELATION_LENGTH, MapErrors
 from dieseltwin.challenge.plant import PlantRun, run_plant
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SENSORS, SensorSet, read
 
-TIERS: Mapping[str, float] = {"own-engine": 0.02, "own-engine-5": 0.05}
+TIERS: Mapping[str, float] = {"own-engine": 0.02, "own-engine-5": 0.05, "own-engine-rough": 0.02}
 """Tier -> size of the maps' errors, rms [-]."""
+
+CORRELATION: Mapping[str, float] = {"own-engine-rough": 0.5 * CORRELATION_LENGTH}
+"""Tier -> their correlation length [of the map's range], where it isn't the usual one."""
 
 HEALTH_THEN = {"A_egrmax": 0.15, "A_vgtmax": 0.15, "eta_sc": 0.04, "h_tot": 0.15}  # uniform about the laboratory's
 WEAR = {"A_egrmax": (-0.15, 0.05), "A_vgtmax": (-0.15, 0.05), "eta_sc": (-0.04, 0.02), "h_tot": (-0.15, 0.05)}

@@ -64,3 +64,14 @@ def test_an_oracle_meets_the_plants_maps():
 def test_the_maps_are_drawn_again_from_the_sealed_answers(case: Case):
     maps = maps_of(case.answers, we2011.PARAMETERS.model_dump())
     assert np.array_equal(maps.tables, case.machine.maps.tables)
+
+
+def test_rough_maps_are_of_the_same_size_and_turn_faster():
+    draws = {}
+    for tier in ("own-engine", "own-engine-rough"):
+        answers = ({"case": f"case_{k:04d}", "seed": 3, "tier": tier} for k in range(1, 31))
+        draws[tier] = np.array([maps_of(item, we2011.PARAMETERS.model_dump()).tables for item in answers])
+    size = {tier: np.sqrt(np.mean(tables**2)) for tier, tables in draws.items()}
+    slope = {tier: np.sqrt(np.mean(np.diff(tables, axis=2) ** 2)) for tier, tables in draws.items()}
+    assert size["own-engine-rough"] == pytest.approx(size["own-engine"], rel=0.1)
+    assert slope["own-engine-rough"] == pytest.approx(2.0 * slope["own-engine"], rel=0.15)

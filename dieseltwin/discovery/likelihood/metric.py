@@ -87,9 +87,8 @@ class Whitening:
 
     def apply(self, values: Array) -> Array:
         """(..., n, C) -> (..., n * C)."""
-        values = np.where(self.present, values, 0.0)
-        out = values.copy()
-        out[..., 1:, :] -= self.previous[1:] * values[..., :-1, :]
+        out = np.where(self.present, values, 0.0)
+        out[..., 1:, :] -= self.previous[1:] * out[..., :-1, :]
         out *= self.scale
         out = out.reshape(*out.shape[:-2], out.shape[-2] * out.shape[-1])
         for block, lower in self.lower:
@@ -201,7 +200,9 @@ class Metric:
             return out
         if self.states == 1:
             along = np.add.reduceat(whitened * self._unit, self._first, axis=1)
-            out[:, :size] -= np.repeat(along, self._rows_of, axis=1) * self._unit
+            parts = np.repeat(along, self._rows_of, axis=1)
+            parts *= self._unit
+            out[:, :size] -= parts
             out[:, size : size + along.shape[1]] = -along * self._unit_prior
             return out
         for w, (block, q) in enumerate(zip(self._blocks, self._orthonormal, strict=True)):

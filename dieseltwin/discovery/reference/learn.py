@@ -160,9 +160,9 @@ def learn(
         joint.begin(prior)  # the smooth maps' fit lies where steps stop short of a minimum
         joint.fit(_FIRST_ROUNDS)
         joint.whiten_anew()
-    joint.fit(_ROUNDS)
-    joint.leave_crooked_out(np.random.default_rng(settings.seed))
     converged = joint.fit(_ROUNDS)
+    if joint.leave_crooked_out(np.random.default_rng(settings.seed)) or not converged:
+        converged = joint.fit(_ROUNDS)
     evidence = joint.evidence()
     suspicions = joint.suspicions(settings.suspicious_gain)
     return Learned(combined(prior, evidence), evidence, converged, roughness, suspicions)
@@ -191,6 +191,7 @@ class _Joint:
             self.x[HEALTH_AT] = (health - prior.health) / self.scale[HEALTH_AT]
         for part in self.parts:
             part.begin(prior)
+        self.residuals = [part.residual(self.x, part.local) for part in self.parts]
         self._linearise()
 
     def of_all_functions(self) -> tuple[Array, Array]:
@@ -224,10 +225,10 @@ class _Joint:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""
         for part in self.parts:
             part.whiten_anew(part.shown(self.x, part.local))
-        self._linearise()
+        self._rewhiten()
 
-    def leave_crooked_out(self, rng: np.random.Generator) -> None:
-        """Leave windows out in which what is believed now doesn't act linearly."""
+    def leave_crooked_out(self, rng: np.random.Generator) -> bool:
+        """Leave windows out in which what is believed now doesn't act linearly; whether there are any."""
         covariance: Array = np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
         found = [part.crooked(at, self.x, covariance, rng) for part, at in zip(self.parts, self.at, strict=True)]
         for part, windows in zip(self.parts, found, strict=True):
@@ -235,8 +236,11 @@ class _Joint:
                 explained = part.shown(self.x, part.local)
                 part.leave_out(windows)
                 part.whiten_anew(explained)
-        if any(windows.any() for windows in found):
-            self._linearise()
+        any_out = any(windows.any() for windows in found)
+        if any_out:
+            self.residuals = [part.residual(self.x, part.local) for part in self.parts]
+            self._rewhiten()
+        return any_out
 
     def evidence(self) -> tuple[Evidence, ...]:
         """What each recording says, linearised about what all say."""
@@ -251,18 +255,24 @@ class _Joint:
         return tuple(found)
 
     def suspicions(self, least_gain: float) -> tuple[Suspicion, ...]:
-        """Efficient scores of all effects at what was learned, those above a gain, strongest first."""
+        """Efficient scores of all effects at what was learned, those above a gain, strongest first.
+
+        What is left of the gradient of what was learned is taken out as well: next to nothing there is much beside an
+        effect of which maps take up all but a thousandth.
+        """
         parts: dict[tuple[str, float], list[tuple[float, float, Array]]] = {}
         for part, at, rest in zip(self.parts, self.at, self.projected, strict=True):
             for key, values in part.scores(at, self.x, rest).items():
                 parts.setdefault(key, []).append(values)
-        whole = self._information()
+        whole, gradient = self._information(), self._gradient()
         found: dict[str, Suspicion] = {}
         for (name, _), some in parts.items():
             hypothesis = self.parts[0].twin.hypotheses[name]
-            push, own = sum(values[0] for values in some), sum(values[1] for values in some)
+            own = sum(values[1] for values in some)
             across = np.sum([values[2] for values in some], axis=0)
-            information = own - float(across @ np.linalg.solve(whole, across))
+            taken_up = np.linalg.solve(whole, across)
+            push = sum(values[0] for values in some) - float(gradient @ taken_up)
+            information = own - float(across @ taken_up)
             if information <= _LEAST_INFORMATION * own:
                 continue
             size = float(np.clip(push / information, *hypothesis.limits))
@@ -272,9 +282,13 @@ class _Joint:
         return tuple(sorted(found.values(), key=lambda item: -item.gain))
 
     def _linearise(self) -> None:
-        """Sensitivities of all recordings at x, and the residuals there."""
+        """Sensitivities of all recordings at x."""
         self.at = [part.linearised(self.x) for part in self.parts]
-        self.residuals = [part.residual(self.x, part.local) for part in self.parts]
+        self._project()
+
+    def _rewhiten(self) -> None:
+        """The same sensitivities in the metrics of new noise or of fewer windows."""
+        self.at = [part.rewhitened(at) for part, at in zip(self.parts, self.at, strict=True)]
         self._project()
 
     def _project(self) -> None:
@@ -285,10 +299,14 @@ class _Joint:
     def _information(self) -> Array:
         return np.asarray(self.precision + np.sum([at.projected @ at.projected.T for at in self.at], axis=0))
 
+    def _gradient(self) -> Array:
+        """Half the slope of -2 log posterior at x, downwards."""
+        pushes = [at.projected @ rest for at, rest in zip(self.at, self.projected, strict=True)]
+        return np.asarray(np.sum(pushes, axis=0) - self.precision @ self.x)
+
     def _step(self, factor: tuple[Array, bool]) -> tuple[Array, float]:
         """Gauss-Newton step, and the decrease of -2 log posterior that it promises."""
-        pushes = [at.projected @ rest for at, rest in zip(self.at, self.projected, strict=True)]
-        gradient = np.sum(pushes, axis=0) - self.precision @ self.x
+        gradient = self._gradient()
         step = np.asarray(cho_solve(factor, gradient))
         return step, float(gradient @ step)
 

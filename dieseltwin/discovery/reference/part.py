@@ -38,11 +38,13 @@ class Linear:
 
     Attributes:
         columns: (D, n, C) responses to one prior standard deviation of every coordinate.
+        local: (S, n, C) responses to the initial states.
         metric: of the readings, initial states taken out.
         projected: (D, rows) the columns in it.
     """
 
     columns: Array
+    local: Array
     metric: Metric
     projected: Array
 
@@ -125,8 +127,15 @@ class Part:
             columns[OFFSETS_AT.start + channel, :, j] = 1.0
         columns *= self.scale[:, None, None]
         local = differences[len(twin.parameters) :] * factor
-        metric = Metric(self.whitening, twin.starts, local, twin.state_scales)
-        return Linear(columns, metric, metric.without_local(columns))
+        return self._whitened(columns, local)
+
+    def rewhitened(self, here: Linear) -> Linear:
+        """The same responses behind another whitening."""
+        return self._whitened(here.columns, here.local)
+
+    def _whitened(self, columns: Array, local: Array) -> Linear:
+        metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales)
+        return Linear(columns, local, metric, metric.without_local(columns))
 
     def finer(self, here: Linear, x: Array) -> Array:
         """Responses (D, rows), in the metric of `here` about x, to a coefficient of one of the functions that aren't

@@ -9,9 +9,11 @@ import pytest
 
 from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
-from dieseltwin.discovery.reference.learn import Learned, combined, learn, learn_engine
+from dieseltwin.discovery.reference.learn import Learned, _Joint, combined, learn, learn_engine
+from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.learning.belief import HEALTH_AT, prior_belief
 from dieseltwin.recordings.reader import Recording, recording
@@ -21,14 +23,14 @@ SHARES = {"A_egrmax": 0.92, "A_vgtmax": 1.08, "eta_sc": 0.98, "h_tot": 1.1}
 LABORATORY = we2011.PARAMETERS.model_dump()
 
 
-def _recording(seed: int) -> Recording:
+def _recording(seed: int, *faults: Fault) -> Recording:
     maps = MapErrors.draw(MAP_RMS, np.random.default_rng(5))
     drawn = SensorSet.draw(np.random.default_rng(6))
     sensors = replace(drawn, rho=np.zeros(6))  # so few rows hardly tell correlated noise
     driving = draw_driving("random", 90.0, LABORATORY, np.random.default_rng(seed))
     healthy = LABORATORY | {name: LABORATORY[name] * share for name, share in SHARES.items()}
     rng = np.random.default_rng([seed, 1])
-    return recording(read(run_plant(driving, healthy, (), maps), driving, (), sensors, 6, rng))
+    return recording(read(run_plant(driving, healthy, faults, maps), driving, faults, sensors, 6, rng))
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +71,15 @@ def test_neither_order_nor_repetition_matters(learned: Learned, recordings):
     assert np.array_equal(found.belief.mean, learned.belief.mean)
     assert np.array_equal(found.belief.covariance, learned.belief.covariance)
     assert len(again.recordings) == 2
+
+
+def test_what_maps_take_up_is_no_suspicion_before_a_fit_is_done(recordings):
+    prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
+    begun = _Joint([Part(recordings[0], we2011.PARAMETERS, prior)], prior)
+    assert begun.suspicions(9.0) == ()
+
+
+def test_a_fault_that_no_map_takes_up_is_suspected():
+    offset = Fault("p_im_offset", 1e4)
+    first = learn([_recording(1, offset)], we2011.PARAMETERS, MAP_RMS).suspicions[0]
+    assert first.name == offset.effect and abs(first.magnitude - offset.magnitude) < 3.0 * first.std
