@@ -36,7 +36,7 @@ _LARGEST_STEP = 0.8  # of a prior's standard deviation in one round: farther, re
 _SETTLED = 0.1  # of a prior's standard deviation; the rest is linear
 _MOVED = 0.6  # the same of what is open anyway: it is taken linearly up to here
 _MOVED_UNREAD = 0.15  # of ambient or charge that no column gives: 3.6 kPa and 10 K away health was off by 6 deviations
-_BESIDE = 2.0  # times as far beside an effect: where it is the wrong one, it bends them
+_BESIDE = 2.0  # times as far beside an effect
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
 _CATALOGUE = 2  # effects at once that the catalogue explains by itself
@@ -111,7 +111,7 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
         values = alone.values if alone is not None else {}
     elif alone is not None and alone.evidence < _evidence(lead) + found.settings.alarm_gain:
         values = alone.values  # they may be all that the effect says
-    elif np.any(np.abs(shares[1]) >= _BESIDE * bars):
+    elif np.any(np.abs(shares[1]) >= [_bar_beside(item) for item in movable]):
         values = {
             item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
             for item, share in zip(movable, shares[1], strict=True)
@@ -126,6 +126,12 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
 def _bar(item: Circumstance) -> float:
     """How far from where the twin has it a circumstance is linear enough, in standard deviations of its prior."""
     return _MOVED if item.kind or item.read else _MOVED_UNREAD
+
+
+def _bar_beside(item: Circumstance) -> float:
+    """The same beside an effect, which bends them where it is the wrong one, and the charge most readily: beside one in
+    the place of a leak that was withheld it went 3 K away, and the leak's law left more than half of the misfit."""
+    return _BESIDE * (_MOVED_UNREAD if item.plain in AMBIENT and not item.read else _MOVED)
 
 
 def _movable(found: Search) -> list[Circumstance]:
