@@ -36,7 +36,7 @@ class Prepared:
     """Recordings with health alone fitted: what they could show is known, no name has been thought of.
 
     Attributes:
-        found: the search as it begins; it isn't changed.
+        found: the search as it begins; `discover` goes on with a copy.
     """
 
     found: search.Search
@@ -81,9 +81,9 @@ def discover(
         InputError: no usable sensor, no stretch with the engine running, or recordings without a common set of sensors.
     """
     options = options or Options()
-    clock = time.perf_counter()
     days = _dated(recordings)
     prepared = prepared or prepare(days, engine, options, learned)
+    clock = time.perf_counter() - prepared.found.seconds["prepare"]
     found = search.carry_on(prepared.found.anew(), laws=options.law_search, time_s=time_s)
     then = None if learned is None else np.sqrt(np.diag(health_covariance(learned))) / learned.belief.health
     result = assemble(days, found, options, _reference(found, learned), time_s, then)

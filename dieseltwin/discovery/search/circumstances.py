@@ -102,22 +102,20 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     lead = leading(found)
     held = belief_of(found.twin) is not None
     movable = [item for item in _movable(found) if not (held and item.read)]
-    shares = [_shares(found, at, movable) for at in (found.null, lead)]
-    values: dict[str, float] = {}
-    bars = np.array([_bar(item) for item in movable])
-    moves = bool(np.any(np.abs(shares[0]) >= bars))
+    moves = np.any(np.abs(_shares(found, found.null, movable)) >= [_bar(item) for item in movable])
     alone = _settled(found, twin, found.null.fit, movable, {}) if moves else None
-    if lead is found.null:
-        values = alone.values if alone is not None else {}
-    elif alone is not None and alone.evidence < _evidence(lead) + found.settings.alarm_gain:
-        values = alone.values  # they may be all that the effect says
-    elif np.any(np.abs(shares[1]) >= [_bar_beside(item) for item in movable]):
+    if alone and (lead is found.null or alone.evidence < _evidence(lead) + found.settings.alarm_gain):
+        values = alone.values  # beside an effect: they may be all that it says
+    elif lead is found.null:
+        return None
+    else:
+        beside = _shares(found, lead, movable)
+        if not np.any(np.abs(beside) >= [_bar_beside(item) for item in movable]):
+            return None
         values = {
             item.name: twin.values.get(item.name, item.assumed) + item.std * float(share)
-            for item, share in zip(movable, shares[1], strict=True)
+            for item, share in zip(movable, beside, strict=True)
         }
-    if not values:
-        return None
     other = cast(WithCircumstances, twin.under({**twin.values, **values}, twin.opened))
     far = any(abs(other.values[i.name] - twin.values.get(i.name, i.assumed)) > _bar(i) * i.std for i in movable)
     return cast(Twin, other) if far else None  # sensors' clocks go by whole rows
