@@ -34,7 +34,7 @@ def judged(recording: Path, true: list[str], withheld: bool) -> dict[str, Any]:
     """Seconds of the whole command, and what it said."""
     options = ("--withhold", ",".join(true)) if withheld else ()
     with tempfile.TemporaryDirectory() as name:
-        told = twin("discover", recording, "--out", Path(name) / "out", *options)
+        told = twin("discover", recording.resolve(), "--out", Path(name) / "out", *options)
         document = json.loads((Path(name) / "out" / "discrepancy.json").read_text())
     named = sorted(effect["name"] for effect in document["effects"])
     return {"seconds": told.seconds, "processor": told.processor, "peak": told.peak, "true": true, "named": named,

@@ -175,7 +175,7 @@ def test_a_forbidden_import_is_noticed(project_root: Path, project: dict, tmp_pa
 
 
 def test_console_script(project: dict) -> None:
-    assert project["project"]["scripts"] == {"dieseltwin": "dieseltwin.__main__:main"}
+    assert project["project"]["scripts"] == {"dieseltwin": "dieseltwin.__main__:program"}
 
 
 def test_package_data_is_declared(project_root: Path, project: dict) -> None:

@@ -85,6 +85,7 @@ _INTERRUPTED = 130
 
 
 _OUT_OF_MEMORY = "out of memory; no file is half-written: cut the recording, or run it where there is more"
+_NO_ROOM = "no space left on the device; no file is half-written: make room, or write elsewhere"
 
 
 def _short_of_memory(error: BaseException | None) -> bool:
@@ -125,6 +126,8 @@ def main(arguments: list[str] | None = None) -> int:
     except (OSError, ImportError) as error:  # of an input; outputs are checked where they are written
         if _short_of_memory(error):
             return _fail(_OUT_OF_MEMORY, 1)
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            return _fail(_NO_ROOM, 1)
         if not isinstance(error, OSError) or error.errno not in _OF_A_PATH or error.filename is None:
             raise
         got = (error.strerror or str(error)).lower()
