@@ -1,7 +1,9 @@
-"""Compiled kernel of the extended model: RK4 in lockstep lanes with effects, signals and restarts.
+"""Compiled kernel of the extended model: RK4 in eight lanes with effects, signals and restarts.
 
-As in `_compiled` eight lanes advance together in one flat work array. Here one compiled evaluation of the right-hand
-side serves the four stages and the samples: its text is long, and so is its compilation.
+As in `_compiled` eight lanes share every evaluation of the right-hand side, in one flat work array. Here each of them
+is at a place of its own, so that windows of one recording fill them as well as many parameter sets do: otherwise one
+set takes as long as eight. One compiled evaluation serves the four stages and the samples: its text is long, and so is
+its compilation.
 """
 
 from __future__ import annotations
@@ -57,7 +59,8 @@ SIGNAL = EFFECT + N_EFFECTS  # value at the sample before
 SLOPE = SIGNAL + N_POINTS  # change until the sample after
 CORRECTION = SLOPE + N_POINTS  # relative, at `CORRECTED_POINTS`
 ARGUMENT = CORRECTION + N_CORRECTED  # of the corrections: u_egr, u_vgt, Pi_t, Pi_c, Psi_c
-CONSTANT = ARGUMENT + 5
+FRACTION = ARGUMENT + 5  # of the interval between samples that has passed, for the signals
+CONSTANT = FRACTION + 1
 
 INERTIA = STATE_EFFECTS.index(GAS_LAG)
 GROWS = np.array(DRIFTS)
@@ -89,12 +92,12 @@ energy_transfer_coefficient = _model.energy_transfer_coefficient
 def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
     fields = [f"work[{first + j} * lanes + k]" for j in range(len(kind._fields))]
     if moving:
-        slopes = [f"fraction * work[{SLOPE + j} * lanes + k]" for j in range(len(fields))]
+        slopes = [f"work[{FRACTION} * lanes + k] * work[{SLOPE + j} * lanes + k]" for j in range(len(fields))]
         fields = [f"{value} + {slope}" for value, slope in zip(fields, slopes, strict=True)]
         for row, point in enumerate(CORRECTED_POINTS):
             fields[Signals._fields.index(point)] += f" + work[{CORRECTION + row} * lanes + k]"
     scope: dict[str, Any] = {"Kind": kind, "__name__": __name__}
-    exec(f"def {name}(work, k, lanes, fraction):\n    return Kind({', '.join(fields)})\n", scope)
+    exec(f"def {name}(work, k, lanes):\n    return Kind({', '.join(fields)})\n", scope)
     return inner(**_INLINED)(scope[name])
 
 
@@ -129,7 +132,7 @@ def _look_up(work, tables, row, low, per_unit, at_x, at_y):  # type: ignore[no-u
 
 
 @numba.njit(**_OPTIONS)
-def correct_maps(work, fraction, tables, low, per_unit):  # type: ignore[no-untyped-def]
+def correct_maps(work, tables, low, per_unit):  # type: ignore[no-untyped-def]
     """Corrections of the maps at the lanes' own arguments (`map_corrections.ARGUMENTS`); no tables, no corrections.
 
     The compressor's flow among the arguments is that of the evaluation before; a filter's loss isn't. The arguments
@@ -139,7 +142,7 @@ def correct_maps(work, fraction, tables, low, per_unit):  # type: ignore[no-unty
         return
     for k in range(LANES):
         c = load_constants(work, CONSTANT * LANES + k, LANES)
-        m, s = load_magnitudes(work, k, LANES, fraction), load_signals(work, k, LANES, fraction)
+        m, s = load_magnitudes(work, k, LANES), load_signals(work, k, LANES)
         x = driven(load_point(work, k, LANES), m, s, c)
         Pi_c = compressor_pressure_ratio(x.p_im, c)
         work[ARGUMENT * LANES + k] = x.u_egr
@@ -155,15 +158,12 @@ def correct_maps(work, fraction, tables, low, per_unit):  # type: ignore[no-unty
     _look_up(work, tables, 5, low, per_unit, ARGUMENT + 4, 2)
 
 
-def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
-    """Rates and outputs of all lanes at the states and inputs in `work`, two sweeps of the cylinder's fixed point.
-
-    fraction: of the interval between samples that has passed, for the signals.
-    """
+def _evaluate(work):  # type: ignore[no-untyped-def]
+    """Rates and outputs of all lanes at the states and inputs in `work`, two sweeps of the cylinder's fixed point."""
     for k in range(LANES):
         c = load_constants(work, CONSTANT * LANES + k, LANES)
-        m = load_magnitudes(work, k, LANES, fraction)
-        s = load_signals(work, k, LANES, fraction)
+        m = load_magnitudes(work, k, LANES)
+        s = load_signals(work, k, LANES)
         x = driven(load_point(work, k, LANES), m, s, c)
         gas = Gas(work[GAS * LANES + k], work[GAIN * LANES + k], work[CARRY * LANES + k])
         i = intake_side(x, gas, m, s, c)
@@ -184,185 +184,243 @@ def _evaluate(work, fraction):  # type: ignore[no-untyped-def]
 
 evaluate = numba.njit(**_OPTIONS)(_evaluate)
 
+FIRST, SECOND, SETTLING, DONE = 0, 1, 2, 3
+"""What a lane does in a pair of evaluations: first or second half of a step, sweeps at a sample, nothing any more."""
+
+
+@numba.njit(**_OPTIONS)
+def load_lane(work, k, lane, constants):  # type: ignore[no-untyped-def]
+    """Constants of a lane, and the cylinder and the gas before anything is known of them."""
+    for j in range(constants.shape[0]):
+        work[(CONSTANT + j) * LANES + k] = constants[j, lane]
+    work[GAIN * LANES + k] = 1.0
+    work[CARRY * LANES + k] = 0.0
+
+
 @numba.njit(**_OPTIONS)
 def load_interval(  # type: ignore[no-untyped-def]
-    work, i, time, start, magnitudes, schedules, schedule_of_lane, signals, lane_point, lane_signal
+    work, k, lane, i, time, start, magnitudes, schedules, schedule_of_lane, signals, lane_point, lane_signal
 ):
-    """Magnitudes at sample i and the signals from there to the next sample."""
+    """Magnitudes of a lane at sample i and the signals from there to the next sample."""
     following = min(i + 1, time.shape[0] - 1)
+    g = schedule_of_lane[lane]
     for e in range(N_EFFECTS):
         since = max(time[i] - start, 0.0) if GROWS[e] else 1.0
-        for k in range(LANES):
-            work[(EFFECT + e) * LANES + k] = schedules[schedule_of_lane[k], e, i] * since * magnitudes[e, k]
+        work[(EFFECT + e) * LANES + k] = schedules[g, e, i] * since * magnitudes[e, lane]
     for p in range(N_POINTS):
-        for k in range(LANES):
-            work[(SIGNAL + p) * LANES + k] = signals[p, i]
-            work[(SLOPE + p) * LANES + k] = signals[p, following] - signals[p, i]
-    for k in range(LANES):
-        p = lane_point[k]
-        if p >= 0:
-            work[(SIGNAL + p) * LANES + k] += lane_signal[k, i]
-            work[(SLOPE + p) * LANES + k] += lane_signal[k, following] - lane_signal[k, i]
+        work[(SIGNAL + p) * LANES + k] = signals[p, i]
+        work[(SLOPE + p) * LANES + k] = signals[p, following] - signals[p, i]
+    p = lane_point[lane]
+    if p >= 0:
+        work[(SIGNAL + p) * LANES + k] += lane_signal[lane, i]
+        work[(SLOPE + p) * LANES + k] += lane_signal[lane, following] - lane_signal[lane, i]
 
 
 @numba.njit(**_OPTIONS)
-def load_inputs(work, grids, grid_of_lane, at):  # type: ignore[no-untyped-def]
-    for j in range(4):
-        for k in range(LANES):
-            work[(INPUT + j) * LANES + k] = grids[grid_of_lane[k], j, at]
+def load_restart(work, k, lane, window, initial):  # type: ignore[no-untyped-def]
+    """The states at a restart; what settles there, settles from the same start wherever the lane comes from."""
+    for j in range(3):
+        work[j * LANES + k] = initial[lane, window, j]
+    work[3 * LANES + k] = X_R_START
+    work[4 * LANES + k] = T_1_START
+    work[GAS * LANES + k] = T_GAS_START
+    work[W_C * LANES + k] = 0.0
 
 
 @numba.njit(**_OPTIONS)
-def hold_gas(work, carried):  # type: ignore[no-untyped-def]
-    """Gas at the start of a step: the lagged temperature where there is thermal inertia."""
+def load_inputs(work, grids, grid, at, fraction):  # type: ignore[no-untyped-def]
+    """Inputs of every lane at its place in its grid, and the share of its interval that has passed."""
     for k in range(LANES):
-        inert = work[(EFFECT + INERTIA) * LANES + k] > 0.0
-        work[GAIN * LANES + k] = 0.0 if inert else 1.0
-        work[CARRY * LANES + k] = carried[k] if inert else 0.0
+        for j in range(4):
+            work[(INPUT + j) * LANES + k] = grids[grid[k], j, at[k]]
+        work[FRACTION * LANES + k] = fraction[k]
 
 
 @numba.njit(**_OPTIONS)
 def relax_gas(work, carried, static, gain, kept):  # type: ignore[no-untyped-def]
-    """Gas within a step: exact solution of the lag for a static temperature that runs linearly from `static`."""
+    """Gas of every lane: exact solution of the lag for a static temperature that runs linearly from `static`."""
     for k in range(LANES):
         work[GAIN * LANES + k] = 1.0 - gain[k]
         work[CARRY * LANES + k] = (gain[k] - kept[k]) * static[k] + kept[k] * carried[k]
 
 
-@numba.njit(**_OPTIONS)
-def lag_weights(work, width, gain, kept):  # type: ignore[no-untyped-def]
-    for k in range(LANES):
-        tau = work[(EFFECT + INERTIA) * LANES + k]
-        gain[k] = 0.0
-        kept[k] = 0.0
-        if tau > 0.0:
-            kept[k] = np.exp(-width / tau)
-            gain[k] = tau / width * (1.0 - kept[k])
-
-
 def _integrate_extended(  # type: ignore[no-untyped-def]
     grids, grid_of_lane, steps, time, start, constants, magnitudes, schedules, schedule_of_lane, signals, lane_point,
-    lane_signal, restarts, initial, late, tables, low_end, per_unit, part, out,
+    lane_signal, restarts, initial, late, tables, low_end, per_unit, pieces, out,
 ):  # fmt: skip
-    """Integrate one block of LANES lanes over a part of the samples, which starts at a restart.
+    """Integrate pieces of B lanes, LANES pieces abreast; who has done one takes the next.
+
+    Every lane is at a sample and a step of its own. They share pairs of evaluations: a step takes two, the sweeps at a
+    sample one (`START_SWEEPS`/2 at a restart). Neighbours don't touch each other: results don't depend on the order.
 
     The last stage starts from `late` of the third stage's rate and the rest of the second's. With 1 that is RK4; with
     less it is of third order, and stable up to longer steps.
 
-    grids (G, 4, 2 N + 1), grid_of_lane (LANES,), steps (n - 1,), time (n,), start [s], constants (n_constants, LANES),
-    magnitudes (N_EFFECTS, LANES), schedules (G', N_EFFECTS, n), schedule_of_lane (LANES,), signals (N_POINTS, n),
-    lane_point (LANES,), lane_signal (LANES, n), restarts (W,), initial (LANES, W, 3), late [-],
+    grids (G, 4, 2 N + 1), grid_of_lane (B,), steps (n - 1,), time (n,), start [s], constants (n_constants, B),
+    magnitudes (N_EFFECTS, B), schedules (G', N_EFFECTS, n), schedule_of_lane (B,), signals (N_POINTS, n),
+    lane_point (B,), lane_signal (B, n), restarts (W,), initial (B, W, 3), late [-],
     tables (0 or N_CORRECTED, nodes, nodes) [-] over grids from low_end (N_CORRECTED, 2) with per_unit (N_CORRECTED, 2)
-    nodes a unit, part (4,): first sample, the one behind the last, the first's place in `grids` and its restart
-    -> out (LANES, n, N_OUT), the part's rows.
+    nodes a unit, pieces (M, 5): lane, first sample, the one behind the last, the first's place in `grids` and its
+    restart -> out (B, n, N_OUT), the pieces' rows.
     """
     work = np.zeros((CONSTANT + constants.shape[0]) * LANES)
-    for j in range(constants.shape[0]):
-        for k in range(LANES):
-            work[(CONSTANT + j) * LANES + k] = constants[j, k]
-    base = np.empty(3 * LANES)
-    total = np.empty(3 * LANES)
-    second = np.empty(3 * LANES)
-    carried = np.empty(LANES)
-    static = np.empty(LANES)
-    half_gain, half_kept = np.empty(LANES), np.empty(LANES)
-    full_gain, full_kept = np.empty(LANES), np.empty(LANES)
-    low = np.empty(3 * LANES)
-    high = np.empty(3 * LANES)
-    for k in range(LANES):
-        work[3 * LANES + k] = X_R_START
-        work[4 * LANES + k] = T_1_START
-        work[GAS * LANES + k] = T_GAS_START
-        carried[k] = T_GAS_START
-        p_amb = work[(CONSTANT + P_AMB) * LANES + k]
-        low[k], high[k] = P_IM_LOW * p_amb, P_IM_HIGH * p_amb
-        low[LANES + k], high[LANES + k] = P_EM_LOW * p_amb, P_EM_HIGH * p_amb
-        low[2 * LANES + k], high[2 * LANES + k] = OMEGA_LOW, OMEGA_HIGH
-    begin, end, at, window = part
-    for i in range(begin, end):
-        if window < restarts.shape[0] and restarts[window] == i:
-            for k in range(LANES):
-                for j in range(3):
-                    work[j * LANES + k] = initial[k, window, j]
-            window += 1
-        load_interval(
-            work, i, time, start, magnitudes, schedules, schedule_of_lane, signals, lane_point, lane_signal
-        )
-        load_inputs(work, grids, grid_of_lane, at)
-        hold_gas(work, carried)
-        if i == begin:  # at rest: the gas, too
-            for k in range(LANES):
-                work[GAIN * LANES + k] = 1.0
-                work[CARRY * LANES + k] = 0.0
-        for _sweep in range(START_SWEEPS if i == begin else SAMPLE_SWEEPS):
-            correct_maps(work, 0.0, tables, low_end, per_unit)
-            evaluate(work, 0.0)
-        if i == begin:
-            for k in range(LANES):
-                carried[k] = work[T_EM * LANES + k]
-        for k in range(LANES):
-            out[k, i, 3] = work[3 * LANES + k]
-            out[k, i, 4] = work[4 * LANES + k]
-            out[k, i, 5] = work[GAS * LANES + k]
-        correct_maps(work, 0.0, tables, low_end, per_unit)
-        evaluate(work, 0.0)
-        for k in range(LANES):
-            for j in range(3):
-                out[k, i, j] = work[j * LANES + k]
-            for j in range(N_READ):
-                out[k, i, N_STATES + j] = work[(READING + j) * LANES + k]
-            carried[k] = work[T_EM * LANES + k]
-        if i + 1 == end:
+    base, total, second = np.zeros(3 * LANES), np.zeros(3 * LANES), np.zeros(3 * LANES)
+    low, high = np.empty(3 * LANES), np.empty(3 * LANES)
+    carried, static = np.full(LANES, T_GAS_START), np.full(LANES, T_GAS_START)
+    gain, kept = np.zeros(LANES), np.zeros(LANES)
+    half_gain, half_kept = np.zeros(LANES), np.zeros(LANES)
+    full_gain, full_kept = np.zeros(LANES), np.zeros(LANES)
+    h, share, fraction = np.ones(LANES), np.ones(LANES), np.zeros(LANES)
+    lane, grid = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)
+    place, at = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)  # in its grid: of the step, of the evaluation
+    sample, end, window = np.zeros(LANES, np.int64), np.zeros(LANES, np.int64), np.zeros(LANES, np.int64)
+    step, count, sweeps = np.zeros(LANES, np.int64), np.ones(LANES, np.int64), np.zeros(LANES, np.int64)
+    resting = np.zeros(LANES, np.int64)  # the gas, too, until the first sample of a piece has settled
+    phase = np.full(LANES, DONE)
+    new = np.ones(LANES, np.int64)  # lanes that come to a sample: of a new piece (1), of the piece they are in (2)
+    lags = False
+    for j in range(magnitudes.shape[1]):
+        lags = lags or magnitudes[INERTIA, j] != 0.0
+    taken, running = 0, 0
+    arrived, sampling = True, False  # whether any lane is new; whether any stands at a sample that has settled
+    while True:
+        for k in range(LANES if arrived else 0):
+            if new[k] == 1:
+                running -= phase[k] != DONE
+                phase[k] = DONE
+                b = min(taken, pieces.shape[0] - 1)  # lanes that nothing is left for get something to go on with
+                lane[k], sample[k], end[k] = pieces[b, 0], pieces[b, 1], pieces[b, 2]
+                place[k], window[k] = pieces[b, 3], pieces[b, 4]
+                grid[k] = grid_of_lane[lane[k]]
+                load_lane(work, k, lane[k], constants)
+                p_amb = work[(CONSTANT + P_AMB) * LANES + k]
+                low[k], high[k] = P_IM_LOW * p_amb, P_IM_HIGH * p_amb
+                low[LANES + k], high[LANES + k] = P_EM_LOW * p_amb, P_EM_HIGH * p_amb
+                low[2 * LANES + k], high[2 * LANES + k] = OMEGA_LOW, OMEGA_HIGH
+                carried[k], static[k] = T_GAS_START, T_GAS_START
+                resting[k] = 1
+                if taken < pieces.shape[0]:
+                    running += 1
+                    phase[k] = SETTLING
+                taken += 1
+            if new[k] > 0:
+                i = sample[k]
+                sweeps[k] = SAMPLE_SWEEPS
+                if window[k] < restarts.shape[0] and restarts[window[k]] == i:
+                    load_restart(work, k, lane[k], window[k], initial)
+                    window[k] += 1
+                    sweeps[k] = START_SWEEPS
+                load_interval(
+                    work, k, lane[k], i, time, start, magnitudes, schedules, schedule_of_lane, signals, lane_point,
+                    lane_signal,
+                )  # fmt: skip
+                step[k] = 0
+                if i + 1 < end[k]:
+                    count[k] = steps[i]
+                    share[k] = 1.0 / steps[i]
+                    h[k] = (time[i + 1] - time[i]) / steps[i]
+                if lags:
+                    tau = work[(EFFECT + INERTIA) * LANES + k]
+                    half_gain[k], half_kept[k], full_gain[k], full_kept[k] = 0.0, 0.0, 0.0, 0.0
+                    if tau > 0.0:
+                        half_kept[k], full_kept[k] = np.exp(-0.5 * h[k] / tau), np.exp(-h[k] / tau)
+                        half_gain[k] = tau / (0.5 * h[k]) * (1.0 - half_kept[k])
+                        full_gain[k] = tau / h[k] * (1.0 - full_kept[k])
+                new[k] = 0
+        arrived = False
+        if running == 0:
             break
-        h = (time[i + 1] - time[i]) / steps[i]
-        lag_weights(work, 0.5 * h, half_gain, half_kept)
-        lag_weights(work, h, full_gain, full_kept)
-        for step in range(steps[i]):
-            for j in range(3 * LANES):  # slices would bring numba's text of a shape error, seconds of compilation
-                base[j] = work[j]
-            if step > 0:  # the first step's first stage is the sample's own evaluation
-                load_inputs(work, grids, grid_of_lane, at)
-                hold_gas(work, carried)
-                correct_maps(work, step / steps[i], tables, low_end, per_unit)
-                evaluate(work, step / steps[i])
+
+        # The first evaluation of the pair: at a step's start or, in its second half, at its middle.
+        for k in range(LANES):
+            at[k] = place[k] + (1 if phase[k] == SECOND else 0)
+            fraction[k] = (step[k] + (0.5 if phase[k] == SECOND else 0.0)) * share[k]
+        load_inputs(work, grids, grid, at, fraction)
+        if lags:
             for k in range(LANES):
-                static[k] = work[STATIC * LANES + k]
-            load_inputs(work, grids, grid_of_lane, at + 1)
-            relax_gas(work, carried, static, half_gain, half_kept)
-            for j in range(3 * LANES):
-                rate = work[RATE * LANES + j]
-                total[j] = rate
-                work[j] = base[j] + 0.5 * h * rate
-            correct_maps(work, (step + 0.5) / steps[i], tables, low_end, per_unit)
-            evaluate(work, (step + 0.5) / steps[i])
-            relax_gas(work, carried, static, half_gain, half_kept)
-            for j in range(3 * LANES):
-                rate = work[RATE * LANES + j]
-                total[j] += 2.0 * rate
-                second[j] = rate
-                work[j] = base[j] + 0.5 * h * rate
-            correct_maps(work, (step + 0.5) / steps[i], tables, low_end, per_unit)
-            evaluate(work, (step + 0.5) / steps[i])
-            load_inputs(work, grids, grid_of_lane, at + 2)
-            relax_gas(work, carried, static, full_gain, full_kept)
-            for j in range(3 * LANES):
-                rate = work[RATE * LANES + j]
-                total[j] += 2.0 * rate
-                work[j] = base[j] + h * (late * rate + (1.0 - late) * second[j])
-            correct_maps(work, (step + 1.0) / steps[i], tables, low_end, per_unit)
-            evaluate(work, (step + 1.0) / steps[i])
-            for j in range(3 * LANES):
-                value = base[j] + h / 6.0 * (total[j] + work[RATE * LANES + j])
-                work[j] = _limit(value, low[j], high[j])
-            for k in range(LANES):
+                held = 1.0 if work[(EFFECT + INERTIA) * LANES + k] > 0.0 and resting[k] == 0 else 0.0
+                gain[k] = half_gain[k] if phase[k] == SECOND else held
+                kept[k] = half_kept[k] if phase[k] == SECOND else held
+            relax_gas(work, carried, static, gain, kept)
+        correct_maps(work, tables, low_end, per_unit)
+        evaluate(work)
+        for k in range(LANES if sampling else 0):
+            if phase[k] == FIRST and step[k] == 0:  # the sample itself
+                i, b = sample[k], lane[k]
+                for j in range(3):
+                    out[b, i, j] = work[j * LANES + k]
+                for j in range(N_READ):
+                    out[b, i, N_STATES + j] = work[(READING + j) * LANES + k]
                 carried[k] = work[T_EM * LANES + k]
-            at += 2
+                resting[k] = 0
+                if i + 1 == end[k]:
+                    new[k], arrived = 1, True
+        for j in range(3):  # slices would bring numba's text of a shape error, seconds of compilation
+            for k in range(LANES):
+                m = j * LANES + k
+                state, rate = work[m], work[(RATE + j) * LANES + k]
+                base[m] = state if phase[k] == FIRST else base[m]
+                total[m] = rate if phase[k] == FIRST else total[m] + 2.0 * rate
+                middle = state + 0.5 * h[k] * rate
+                last = base[m] + h[k] * (late * rate + (1.0 - late) * second[m])
+                work[m] = middle if phase[k] == FIRST else (last if phase[k] == SECOND else state)
+
+        # The second one: at a step's middle or, in its second half, at its end.
+        for k in range(LANES):
+            if phase[k] == FIRST:
+                static[k] = work[STATIC * LANES + k]
+            ahead = 1 if phase[k] == FIRST else (2 if phase[k] == SECOND else 0)
+            at[k] = place[k] + (0 if new[k] > 0 else ahead)
+            fraction[k] = (step[k] + 0.5 * ahead) * share[k]
+        load_inputs(work, grids, grid, at, fraction)
+        if lags:
+            for k in range(LANES):
+                if phase[k] == FIRST:
+                    gain[k], kept[k] = half_gain[k], half_kept[k]
+                elif phase[k] == SECOND:
+                    gain[k], kept[k] = full_gain[k], full_kept[k]
+            relax_gas(work, carried, static, gain, kept)
+        correct_maps(work, tables, low_end, per_unit)
+        evaluate(work)
+        for j in range(3):
+            for k in range(LANES):
+                m = j * LANES + k
+                state, rate = work[m], work[(RATE + j) * LANES + k]
+                second[m] = rate
+                middle = base[m] + 0.5 * h[k] * rate
+                after = _limit(base[m] + h[k] / 6.0 * (total[m] + rate), low[m], high[m])
+                total[m] += 2.0 * rate
+                work[m] = middle if phase[k] == FIRST else (after if phase[k] == SECOND else state)
+        sampling = False
+        for k in range(LANES):
+            if phase[k] == FIRST:
+                phase[k] = SECOND
+            elif phase[k] == SECOND:
+                carried[k] = work[T_EM * LANES + k]
+                place[k] += 2
+                step[k] += 1
+                phase[k] = FIRST
+                if step[k] == count[k]:
+                    sample[k] += 1
+                    phase[k] = SETTLING
+                    new[k], arrived = 2, True
+            elif phase[k] == SETTLING:
+                sweeps[k] -= 2
+                if sweeps[k] <= 0:
+                    if resting[k] == 1:
+                        carried[k] = work[T_EM * LANES + k]
+                    i, b = sample[k], lane[k]
+                    out[b, i, 3] = work[3 * LANES + k]
+                    out[b, i, 4] = work[4 * LANES + k]
+                    out[b, i, 5] = work[GAS * LANES + k]
+                    phase[k] = FIRST
+                    sampling = True
 
 
 T_GAS_START = 700.0  # K, start of the fixed point of the gas temperature
 
 integrate_free = numba.njit(cache=True, **_OPTIONS)(_integrate_extended)
-"""Integrate a block without the effects of `effects.IMPLICIT`."""
+"""Integrate pieces without the effects of `effects.IMPLICIT`."""
 
 _evaluate_restricted = numba.njit(**_OPTIONS)(
     _variant(_evaluate, "_restricted", LANES, intake_side=_model.intake_side, exhaust_side=_model.exhaust_side)
@@ -370,4 +428,4 @@ _evaluate_restricted = numba.njit(**_OPTIONS)(
 integrate_restricted = numba.njit(cache=True, **_OPTIONS)(
     _variant(_integrate_extended, "_restricted", LANES, evaluate=_evaluate_restricted)
 )
-"""Integrate a block with them."""
+"""Integrate pieces with them."""

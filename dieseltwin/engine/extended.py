@@ -20,11 +20,8 @@ from dieseltwin.errors import InputError
 EXTENDED_STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k", "t_gas_k")
 """Order of the states of `simulate_extended`; the last is the gas temperature that heats the EGR or lags."""
 
-PARTS = 4
-"""Parts into which a recording with restarts is cut, however many threads there are: results don't depend on that."""
-
-SPLIT_FROM = 400
-"""Intervals of a recording from which its parts are worth a thread each."""
+MOST_PIECES = 512
+"""Windows of lanes that one thread takes at once, at most: cores that others use, too, don't end together."""
 
 
 @dataclass(frozen=True)
@@ -97,15 +94,15 @@ def _schedules(extension: Extension, lanes: int, n: int) -> tuple[np.ndarray, np
     return schedules, of_lane
 
 
-def _parts(restarts: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Parts of a recording for several threads, as `_integrate_extended` takes them, (at most PARTS, 4)."""
-    done = np.concatenate([[0], np.cumsum(steps)])  # steps before each sample
-    shares = done[-1] * np.arange(PARTS if steps.size >= SPLIT_FROM else 1) / PARTS
-    windows = np.unique(np.searchsorted(done[restarts], shares))
-    windows = windows[windows < restarts.size]
-    begins = restarts[windows]
-    ends = np.append(begins[1:], steps.size + 1)
-    return np.stack([begins, ends, 2 * done[begins], windows], axis=1).astype(np.int64)
+def _pieces(rows: np.ndarray, lagging: np.ndarray, restarts: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Pieces of some lanes as `_integrate_extended` takes them, (M, 5): windows, or a recording in one."""
+    places = 2 * np.concatenate([[0], np.cumsum(steps)])[restarts]
+    windows = np.stack([restarts, np.append(restarts[1:], steps.size + 1), places, np.arange(restarts.size)], axis=1)
+    whole = np.array([[0, steps.size + 1, 0, 0]])
+    return np.concatenate([
+        np.column_stack([np.tile(lanes, len(parts)), np.repeat(parts, lanes.size, axis=0)])
+        for lanes, parts in ((rows[lagging[rows]], whole), (rows[~lagging[rows]], windows))
+    ]).astype(np.int64)  # fmt: skip
 
 
 def simulate_extended(
@@ -116,7 +113,7 @@ def simulate_extended(
     threads: int | None = None,
     late: float = 1.0,
 ) -> Observations:
-    """Simulate B parameter sets under effects and signals, eight lanes in lockstep.
+    """Simulate B parameter sets under effects and signals, eight windows abreast.
 
     Args:
         actuation: one for all lanes or one per lane (lanes may share one), all on the same sample times and steps.
@@ -156,7 +153,7 @@ def simulate_extended(
     initial = np.asarray(initial, dtype=np.float64)
     if initial.ndim == 2:
         initial = initial[:, None, :]
-    starts = np.broadcast_to(initial, (lanes, restarts.size, 3))
+    starts = np.ascontiguousarray(np.broadcast_to(initial, (lanes, restarts.size, 3)))
 
     corrections = extension.corrections or NO_CORRECTIONS
     out = np.empty((lanes, n, N_OUT))
@@ -164,36 +161,27 @@ def simulate_extended(
     acting = (schedules[:, implicit] != 0.0).any(axis=2)[schedule_of_lane].T
     # Lanes with implicit laws run in a kernel of their own, half as fast.
     restricted = ((magnitudes[implicit] != 0.0) & acting).any(axis=0)
-
-    whole = np.array([[0, n, 0, 0]], dtype=np.int64)
-    lagging = magnitudes[STATE_EFFECTS.index(GAS_LAG)].any()  # gas that lags carries its temperature over restarts
-    parts = whole if lagging else _parts(restarts, first.steps)
-
-    def run(block: tuple[Callable[..., None], np.ndarray, np.ndarray]) -> None:
-        integrate, rows, part = block
-        target = np.empty((LANES, n, N_OUT))
-        filled = np.append(rows, np.full(LANES - rows.size, rows[-1]))  # with copies of the last lane
-        integrate(
-            grids, grid_of_lane[filled], first.steps, time, start, np.ascontiguousarray(batch.values[:, filled]),
-            np.ascontiguousarray(magnitudes[:, filled]), schedules, schedule_of_lane[filled], signals,
-            lane_point[filled], lane_signal[filled], restarts, np.ascontiguousarray(starts[filled]), late,
-            corrections.tables, corrections.low, corrections.per_unit, part, target,
-        )  # fmt: skip
-        out[rows, part[0] : part[1]] = target[: rows.size, part[0] : part[1]]
-
-    blocks = [
-        (integrate, rows[begin : begin + LANES], part)
-        for integrate, rows in (
-            (integrate_free, np.flatnonzero(~restricted)),
-            (integrate_restricted, np.flatnonzero(restricted)),
-        )
-        for begin in range(0, rows.size, LANES)
-        for part in parts
-    ]
+    lagging = magnitudes[STATE_EFFECTS.index(GAS_LAG)] != 0.0  # gas that lags carries its temperature over restarts
     threads = thread_count() if threads is None else threads
-    if threads > 1 and len(blocks) > 1:
-        list(pool(threads).map(run, blocks))
+
+    def run(task: tuple[Callable[..., None], np.ndarray]) -> None:
+        integrate, pieces = task
+        integrate(
+            grids, grid_of_lane, first.steps, time, start, batch.values, magnitudes, schedules, schedule_of_lane,
+            signals, lane_point, lane_signal, restarts, starts, late, corrections.tables, corrections.low,
+            corrections.per_unit, pieces, out,
+        )  # fmt: skip
+
+    tasks = []
+    for integrate, rows in (
+        (integrate_free, np.flatnonzero(~restricted)), (integrate_restricted, np.flatnonzero(restricted))
+    ):  # fmt: skip
+        pieces = _pieces(rows, lagging, restarts, first.steps)
+        shares = max(-(-len(pieces) // MOST_PIECES), min(threads, -(-len(pieces) // LANES)))
+        tasks += [(integrate, share) for share in np.array_split(pieces, shares)] if shares else []
+    if threads > 1 and len(tasks) > 1:
+        list(pool(threads).map(run, tasks))
     else:
-        for block in blocks:
-            run(block)
+        for task in tasks:
+            run(task)
     return observations(out, N_STATES)

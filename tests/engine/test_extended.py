@@ -18,10 +18,11 @@ from dieseltwin.engine import (
     we2011,
 )
 from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS, Magnitudes
-from dieseltwin.engine.extended import Extension, simulate_extended
+from dieseltwin.engine.extended import EXTENDED_STATES, Extension, simulate_extended
 from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.extended_terms import along, simulate_terms
 from dieseltwin.engine.inputs import actuate_like
+from dieseltwin.engine.parameters import ParameterBatch
 from dieseltwin.engine.quantities import ADDED_AT, POINTS, Signals
 from dieseltwin.engine.terms import LawTerm, Term
 from dieseltwin.errors import InputError
@@ -104,6 +105,30 @@ def test_restart_equals_a_simulation_of_its_own(drive) -> None:  # type: ignore[
             actuate(piece, ENGINE), parameter_batch(ENGINE), Extension(_magnitudes(boost_leak=2e-5)), starts[[window]]
         )
         np.testing.assert_allclose(whole.states[0, first:end], own.states[0, : end - first], rtol=1e-7)
+
+
+@pytest.mark.parametrize("restricted", [0.0, 1e-12])
+def test_company_changes_no_bit(drive, restricted: float) -> None:  # type: ignore[no-untyped-def]
+    """Windows of many lanes share eight places in whatever order; one lane carries its gas through all windows."""
+    _, actuation, initial = drive
+    lanes, at = 7, np.array([0, 13, 14, 40, 71])
+    batch = parameter_batch(ENGINE, A_egrmax=ENGINE.A_egrmax * np.linspace(0.8, 1.2, lanes))
+    magnitudes = np.repeat(_magnitudes(boost_leak=2e-5, back_pressure=restricted), lanes, axis=1)
+    magnitudes[STATE_EFFECTS.index("exhaust_thermal_inertia"), 4] = 3.0
+    rng = np.random.default_rng(5)
+    starts = initial * (1.0 + 0.02 * rng.standard_normal((lanes, at.size, 3)))
+    together = simulate_extended(actuation, batch, Extension(magnitudes, restarts=at), starts, threads=2)
+    one_thread = simulate_extended(actuation, batch, Extension(magnitudes, restarts=at), starts, threads=1)
+    np.testing.assert_array_equal(together.states, one_thread.states)
+    np.testing.assert_array_equal(together.measured, one_thread.measured)
+    for lane in range(lanes):
+        own = ParameterBatch(batch.values[:, [lane]])
+        alone = simulate_extended(actuation, own, Extension(magnitudes[:, [lane]], restarts=at), starts[[lane]])
+        np.testing.assert_array_equal(together.states[lane], alone.states[0])
+        np.testing.assert_array_equal(together.measured[lane], alone.measured[0])
+    plain = simulate_extended(actuation, batch, Extension(magnitudes * 0.0, restarts=at), starts)
+    t_1 = EXTENDED_STATES.index("t_1_k")
+    assert np.abs(together.states[4, 72:, t_1] / plain.states[4, 72:, t_1] - 1.0).max() > 1e-5  # it does lag
 
 
 def test_lane_signal_is_a_shared_signal(drive) -> None:  # type: ignore[no-untyped-def]
