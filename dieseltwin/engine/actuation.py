@@ -72,6 +72,7 @@ def actuate_with(
     magnitudes: Mapping[str, float],
     schedules: Mapping[str, np.ndarray] | None = None,
     step_s: float | np.ndarray = DEFAULT_STEP_S,
+    plain: Actuation | None = None,
 ) -> Actuation:
     """`actuate` under effects on commands and inputs.
 
@@ -81,6 +82,7 @@ def actuate_with(
         magnitudes: names of `ACTUATION_EFFECTS` -> magnitude; others are not looked at.
         schedules: name -> factor of the magnitude per row of `inputs` (history included), held until the next.
         step_s: largest integration step [s].
+        plain: the same without effects, where it is known: what no effect moves is taken from it.
 
     Raises:
         InputError: a negative or non-finite magnitude, or a step that is no positive time.
@@ -93,13 +95,18 @@ def actuate_with(
         if not (np.isfinite(value) and value >= 0.0):
             raise InputError(f"effect {name}", got=repr(value), allowed="0 or more", do="correct the magnitude")
     time = inputs.segment_time_s
-    steps = steps_between(time, step_s)
+    steps = steps_between(time, step_s) if plain is None else plain.steps
     half = half_step_times(time, steps)
+    at = np.concatenate([[0], np.cumsum(2 * steps)])  # the samples among the half steps
     p = parameters
 
     def effect(through: Through, kind: str, operator: Operator) -> tuple[float, np.ndarray | None]:
         name = _BY_ENTRY.get(Entry(through, kind, operator), "")
         return magnitudes.get(name, 0.0), schedules.get(name)
+
+    def still(through: Through, kind: str, *operators: Operator) -> Actuation | None:
+        """`plain`, where none of these effects acts."""
+        return None if any(effect(through, kind, operator)[0] > 0.0 for operator in operators) else plain
 
     def positions(kind: str, command: np.ndarray, delay: float, taus: tuple[float, ...]) -> np.ndarray:
         width, acts = effect("command", kind, "play")
@@ -116,13 +123,20 @@ def actuate_with(
             return np.interp(half, inputs.time_s, values)
         return _behind_lag(inputs.time_s, values, tau, acts, half)
 
-    u_egr1, u_egr2 = positions("egr", inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2))
-    (u_vgt,) = positions("vgt", inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,))
-    u_egr = egr_valve_position(u_egr1, u_egr2, constants(p))
-    n_e, u_delta = input_at_half_steps("n_e", inputs.n_e_rpm), input_at_half_steps("u_delta", inputs.u_delta_mg)
-    grid = np.ascontiguousarray(np.stack([n_e, u_delta, u_egr, u_vgt]))
-    at = np.concatenate([[0], np.cumsum(2 * steps)])
-    return Actuation(time, steps, inputs, u_egr1[at], u_egr2[at], u_vgt[at], u_egr[at], grid)
+    grid = np.empty((4, half.size))
+    for row, kind, values in ((0, "n_e", inputs.n_e_rpm), (1, "u_delta", inputs.u_delta_mg)):
+        as_it_was = still("input", kind, "lag")
+        grid[row] = input_at_half_steps(kind, values) if as_it_was is None else as_it_was.grid[row]
+    if as_it_was := still("command", "egr", "play", "dead_time"):
+        u_egr1, u_egr2, grid[2] = as_it_was.u_egr1, as_it_was.u_egr2, as_it_was.grid[2]
+    else:
+        first, second = positions("egr", inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2))
+        u_egr1, u_egr2, grid[2] = first[at], second[at], egr_valve_position(first, second, constants(p))
+    if as_it_was := still("command", "vgt", "play", "dead_time"):
+        grid[3] = as_it_was.grid[3]
+    else:
+        (grid[3],) = positions("vgt", inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,))
+    return Actuation(time, steps, inputs, u_egr1, u_egr2, grid[3, at], grid[2, at], grid)
 
 
 def actuate_lanes(
@@ -132,11 +146,12 @@ def actuate_lanes(
     size: int,
     schedules: Mapping[str, np.ndarray] | None = None,
     step_s: float | np.ndarray = DEFAULT_STEP_S,
+    plain: Actuation | None = None,
 ) -> list[Actuation]:
     """One actuation per lane for `simulate_extended`; lanes with the same magnitudes share one.
 
     Args:
-        inputs, parameters, schedules, step_s: as in `actuate_with`.
+        inputs, parameters, schedules, step_s, plain: as in `actuate_with`.
         magnitudes: effect name -> (B,) magnitudes; names that aren't in `ACTUATION_EFFECTS` are not looked at.
         size: number of lanes B.
     """
@@ -146,7 +161,8 @@ def actuate_lanes(
     for lane in range(size):
         key = tuple(float(column[lane]) for column in columns.values())
         if key not in made:
-            made[key] = actuate_with(inputs, parameters, dict(zip(columns, key, strict=True)), schedules, step_s)
+            own = dict(zip(columns, key, strict=True))
+            made[key] = actuate_with(inputs, parameters, own, schedules, step_s, plain)
         lanes.append(made[key])
     return lanes
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -230,6 +232,21 @@ def test_lanes_share_actuations() -> None:
     assert np.ptp(lanes[4].u_egr[20:]) < np.ptp(lanes[1].u_egr[20:]) < np.ptp(lanes[0].u_egr[20:])
     with pytest.raises(InputError):
         actuate_with(_inputs(), we2011.PARAMETERS, {"egr_backlash": float("nan")})
+
+
+def test_what_no_effect_moves_is_taken_from_the_actuation_without() -> None:
+    inputs, alike = _inputs(), ("steps", "u_egr1", "u_egr2", "u_vgt", "u_egr", "grid")
+    plain = actuate_with(inputs, we2011.PARAMETERS, {})
+    doubled = replace(plain, grid=2.0 * plain.grid)  # not what would come out anew
+    for name, rows in (("egr_backlash", [2]), ("egr_dead_time", [2]), ("vgt_backlash", [3]), ("vgt_dead_time", [3]),
+                       ("fuel_lag", [1])):  # fmt: skip
+        anew = actuate_with(inputs, we2011.PARAMETERS, {name: 1.0})
+        beside = actuate_with(inputs, we2011.PARAMETERS, {name: 1.0}, plain=plain)
+        for attribute in alike:
+            np.testing.assert_array_equal(getattr(anew, attribute), getattr(beside, attribute))
+        moved = actuate_with(inputs, we2011.PARAMETERS, {name: 1.0}, plain=doubled).grid
+        assert [row for row in range(4) if not np.array_equal(moved[row], doubled.grid[row])] == rows
+        np.testing.assert_array_equal(moved[rows], anew.grid[rows])
 
 
 def test_sensor_effects() -> None:

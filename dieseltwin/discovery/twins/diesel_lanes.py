@@ -56,13 +56,13 @@ def lane_actuations(
     size = len(next(iter(moved.values())))
     own = {name: values for name, values in schedules.items() if name in moved}
     if all(values.ndim == 1 for values in own.values()):
-        return actuate_lanes(inputs, engine, moved, size, own, step_s)
+        return actuate_lanes(inputs, engine, moved, size, own, step_s, plain[0])
     found: list[Actuation] = []
     for b in range(size):
         one = {name: values[b : b + 1] for name, values in moved.items()}
         factors = {name: values if values.ndim == 1 else values[b] for name, values in own.items()}
         acts = any(values[0] != 0.0 for values in one.values())
-        found += actuate_lanes(inputs, engine, one, 1, factors, step_s) if acts else plain[:1]
+        found += actuate_lanes(inputs, engine, one, 1, factors, step_s, plain[0]) if acts else plain[:1]
     return found
 
 
