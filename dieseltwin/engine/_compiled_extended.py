@@ -187,6 +187,9 @@ evaluate = numba.njit(**_OPTIONS)(_evaluate)
 FIRST, SECOND, SETTLING, DONE = 0, 1, 2, 3
 """What a lane does in a pair of evaluations: first or second half of a step, sweeps at a sample, nothing any more."""
 
+ON_ITS_WAY, AT_SAMPLE, AT_END = 0, 1, 2
+"""Where a lane has come to: nowhere new, the next sample of its piece, the end of the piece."""
+
 
 @numba.njit(**_OPTIONS)
 def load_lane(work, k, lane, constants):  # type: ignore[no-untyped-def]
@@ -277,15 +280,15 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
     step, count, sweeps = np.zeros(LANES, np.int64), np.ones(LANES, np.int64), np.zeros(LANES, np.int64)
     resting = np.zeros(LANES, np.int64)  # the gas, too, until the first sample of a piece has settled
     phase = np.full(LANES, DONE)
-    new = np.ones(LANES, np.int64)  # lanes that come to a sample: of a new piece (1), of the piece they are in (2)
+    come = np.full(LANES, AT_END)
     lags = False
     for j in range(magnitudes.shape[1]):
         lags = lags or magnitudes[INERTIA, j] != 0.0
     taken, running = 0, 0
-    arrived, sampling = True, False  # whether any lane is new; whether any stands at a sample that has settled
+    arrived, sampling = True, False  # whether any lane has come anywhere; whether any stands at a settled sample
     while True:
         for k in range(LANES if arrived else 0):
-            if new[k] == 1:
+            if come[k] == AT_END:
                 running -= phase[k] != DONE
                 phase[k] = DONE
                 b = min(taken, pieces.shape[0] - 1)  # lanes that nothing is left for get something to go on with
@@ -303,7 +306,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                     running += 1
                     phase[k] = SETTLING
                 taken += 1
-            if new[k] > 0:
+            if come[k] != ON_ITS_WAY:
                 i = sample[k]
                 sweeps[k] = SAMPLE_SWEEPS
                 if window[k] < restarts.shape[0] and restarts[window[k]] == i:
@@ -326,7 +329,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                         half_kept[k], full_kept[k] = np.exp(-0.5 * h[k] / tau), np.exp(-h[k] / tau)
                         half_gain[k] = tau / (0.5 * h[k]) * (1.0 - half_kept[k])
                         full_gain[k] = tau / h[k] * (1.0 - full_kept[k])
-                new[k] = 0
+                come[k] = ON_ITS_WAY
         arrived = False
         if running == 0:
             break
@@ -354,7 +357,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                 carried[k] = work[T_EM * LANES + k]
                 resting[k] = 0
                 if i + 1 == end[k]:
-                    new[k], arrived = 1, True
+                    come[k], arrived = AT_END, True
         for j in range(3):  # slices would bring numba's text of a shape error, seconds of compilation
             for k in range(LANES):
                 m = j * LANES + k
@@ -370,7 +373,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
             if phase[k] == FIRST:
                 static[k] = work[STATIC * LANES + k]
             ahead = 1 if phase[k] == FIRST else (2 if phase[k] == SECOND else 0)
-            at[k] = place[k] + (0 if new[k] > 0 else ahead)
+            at[k] = place[k] + (0 if come[k] == AT_END else ahead)
             fraction[k] = (step[k] + 0.5 * ahead) * share[k]
         load_inputs(work, grids, grid, at, fraction)
         if lags:
@@ -403,7 +406,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                 if step[k] == count[k]:
                     sample[k] += 1
                     phase[k] = SETTLING
-                    new[k], arrived = 2, True
+                    come[k], arrived = AT_SAMPLE, True
             elif phase[k] == SETTLING:
                 sweeps[k] -= 2
                 if sweeps[k] <= 0:
