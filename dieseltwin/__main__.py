@@ -38,7 +38,8 @@ def main() -> int:
 def program() -> NoReturn:
     """`main` as a process of its own, which ends at once: Python takes half a second to free what was loaded."""
     told: list[int] = []
-    atexit.register(_end, told)  # who registers first is called last, when everybody else has tidied up
+    if atexit._ncallbacks() == 0:  # who has registered before, such as a coverage, would be passed over
+        atexit.register(_end, told)  # the first to be registered is the last to be called: all others have tidied up
     told.append(main())
     sys.exit(told[0])
 

@@ -54,6 +54,12 @@ def test_a_process_ends_with_its_words_and_its_code_before_it_is_taken_apart(tmp
     assert not (tmp_path / "freed").exists()
 
 
+def test_who_wanted_to_tidy_up_before_the_program_began_still_does(tmp_path: Path) -> None:
+    before = f"import atexit\natexit.register(print, 'tidied up last')\n{PROGRAM}"
+    told = subprocess.run([sys.executable, "-c", before], capture_output=True, text=True, cwd=tmp_path)
+    assert (told.returncode, told.stdout) == (3, "said\ntidied up\ntidied up last\n")
+
+
 def test_an_error_of_the_program_itself_is_told_as_ever(tmp_path: Path) -> None:
     broken = PROGRAM.replace("return 3", "raise ZeroDivisionError")
     told = subprocess.run([sys.executable, "-c", broken], capture_output=True, text=True, cwd=tmp_path)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dieseltwin.engine._compiled import LANES
-from dieseltwin.engine._compiled_extended import N_OUT, N_STATES, integrate_free, integrate_restricted
+from dieseltwin.engine._compiled_extended import integrate_free, integrate_restricted
+from dieseltwin.engine._compiled_rates import N_OUT, N_STATES
 from dieseltwin.engine.effects import GAS_LAG, IMPLICIT, STATE_EFFECTS
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.map_corrections import NO_CORRECTIONS, MapCorrections
