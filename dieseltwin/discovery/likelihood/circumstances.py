@@ -100,7 +100,8 @@ def circumstance_nuisances(twin: Twin, lanes: Lanes, simulated: Array, width: in
 def at_estimates(twin: Twin, nuisances: Sequence[Nuisance], responses: Array, estimate: Array) -> Twin:
     """The twin simulated in the ambient, with the charge, that an estimate says, as `nuisance.Rebased` does of maps.
 
-    The readings are moved by the linear responses, so that priors stay where they are. Clocks and drifts stay linear.
+    The readings are moved by the linear responses, so that priors stay where they are, and estimates count from where
+    the given twin is. Clocks and drifts stay linear.
 
     Args:
         twin: the twin.
@@ -118,6 +119,7 @@ def at_estimates(twin: Twin, nuisances: Sequence[Nuisance], responses: Array, es
         return twin
     values = {item.name: twin.values.get(item.name, item.assumed) + item.std * float(estimate[k]) for item, k in far}
     other = twin.under({**twin.values, **values}, twin.opened, like=True)
+    cast(WithCircumstances, other).values = twin.values
     other.measured = other.measured + sum(estimate[k] * responses[k] for _, k in far)
     return other
 

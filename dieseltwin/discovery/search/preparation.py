@@ -23,7 +23,6 @@ from dieseltwin.discovery.likelihood.learned import (
 )
 from dieseltwin.discovery.likelihood.metric import Metric, ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.nuisance import (
-    FINE,
     LEADING,
     Detail,
     Nuisance,
@@ -45,9 +44,7 @@ _TOLERANCE_DRAWS = 2
 _CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of the tolerances
 _GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
 _PARTS = 4
-_FINE_ROUNDS = 3
 _REBASINGS = 2  # of a fit about its own estimate of the maps' errors
-_MOST_NUMBERS = 50_000_000  # of responses in all detail: 400 MB, five recordings of ten minutes
 
 
 def prepare(twin: Twin, settings: SearchSettings) -> Search:
@@ -266,29 +263,3 @@ def recentred(found: Search, fit: Fit) -> Linearisation:
     own = tolerances(twin, at, found.settings)
     responses = nuisance_responses(twin, at.fit.lanes(), at.simulated, own)
     return settle_local(fit_fully(twin, found.whitening, fit, responses, rounds=4, loadings=loadings_of(own)))
-
-
-def beside_fine_maps(found: Search, at: Linearisation) -> Linearisation:
-    """A fit with maps that may be off in all the detail that is believed, for what it says of circumstances and health.
-
-    The leading modes carry little of a map's error where the engine seldom is. There the weather shows best: what they
-    leave out, a twentieth of a tolerance, moved it by up to four standard deviations. Then the maps' errors that this
-    fit estimates are simulated and all responses worked out anew: beside the samples next to a kink, where health shows
-    most, half a tolerance of a map moves the engine to the other side.
-    """
-    if belief_of(at.twin) is not None or isinstance(at.twin, KnownErrors):
-        return at
-    own = tolerances(at.twin, at, found.settings, FINE)
-    if len(own) * at.simulated.size > _MOST_NUMBERS:
-        return at
-    try:
-        responses = nuisance_responses(at.twin, at.fit.lanes(), at.simulated, own)
-        fine = fit_fully(at.twin, at.whitening, at.fit, responses, rounds=_FINE_ROUNDS)
-        estimate = fine.metric.nuisance_estimate(np.nan_to_num(fine.residual))
-        about = cast(Twin, Rebased(at.twin, own, responses, estimate))
-        lanes = fine.fit.lanes()
-        responses = nuisance_responses(about, lanes, about.simulate(lanes)[0], own)
-        there = cast(Twin, Rebased(at.twin, own, responses, estimate))  # the readings by these responses, too
-        return fit_fully(there, at.whitening, fine.fit, responses, rounds=_FINE_ROUNDS)
-    except np.linalg.LinAlgError:  # the machine runs away with some tolerance there
-        return at

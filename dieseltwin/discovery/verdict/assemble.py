@@ -11,11 +11,10 @@ from typing import Any, cast
 import numpy as np
 
 from dieseltwin.discovery.laws.terms import law_terms_of
-from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
+from dieseltwin.discovery.likelihood.circumstances import Estimate
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
-from dieseltwin.discovery.search.preparation import beside_fine_maps
 from dieseltwin.discovery.search.run import Search, occam
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array, rows_of
@@ -34,7 +33,7 @@ from dieseltwin.discovery.verdict.document import (
 )
 from dieseltwin.discovery.verdict.document import Fit as FitFigures
 from dieseltwin.discovery.verdict.effect_curve import effect_curves
-from dieseltwin.discovery.verdict.explained import disagreement, explained_at, in_all_detail
+from dieseltwin.discovery.verdict.explained import disagreement, explained_at
 from dieseltwin.discovery.verdict.findings import finite
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
 from dieseltwin.discovery.verdict.observed import observed
@@ -48,6 +47,7 @@ from dieseltwin.discovery.verdict.over_recordings import (
 )
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.since_reference import no_better_than_then, since_reference
+from dieseltwin.discovery.verdict.told import told
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import OneTerm, Term
@@ -75,10 +75,11 @@ def assemble(
     twin = cast(EngineTwin | SeveralTwin, found.twin)
     mismatch = found.kind != "healthy"
     at = explained_at(found)
-    fine = in_all_detail(found, at)
-    after, parameters = at.simulated, fine.fit.parameters[: len(twin.parameters)]
+    after = at.simulated
+    said = told(found, at, after)
+    parameters = said.fit.parameters[: len(twin.parameters)]
     apart = disagreement(found, at)
-    own = fine.covariance[: apart.size, : apart.size] + np.diag(apart**2)
+    own = cast(Array, said.fit.covariance)[: apart.size, : apart.size] + np.diag(apart**2)
     covariance = no_better_than_then(own, parameters, then)
     since = since_reference(at, found.twin, apart)
     evidence = _evidence(found, after)
@@ -89,7 +90,7 @@ def assemble(
         mismatch=mismatch,
         p_value=p_value(found),
         location=onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None,
-        effects=with_words(findings.effects(found, fine.fit), differ) if mismatch else (),
+        effects=with_words(findings.effects(found, said.fit), differ) if mismatch else (),
         more_is_missing=found.more_is_missing(),
         health=health_values(found, (parameters, covariance), since),
         fit=fit_figures(found, after),
@@ -97,10 +98,10 @@ def assemble(
         provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
         out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
         recordings=judged(found, days, (parameters, covariance), since, sizes),
-        circumstances=_circumstances(found, fine, after),
+        circumstances=tuple(found_circumstance(item) for item in said.circumstances),
     )  # fmt: skip
     before_engine = _engine(twin, null.fit.parameters, ())
-    terms = _terms(found, twin, fine.fit) if mismatch else ()
+    terms = _terms(found, twin, said.fit) if mismatch else ()
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
@@ -138,14 +139,6 @@ def together_sha256(recordings: Sequence[Recording]) -> str:
     if len(recordings) == 1:
         return recordings[0].sha256
     return hashlib.sha256("".join(sorted(item.sha256 for item in recordings)).encode()).hexdigest()
-
-
-def _circumstances(found: Search, fine: Linearisation, after: Array) -> tuple[FoundCircumstance, ...]:
-    """What the recording says of its circumstances under the explanation that was chosen, `fine` of `in_all_detail`."""
-    named = found.best is not None and found.kind != "law"
-    at = fine if named or found.kind == "healthy" else beside_fine_maps(found, found.null)
-    said = estimates(at, None if named else found.twin.measured - after)
-    return tuple(found_circumstance(item) for item in said)
 
 
 def found_circumstance(estimate: Estimate) -> FoundCircumstance:

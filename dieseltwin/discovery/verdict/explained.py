@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
-from dieseltwin.discovery.likelihood.refit import scatter, widen
-from dieseltwin.discovery.search.preparation import beside_fine_maps
+from dieseltwin.discovery.likelihood.refit import scatter
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 
@@ -27,24 +26,6 @@ def explained_at(found: Search) -> Linearisation:
         except np.linalg.LinAlgError:  # the machine runs away with some tolerance there
             return Linearisation(twin, null.whitening, fit, null)
     return found.best if found.best is not None and found.kind != "law" else null
-
-
-def in_all_detail(found: Search, at: Linearisation) -> Linearisation:
-    """The chosen explanation beside maps that may be off in all the detail that is believed; a law as it is.
-
-    Names are compared beside the leading modes of a map's error. What those leave out, a twentieth of a tolerance,
-    moved health by up to ten of the deviations that they leave: some samples next to a kink (the EGR valve's flow
-    begins where both pressures are equal) tell it so sharply that the smallest error of a map counts there.
-
-    Args:
-        at: as `explained_at`.
-    """
-    if found.kind == "law":
-        return at
-    fine = beside_fine_maps(found, at)
-    if fine is not at:
-        widen(fine, found.widening)
-    return fine
 
 
 def disagreement(found: Search, at: Linearisation) -> Array:

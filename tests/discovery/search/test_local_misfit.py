@@ -12,7 +12,8 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.search.run import Search, run
 from dieseltwin.discovery.twins.diesel import EngineTwin
-from dieseltwin.discovery.verdict.explained import disagreement, in_all_detail
+from dieseltwin.discovery.verdict.explained import disagreement
+from dieseltwin.discovery.verdict.told import beside_fine_maps, told
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.terms import LawGroup, LawTerm
 from dieseltwin.recordings.reader import recording
@@ -67,15 +68,26 @@ def test_a_healthy_machine_has_no_bumps(healthy: Search) -> None:
 
 def test_health_is_told_beside_maps_in_all_detail(healthy: Search) -> None:
     at, count = healthy.null, len(healthy.twin.parameters)
-    fine = in_all_detail(healthy, at)
-    assert len(fine.nuisance_response) > len(at.nuisance_response)
-    std = np.sqrt(np.diag(fine.covariance)[:count])
+    places = beside_fine_maps(healthy, at)
+    assert len(places) in (2, 3)
+    assert all(len(place.nuisance_response) > len(at.nuisance_response) for place in places)
+    std = np.sqrt(np.diag(places[-1].covariance)[:count])
     leading = np.sqrt(np.diag(at.covariance)[:count])
     assert (std >= leading).all() and (std > 1.001 * leading).any()
-    wider = in_all_detail(replace(healthy, widening=4.0), at)
-    assert wider.covariance == pytest.approx(4.0 * fine.covariance)
-    assert wider.fit.std[:count] == pytest.approx(2.0 * std)
-    assert in_all_detail(replace(healthy, kind="law"), at) is at
+
+
+def test_health_is_the_mean_over_the_places_and_as_uncertain_as_they_differ(bumped: Search) -> None:
+    at, search = bumped.null, replace(bumped, kind="healthy", widening=1.0)
+    places = beside_fine_maps(search, at)
+    fit = told(search, at, at.simulated).fit
+    said = np.array([place.fit.parameters for place in places])
+    assert fit.parameters == pytest.approx(said.mean(axis=0), rel=1e-12)
+    apart = said.var(axis=0, ddof=1)
+    assert (apart > 0.0).any()
+    assert np.diag(fit.covariance) == pytest.approx(np.diag(places[-1].covariance) + apart)
+    wider = told(replace(search, widening=4.0), at, at.simulated).fit
+    assert wider.covariance - fit.covariance == pytest.approx(3.0 * places[-1].covariance)
+    assert told(replace(search, kind="law"), at, at.simulated).fit is at.fit
 
 
 def test_the_law_of_an_engine_file_is_the_bump_itself() -> None:

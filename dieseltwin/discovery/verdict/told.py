@@ -1,0 +1,145 @@
+"""What a recording says of health, sizes and circumstances under the chosen explanation, maps off in all their detail.
+
+Names are compared beside the leading modes of a map's error. What those leave out, a twentieth of a tolerance, moved
+health by up to ten of the deviations that they leave, and the weather by four: some samples next to a kink (the EGR
+valve's flow begins where both pressures are equal) tell health so sharply that the smallest error of a map counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.circumstances import (
+    Estimate,
+    at_estimates,
+    circumstance_nuisances,
+    estimates,
+    open_circumstances,
+)
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.known import KnownErrors
+from dieseltwin.discovery.likelihood.learned import belief_of
+from dieseltwin.discovery.likelihood.nuisance import FINE, Nuisance, Rebased, nuisance_responses
+from dieseltwin.discovery.search.preparation import tolerances
+from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.twins.interface import Array, Twin
+
+_ROUNDS = 3
+_PLACES = (2, 3)  # at which maps and weather are taken linearly, at least and at most
+_SETTLED = 0.5  # standard deviations between two places that count as the same
+_MOST_NUMBERS = 50_000_000  # of responses in all detail: 400 MB, five recordings of ten minutes
+
+
+@dataclass(frozen=True)
+class Told:
+    """What an explanation says.
+
+    Attributes:
+        fit: parameters and sizes, with their covariance.
+        circumstances: of the recording, where a column doesn't give them.
+    """
+
+    fit: Fit
+    circumstances: tuple[Estimate, ...]
+
+
+def told(found: Search, at: Linearisation, after: Array) -> Told:
+    """What the chosen explanation says.
+
+    Args:
+        found: the search.
+        at: the explanation, as `explained.explained_at`; beside a law health is the law's, as it is.
+        after: (n, C) readings of the explanation.
+    """
+    if found.kind == "law":
+        places = beside_fine_maps(found, found.null)
+        return Told(at.fit, _mean([estimates(place, found.twin.measured - after) for place in places]))
+    places = beside_fine_maps(found, at)
+    fit = at.fit if places == [at] else _together(places, found.widening)
+    return Told(fit, _mean([estimates(place) for place in places]))
+
+
+def beside_fine_maps(found: Search, at: Linearisation) -> list[Linearisation]:
+    """Fits with maps that may be off in all the detail that is believed, linearised at several places.
+
+    The maps' errors and the weather that a fit estimates are simulated, and all responses worked out anew there:
+    beside the samples next to a kink half a tolerance of a map moves the engine to the other side. Where a fit about
+    its own estimate says something else than the one before, linear isn't good enough anywhere, and how far they are
+    apart is how well each of them is known beside its own standard deviation.
+
+    Args:
+        found: the search.
+        at: an explanation. It comes back alone where its errors are no smooth ones of maps, or too many.
+    """
+    if belief_of(at.twin) is not None or isinstance(at.twin, KnownErrors):
+        return [at]
+    own = tolerances(at.twin, at, found.settings, FINE)
+    if len(own) * at.simulated.size > _MOST_NUMBERS:
+        return [at]
+    places: list[Linearisation] = []
+    try:
+        responses = nuisance_responses(at.twin, at.fit.lanes(), at.simulated, own)
+        fine = fit_fully(at.twin, at.whitening, at.fit, responses, rounds=_ROUNDS)
+        while len(places) < _PLACES[0] or (len(places) < _PLACES[1] and _apart(*places[-2:]) > _SETTLED):
+            estimate = fine.metric.nuisance_estimate(np.nan_to_num(fine.residual))
+            own, responses = _responses_about(at.twin, fine.fit, own, responses, estimate)
+            there = _at(at.twin, own, responses, estimate)  # the readings by these responses, too
+            fine = fit_fully(there, at.whitening, fine.fit, responses, rounds=_ROUNDS)
+            places.append(fine)
+    except np.linalg.LinAlgError:  # the machine runs away with some tolerance there
+        return places or [at]
+    return places
+
+
+def _at(twin: Twin, own: Sequence[Nuisance], responses: Array, estimate: Array) -> Twin:
+    """The twin with estimated errors of maps and in the estimated weather."""
+    return cast(Twin, Rebased(at_estimates(twin, own, responses, estimate), own, responses, estimate))
+
+
+def _responses_about(
+    twin: Twin, fit: Fit, own: Sequence[Nuisance], responses: Array, estimate: Array
+) -> tuple[list[Nuisance], Array]:
+    """Directions and responses (K, n, C) about an estimate (K,), from those about another place."""
+    there, lanes = _at(twin, own, responses, estimate), fit.lanes()
+    simulated = there.simulate(lanes)[0]
+    first = len(own) - len(open_circumstances(twin))  # they are the last
+    own = [*own[:first], *circumstance_nuisances(there, lanes, simulated)]
+    return own, nuisance_responses(there, lanes, simulated, own)
+
+
+def _said(place: Linearisation) -> tuple[Array, Array]:
+    """Parameters, sizes and circumstances of a fit, and their standard deviations."""
+    weather = estimates(place)
+    values = [*place.fit.parameters, *place.fit.magnitudes, *(item.value for item in weather)]
+    return np.array(values), np.array([*place.fit.std, *(item.std for item in weather)])
+
+
+def _apart(before: Linearisation, after: Linearisation) -> float:
+    """The farthest that two fits of one explanation are apart, in standard deviations of the latter."""
+    (here, _), (there, std) = _said(before), _said(after)
+    return float(np.max(np.abs(there - here) / np.maximum(std, 1e-300)))
+
+
+def _together(places: Sequence[Linearisation], widening: float) -> Fit:
+    """Mean of fits of one explanation, their scatter in its covariance beside what one of them states, widened."""
+    last = places[-1].fit
+    values = np.stack([np.concatenate([place.fit.parameters, place.fit.magnitudes]) for place in places])
+    mean, count = values.mean(axis=0), last.parameters.size
+    spread = np.atleast_2d(np.cov(values.T)) if len(places) > 1 else 0.0
+    return replace(
+        last, parameters=mean[:count], magnitudes=mean[count:], covariance=widening * places[-1].covariance + spread
+    )
+
+
+def _mean(said: Sequence[Sequence[Estimate]]) -> tuple[Estimate, ...]:
+    """Estimates of several fits as one, their scatter in the standard deviations."""
+    values = np.array([[item.value for item in each] for each in said])
+    spread = values.std(axis=0, ddof=1) if len(said) > 1 else np.zeros(values.shape[1])
+    return tuple(
+        replace(item, value=float(value), std=float(np.hypot(item.std, more)))
+        for item, value, more in zip(said[-1], values.mean(axis=0), spread, strict=True)
+    )
