@@ -30,6 +30,8 @@ class SearchSettings(StrictModel):
     other_pair_gain: NonNegativeFloat = Field(description="that two effects must be ahead of the best single one "
                                               "where that isn't among them")
     hanging_second_gain: NonNegativeFloat = Field(description="that a second effect must add that hangs on one window")
+    second_size_std: NonNegativeFloat = Field(description="standard deviations, widened by what is left, that the size "
+                                              "of either of two effects must be away from nought")
     variant_gain: NonNegativeFloat = Field(description="that an onset or a region must add")
     hidden_gain: NonNegativeFloat = Field(description="of an onset or a region that raises an alarm by itself")
     profile_gain: NonNegativeFloat = Field(description="that a size that differs between recordings must be ahead of "

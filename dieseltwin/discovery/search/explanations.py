@@ -294,7 +294,21 @@ def choose(found: Search, first: Linearisation | None) -> None:
         return
     found.widening = max(1.0, left / settings.chance_leaves)
     widen(found.best, found.widening)
+    if kind == "pair" and not _both_are_sure(found, found.best.fit):
+        found.pairs = [other for other in found.pairs if other is not fit]
+        choose(found, first)
+        return
     set_probabilities(found, kind)
+
+
+def _both_are_sure(found: Search, pair: Fit) -> bool:
+    """Whether the size of either of two effects is told, beside the other and what both leave.
+
+    Their gain is that of a fit in the metric of health alone. Linearised about themselves, in a misfit that they don't
+    explain, the second may be hardly there: warm ports were a warm intake and 3.2 +- 1.4 % of the injectors' fuel.
+    """
+    std = pair.std[len(found.twin.parameters) :]
+    return bool((np.abs(pair.magnitudes) >= found.settings.second_size_std * std).all())
 
 
 def _second_gain(found: Search) -> float:

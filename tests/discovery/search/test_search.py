@@ -243,6 +243,17 @@ def test_two_effects_are_named_where_the_stronger_hides_the_other() -> None:
         assert abs(found.best.fit.magnitudes[at] - size) < 4 * found.best.fit.std[1 + at]
 
 
+def test_a_second_effect_whose_own_size_is_not_told_is_not_named() -> None:
+    """The gain of a pair is one in the metric of health; its sizes are told about itself, beside what it leaves."""
+    record = Toy().record(gain=0.9, drag=0.2, x_offset=-0.12)
+    pair = search.run(record, SETTINGS, laws=False)
+    sure = np.abs(pair.best.fit.magnitudes) / pair.best.fit.std[1:]
+    asked = SETTINGS.model_copy(update={"second_size_std": 1.01 * float(sure.min())})
+    found = search.run(record, asked, laws=False)
+    assert pair.kind == "pair" and found.kind != "pair"
+    assert pair.best.fit.candidate.names not in [fit.candidate.names for fit in found.pairs]
+
+
 def test_a_second_effect_that_hangs_on_one_window_is_not_named() -> None:
     """What bends one of ten windows isn't an effect of the machine; the same evidence in all of them is."""
     toy, bent = Toy(2000, 10).record(drag=0.2), Toy(2000, 10).record(drag=0.2, x_offset=0.16)
