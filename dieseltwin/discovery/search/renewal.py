@@ -25,7 +25,7 @@ BENDS = 60.0
 
 _RENEWALS = 3
 _ROUNDS = 6
-_FITTED_ANEW = 3  # of each kind; the others keep their distance from the health-only fit, and so do those that gain
+_FITTED_ANEW = 3  # of each kind; the others keep their share of the leading one's gain, and so do those that gain
 _IN_REACH = 0.5  # less than this share of the leading one's gain
 _OVERTAKING = 60.0  # more than any freedom costs: a fit that can't come so near to the leading one isn't followed
 _SETTLED = 1.0  # standard deviations of a size
@@ -65,10 +65,9 @@ def _alike(one: Fit, other: Fit, parameters: int) -> bool:
 def _renew(found: Search, kind: str, lead: Fit) -> None:
     """Everything that was compared, in the metric of a health-only fit with the maps about one explanation."""
     fresh = prepared_about(found, lead)
-    higher = fresh.null.fit.objective - found.null.fit.objective
     bar = found.null.fit.objective - _IN_REACH * found.gain(lead)
     first = fit_fully(fresh.twin, fresh.whitening, lead, rounds=_ROUNDS, frozen=fresh.null).fit
-    move = partial(_moved, fresh, first=(lead, first), higher=higher, bar=bar)
+    move = partial(_moved, found, fresh, first=(lead, first), bar=bar)
     fresh.singles = _by_objective(move(found.singles))
     fresh.pairs = _by_objective(move(found.pairs))
     moved = move([fit for _, fit in found.variants])
@@ -82,14 +81,18 @@ def _renew(found: Search, kind: str, lead: Fit) -> None:
     found.singles, found.pairs, found.variants = fresh.singles, fresh.pairs, fresh.variants
 
 
-def _moved(fresh: Search, fits: Sequence[Fit], first: tuple[Fit, Fit], higher: float, bar: float) -> list[Fit]:
-    """Fits in the new metric, those that lead from where they were, the others as far from health alone as before.
+def _moved(found: Search, fresh: Search, fits: Sequence[Fit], first: tuple[Fit, Fit], bar: float) -> list[Fit]:
+    """Fits in the new metric: those that lead from where they were, the others with their share of the leading gain.
+
+    With the gain that they had, they were ahead of all that was fitted anew, wherever health alone is less bad there.
 
     Args:
-        first: the leading explanation, before and in the new metric.
-        higher: objective of health alone in the new metric less that in the old; bar: of those fitted anew, in the old.
+        found, fresh: before, and in the new metric.
+        first: the leading explanation in both.
+        bar: objective of those that are fitted anew, in the old metric.
     """
     moved = []
+    share = max(fresh.gain(first[1]), 0.0) / max(found.gain(first[0]), 1e-9)
     for k, fit in enumerate(fits):
         if fit is first[0]:
             moved.append(first[1])
@@ -97,7 +100,7 @@ def _moved(fresh: Search, fits: Sequence[Fit], first: tuple[Fit, Fit], higher: f
             ahead = first[1].objective + _OVERTAKING
             moved.append(fit_fully(fresh.twin, fresh.whitening, fit, None, _ROUNDS, fresh.null, ahead=ahead).fit)
         else:
-            moved.append(replace(fit, objective=fit.objective + higher))
+            moved.append(replace(fit, objective=fresh.null.fit.objective - share * found.gain(fit)))
     return moved
 
 
