@@ -38,6 +38,7 @@ class Feature:
         form: the same as a law, None for a fault of a sensor.
         effect: hypothesis that says the same by name, where the twin has one.
         outward: it does so where the coefficient is negative: nothing flows in through a hole.
+        behind: only a positive coefficient means anything: nothing runs ahead of its own command.
     """
 
     point: int | None
@@ -48,6 +49,7 @@ class Feature:
     form: Form | None = None
     effect: str | None = None
     outward: bool = False
+    behind: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,8 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                 form = Form(point.name, (factor,), 1.0)
                 text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
                 effect = scope.commands.get((factor.kind, point.name))
-                found += [replace(f, effect=effect) for f in _of_form(index, text, form, point.site, variables)]
+                delayed = _of_form(index, text, form, point.site, variables)
+                found += [replace(f, effect=effect, behind=True) for f in delayed]
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(() if isinstance(twin, KnownErrors) else twin.channels):  # balances are no sensors
         site = f"sensor:{name}"
@@ -156,6 +159,7 @@ def score_what_is_left(
         return score_features(at, features)
     judged = _scored(at, old, np.stack([known[_key(feature)] for feature in old]))
     idle = {_key(item.feature) for item in judged[_MATTERS_AT_LEAST:] if item.gain < _MATTERS}
+    idle |= {_key(feature) for feature in old if feature.behind} - {_key(item.feature) for item in judged}
     return score_features(at, [feature for feature in features if _key(feature) not in idle])
 
 
@@ -190,6 +194,8 @@ def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) ->
         information = float(vector @ vector)
         if information > apart**2 * float(direction @ direction):
             push = float(vector @ at.projected_residual)
+            if feature.behind and push <= 0.0:
+                continue
             gain = push * push / information
             held = gain * spread(at, vector)
             found.append(Structure(feature, push / information, information**-0.5, gain, response, held))

@@ -96,6 +96,21 @@ def test_actuators_may_be_late_and_other_points_not() -> None:
     assert late["dead time 0.2"].signal == pytest.approx(shifted / np.sqrt(np.mean(shifted**2)))
 
 
+def test_what_would_run_ahead_of_its_command_explains_nothing() -> None:
+    """A command whose clock was put right has its corners cut, as if it ran ahead: that is the opposite of a play."""
+    toy = Toy(2000, 10).record(leak=0.03)
+    leak = _strongest(toy)
+    sign = np.sign(leak.coefficient)
+    late = replace(leak.feature, signal=sign * leak.feature.signal, behind=True)
+    ahead = replace(late, signal=-late.signal)
+    null = search.prepare(toy, SETTINGS).null
+    (scored,) = score_features(null, [late, ahead])
+    assert scored.feature is late and scored.coefficient > 0.0 and scored.gain > 50.0
+    assert {feature.behind for feature in generic_features(toy, null.fit)} == {False}
+    toy.points = (toy.points[0], Point("u", "heater", False, "%", ("u",)))
+    assert all(f.behind == bool(f.form and f.form.operator) for f in generic_features(toy, null.fit))
+
+
 def test_losses_of_a_shaft_and_holes_of_hot_gas() -> None:
     toy = Toy(1000, 5).record()
     fit = search.prepare(toy, SETTINGS).null.fit
