@@ -56,15 +56,15 @@ def told(found: Search, at: Linearisation, after: Array) -> Told:
         after: (n, C) readings of the explanation.
     """
     if found.kind == "law":
-        places = beside_fine_maps(found, found.null)
-        return Told(at.fit, _mean([estimates(place, found.twin.measured - after) for place in places]))
+        places = beside_fine_maps(found, found.null, found.twin.measured - after)
+        return Told(at.fit, _mean([place.circumstances for place in places]))
     places = beside_fine_maps(found, at)
-    fit = at.fit if places == [at] else _together(places, found.widening)
-    return Told(fit, _mean([estimates(place) for place in places]))
+    fit = at.fit if len(places) == 1 and places[0].fit is at.fit else _together(places, found.widening)
+    return Told(fit, _mean([place.circumstances for place in places]))
 
 
-def beside_fine_maps(found: Search, at: Linearisation) -> list[Linearisation]:
-    """Fits with maps that may be off in all the detail that is believed, linearised at several places.
+def beside_fine_maps(found: Search, at: Linearisation, residual: Array | None = None) -> list[Told]:
+    """What fits say with maps that may be off in all the detail that is believed, linearised at several places.
 
     The maps' errors and the weather that a fit estimates are simulated, and all responses worked out anew there:
     beside the samples next to a kink half a tolerance of a map moves the engine to the other side. Where a fit about
@@ -74,13 +74,15 @@ def beside_fine_maps(found: Search, at: Linearisation) -> list[Linearisation]:
     Args:
         found: the search.
         at: an explanation. It comes back alone where its errors are no smooth ones of maps, or too many.
+        residual: (n, C) that circumstances are read from; None: what each fit leaves.
     """
+    as_it_is = [Told(at.fit, estimates(at, residual))]
     if belief_of(at.twin) is not None or isinstance(at.twin, KnownErrors):
-        return [at]
+        return as_it_is
     own = tolerances(at.twin, at, found.settings, FINE)
     if len(own) * at.simulated.size > _MOST_NUMBERS:
-        return [at]
-    places: list[Linearisation] = []
+        return as_it_is
+    places: list[Told] = []
     try:
         responses = nuisance_responses(at.twin, at.fit.lanes(), at.simulated, own)
         fine = fit_fully(at.twin, at.whitening, at.fit, responses, rounds=_ROUNDS)
@@ -89,9 +91,9 @@ def beside_fine_maps(found: Search, at: Linearisation) -> list[Linearisation]:
             own, responses = _responses_about(at.twin, fine.fit, own, responses, estimate)
             there = _at(at.twin, own, responses, estimate)  # the readings by these responses, too
             fine = fit_fully(there, at.whitening, fine.fit, responses, rounds=_ROUNDS)
-            places.append(fine)
+            places.append(Told(fine.fit, estimates(fine, residual)))
     except np.linalg.LinAlgError:  # the machine runs away with some tolerance there
-        return places or [at]
+        return places or as_it_is
     return places
 
 
@@ -111,28 +113,25 @@ def _responses_about(
     return own, nuisance_responses(there, lanes, simulated, own)
 
 
-def _said(place: Linearisation) -> tuple[Array, Array]:
-    """Parameters, sizes and circumstances of a fit, and their standard deviations."""
-    weather = estimates(place)
-    values = [*place.fit.parameters, *place.fit.magnitudes, *(item.value for item in weather)]
-    return np.array(values), np.array([*place.fit.std, *(item.std for item in weather)])
-
-
-def _apart(before: Linearisation, after: Linearisation) -> float:
+def _apart(before: Told, after: Told) -> float:
     """The farthest that two fits of one explanation are apart, in standard deviations of the latter."""
-    (here, _), (there, std) = _said(before), _said(after)
-    return float(np.max(np.abs(there - here) / np.maximum(std, 1e-300)))
+
+    def values(place: Told) -> Array:
+        weather = [item.value for item in place.circumstances]
+        return np.concatenate([place.fit.parameters, place.fit.magnitudes, weather])
+
+    std = np.concatenate([after.fit.std, [item.std for item in after.circumstances]])
+    return float(np.max(np.abs(values(after) - values(before)) / np.maximum(std, 1e-300)))
 
 
-def _together(places: Sequence[Linearisation], widening: float) -> Fit:
+def _together(places: Sequence[Told], widening: float) -> Fit:
     """Mean of fits of one explanation, their scatter in its covariance beside what one of them states, widened."""
     last = places[-1].fit
     values = np.stack([np.concatenate([place.fit.parameters, place.fit.magnitudes]) for place in places])
     mean, count = values.mean(axis=0), last.parameters.size
     spread = np.atleast_2d(np.cov(values.T)) if len(places) > 1 else 0.0
-    return replace(
-        last, parameters=mean[:count], magnitudes=mean[count:], covariance=widening * places[-1].covariance + spread
-    )
+    covariance = widening * cast(Array, last.covariance) + spread
+    return replace(last, parameters=mean[:count], magnitudes=mean[count:], covariance=covariance)
 
 
 def _mean(said: Sequence[Sequence[Estimate]]) -> tuple[Estimate, ...]:
