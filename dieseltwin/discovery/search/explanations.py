@@ -261,10 +261,14 @@ def _pair_bar(found: Search, pair: Fit) -> float:
     return settings.second_gain if held else settings.hanging_second_gain
 
 
-def choose(found: Search, first: Linearisation | None) -> None:
+def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] = ()) -> None:
     """One effect, one that acts at times, two, or none of these: the gain of each less what its freedom costs.
 
-    `first`: the best single effect about itself, where that is known already.
+    Args:
+        found: with all fits.
+        first: the best single effect about itself, where that is known already.
+        beside: two effects that explain enough, but not surely both. What either leaves alone is the other's, and
+            refuses no name.
     """
     settings = found.settings
     best, kind, fit, variant = leading_kind(found)
@@ -285,7 +289,8 @@ def choose(found: Search, first: Linearisation | None) -> None:
     held = max((item.held for item in found.left), default=0.0)
     ahead = held - _second_gain(found) if held > limit and kind != "pair" else np.inf
     bumps = max((item.held for item in found.left_local), default=0.0)
-    if (
+    enough = kind == "single" and fit.candidate.names[0] in beside
+    if not enough and (
         (held > limit and ahead > settings.left_ahead)
         or bumps > max(settings.local_gain, settings.left_share[place] * gained)
         or (left > settings.chance_leaves and _one_term_explains_more(found, best))
@@ -296,7 +301,7 @@ def choose(found: Search, first: Linearisation | None) -> None:
     widen(found.best, found.widening)
     if kind == "pair" and not _both_are_sure(found, found.best.fit):
         found.pairs = [other for other in found.pairs if other is not fit]
-        choose(found, first)
+        choose(found, first, fit.candidate.names)
         return
     set_probabilities(found, kind)
 

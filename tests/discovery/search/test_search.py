@@ -20,6 +20,7 @@ from dieseltwin.discovery.likelihood.nuisance import (
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.explanations import choose
 from dieseltwin.discovery.search.variants import Variant, scan
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.recordings.noise import Noise, estimate_noise
@@ -252,6 +253,16 @@ def test_a_second_effect_whose_own_size_is_not_told_is_not_named() -> None:
     found = search.run(record, asked, laws=False)
     assert pair.kind == "pair" and found.kind != "pair"
     assert pair.best.fit.candidate.names not in [fit.candidate.names for fit in found.pairs]
+
+
+def test_what_an_unsure_second_effect_explains_refuses_no_name() -> None:
+    found = search.run(Toy().record(gain=0.9, drag=0.2, x_offset=-0.12), SETTINGS, laws=False)
+    lead = found.singles[0].candidate.names[0]
+    found.pairs, found.variants, found.structure, found.local = [], [], [], []
+    choose(found, None, ("heat", "loss"))
+    assert found.kind == "law" and found.refused == "single"
+    choose(found, None, (lead, "loss"))
+    assert found.kind == "single" and found.best.fit.candidate.names == (lead,)
 
 
 def test_a_second_effect_that_hangs_on_one_window_is_not_named() -> None:
