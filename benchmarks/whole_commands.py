@@ -33,9 +33,9 @@ def cases(folder: Path) -> Iterator[tuple[str, Path, list[str]]]:
         yield truth["case"], folder / truth["case"] / "recording.csv", [e["effect"] for e in truth["effects"]]
 
 
-def judged(recording: Path, true: list[str], withheld: bool) -> dict[str, Any]:
+def judged(recording: Path, true: list[str], withhold: list[str]) -> dict[str, Any]:
     """Seconds of the whole command, and what it said."""
-    options = ("--withhold", ",".join(name for name in true if name in EFFECTS)) if withheld else ()
+    options = ("--withhold", ",".join(withhold)) if withhold else ()
     with tempfile.TemporaryDirectory() as name:
         told = twin("discover", recording.resolve(), "--out", Path(name) / "out", *options)
         document = json.loads((Path(name) / "out" / "discrepancy.json").read_text())
@@ -69,9 +69,10 @@ def main() -> None:
     until = time.monotonic() + 60.0 * asked.minutes
     for withheld in (False, True):
         for case, recording, true in cases(asked.folder):
-            if (case, withheld) in done or (withheld and not set(true) & set(EFFECTS)) or time.monotonic() > until:
+            names = [name for name in true if withheld and name in EFFECTS]
+            if (case, withheld) in done or (withheld and not names) or time.monotonic() > until:
                 continue
-            row = {"case": case, "withheld": withheld, **judged(recording, true, withheld)}
+            row = {"case": case, "withheld": withheld, **judged(recording, true, names)}
             rows.append(row)
             with asked.out.open("a") as file:
                 file.write(json.dumps(row) + "\n")

@@ -38,7 +38,6 @@ class Feature:
         form: the same as a law, None for a fault of a sensor.
         effect: hypothesis that says the same by name, where the twin has one.
         outward: it does so where the coefficient is negative: nothing flows in through a hole.
-        behind: only a positive coefficient means anything: nothing runs ahead of its own command.
     """
 
     point: int | None
@@ -49,7 +48,11 @@ class Feature:
     form: Form | None = None
     effect: str | None = None
     outward: bool = False
-    behind: bool = False
+
+    @property
+    def behind(self) -> bool:
+        """Whether only a positive coefficient means anything: nothing runs ahead of its own command."""
+        return self.form is not None and self.form.operator
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,7 @@ def generic_features(twin: Twin, fit: Fit) -> list[Feature]:
                 form = Form(point.name, (factor,), 1.0)
                 text = f"{factor.kind.replace('_', ' ')} {factor.shape:g}"
                 effect = scope.commands.get((factor.kind, point.name))
-                delayed = _of_form(index, text, form, point.site, variables)
-                found += [replace(f, effect=effect, behind=True) for f in delayed]
+                found += [replace(f, effect=effect) for f in _of_form(index, text, form, point.site, variables)]
     ones = np.ones(twin.time_s.size)
     for j, name in enumerate(() if isinstance(twin, KnownErrors) else twin.channels):  # balances are no sensors
         site = f"sensor:{name}"

@@ -59,7 +59,7 @@ def told(found: Search, at: Linearisation, after: Array) -> Told:
         places = beside_fine_maps(found, found.null, found.twin.measured - after)
         return Told(at.fit, _mean([place.circumstances for place in places]))
     places = beside_fine_maps(found, at)
-    fit = at.fit if len(places) == 1 and places[0].fit is at.fit else _together(places, found.widening)
+    fit = at.fit if places[0].fit is at.fit else _together(places, found.widening)
     return Told(fit, _mean([place.circumstances for place in places]))
 
 
@@ -76,13 +76,17 @@ def beside_fine_maps(found: Search, at: Linearisation, residual: Array | None = 
         at: an explanation. It comes back alone where its errors are no smooth ones of maps, or too many.
         residual: (n, C) that circumstances are read from; None: what each fit leaves.
     """
-    as_it_is = [Told(at.fit, estimates(at, residual))]
+    return _places(found, at, residual) or [Told(at.fit, estimates(at, residual))]
+
+
+def _places(found: Search, at: Linearisation, residual: Array | None) -> list[Told]:
+    """As `beside_fine_maps`; none where the explanation stays as it is."""
+    places: list[Told] = []
     if belief_of(at.twin) is not None or isinstance(at.twin, KnownErrors):
-        return as_it_is
+        return places
     own = tolerances(at.twin, at, found.settings, FINE)
     if len(own) * at.simulated.size > _MOST_NUMBERS:
-        return as_it_is
-    places: list[Told] = []
+        return places
     try:
         responses = nuisance_responses(at.twin, at.fit.lanes(), at.simulated, own)
         fine = fit_fully(at.twin, at.whitening, at.fit, responses, rounds=_ROUNDS)
@@ -92,8 +96,8 @@ def beside_fine_maps(found: Search, at: Linearisation, residual: Array | None = 
             there = _at(at.twin, own, responses, estimate)  # the readings by these responses, too
             fine = fit_fully(there, at.whitening, fine.fit, responses, rounds=_ROUNDS)
             places.append(Told(fine.fit, estimates(fine, residual)))
-    except np.linalg.LinAlgError:  # the machine runs away with some tolerance there
-        return places or as_it_is
+    except np.linalg.LinAlgError:
+        pass  # the machine runs away with some tolerance there: what was told until then counts
     return places
 
 

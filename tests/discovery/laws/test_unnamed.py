@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dieseltwin.discovery.laws.features import Structure, generic_features, score_features, score_what_is_left
+from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.unnamed import best_term, leading, refit_terms
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.search import run as search
@@ -101,14 +102,15 @@ def test_what_would_run_ahead_of_its_command_explains_nothing() -> None:
     toy = Toy(2000, 10).record(leak=0.03)
     leak = _strongest(toy)
     sign = np.sign(leak.coefficient)
-    late = replace(leak.feature, signal=sign * leak.feature.signal, behind=True)
+    delay = Form("leak", (Factor("dead_time", ("x",), (1.0,), 0.2, ("%",)),), 1.0)
+    late = replace(leak.feature, signal=sign * leak.feature.signal, form=delay)
     ahead = replace(late, signal=-late.signal)
     null = search.prepare(toy, SETTINGS).null
     (scored,) = score_features(null, [late, ahead])
     assert scored.feature is late and scored.coefficient > 0.0 and scored.gain > 50.0
     assert {feature.behind for feature in generic_features(toy, null.fit)} == {False}
     toy.points = (toy.points[0], Point("u", "heater", False, "%", ("u",)))
-    assert all(f.behind == bool(f.form and f.form.operator) for f in generic_features(toy, null.fit))
+    assert {f.site for f in generic_features(toy, null.fit) if f.behind} == {"heater"}
 
 
 def test_losses_of_a_shaft_and_holes_of_hot_gas() -> None:
