@@ -30,7 +30,7 @@ LAW_SETTLED = 1e-9  # relative change of a signal that ends the rounds between l
 
 _TUPLES = (
     tuples.OperatingPoint, tuples.Charge, tuples.Signals, tuples.Gas, tuples.Sweep, tuples.IntakeSide,
-    tuples.Quantities, tuples.DriverQuantities,
+    tuples.MapArguments, tuples.Quantities, tuples.DriverQuantities,
 )  # fmt: skip
 _KNOWN = {
     "with_ambient_pressure": Signature("with_ambient_pressure", (("Constants", "c"), ("double", "pressure")),

@@ -10,7 +10,7 @@ from dieseltwin.codegen.transpile import Equation, Translation, number
 from dieseltwin.engine.effect import Entry
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, corrections_of
-from dieseltwin.engine.quantities import OperatingPoint
+from dieseltwin.engine.quantities import MapArguments, OperatingPoint
 from dieseltwin.engine.sensor_effects import slot_parts
 from dieseltwin.engine.terms import (
     SENSOR_SLOTS,
@@ -36,9 +36,8 @@ ACTUATORS = ("egr_play", "egr_more", "egr_share", "vgt_play", "vgt_more", "vgt_s
 """Fields of what acts on commands and inputs: widths [%], further dead times [s] and how much of them acts, lag [s]."""
 
 _ARGUMENTS_IN_C = {
-    "p_im": "x.p_im", "n_e": "x.n_e", "u_egr": "x.u_egr", "u_vgt": "x.u_vgt", "omega_t": "x.omega_t", "W_c": "W_c",
-    "Pi_t": "turbine_pressure_ratio(x.p_em, c)", "Pi_c": "compressor_pressure_ratio(x.p_im, c)",
-    "Psi_c": "energy_transfer_coefficient(c.T_amb, compressor_pressure_ratio(x.p_im, c), x.omega_t, c)",
+    "p_im": "x.p_im", "n_e": "x.n_e", "u_egr": "x.u_egr", "u_vgt": "x.u_vgt", "omega_t": "x.omega_t", "W_c": "q.W_c",
+    **{name: f"at.{name}" for name in MapArguments._fields},
 }  # fmt: skip
 
 _TABLE = """/* Bilinear look-up over {nodes} x {nodes} nodes, held beyond the edges. */
@@ -188,10 +187,10 @@ class TermsInC:
                        "What the found laws say where they enter, at quantities q and operating point x.")
 
     def _corrections(self) -> None:
-        head = "Signals corrected(Signals s, OperatingPoint x, double W_c, Constants c)"
+        head = "Signals corrected(Signals s, OperatingPoint x, Quantities q, Constants c)"
         coefficients = corrections_in(self.terms)
         if coefficients is None:
-            self._function(head, ["(void)x, (void)W_c, (void)c;", "return s;"], "No corrections of maps are learned.")
+            self._function(head, ["(void)x, (void)q, (void)c;", "return s;"], "No corrections of maps are learned.")
             return
         learned = corrections_of(coefficients)
         nodes = learned.tables.shape[1]
@@ -211,15 +210,14 @@ class TermsInC:
             f"static const double CORRECTION_PER_UNIT[{count}][2] = {ends['per_unit']};\n"
         )
         self.texts.append(_TABLE.format(nodes=nodes, last=nodes - 1))
-        for name in ("turbine_pressure_ratio", "compressor_pressure_ratio", "energy_transfer_coefficient"):
-            self.translation.need(name)
-        lines = []
+        self.translation.need("map_arguments")
+        lines = ["const MapArguments at = map_arguments(x.p_im, x.p_em, x.omega_t, q.p_bc, q.p_es, c);"]
         for m, point in enumerate(CORRECTED_POINTS):
             x, y = (*(_ARGUMENTS_IN_C[name] for name in ARGUMENTS[point]), "0.0")[:2]
             lines.append(f"s.{point} += looked_up(CORRECTIONS[{m}], CORRECTION_LOW[{m}], CORRECTION_PER_UNIT[{m}],\n"
                          f"                       {x}, {y});")
         self._function(head, [*lines, "return s;"],
-                       "Signals with the maps' corrections at the maps' own arguments; W_c of the evaluation before.")
+                       "Signals with the maps' corrections at the maps' own arguments; q: of the evaluation before.")
 
     def _readings(self) -> None:
         amounts = [f"out[{k}] = {self._amount([slot])};" for k, slot in enumerate(self.readings)]

@@ -38,6 +38,8 @@ from dieseltwin.engine._compiled_rates import (
     N_EFFECTS,
     N_POINTS,
     N_STATES,
+    P_BC,
+    P_ES,
     RATE,
     READING,
     SIGNAL,
@@ -101,6 +103,7 @@ def load_restart(work, k, lane, window, initial):  # type: ignore[no-untyped-def
     work[4 * LANES + k] = T_1_START
     work[GAS * LANES + k] = T_GAS_START
     work[W_C * LANES + k] = 0.0
+    work[P_BC * LANES + k] = work[P_ES * LANES + k] = work[(CONSTANT + P_AMB) * LANES + k]
 
 
 @numba.njit(**_OPTIONS)

@@ -46,7 +46,9 @@ SLOPE = SIGNAL + N_POINTS  # change until the sample after
 CORRECTION = SLOPE + N_POINTS  # relative, at `CORRECTED_POINTS`
 ARGUMENT = CORRECTION + N_CORRECTED  # of the corrections: u_egr, u_vgt, Pi_t, Pi_c, Psi_c
 FRACTION = ARGUMENT + 5  # of the interval between samples that has passed, for the signals
-CONSTANT = FRACTION + 1
+P_BC = FRACTION + 1  # before the compressor and behind the turbine, of the evaluation before
+P_ES = P_BC + 1
+CONSTANT = P_ES + 1
 
 
 @inner(**_INLINED)
@@ -66,9 +68,7 @@ exhaust_side = _free_model.exhaust_side
 charge_constants = _model.charge_constants
 cylinder_sweep = _model.cylinder_sweep
 exhaust_to_intake_ratio = _model.exhaust_to_intake_ratio
-compressor_pressure_ratio = _model.compressor_pressure_ratio
-turbine_pressure_ratio = _model.turbine_pressure_ratio
-energy_transfer_coefficient = _model.energy_transfer_coefficient
+map_arguments = _model.map_arguments
 
 
 def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
@@ -117,8 +117,9 @@ def _look_up(work, tables, row, low, per_unit, at_x, at_y):  # type: ignore[no-u
 def correct_maps(work, tables, low, per_unit):  # type: ignore[no-untyped-def]
     """Corrections of the maps at the lanes' own arguments (`map_corrections.ARGUMENTS`); no tables, no corrections.
 
-    The compressor's flow among the arguments is that of the evaluation before; a filter's loss isn't. The arguments
-    come first, in a loop by themselves: with look-ups in it, powers would be taken lane by lane.
+    What follows from the flows among the arguments (the compressor's flow, pressures behind a filter and before a
+    silencer) is that of the evaluation before. The arguments come first, in a loop by themselves: with look-ups in it,
+    powers would be taken lane by lane.
     """
     if tables.shape[0] == 0:
         return
@@ -126,12 +127,12 @@ def correct_maps(work, tables, low, per_unit):  # type: ignore[no-untyped-def]
         c = load_constants(work, CONSTANT * LANES + k, LANES)
         m, s = load_magnitudes(work, k, LANES), load_signals(work, k, LANES)
         x = driven(load_point(work, k, LANES), m, s, c)
-        Pi_c = compressor_pressure_ratio(x.p_im, c)
+        at = map_arguments(x.p_im, x.p_em, x.omega_t, work[P_BC * LANES + k], work[P_ES * LANES + k], c)
         work[ARGUMENT * LANES + k] = x.u_egr
         work[(ARGUMENT + 1) * LANES + k] = x.u_vgt
-        work[(ARGUMENT + 2) * LANES + k] = turbine_pressure_ratio(x.p_em, c)
-        work[(ARGUMENT + 3) * LANES + k] = Pi_c
-        work[(ARGUMENT + 4) * LANES + k] = energy_transfer_coefficient(c.T_amb, Pi_c, x.omega_t, c)
+        work[(ARGUMENT + 2) * LANES + k] = at.Pi_t
+        work[(ARGUMENT + 3) * LANES + k] = at.Pi_c
+        work[(ARGUMENT + 4) * LANES + k] = at.Psi_c
     _look_up(work, tables, 0, low, per_unit, 0, INPUT)
     _look_up(work, tables, 1, low, per_unit, ARGUMENT, INPUT)  # of one argument: alike along the other
     _look_up(work, tables, 2, low, per_unit, ARGUMENT + 1, ARGUMENT + 2)
@@ -161,6 +162,8 @@ def _evaluate(work):  # type: ignore[no-untyped-def]
         work[(RATE + 1) * LANES + k] = q.dp_em
         work[(RATE + 2) * LANES + k] = q.domega_t
         work[STATIC * LANES + k] = q.T_em_static
+        work[P_BC * LANES + k] = q.p_bc
+        work[P_ES * LANES + k] = q.p_es
         store_readings(work, k, LANES, q)
 
 

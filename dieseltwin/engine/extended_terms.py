@@ -31,7 +31,6 @@ from dieseltwin.engine.terms import (
     effect_terms,
     law_terms,
 )
-from dieseltwin.engine.turbocharger import energy_transfer_coefficient
 from dieseltwin.errors import InputError
 from dieseltwin.sensors import MEASURED
 
@@ -221,9 +220,10 @@ def correction_signals(
 ) -> dict[str, Any]:
     """Point -> signal with the maps' corrections added, at variables as of `law_variables` (numpy arrays)."""
     out = dict(signals)
-    heating = energy_transfer_coefficient(c.T_amb, variables["Pi_c"], variables["omega_t"], c)
+    states = (variables[name] for name in ("p_im", "p_em", "omega_t", "p_bc", "p_es"))
+    at = numpy_model().map_arguments(*states, c)._asdict()
     shape = np.shape(variables["p_im"])
-    flat = {k: np.broadcast_to(v, shape).ravel() for k, v in {**variables, "Psi_c": heating}.items() if k in RANGES}
+    flat = {k: np.broadcast_to(v, shape).ravel() for k, v in {**variables, **at}.items() if k in RANGES}
     tables = corrections_of(coefficients).tables
     for m, point in enumerate(CORRECTED_POINTS):
         value = look_up(tables[m], m, *arguments_of(point, flat)).reshape(shape)

@@ -55,6 +55,7 @@ from dieseltwin.engine.quantities import (
     DriverQuantities,
     Gas,
     IntakeSide,
+    MapArguments,
     OperatingPoint,
     Quantities,
     Signals,
@@ -67,6 +68,7 @@ from dieseltwin.engine.turbocharger import (
     compressor_out_temperature,
     compressor_power,
     compressor_pressure_ratio,
+    energy_transfer_coefficient,
     eta_c,
     eta_tm,
     isentropic_compressor_power,
@@ -261,6 +263,16 @@ def exhaust_side(
         turbo_speed_rate(added(P_t_eta_m - P_f, s.shaft_power), i.P_c, x.omega_t, c),
         static, p_es, i.p_bc, i.T_im, i.T_c, W_leak_im, W_leak_em, P_f,
     )  # fmt: skip
+
+
+def map_arguments(
+    p_im: Array, p_em: Array, omega_t: Array, p_bc: Array, p_es: Array, c: Constants
+) -> MapArguments:
+    """Where the maps of compressor and turbine are looked up, with p_bc [Pa] before the one and p_es [Pa] behind the
+    other: what restricts the flow there moves them."""
+    Pi_c = compressor_pressure_ratio(p_im, with_ambient_pressure(c, p_bc))
+    Pi_t = turbine_pressure_ratio(p_em, with_ambient_pressure(c, p_es))
+    return MapArguments(Pi_t, Pi_c, energy_transfer_coefficient(c.T_amb, Pi_c, omega_t, c))
 
 
 def driver_quantities(q: Quantities, n_e: Array, p_im: Array, p_em: Array, c: Constants) -> DriverQuantities:

@@ -150,6 +150,15 @@ class Quantities(NamedTuple):
     P_f: Any
 
 
+class MapArguments(NamedTuple):
+    """What the maps of compressor and turbine are looked up at, besides states and inputs: pressure quotients Pi_t and
+    Pi_c, energy transfer coefficient Psi_c [-]."""
+
+    Pi_t: Any
+    Pi_c: Any
+    Psi_c: Any
+
+
 class DriverQuantities(NamedTuple):
     """What a driver or a calibrator reads off: air/fuel ratio lambda [-], EGR fraction [-], torque [N m]."""
 

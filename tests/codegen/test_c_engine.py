@@ -75,6 +75,8 @@ def differences(expected: pd.DataFrame, got: pd.DataFrame) -> pd.Series:
         pytest.param(_engine(LEARNED, Term(effect="boost_leak", magnitude=3e-5, onset_s=20.0),
                              Term(effect="egr_clogging", magnitude=1e-3),
                              SensorTerm(sensor="w_c_kg_s", fault="offset", magnitude=0.01)), 1e-6, id="learned"),
+        pytest.param(_engine(LEARNED, Term(effect="back_pressure", magnitude=1.6e5),
+                             Term(effect="air_filter_restriction", magnitude=5e4)), 1e-6, id="learned, restricted"),
     ],
 )  # fmt: skip
 def test_c_is_what_simulate_is(engine: EngineParameters, allowed: float, drive: Inputs, compiler: str, tmp_path: Path):

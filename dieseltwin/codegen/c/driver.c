@@ -150,7 +150,7 @@ static void evaluate(Engine *e, OperatingPoint commanded, Gas gas, double t)
 #endif
     for (int round = 0; round < (LAWS ? LAW_ROUNDS : 1); round++) {
         OperatingPoint x = driven(commanded, m, s, c);
-        const Signals all = corrected(s, x, e->q.W_c, c);
+        const Signals all = corrected(s, x, e->q, c);
         const IntakeSide i = intake_side(x, gas, m, all, c);
         const Sweep warm = cylinder_sweep(exhaust_to_intake_ratio(x.p_em, x.p_im), i.W_ei, i.W_f, x.x_r, x.T_1,
                                           charge_constants(i, x, m, all, c));
@@ -343,7 +343,7 @@ static void engine_start(Engine *e, double time_s, Inputs u, double p_im, double
     command_start(&e->egr, 0.0, u.u_egr_pct);
     command_start(&e->vgt, 0.0, u.u_vgt_pct);
     e->signals = (Signals){0};
-    e->q = (Quantities){0};
+    e->q = (Quantities){.p_bc = e->c.p_amb, .p_es = e->c.p_amb};
     e->m = magnitudes(0.0, 0.0, u, u);
     law_shares(e->law_share, 0.0, 0.0, u, u);
     const double x[3] = {p_im, p_em, omega_t};

@@ -35,8 +35,8 @@ def variables_along(
     if signals:  # the quantities know none: the simulation's own flows and temperature do
         W_egr, T_em, W_c = readings[:, _W_EGR], readings[:, _T_EM], readings[:, _W_C]
     n_e, u_delta = actuation.at_samples()[:2]
-    Pi_c = model.compressor_pressure_ratio(p_im, c._replace(p_amb=q.p_bc))
-    Pi_t = model.turbine_pressure_ratio(p_em, c._replace(p_amb=q.p_es))
+    p_bc, p_es = (getattr(q, name) * (1.0 + signals.get(name, 0.0)) for name in ("p_bc", "p_es"))
+    Pi_t, Pi_c, Psi_c = model.map_arguments(p_im, p_em, omega, p_bc, p_es, c)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": n_e, "u_delta": u_delta,
         "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em, "T_im": q.T_im,
@@ -44,9 +44,8 @@ def variables_along(
         "W_c": W_c, "W_t": q.W_t, "W_egr": W_egr, "W_ei": q.W_ei, "W_eo": q.W_eo, "W_f": q.W_f, "Pi_c": Pi_c,
         "Pi_t": Pi_t, "eta_vol": q.eta_vol, "x_r": x_r, "T_1": T_1, "Pi_egr": p_im / p_em,
         "Pi_e": model.exhaust_to_intake_ratio(p_em, p_im), "BSR": model.blade_speed_ratio(omega, T_em, Pi_t, c),
-        "Psi_c": model.energy_transfer_coefficient(c.T_amb, Pi_c, omega, c),
-        "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6), "t": actuation.time_s - actuation.time_s[0],
-        "p_amb": c.p_amb, "T_amb": c.T_amb,
+        "Psi_c": Psi_c, "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6),
+        "t": actuation.time_s - actuation.time_s[0], "p_amb": c.p_amb, "T_amb": c.T_amb,
     }  # fmt: skip
     out = {name: np.broadcast_to(value, p_im.shape) for name, value in named.items()}
     for point in points:

@@ -1,4 +1,4 @@
-"""Responses to many small signals: from intervals between samples as from a lane each."""
+"""Responses to many small signals: from intervals between samples as from a lane each, and as simulated corrections."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ from dieseltwin.engine.quantities import POINTS
 from dieseltwin.recordings.reader import recording
 from tests.api.simulated import drive
 
+_STEP = 1e-3  # of a coefficient of a map's correction
+_FUNCTIONS = 3  # of each map, the most important ones
+
 
 @pytest.mark.parametrize("name, size", [("boost_leak", 2e-5), ("vgt_offset", -3.0), ("exhaust_thermal_inertia", 0.3)])
 def test_responses_from_intervals_are_those_of_simulated_lanes(name: str, size: float):
@@ -30,3 +33,22 @@ def test_responses_from_intervals_are_those_of_simulated_lanes(name: str, size: 
     error = np.linalg.norm(found - lane_each, axis=1)
     assert np.all(error <= 1e-3 * size_of_each.max(axis=0))
     assert np.median(error / size_of_each) < 1e-4
+
+
+@pytest.mark.parametrize(
+    "name, size", [("bearing_friction", 2e-6), ("back_pressure", 1.6e5), ("air_filter_restriction", 5e4)]
+)
+def test_responses_to_corrections_of_maps_are_those_of_the_simulation(name: str, size: float):
+    """Restrictions move where the turbine's and the compressor's maps are looked up, in the kernel as in the search."""
+    twin = EngineTwin(recording(drive(40.0)), we2011.PARAMETERS)
+    lanes = first_fit(twin, Candidate((name,)), [size]).lanes()
+    maps = basis().maps
+    which = np.zeros(maps.size, dtype=bool)
+    for m in range(len(CORRECTED_POINTS)):
+        which[np.flatnonzero(maps == m)[:_FUNCTIONS]] = True
+    found = map_columns(twin, lanes, twin.simulate(lanes)[0], which)
+    for response, function in zip(found, np.flatnonzero(which), strict=True):
+        step = _STEP * (np.arange(maps.size) == function)
+        up, down = (twin.with_coefficients(sign * step).simulate(lanes)[0] for sign in (1.0, -1.0))
+        simulated = (up - down) / (2.0 * _STEP)
+        assert np.linalg.norm(response - simulated) < 0.01 * np.linalg.norm(simulated), basis().names[function]
