@@ -12,8 +12,8 @@ import base64
 import hashlib
 import io
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,7 @@ class LearnedEngine:
         prior: what was believed before any recording, where engines of the same type say it; None for the usual.
         roughness: variance of errors of half the correlation length, over that of the smooth ones, that the recordings
             ask for; it is part of what is believed, and of no `prior` [-].
+        clocks: column -> how late it is recorded, of those whose clock is off in these recordings [s].
     """
 
     base: EngineParameters
@@ -64,6 +65,7 @@ class LearnedEngine:
     misfits: dict[str, float]
     prior: Belief | None = None
     roughness: float = 0.0
+    clocks: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def believed(self) -> Belief:
@@ -136,7 +138,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
     table = pa.table(columns)
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
-        "roughness": learned.roughness,
+        "roughness": learned.roughness, "clocks": dict(learned.clocks),
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -179,6 +181,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         base, belief, float(about["map_rms"]), tuple(_recording(row, data, base) for row, data in known),
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, float(about["roughness"]),
+        dict(about.get("clocks", {})),
     )  # fmt: skip
 
 

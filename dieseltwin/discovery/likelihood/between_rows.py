@@ -31,9 +31,9 @@ class WithOpenInputs(Protocol):
         ...
 
 
-def scatter_of(at: Linearisation) -> ModelScatter:
-    """What the readings scatter by about a fit: clocks that were put right, and inputs between slow rows."""
-    return ModelScatter(clock_scatter(at), windows_between_rows(at.twin, at.fit.lanes()))
+def scatter_about(twin: Twin, lanes: Lanes) -> ModelScatter:
+    """What the readings scatter by about one lane: clocks that were put right, and inputs between slow rows."""
+    return ModelScatter(clock_scatter(twin, lanes), windows_between_rows(twin, lanes))
 
 
 def windows_between_rows(twin: Twin, lanes: Lanes) -> tuple[Array, ...]:

@@ -124,19 +124,18 @@ def at_estimates(twin: Twin, nuisances: Sequence[Nuisance], responses: Array, es
     return other
 
 
-def clock_scatter(at: Linearisation) -> Array | None:
-    """Variance (n, C) of the readings where clocks were put right; None where none was.
+def clock_scatter(twin: Twin, lanes: Lanes) -> Array | None:
+    """Variance (n, C) of the readings about one lane where clocks were put right; None where none was.
 
     What a channel did between two rows isn't known. Where it has kinks, moving it misplaces them by a part of a row.
     """
-    twin = at.twin
     if not isinstance(twin, WithCircumstances):
         return None
     names = [item.name for item in open_circumstances(twin) if item.kind == TIME_SHIFT]
     if not names:
         return None
-    jitter_s = twin.beliefs.jitter_rows * float(np.median(np.diff(at.twin.time_s)))
-    responses = twin.circumstance_responses(at.fit.lanes(), at.simulated, names)
+    jitter_s = twin.beliefs.jitter_rows * float(np.median(np.diff(twin.time_s)))
+    responses = twin.circumstance_responses(lanes, twin.measured, names)
     return np.asarray(((jitter_s * responses) ** 2).sum(axis=0))
 
 
@@ -148,10 +147,22 @@ def _middle(values: Array, among: np.ndarray) -> Array:
     return np.where(np.isin(np.arange(values.size), middle), 1.0 / middle.size, 0.0)
 
 
-def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimate, ...]:
-    """What a fit says of the open circumstances, which are the last of its nuisances.
+def from_the_middle(
+    twin: WithCircumstances, items: Sequence[Circumstance], values: Array, covariance: Array
+) -> tuple[Array, Array]:
+    """Values (K,) of open circumstances and their covariance, with the clocks of a recording in which none is trusted
+    counted from the middle one: all of them late together shows nowhere."""
+    for recording in {item.recording for item in items}:
+        clocks = np.array([item.kind == TIME_SHIFT and item.recording == recording for item in items])
+        there = sum(item.kind == TIME_SHIFT and item.recording == recording for item in twin.circumstances)
+        if clocks.any() and clocks.sum() == there:
+            contrast = np.eye(len(items)) - np.outer(clocks, _middle(values, clocks))
+            values, covariance = contrast @ values, contrast @ covariance @ contrast.T
+    return values, covariance
 
-    Where no clock is trusted, shifts count from the middle one: all clocks late together show nowhere.
+
+def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimate, ...]:
+    """What a fit says of the open circumstances, which are the last of its nuisances; clocks as `from_the_middle`.
 
     Args:
         at: the fit, linearised with them.
@@ -166,12 +177,6 @@ def estimates(at: Linearisation, residual: Array | None = None) -> tuple[Estimat
     left = at.residual if residual is None else residual
     share = at.metric.nuisance_estimate(np.nan_to_num(left))[-len(items) :]
     values = np.array([twin.values.get(item.name, item.assumed) for item in items]) + scale * share
-    for recording in {item.recording for item in items}:
-        clocks = np.array([item.kind == TIME_SHIFT and item.recording == recording for item in items])
-        there = sum(item.kind == TIME_SHIFT and item.recording == recording for item in twin.circumstances)
-        if clocks.any() and clocks.sum() == there:  # none is the one that is right
-            contrast = np.eye(len(items)) - np.outer(clocks, _middle(values, clocks))
-            covariance = contrast @ covariance @ contrast.T
-            values = contrast @ values
+    values, covariance = from_the_middle(twin, items, values, covariance)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return tuple(Estimate(*row) for row in zip(items, values.tolist(), std.tolist(), strict=True))

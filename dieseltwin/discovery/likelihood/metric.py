@@ -272,6 +272,13 @@ class Metric:
             found[w] = bool(np.any(late > factor * early))
         return found
 
+    def nuisance_covariance(self) -> Array:
+        """Covariance (K, K) of the nuisance coefficients beside the initial states alone, in standard deviations of
+        their priors."""
+        if self._nuisances is None:
+            return np.zeros((0, 0))
+        return np.asarray(cho_solve((self._lower, True), np.eye(len(self._lower))))
+
     def nuisance_estimate(self, residual: Array) -> Array:
         """Posterior mean of the nuisance coefficients, in standard deviations of their priors, (K,)."""
         if self._nuisances is None:

@@ -10,12 +10,13 @@ ask for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from dieseltwin.discovery.reference.conditions import clocks_of_all
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.discovery.reference.roughness import roughness_of
 from dieseltwin.discovery.twins.interface import Array
@@ -34,6 +35,7 @@ _LEFT_TO_NEXT = 0.2  # of that, below which steps with old sensitivities promise
 _STALLED = 0.5  # of the decrease predicted before, above which old sensitivities mislead
 _STUCK = 0.05  # promised decrease an unknown that counts as none where no step leads down: the posterior has kinks
 _SHRINKS = (1.0, 0.4, 0.16, 0.064)
+_PUT_RIGHT = 3  # times that clocks and weather are moved
 _LEAST_INFORMATION = 1e-6  # of an effect's own, that is no coordinate's
 
 
@@ -97,6 +99,7 @@ class Learned:
         converged: whether all fits did, and linearising anew changed nothing worth naming.
         roughness: of the maps (`learning.belief.prior_belief`), as the recordings ask for it [-].
         suspicions: effects by which the reference itself looks faulty, strongest first.
+        clocks: column -> how late it is recorded, of those whose clock is off [s].
     """
 
     belief: Belief
@@ -104,6 +107,7 @@ class Learned:
     converged: bool
     roughness: float
     suspicions: tuple[Suspicion, ...] = ()
+    clocks: Mapping[str, float] = field(default_factory=dict)
 
 
 def learn_engine(
@@ -130,7 +134,10 @@ def learn_engine(
     found = learn(together, base, map_rms, settings, prior)
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
     domain = domain_of(found.belief, map_rms)
-    return LearnedEngine(base, found.belief, map_rms, together, domain, misfits, prior, found.roughness), found
+    known_now = LearnedEngine(
+        base, found.belief, map_rms, together, domain, misfits, prior, found.roughness, found.clocks
+    )
+    return known_now, found
 
 
 def learn(
@@ -151,8 +158,9 @@ def learn(
     """
     settings = settings or default_learn()
     prior = prior_belief(engine, map_rms) if prior is None else prior
-    joint = _Joint([Part(item, engine, prior) for item in sorted(recordings, key=lambda r: r.sha256)], prior)
+    joint = _Joint([Part(item, engine, prior, map_rms) for item in sorted(recordings, key=lambda r: r.sha256)], prior)
     joint.fit(_FIRST_ROUNDS)
+    joint.put_right()
     joint.whiten_anew()
     roughness = roughness_of(prior, map_rms, *joint.of_all_functions())
     if roughness > 0.0:
@@ -161,11 +169,13 @@ def learn(
         joint.fit(_FIRST_ROUNDS)
         joint.whiten_anew()
     converged = joint.fit(_ROUNDS)
+    if joint.put_right():
+        converged = joint.fit(_ROUNDS)
     if joint.leave_crooked_out(np.random.default_rng(settings.seed)) or not converged:
         converged = joint.fit(_ROUNDS)
     evidence = joint.evidence()
     suspicions = joint.suspicions(settings.suspicious_gain)
-    return Learned(combined(prior, evidence), evidence, converged, roughness, suspicions)
+    return Learned(combined(prior, evidence), evidence, converged, roughness, suspicions, joint.clocks())
 
 
 class _Joint:
@@ -221,6 +231,24 @@ class _Joint:
             self._linearise()
         return False
 
+    def put_right(self) -> bool:
+        """Take clocks and weather to be what the readings say beside the maps as corrected by now, until they are;
+        whether any were others."""
+        changed = False
+        for _ in range(_PUT_RIGHT):
+            moved = [part.put_right(at, self.x) for part, at in zip(self.parts, self.at, strict=True)]
+            if not any(moved):
+                break
+            changed = True
+            self.residuals = [part.residual(self.x, part.local) for part in self.parts]
+            self._rewhiten()
+            self.fit(1)  # with the sensitivities of before, which are near enough for a step
+        return changed
+
+    def clocks(self) -> Mapping[str, float]:
+        """Column -> how late all recordings together show it to be [s]."""
+        return clocks_of_all([part.clocks(at, self.x) for part, at in zip(self.parts, self.at, strict=True)])
+
     def whiten_anew(self) -> None:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""
         for part in self.parts:
@@ -265,9 +293,10 @@ class _Joint:
             for key, values in part.scores(at, self.x, rest).items():
                 parts.setdefault(key, []).append(values)
         whole, gradient = self._information(), self._gradient()
+        hypotheses = {name: item for part in self.parts for name, item in part.twin.hypotheses.items()}
         found: dict[str, Suspicion] = {}
         for (name, _), some in parts.items():
-            hypothesis = self.parts[0].twin.hypotheses[name]
+            hypothesis = hypotheses[name]
             own = sum(values[1] for values in some)
             across = np.sum([values[2] for values in some], axis=0)
             taken_up = np.linalg.solve(whole, across)
@@ -293,7 +322,7 @@ class _Joint:
 
     def _project(self) -> None:
         self.projected = [
-            at.metric.without_local(rest[None])[0] for at, rest in zip(self.at, self.residuals, strict=True)
+            at.metric.project(rest[None])[0] for at, rest in zip(self.at, self.residuals, strict=True)
         ]
 
     def _information(self) -> Array:

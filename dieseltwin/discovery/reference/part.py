@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.between_rows import noise_beside
+from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about
 from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
 from dieseltwin.discovery.likelihood.learned import map_columns
-from dieseltwin.discovery.likelihood.metric import Metric, ModelScatter, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import secant_sizes
+from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
-from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes, rows_of, single
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
@@ -39,12 +40,14 @@ class Linear:
     Attributes:
         columns: (D, n, C) responses to one prior standard deviation of every coordinate.
         local: (S, n, C) responses to the initial states.
-        metric: of the readings, initial states taken out.
+        conditions: (K, n, C) responses to the circumstances that are open, None where none is.
+        metric: of the readings, initial states and circumstances taken out.
         projected: (D, rows) the columns in it.
     """
 
     columns: Array
     local: Array
+    conditions: Array | None
     metric: Metric
     projected: Array
 
@@ -58,8 +61,9 @@ class Part:
         left_out: (W,) windows that are not used.
     """
 
-    def __init__(self, recording: Recording, engine: EngineParameters, prior: Belief) -> None:
-        self.twin = EngineTwin(recording, engine)
+    def __init__(self, recording: Recording, engine: EngineParameters, prior: Belief, map_rms: float) -> None:
+        self.twin = recorded_twin(recording, engine, map_rms)
+        self.conditions = Conditions(self.twin)
         self.at = [MEASURED.index(name) for name in self.twin.channels]
         twin = self.twin
         whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts)
@@ -68,8 +72,7 @@ class Part:
         self._first = start.local
         self.begin(prior)
         self.health = rough.fit.parameters
-        lanes = single(self.health, self.local)
-        self._scatter = ModelScatter(None, twin.covariance_between_rows(lanes))
+        self._about(twin, start.lanes())
         self.whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts, self._scatter)
         self.left_out = np.zeros(twin.starts.size, dtype=bool)
 
@@ -102,6 +105,30 @@ class Part:
         clean = twin.simulate(single(values[HEALTH_AT], local))[0]
         return clean * (1.0 + values[GAINS_AT][self.at]) + values[OFFSETS_AT][self.at]
 
+    def _about(self, twin: LoggedTwin, lanes: Lanes) -> None:
+        """Scatter about one lane of the twin with its maps, and readings moved so that estimates of circumstances count
+        from what is assumed, not from where the twin has them: priors stay where they are."""
+        self._scatter = scatter_about(twin, lanes)
+        responses = self.conditions.responses(twin, lanes)
+        if responses is not None:
+            moved = np.tensordot(self.conditions.applied(self.twin), responses, 1)
+            self.twin.measured = self.twin.measured + moved
+
+    def put_right(self, here: Linear, x: Array) -> bool:
+        """Take the circumstances to be what the readings say at x; whether they were others."""
+        other = self.conditions.moved(self.twin, here.metric.nuisance_estimate(self.residual(x, self.local)))
+        if other is None:
+            return False
+        self.twin = other
+        values = self._values(x)
+        self._about(other.with_coefficients(values[MAPS_AT]), single(values[HEALTH_AT], self.local))
+        self.whiten_anew(self.shown(x, self.local))
+        return True
+
+    def clocks(self, here: Linear, x: Array) -> tuple[Clock, ...]:
+        """Clocks that are open, as the readings say them at x."""
+        return self.conditions.clocks(self.twin, here.metric, self.residual(x, self.local))
+
     def residual(self, x: Array, local: Array) -> Array:
         """Readings less simulation (n, C), 0 where there is no reading."""
         return np.nan_to_num(self.twin.measured - self.shown(x, local))
@@ -127,15 +154,17 @@ class Part:
             columns[OFFSETS_AT.start + channel, :, j] = 1.0
         columns *= self.scale[:, None, None]
         local = differences[len(twin.parameters) :] * factor
-        return self._whitened(columns, local)
+        conditions = self.conditions.responses(twin, fit.lanes())
+        return self._whitened(columns, local, None if conditions is None else conditions * factor)
 
     def rewhitened(self, here: Linear) -> Linear:
         """The same responses behind another whitening."""
-        return self._whitened(here.columns, here.local)
+        return self._whitened(here.columns, here.local, here.conditions)
 
-    def _whitened(self, columns: Array, local: Array) -> Linear:
-        metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales)
-        return Linear(columns, local, metric, metric.without_local(columns))
+    def _whitened(self, columns: Array, local: Array, conditions: Array | None) -> Linear:
+        open_ones = WhitenedNuisances.of(self.whitening, conditions)
+        metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales, open_ones)
+        return Linear(columns, local, conditions, metric, metric.project(columns))
 
     def finer(self, here: Linear, x: Array) -> Array:
         """Responses (D, rows), in the metric of `here` about x, to a coefficient of one of the functions that aren't
@@ -146,7 +175,7 @@ class Part:
         held = ~self.prior.free
         columns = map_columns(twin, lanes, twin.simulate(lanes)[0], held) * (1.0 + values[GAINS_AT][self.at])
         rows = np.zeros_like(here.projected)
-        rows[MAPS_AT][held] = here.metric.without_local(columns)
+        rows[MAPS_AT][held] = here.metric.project(columns)
         return rows
 
     def moved(self, here: Linear, x: Array, residual: Array, change: Array) -> tuple[Array, Array]:
@@ -180,7 +209,7 @@ class Part:
         for _ in range(_DRAWS):
             change[which] = vectors @ (rng.standard_normal(values.size) * np.sqrt(np.maximum(values, 0.0)))
             bend = self.shown(x + change, self.local) - shown - np.tensordot(change, here.columns, 1)
-            projected = here.metric.without_local(bend[None])[0][: bend.size].reshape(bend.shape)
+            projected = here.metric.project(bend[None])[0][: bend.size].reshape(bend.shape)
             worst = np.maximum(worst, np.add.reduceat((projected**2).sum(axis=1), self.twin.starts))
         return worst > max(_CROOKED, float(np.quantile(worst, 1.0 - _MOST_CROOKED)))
 
@@ -204,7 +233,7 @@ class Part:
         sizes = np.array([size for _, size in wanted])
         factor = 1.0 + values[GAINS_AT][self.at]
         responses = (twin.simulate(lanes) - twin.simulate(base)) * factor / sizes[:, None, None]
-        rows = here.metric.without_local(responses)
+        rows = here.metric.project(responses)
         return {
             key: (float(row @ projected), float(row @ row), here.projected @ row)
             for key, row in zip(wanted, rows, strict=True)

@@ -57,13 +57,25 @@ class Settled:
     at: Linearisation
 
 
-def under_circumstances(found: Search) -> Twin | None:
-    """The twin under circumstances that a prepared search shows to be others than its twin has; None where none are."""
+def under_circumstances(found: Search, *, well: bool = False) -> Twin | None:
+    """The twin under circumstances that a prepared search shows to be others than its twin has; None where none are.
+
+    Args:
+        found: as `prepare` made it; with single effects, where any are to be thought of.
+        well: the engine is known to be well: what an effect of the catalogue would do as well is no effect, and weather
+            that columns give stays.
+    """
     twin = found.twin
     if not isinstance(twin, WithCircumstances) or not twin.circumstances:
         return None
     rest = [item for item in twin.circumstances if not item.unknown and item.name not in twin.opened]
-    return (_plainly_off(found, twin, rest) if rest else None) or _moved(found, twin)
+    off = _plainly_off(found, twin, rest, well) if rest else None
+    return off if off is not None or (well and weather_is_read(twin)) else _moved(found, twin)
+
+
+def weather_is_read(twin: WithCircumstances) -> bool:
+    """Whether columns give the ambient of all that the twin was recorded under."""
+    return all(item.read for item in twin.circumstances if item.plain in AMBIENT)
 
 
 def in_weather_of(found: Search, fit: Fit) -> Twin | None:
@@ -169,7 +181,9 @@ def _rival(found: Search, at: Linearisation, enough: float) -> float:
     return gain
 
 
-def _plainly_off(found: Search, twin: WithCircumstances, rest: Sequence[Circumstance]) -> Twin | None:
+def _plainly_off(
+    found: Search, twin: WithCircumstances, rest: Sequence[Circumstance], well: bool
+) -> Twin | None:
     """The twin under the circumstances that add more to the best single effect than any other; None where none do."""
     lead = leading(found)
     linear = _linear_gain(lead, twin, rest)
@@ -188,7 +202,7 @@ def _plainly_off(found: Search, twin: WithCircumstances, rest: Sequence[Circumst
         alone = _chosen(found, twin, found.null.fit, rest)
         if alone is not None and alone[0].evidence < settled.evidence + found.settings.alarm_gain:
             settled, chosen = alone
-    if _said_by_catalogue(chosen, settled.values):
+    if not well and _said_by_catalogue(chosen, settled.values):
         return None
     opened = twin.opened | {item.name for item in chosen}
     other = twin.under({**twin.values, **settled.values}, opened)

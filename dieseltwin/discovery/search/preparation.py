@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_of, widened
+from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about, widened
 from dieseltwin.discovery.likelihood.circumstances import at_estimates, circumstance_nuisances
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
 from dieseltwin.discovery.likelihood.known import KnownErrors
@@ -57,7 +57,7 @@ def prepare(twin: Twin, settings: SearchSettings) -> Search:
     if start is not None:
         whitening = _whitening(twin, noise)
         rough = fit_fully(twin, whitening, start, rounds=5)
-    scatter = scatter_of(rough)
+    scatter = scatter_about(twin, rough.fit.lanes())
     if not isinstance(twin, KnownErrors):
         # correlation can only be told once the signal is explained; only the fast part of the misfit is used
         noise = estimate_noise(twin.measured, explained=rough.simulated)

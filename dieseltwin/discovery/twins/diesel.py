@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -273,7 +273,7 @@ class EngineTwin:
             shown[..., j] = cut.expected(shown[..., j])
         return shown
 
-    def with_coefficients(self, coefficients: Array) -> EngineTwin:
+    def with_coefficients(self, coefficients: Array) -> Self:
         """The same twin with other corrections of the maps, coefficients (K,) of `map_corrections.basis` [-]."""
         other = copy(self)
         other.engine = self.engine.replace(terms=with_corrections(self.engine.terms, coefficients))

@@ -101,7 +101,9 @@ class LoggedTwin(EngineTwin):
         values: Mapping[str, float] | None = None, opened: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
         engine = with_charge(engine, recording)
-        self.values = {name: applicable(recording, name, value) for name, value in (values or {}).items()}
+        self.values: Mapping[str, float] = {
+            name: applicable(recording, name, value) for name, value in (values or {}).items()
+        }
         right, under = put_right(recording, engine, self.values)
         super().__init__(right, under, sensors, map_tolerance=map_tolerance, belief=belief)
         self._read = recording, engine, sensors, map_tolerance, belief

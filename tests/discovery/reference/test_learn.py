@@ -75,7 +75,7 @@ def test_neither_order_nor_repetition_matters(learned: Learned, recordings):
 
 def test_what_maps_take_up_is_no_suspicion_before_a_fit_is_done(recordings):
     prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
-    begun = _Joint([Part(recordings[0], we2011.PARAMETERS, prior)], prior)
+    begun = _Joint([Part(recordings[0], we2011.PARAMETERS, prior, MAP_RMS)], prior)
     assert begun.suspicions(9.0) == ()
 
 

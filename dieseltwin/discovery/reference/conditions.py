@@ -1,0 +1,123 @@
+"""What a recording of a healthy engine was made under: clocks and weather, found before anything is learned from it.
+
+A channel that is 0.2 s late was learned as maps that are off by a tenth, and weather that no column gives as maps that
+differ from day to day. What is found stays open, with its prior, in what the recording then says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.circumstances import WithCircumstances, from_the_middle
+from dieseltwin.discovery.likelihood.metric import Metric
+from dieseltwin.discovery.search.circumstances import ROUNDS, under_circumstances, weather_is_read
+from dieseltwin.discovery.search.preparation import prepare
+from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
+from dieseltwin.discovery.twins.interface import Array, Lanes
+from dieseltwin.engine import EngineParameters
+from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.settings.params import default_search
+
+_NEAR = 0.15  # of a prior's standard deviation (1.2 kPa, 2 K, 0.02 s): farther, responses are others
+_SHARPEST = 0.005  # s; the middle clock, from which the others count, has no deviation of its own
+_SURE = 4.0  # standard deviations that a clock of the engine's recordings is off
+
+
+def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float) -> LoggedTwin:
+    """The twin of a recording of a healthy engine, under the circumstances that it shows.
+
+    Raises:
+        InputError: no usable sensor, or no stretch with the engine running.
+    """
+    twin = LoggedTwin(recording, engine, map_tolerance=map_rms)
+    found = prepare(twin, default_search().driving)
+    for _ in range(ROUNDS):
+        other = under_circumstances(found, well=True)
+        if other is None:
+            break
+        found = prepare(other, found.settings)
+    shown = found.twin
+    return twin.under(shown.values, shown.opened) if isinstance(shown, WithCircumstances) else twin
+
+
+def open_of(twin: LoggedTwin) -> tuple[Circumstance, ...]:
+    """What stays open of a reference: clocks that were found to be off, and weather that no column gives.
+
+    The charge's temperature is one product with the level of eta_vol; where columns give the weather, the map has it.
+    """
+    weather = () if weather_is_read(twin) else tuple(
+        item for item in twin.circumstances if item.unknown and not item.read and item.kind != SCALE
+    )  # fmt: skip
+    return (*weather, *(item for item in twin.circumstances if item.name in twin.opened))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A channel's clock as a recording shows it: late by `value` with a standard deviation `std` [s]."""
+
+    column: str
+    value: float
+    std: float
+
+
+class Conditions:
+    """The open circumstances of one recording, as directions of its likelihood.
+
+    Attributes:
+        items: what is open.
+    """
+
+    def __init__(self, twin: LoggedTwin) -> None:
+        self.items = open_of(twin)
+
+    def responses(self, twin: LoggedTwin, lanes: Lanes) -> Array | None:
+        """Responses (K, n, C) to one prior standard deviation of each, next to one lane; None where nothing is open."""
+        if not self.items:
+            return None
+        found = twin.circumstance_responses(lanes, twin.measured, [item.name for item in self.items])
+        return np.asarray(np.array([item.std for item in self.items])[:, None, None] * found)
+
+    def applied(self, twin: LoggedTwin) -> Array:
+        """(K,) how far the twin has each from what is assumed, in standard deviations of its prior."""
+        return np.array([(twin.values.get(i.name, i.assumed) - i.assumed) / i.std for i in self.items])
+
+    def moved(self, twin: LoggedTwin, estimate: Array) -> LoggedTwin | None:
+        """The twin under an estimate (K,), in standard deviations from what is assumed; None where it is there."""
+        far = [
+            (item, item.assumed + item.std * float(at)) for item, at, now in
+            zip(self.items, estimate, self.applied(twin), strict=True) if item.kind != DRIFT and abs(at - now) > _NEAR
+        ]  # fmt: skip
+        other = twin.under({**twin.values, **{item.name: value for item, value in far}}, twin.opened, like=True)
+        return other if any(other.values[item.name] != twin.values.get(item.name) for item, _ in far) else None
+
+    def clocks(self, twin: LoggedTwin, metric: Metric, residual: Array) -> tuple[Clock, ...]:
+        """Clocks that are open, as the readings behind a fit (n, C) say them; `metric` with the responses."""
+        if not any(item.kind == TIME_SHIFT for item in self.items):
+            return ()
+        scale = np.array([item.std for item in self.items])
+        values = np.array([item.assumed for item in self.items]) + scale * metric.nuisance_estimate(residual)
+        covariance = metric.nuisance_covariance() * np.outer(scale, scale)
+        values, covariance = from_the_middle(twin, self.items, values, covariance)
+        std = np.sqrt(np.maximum(np.diag(covariance), _SHARPEST**2))
+        rows = zip(self.items, values.tolist(), std.tolist(), strict=True)
+        return tuple(Clock(item.column, value, sd) for item, value, sd in rows if item.kind == TIME_SHIFT)
+
+
+def clocks_of_all(found: Sequence[Sequence[Clock]]) -> Mapping[str, float]:
+    """Column -> how late it is recorded [s], of clocks that the recordings together show to be off."""
+    columns = sorted({clock.column for clocks in found for clock in clocks})
+    late = {}
+    for column in columns:
+        own = [clock for clocks in found for clock in clocks if clock.column == column]
+        weights = np.array([clock.std**-2 for clock in own])
+        value = float(weights @ [clock.value for clock in own] / weights.sum())
+        if abs(value) > _SURE * weights.sum() ** -0.5:
+            late[column] = value
+    return late
+
+
+__all__ = ["Clock", "Conditions", "clocks_of_all", "open_of", "recorded_twin"]

@@ -1,0 +1,82 @@
+"""Clocks and weather of a healthy engine's recordings: found before anything is learned, and believed of the next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dieseltwin.challenge.plant import run_plant
+from dieseltwin.challenge.routes import draw_driving
+from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.discovery.discover import prepare
+from dieseltwin.discovery.reference.conditions import Clock, clocks_of_all, open_of, recorded_twin
+from dieseltwin.discovery.reference.learn import Learned, learn_engine
+from dieseltwin.engine import we2011
+from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
+from dieseltwin.recordings.reader import Recording, recording
+
+MAP_RMS = 0.02
+LABORATORY = we2011.PARAMETERS.model_dump()
+ROWS_LATE = {"omega_t_rad_s": 1, "t_em_k": 1, "n_e_rpm": -1}  # of 0.2 s
+DAYS = ({"p_amb": 101_300.0, "T_amb": 298.0}, {"p_amb": 94_000.0, "T_amb": 283.0})
+
+
+def _driven(seed: int, seconds: float = 120.0, **constants: float):
+    driving = draw_driving("random", seconds, LABORATORY, np.random.default_rng(seed))
+    run = run_plant(driving, LABORATORY | constants)
+    frame = read(run, driving, (), SensorSet.perfect(), 6, np.random.default_rng([seed, 1]))
+    return frame.drop(columns=["p_amb_pa", "t_amb_k"], errors="ignore")
+
+
+def _late(seed: int, **constants: float) -> Recording:
+    frame = _driven(seed, **constants)
+    for column, rows in ROWS_LATE.items():
+        frame[column] = frame[column].shift(rows).bfill().ffill()
+    return recording(frame.assign(p_amb_pa=we2011.PARAMETERS.p_amb, t_amb_k=we2011.PARAMETERS.T_amb))
+
+
+@pytest.fixture(scope="module")
+def learned() -> tuple[LearnedEngine, Learned]:
+    return learn_engine([_late(1), _late(2)], we2011.PARAMETERS, MAP_RMS)
+
+
+def test_clocks_are_found_and_are_neither_maps_nor_a_fault(learned: tuple[LearnedEngine, Learned]):
+    known, found = learned
+    assert found.converged and found.suspicions == ()
+    assert known.clocks.keys() == ROWS_LATE.keys()
+    assert known.clocks == pytest.approx({column: 0.2 * rows for column, rows in ROWS_LATE.items()}, abs=0.03)
+    assert known.belief.health == pytest.approx(we2011.PARAMETERS.health(), rel=0.06)
+
+
+def test_the_next_recording_is_judged_with_the_clocks_of_the_reference(
+    learned: tuple[LearnedEngine, Learned], tmp_path
+):
+    save_learned(learned[0], tmp_path / "mine.yaml")
+    known = load_learned(tmp_path / "mine.yaml")
+    assert known is not None and known.clocks == learned[0].clocks
+    twin = prepare(_late(3), known.engine, learned=known).found.twin
+    assert twin.opened == {f"time_shift:{column}" for column in ROWS_LATE}
+    assert twin.values["time_shift:t_em_k"] == pytest.approx(0.2)
+
+
+def test_weather_that_no_column_gives_differs_from_day_to_day():
+    twins = [recorded_twin(recording(_driven(k, **day)), we2011.PARAMETERS, MAP_RMS) for k, day in enumerate(DAYS)]
+    for twin, day in zip(twins, DAYS, strict=True):
+        assert {"p_amb_pa", "t_amb_k", "t_im_k"} < {item.name for item in open_of(twin)}
+        assert twin.values.get("p_amb_pa", we2011.PARAMETERS.p_amb) == pytest.approx(day["p_amb"], abs=2500.0)
+
+
+def test_a_reference_that_says_all_is_taken_as_it_is():
+    frame = _driven(4).assign(p_amb_pa=we2011.PARAMETERS.p_amb, t_amb_k=we2011.PARAMETERS.T_amb, t_im_k=309.0)
+    twin = recorded_twin(recording(frame), we2011.PARAMETERS, MAP_RMS)
+    assert open_of(twin) == () and twin.values == {}
+    assert twin.engine.T_im == 309.0  # the column's: the maps would be wrong by what it is off
+
+
+def test_recordings_are_weighed_by_how_surely_they_say_a_clock():
+    one, other, unsure = Clock("t_em_k", 0.2, 0.01), Clock("t_em_k", 0.1, 0.1), Clock("p_im_pa", 0.1, 0.05)
+    late = clocks_of_all([(one, unsure), (other,)])
+    assert late.keys() == {"t_em_k"} and late["t_em_k"] == pytest.approx(0.2, abs=0.002)
+    assert clocks_of_all([(replace(one, std=0.06),)]) == {}
