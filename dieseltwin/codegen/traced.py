@@ -48,7 +48,7 @@ class Traced:
         return self._with(other, "/", swapped=True)
 
     def __pow__(self, other: float) -> Traced:
-        return traced_power(self, other)
+        return Traced(f"pow({self}, {number(other)})")
 
     def __abs__(self) -> Traced:
         return Traced(f"fabs({self})")
@@ -70,8 +70,8 @@ def written(value: Traced | float) -> str:
 
 
 def traced_power(base: Traced | float, exponent: Traced | float) -> Traced:
-    """base**exponent."""
-    return Traced(f"pow({written(base)}, {written(exponent)})")
+    """`array_namespace.positive_power`, which stands in C under its own name."""
+    return Traced(f"positive_power({written(base)}, {written(exponent)})")
 
 
 def traced_nozzle(Pi: Traced, gamma: float, choking: float) -> Traced | float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.engine._compiled import follow_lanes
+from dieseltwin.engine.array_namespace import positive_power
 from dieseltwin.engine.binding import Model, numpy_model
 from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.extended import Extension, simulate_extended
@@ -243,7 +244,7 @@ def law_variables(q: Quantities, states: Mapping[str, Any], c: Constants) -> dic
 
 def quantities_under(
     model: Model, states: Mapping[str, Any], gas: Gas, m: Any, laws: Sequence[LawTerm], factors: Sequence[Any],
-    c: Constants, power: Power = np.power, sweeps: int = POINT_SWEEPS, secant: bool = False,
+    c: Constants, power: Power = positive_power, sweeps: int = POINT_SWEEPS, secant: bool = False,
     corrections: np.ndarray | None = None,
 ) -> tuple[Quantities, Signals]:  # fmt: skip
     """`quantities_extended` with law terms evaluated on its own quantities.
@@ -254,7 +255,7 @@ def quantities_under(
             position], t [s since the recording's start].
         gas, m, c: as in `quantities_extended`.
         laws, factors: law terms and where they act.
-        power: raises to a power in the backend.
+        power: `positive_power` of the backend.
         sweeps: rounds of the fixed point between laws and quantities.
         secant: as in `fixed_point.settled`.
         corrections: coefficients (K,) of the maps' corrections, for numpy alone; None for none.
@@ -320,7 +321,7 @@ def along(
     q, s = under(model, named, gas, m, laws, factors, c)
     if laws_only and coefficients is not None:
         variables = law_variables(q, named, c)
-        s = NO_SIGNALS._replace(**signals_of(laws, factors, variables, np.power, model.nozzle_flow_factor))
+        s = NO_SIGNALS._replace(**signals_of(laws, factors, variables, positive_power, model.nozzle_flow_factor))
     return q, s
 
 

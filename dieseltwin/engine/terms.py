@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
+from dieseltwin.engine.array_namespace import positive_power
 from dieseltwin.engine.effect import Entry, Operator
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.map_corrections import basis
@@ -250,8 +251,8 @@ class LawGroup(BaseModel):
                 raise ValueError(f"unknown variable {variable!r}; {_close(variable, LAW_VARIABLES)}")
         return self
 
-    def value(self, variables: Any, power: Any = np.power, nozzle: Any = nozzle_flow_factor) -> Any:
-        """At arrays or tensors by name; `power`, `nozzle` (`nozzle.nozzle_flow_factor`): of their backend."""
+    def value(self, variables: Any, power: Any = positive_power, nozzle: Any = nozzle_flow_factor) -> Any:
+        """At arrays or tensors by name; `power`, `nozzle` (`positive_power`, `nozzle_flow_factor`): their backend's."""
         x = variables[self.variables[0]]
         if self.kind == "above_one":
             return self._signed(x - 1.0, power)
@@ -308,8 +309,9 @@ class LawTerm(_Limited):
                 raise ValueError(f"{variable}: reference must be positive, exponent finite")
         return self
 
-    def signal(self, variables: Any, power: Any = np.power, nozzle: Any = nozzle_flow_factor) -> Any:
-        """The law's value where `variables` maps names to arrays or tensors; `power`, `nozzle`: of their backend."""
+    def signal(self, variables: Any, power: Any = positive_power, nozzle: Any = nozzle_flow_factor) -> Any:
+        """The law's value where `variables` maps names to arrays or tensors; `power` (of what is positive, else nought:
+        a valve's position overshoots below nought) and `nozzle` are their backend's."""
         value: Any = self.coefficient
         for variable, reference, exponent in self.factors:
             value = value * power(variables[variable] / reference, exponent)

@@ -225,6 +225,16 @@ def test_two_laws_at_two_points(drive) -> None:  # type: ignore[no-untyped-def]
     np.testing.assert_allclose(observed.states[0], expected.states[0], rtol=1e-4)
 
 
+def test_a_law_of_a_valve_that_overshoots_shut_is_finite(drive) -> None:  # type: ignore[no-untyped-def]
+    """A valve's lags take its position below nought when it shuts fast: no root of that, as in the search."""
+    inputs, *_ = drive
+    shut = replace(inputs, u_egr_pct=np.where(inputs.time_s < inputs.time_s[50], 80.0, 0.0))
+    law = LawTerm(point="f_egr", coefficient=-0.1, unit="-", factors=(("u_egr", 20.0, 0.5),))
+    table = simulate(shut, ENGINE.replace(terms=(law,)), oxygen=False)
+    assert actuate(shut, ENGINE).at_samples()[2].min() < 0.0
+    assert np.isfinite(table["w_egr_kg_s"]).all()
+
+
 def test_simulate_takes_terms_and_files_keep_them(drive, tmp_path) -> None:  # type: ignore[no-untyped-def]
     inputs, _, initial = drive
     terms = (

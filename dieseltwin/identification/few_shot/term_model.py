@@ -15,6 +15,7 @@ from torch import Tensor
 
 from dieseltwin.engine import Actuation, Constants, EngineParameters, bind
 from dieseltwin.engine.actuators import actuator_update
+from dieseltwin.engine.array_namespace import torch_primitives
 from dieseltwin.engine.effect import Entry
 from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, HEATED_BY_GAS, STATE_EFFECTS, Magnitudes, effects_at
 from dieseltwin.engine.extended_terms import conditions_of, quantities_under
@@ -26,6 +27,7 @@ STATIC_SWEEPS = 3
 """Rounds of the fixed point between the gas temperature and the EGR that it heats; a round leaves a fiftieth."""
 GAS_START_K = 700.0
 LAW_SWEEPS = 3
+_POWER = torch_primitives()["positive_power"]
 
 
 class TermModel:
@@ -106,7 +108,7 @@ class TermModel:
         }  # fmt: skip
 
         def at(gas: Gas) -> Quantities:
-            return quantities_under(self.model, states, gas, m, self.laws, factors, c, torch.pow, LAW_SWEEPS)[0]
+            return quantities_under(self.model, states, gas, m, self.laws, factors, c, _POWER, LAW_SWEEPS)[0]
 
         T_gas: Any = torch.full_like(p_im, GAS_START_K)
         heated = any(isinstance(getattr(m, name), Tensor) for name in HEATED_BY_GAS)
