@@ -18,10 +18,12 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes
 from dieseltwin.engine import EngineParameters
-from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance
+from dieseltwin.recordings.channels import AMBIENT
+from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, Circumstance
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.params import default_search
 
+_FAR = 0.6  # of a prior's standard deviation (5 kPa, 9 K): nearer weather is left to the fit of all recordings
 _NEAR = 0.15  # of a prior's standard deviation (1.2 kPa, 2 K, 0.02 s): farther, responses are others
 _SHARPEST = 0.005  # s; the middle clock, from which the others count, has no deviation of its own
 _SURE = 4.0  # standard deviations that a clock of the engine's recordings is off
@@ -41,16 +43,21 @@ def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float
             break
         found = prepare(other, found.settings)
     shown = found.twin
-    return twin.under(shown.values, shown.opened) if isinstance(shown, WithCircumstances) else twin
+    if not isinstance(shown, WithCircumstances):
+        return twin
+    values = {item.name: shown.values.get(item.name, item.assumed) for item in open_of(shown)}
+    far = {item.name for item in open_of(shown) if item.kind or abs(values[item.name] - item.assumed) > _FAR * item.std}
+    return twin.under({name: value for name, value in values.items() if name in far}, shown.opened)
 
 
-def open_of(twin: LoggedTwin) -> tuple[Circumstance, ...]:
-    """What stays open of a reference: clocks that were found to be off, and weather that no column gives.
+def open_of(twin: WithCircumstances) -> tuple[Circumstance, ...]:
+    """What stays open of a reference: clocks that were found to be off, and the ambient that no column gives.
 
-    The charge's temperature is one product with the level of eta_vol; where columns give the weather, the map has it.
+    The charge's temperature is one product with the level of eta_vol: the map has it. With both free fits came to no
+    rest.
     """
     weather = () if weather_is_read(twin) else tuple(
-        item for item in twin.circumstances if item.unknown and not item.read and item.kind != SCALE
+        item for item in twin.circumstances if item.unknown and not item.read and item.column in AMBIENT
     )  # fmt: skip
     return (*weather, *(item for item in twin.circumstances if item.name in twin.opened))
 

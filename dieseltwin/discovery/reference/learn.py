@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from dieseltwin.discovery.reference.conditions import clocks_of_all
-from dieseltwin.discovery.reference.part import Part
+from dieseltwin.discovery.reference.part import Linear, Part
 from dieseltwin.discovery.reference.roughness import roughness_of
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import EngineParameters
@@ -173,6 +173,7 @@ def learn(
         converged = joint.fit(_ROUNDS)
     if joint.leave_crooked_out(np.random.default_rng(settings.seed)) or not converged:
         converged = joint.fit(_ROUNDS)
+    joint.leave_conditions_open()
     evidence = joint.evidence()
     suspicions = joint.suspicions(settings.suspicious_gain)
     return Learned(combined(prior, evidence), evidence, converged, roughness, suspicions, joint.clocks())
@@ -202,6 +203,7 @@ class _Joint:
         for part in self.parts:
             part.begin(prior)
         self.residuals = [part.residual(self.x, part.local) for part in self.parts]
+        self.at: list[Linear] = []
         self._linearise()
 
     def of_all_functions(self) -> tuple[Array, Array]:
@@ -235,19 +237,32 @@ class _Joint:
         """Take clocks and weather to be what the readings say beside the maps as corrected by now, until they are;
         whether any were others."""
         changed = False
-        for _ in range(_PUT_RIGHT):
-            moved = [part.put_right(at, self.x) for part, at in zip(self.parts, self.at, strict=True)]
+        for _ in range(_PUT_RIGHT if any(at.conditions is not None for at in self.at) else 0):
+            covariance: Array = np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
+            gradient = self._gradient()
+            moved = [
+                part.put_right(at, self.x, rest, covariance, gradient)
+                for part, at, rest in zip(self.parts, self.at, self.projected, strict=True)
+            ]
             if not any(moved):
                 break
             changed = True
             self.residuals = [part.residual(self.x, part.local) for part in self.parts]
-            self._rewhiten()
+            self.whiten_anew()
             self.fit(1)  # with the sensitivities of before, which are near enough for a step
         return changed
 
+    def leave_conditions_open(self) -> None:
+        """From here on clocks and weather are free within their priors, in what the recordings say."""
+        rows = zip(self.parts, self.at, self.residuals, strict=True)
+        found = [part.beside_conditions(at, rest) for part, at, rest in rows]
+        self.at, self.residuals = [pair[0] for pair in found], [pair[1] for pair in found]
+        self._project()
+
     def clocks(self) -> Mapping[str, float]:
-        """Column -> how late all recordings together show it to be [s]."""
-        return clocks_of_all([part.clocks(at, self.x) for part, at in zip(self.parts, self.at, strict=True)])
+        """Column -> how late all recordings together show it to be [s]; behind `leave_conditions_open`."""
+        rows = zip(self.parts, self.at, self.residuals, strict=True)
+        return clocks_of_all([part.clocks(at, rest) for part, at, rest in rows])
 
     def whiten_anew(self) -> None:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""

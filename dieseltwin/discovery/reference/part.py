@@ -14,7 +14,6 @@ from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import secant_sizes
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
-from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes, rows_of, single
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
@@ -41,7 +40,7 @@ class Linear:
         columns: (D, n, C) responses to one prior standard deviation of every coordinate.
         local: (S, n, C) responses to the initial states.
         conditions: (K, n, C) responses to the circumstances that are open, None where none is.
-        metric: of the readings, initial states and circumstances taken out.
+        metric: of the readings, initial states taken out, and circumstances where they are (`beside_conditions`).
         projected: (D, rows) the columns in it.
     """
 
@@ -72,7 +71,7 @@ class Part:
         self._first = start.local
         self.begin(prior)
         self.health = rough.fit.parameters
-        self._about(twin, start.lanes())
+        self._scatter = scatter_about(twin, start.lanes())
         self.whitening = Whitening.of(twin.measured, estimate_noise(twin.measured), twin.starts, self._scatter)
         self.left_out = np.zeros(twin.starts.size, dtype=bool)
 
@@ -105,29 +104,43 @@ class Part:
         clean = twin.simulate(single(values[HEALTH_AT], local))[0]
         return clean * (1.0 + values[GAINS_AT][self.at]) + values[OFFSETS_AT][self.at]
 
-    def _about(self, twin: LoggedTwin, lanes: Lanes) -> None:
-        """Scatter about one lane of the twin with its maps, and readings moved so that estimates of circumstances count
-        from what is assumed, not from where the twin has them: priors stay where they are."""
-        self._scatter = scatter_about(twin, lanes)
-        responses = self.conditions.responses(twin, lanes)
-        if responses is not None:
-            moved = np.tensordot(self.conditions.applied(self.twin), responses, 1)
-            self.twin.measured = self.twin.measured + moved
+    def put_right(self, here: Linear, x: Array, rest: Array, covariance: Array, gradient: Array) -> bool:
+        """Take the circumstances to be what the readings say beside all coordinates; whether they were others.
 
-    def put_right(self, here: Linear, x: Array) -> bool:
-        """Take the circumstances to be what the readings say at x; whether they were others."""
-        other = self.conditions.moved(self.twin, here.metric.nuisance_estimate(self.residual(x, self.local)))
+        Args:
+            here: about x; rest: (rows,) the residual there, in its metric.
+            covariance: (D, D) of the coordinates as all recordings say them; gradient: (D,) what is left of theirs.
+        """
+        if here.conditions is None:
+            return False
+        rows = here.metric.project(here.conditions)
+        across = here.projected @ rows.T
+        applied = self.conditions.applied(self.twin)
+        push = rows @ rest - applied - across.T @ (covariance @ gradient)
+        information = rows @ rows.T + np.eye(len(rows)) - across.T @ covariance @ across
+        other = self.conditions.moved(self.twin, applied + np.linalg.solve(information, push))
         if other is None:
             return False
         self.twin = other
         values = self._values(x)
-        self._about(other.with_coefficients(values[MAPS_AT]), single(values[HEALTH_AT], self.local))
-        self.whiten_anew(self.shown(x, self.local))
+        twin = other.with_coefficients(values[MAPS_AT])
+        self._scatter = scatter_about(twin, single(values[HEALTH_AT], self.local))
         return True
 
-    def clocks(self, here: Linear, x: Array) -> tuple[Clock, ...]:
-        """Clocks that are open, as the readings say them at x."""
-        return self.conditions.clocks(self.twin, here.metric, self.residual(x, self.local))
+    def beside_conditions(self, here: Linear, residual: Array) -> tuple[Linear, Array]:
+        """The same responses with the circumstances taken out, and the residual (n, C) as if those were as assumed,
+        which their priors count from."""
+        if here.conditions is None:
+            return here, residual
+        open_ones = WhitenedNuisances.of(self.whitening, here.conditions)
+        metric = Metric(self.whitening, self.twin.starts, here.local, self.twin.state_scales, open_ones)
+        moved = residual + np.tensordot(self.conditions.applied(self.twin), here.conditions, 1)
+        there = np.where(np.isfinite(self.twin.measured), moved, 0.0)
+        return replace(here, metric=metric, projected=metric.project(here.columns)), there
+
+    def clocks(self, here: Linear, residual: Array) -> tuple[Clock, ...]:
+        """Clocks that are open, as readings say them; arguments as `beside_conditions` gives them."""
+        return self.conditions.clocks(self.twin, here.metric, residual)
 
     def residual(self, x: Array, local: Array) -> Array:
         """Readings less simulation (n, C), 0 where there is no reading."""
@@ -162,8 +175,7 @@ class Part:
         return self._whitened(here.columns, here.local, here.conditions)
 
     def _whitened(self, columns: Array, local: Array, conditions: Array | None) -> Linear:
-        open_ones = WhitenedNuisances.of(self.whitening, conditions)
-        metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales, open_ones)
+        metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales)
         return Linear(columns, local, conditions, metric, metric.project(columns))
 
     def finer(self, here: Linear, x: Array) -> Array:
