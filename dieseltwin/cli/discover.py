@@ -18,11 +18,11 @@ from dieseltwin.cli.options import (
     Strict,
     names,
     progress,
+    readable,
     say,
     strictly,
 )
 from dieseltwin.errors import InputError
-from dieseltwin.paths import refuse_unreadable
 from dieseltwin.settings.names import refuse_options
 
 
@@ -32,6 +32,7 @@ def discover_command(
         list[Path] | None,
         typer.Argument(
             metavar="RECORDING...",
+            callback=readable,
             help="Recording of a running engine (CSV, MDF, ...), 10 min or more; several are judged together.",
         ),
     ] = None,
@@ -54,7 +55,12 @@ def discover_command(
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = 0,
     reference: Annotated[
         list[Path] | None,
-        typer.Option("--reference", metavar="HEALTHY", help="Recording of the engine when it was well; repeatable."),
+        typer.Option(
+            "--reference",
+            metavar="HEALTHY",
+            callback=readable,
+            help="Recording of the engine when it was well; repeatable.",
+        ),
     ] = None,
     time_s: Annotated[
         float | None,
@@ -66,8 +72,6 @@ def discover_command(
     strict: Strict = False,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
-    for path in (*(recordings or ()), *(reference or ())):
-        refuse_unreadable(path)
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
     from dieseltwin.discovery.verdict.explain import check_name, explain
@@ -80,8 +84,7 @@ def discover_command(
         say(explain(name, out))
         return
     settings = load_params(params, profile).discover
-    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings,
-                  time_s)
+    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings, time_s)
     question = ask(tuple(recordings), engine, channels, asked)
     if name is not None:
         if not question.catalogue:

@@ -17,17 +17,20 @@ from dieseltwin.cli.options import (
     Strict,
     names,
     progress,
+    readable,
     say,
     strictly,
 )
-from dieseltwin.paths import refuse_unreadable
 from dieseltwin.settings import methods
 from dieseltwin.settings.names import refuse_options, unknown_name
 
 
 def identify_command(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Recording of a running engine (CSV, Excel, MDF, CAN, ...).")
+        Path,
+        typer.Argument(
+            metavar="RECORDING", callback=readable, help="Recording of a running engine (CSV, Excel, MDF, CAN, ...)."
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
     method: Annotated[
@@ -69,7 +72,6 @@ def identify_command(
     """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty."""
     if method not in methods.names():
         raise unknown_name("--method", method, methods.names())
-    refuse_unreadable(recording)
     from dieseltwin.api.engines import rig_of
     from dieseltwin.api.identification import Setup, ask
     from dieseltwin.api.rigs import identify_rig
