@@ -10,15 +10,16 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import pandas as pd
 
 from dieseltwin.api.engines import Engine
-from dieseltwin.api.reading import Source
+from dieseltwin.api.reading import Channels, Made, Source
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explain import Known
+from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.discovery import DiscoverConfig
 from dieseltwin.settings.params import load_params
@@ -38,6 +39,7 @@ class Asked:
         reference: recordings of the engine when it was known to be well; it is learned from them first.
         settings: what is decided by; `discover` of params.yaml.
         time_s: of the whole discovery [s], after which the best answer so far is given; None: the settings'.
+        explain: name of the catalogue that is to be explained with the answer.
     """
 
     sensors: Sequence[str] | None = None
@@ -47,6 +49,7 @@ class Asked:
     reference: Sequence[Source | Recording] = ()
     settings: DiscoverConfig = field(default_factory=lambda: load_params().discover)
     time_s: float | None = None
+    explain: str | None = None
 
 
 class Discovered(Result):
@@ -74,6 +77,27 @@ class Discovered(Result):
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
+class Kind(Protocol):
+    """A kind of machine: its module, which knows how it is asked about."""
+
+    def ask(
+        self, read: Sequence[Imported | Made], engine: Engine | str | Path | None, channels: Channels | None,
+        question: Asked,
+    ) -> Question:  # fmt: skip
+        """Check what was read and what is asked of it; see `discovery.discover`.
+
+        Args:
+            read: one recording or several, opened.
+            engine: that is meant: name, file or parameters.
+            channels: channel map that the recordings were opened with.
+            question: what is asked beside them.
+
+        Raises:
+            InputError: what can't be used, or can't carry a verdict.
+        """
+        ...
+
+
 class Question(ABC):
     """A recording and an engine, read and checked, ready for the search."""
 
@@ -81,11 +105,6 @@ class Question(ABC):
     @abstractmethod
     def about(self) -> str:
         """What is going to be looked at, for one who waits."""
-
-    @property
-    @abstractmethod
-    def kind(self) -> str:
-        """Which machines it is about, for messages: "for settled points"."""
 
     def preview(self) -> Iterator[str]:
         """Lines of what this recording could show, before anything is fitted; none where that isn't known.

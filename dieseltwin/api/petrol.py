@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from dieseltwin.api.engines import Engine, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
-from dieseltwin.api.reading import Channels, Source, petrol_recording
+from dieseltwin.api.reading import Channels, Made, Source, petrol_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
@@ -31,7 +32,7 @@ from dieseltwin.recordings.shared_rows import refuse_shared, share_known
 from dieseltwin.report import petrol as pages
 from dieseltwin.report.page import write_page
 from dieseltwin.sealed import sealed_json
-from dieseltwin.settings.names import listed, unknown_name
+from dieseltwin.settings.names import listed, refuse_options, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -108,10 +109,6 @@ class PetrolQuestion(Question):
     notes: tuple[Note, ...] = ()
 
     @property
-    def kind(self) -> str:
-        return "for a petrol engine"
-
-    @property
     def about(self) -> str:
         return f"{self.recording.path}: {self.recording.signals.time_s[-1]:.0f} s ..."
 
@@ -124,25 +121,21 @@ class PetrolQuestion(Question):
         return PetrolDiscovered(self, discover_petrol(self.recording, self.parameters, self.options, engine_sha256))
 
 
-def ask_petrol(
-    recording: Imported | PetrolRecording,
-    parameters: PetrolParameters,
-    engine_file: Path | None,
-    question: Asked | None = None,
-    channels: Channels | None = None,
+def ask(
+    read: Sequence[Imported | Made], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
 ) -> PetrolQuestion:
-    """Check a recording of a petrol engine; see `discovery.discover`. With references it is learned from them first.
-
-    Args:
-        engine_file: that the parameters were read from, if any.
-        question: checked here.
-        channels: channel map of the references.
+    """Check a recording of a petrol engine; see `findings.Kind.ask`. With references it is learned from them first.
 
     Raises:
         InputError: a file or an option that can't be used, an engine without maps, references beside maps, a recording
             that is in the references.
     """
-    question = question or Asked()
+    (recording,) = read
+    parameters = None if engine is None else petrol_base(engine)
+    if parameters is None:
+        raise InputError("engine", "no petrol engine", "a petrol engine", "name it or its file")
+    engine_file = Path(engine) if isinstance(engine, str | Path) else None
+    refuse_options({"--time": question.time_s}, "for a petrol engine")
     options = _options(question)
     _check(options)
     judged = petrol_recording(recording)

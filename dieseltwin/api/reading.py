@@ -54,12 +54,11 @@ def read(
         InputError: one line saying what is wrong with the file.
     """
     machine = as_engine(engine)
+    found = opened(source, machine, channels)
     if isinstance(machine, RigParameters):
-        refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
-        return rig_recording(source, machine)
+        return rig_recording(found, machine)
     if isinstance(machine, PetrolParameters):
-        return petrol_recording(source, channels)
-    found = opened(source, channels)
+        return petrol_recording(found)
     if not isinstance(found, Imported):
         return found
     if found.timed:
@@ -85,14 +84,41 @@ def as_engine(source: Engine | str | Path | None) -> Engine:
     return diesel_engine(None) if source is None else engine(source)
 
 
-def opened(source: Source | Made, channels: Channels | None) -> Imported | Made:
+def opened(source: Source | Made, machine: Engine, channels: Channels | None) -> Imported | Made:
     """The columns of a file or a table by our names, so that it is read once; what was made of one already as it is.
 
+    Args:
+        machine: that it is of; a rig's file names the columns itself.
+
     Raises:
-        InputError: a file or a channel map that can't be read.
+        InputError: a file or a channel map that can't be read, a map for a rig.
     """
+    if isinstance(machine, RigParameters):
+        refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
     source = as_table(source)
     return import_columns(source, channels) if isinstance(source, str | Path | pd.DataFrame) else source
+
+
+def settled(read: Imported | Made) -> bool:
+    """Whether it is settled points, not a recording over time."""
+    return isinstance(read, SteadyPoints) or (isinstance(read, Imported) and not read.timed)
+
+
+def over_time(read: Imported | Made) -> Imported | Recording:
+    """A recording over time of a diesel engine, checked or not.
+
+    Raises:
+        InputError: anything else.
+    """
+    if isinstance(read, RigRecording):
+        raise InputError("recording", "one of a rig", "one of an engine", "name the rig's file")
+    if isinstance(read, PetrolRecording):
+        raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
+                         "name the engine that it belongs to")
+    if isinstance(read, SteadyPoints) or settled(read):
+        raise InputError("RECORDING", "settled points among several", "recordings over time of a diesel engine",
+                         "judge settled points by themselves")  # fmt: skip
+    return read
 
 
 def diesel_recording(
@@ -115,7 +141,7 @@ def diesel_recording(
 
 
 def settled_points(
-    source: Source | Imported | SteadyPoints, channels: Channels | None, engine: EngineParameters,
+    source: Source | Imported | Made, channels: Channels | None, engine: EngineParameters,
     needed: Sequence[str],
 ) -> SteadyPoints:  # fmt: skip
     """Settled points, or the quiet stretches of a recording as such.
@@ -127,6 +153,9 @@ def settled_points(
         InputError: one line saying what is wrong with them.
     """
     source = as_table(source)
+    if isinstance(source, Recording | PetrolRecording | RigRecording):
+        raise InputError("points", "a recording that was read", "settled points", "give its file, or what `read` gives"
+                         " of points")  # fmt: skip
     return source if isinstance(source, SteadyPoints) else read_points(source, channels, engine, needed)
 
 
@@ -150,13 +179,18 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     return found
 
 
-def petrol_recording(source: Source | Imported | PetrolRecording, channels: Channels | None = None) -> PetrolRecording:
+def petrol_recording(source: Source | Imported | Made, channels: Channels | None = None) -> PetrolRecording:
     """A recording of a petrol engine.
 
     Raises:
         InputError: one line saying what is wrong with it.
     """
     source = as_table(source)
+    if isinstance(source, RigRecording):
+        raise InputError("recording", "one of a rig", "one of an engine", "name the rig's file")
+    if isinstance(source, Recording | SteadyPoints):
+        raise InputError("recording", "one of a diesel engine", "one of a petrol engine, as the engine is",
+                         "name the engine that it belongs to")
     return source if isinstance(source, PetrolRecording) else read_petrol(source, channels)
 
 

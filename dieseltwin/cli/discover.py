@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,7 +23,9 @@ from dieseltwin.cli.options import (
     strictly,
 )
 from dieseltwin.errors import InputError
-from dieseltwin.settings.names import refuse_options
+
+if TYPE_CHECKING:
+    from dieseltwin.api.findings import Question
 
 
 def discover_command(
@@ -74,8 +76,7 @@ def discover_command(
     """Find what physics the twin leaves out: where, what, how large, since when."""
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
-    from dieseltwin.discovery.verdict.explain import check_name, explain
-    from dieseltwin.report.pdf import browser, print_report
+    from dieseltwin.discovery.verdict.explain import explain
     from dieseltwin.settings.params import load_params
 
     if not recordings:
@@ -84,15 +85,19 @@ def discover_command(
         say(explain(name, out))
         return
     settings = load_params(params, profile).discover
-    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings, time_s)
+    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings, time_s, name)
     question = ask(tuple(recordings), engine, channels, asked)
+    answered = name is not None and question.answered_in(out)
+    warnings = [] if answered else _answer(question, out, pdf)
     if name is not None:
-        if not question.catalogue:
-            refuse_options({"--explain": name}, question.kind)
-        check_name(name, question.catalogue)
-        if question.answered_in(out):
-            say(explain(name, out, question.catalogue))
-            return
+        say([*([] if answered else [""]), *explain(name, out, question.catalogue)])
+    strictly(strict, warnings)
+
+
+def _answer(question: Question, out: Path, pdf: bool) -> list[dict[str, Any]]:
+    """Search, say and save; the answer's warnings."""
+    from dieseltwin.report.pdf import browser, print_report
+
     if pdf:
         browser()  # none is better known before the work
     check_folder(out)  # a place that cannot be written to is better known before the work
@@ -106,6 +111,4 @@ def discover_command(
     if pdf:
         print_report(out)
     say([f"results: {out}"])
-    if name is not None:
-        say(["", *explain(name, out, question.catalogue)])
-    strictly(strict, found.warnings)
+    return found.warnings
