@@ -43,7 +43,7 @@ from dieseltwin.report.circumstance_words import alike_words, circumstances_word
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.report.discovery_words import visible_table
 from dieseltwin.sealed import sealed_json, sealed_text
-from dieseltwin.settings.names import listed, unknown_name
+from dieseltwin.settings.names import listed
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -317,15 +317,11 @@ def circumstance_notes(document: Discrepancy) -> list[Note]:
 
 def _asked(engine: Engine | str | Path | None, channels: Channels | None, question: Asked) -> dict[str, Any]:
     withhold, sensors, seed, settings = question.withhold or (), question.sensors, question.seed, question.settings
-    for effect in (*withhold, *settings.search.driving.withhold):
-        if effect not in EFFECTS:
-            raise unknown_name("--withhold", effect, list(EFFECTS))
+    question.check(EFFECTS, settings.search.driving.withhold)
     map_tolerance = settings.map_tolerance if question.map_tolerance is None else question.map_tolerance
     low, high = TOLERANCE_RANGE
     if not low <= map_tolerance <= high:  # not so for NaN either
         raise InputError("--map-tolerance", f"{map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
-    if seed < 0:
-        raise InputError("--seed", seed, "0 or more", "choose another")
     time_s = settings.time_s if question.time_s is None else question.time_s
     if time_s is not None and not 0.0 < time_s < math.inf:
         raise InputError("--time", f"{time_s:g}", "a positive number of seconds", "choose another or leave it out")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -19,9 +19,11 @@ from dieseltwin.api.reading import Channels, Made, Source
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explain import Known
+from dieseltwin.errors import InputError
 from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.discovery import DiscoverConfig
+from dieseltwin.settings.names import unknown_name
 from dieseltwin.settings.params import load_params
 
 COLUMNS = ("effect", "magnitude", "std", "unit", "probability", "equivalent", "law")
@@ -50,6 +52,22 @@ class Asked:
     settings: DiscoverConfig = field(default_factory=lambda: load_params().discover)
     time_s: float | None = None
     explain: str | None = None
+
+    def check(self, catalogue: Collection[str], by_settings: Sequence[str] = ()) -> None:
+        """Refuse what no kind of machine takes.
+
+        Args:
+            catalogue: effects that can be kept out of it.
+            by_settings: those that the settings keep out.
+
+        Raises:
+            InputError: an effect to withhold that the catalogue doesn't hold, a negative seed.
+        """
+        for effect in (*(self.withhold or ()), *by_settings):
+            if effect not in catalogue:
+                raise unknown_name("--withhold", effect, list(catalogue))
+        if self.seed < 0:
+            raise InputError("--seed", self.seed, "0 or more", "choose another")
 
 
 class Discovered(Result):

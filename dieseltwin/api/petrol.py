@@ -137,6 +137,7 @@ def ask(
     engine_file = Path(engine) if isinstance(engine, str | Path) else None
     refuse_options({"--time": question.time_s}, "for a petrol engine")
     options = _options(question)
+    question.check(HYPOTHESES, options.search.withhold)
     _check(options)
     judged = petrol_recording(recording)
     notes: tuple[Note, ...] = ()
@@ -169,7 +170,7 @@ def _options(asked: Asked) -> PetrolOptions:
 
 
 def _check(options: PetrolOptions) -> None:
-    """Refuse an unknown column or effect, a column that no verdict can do without, a size out of range."""
+    """Refuse an unknown column, a column that no verdict can do without, a tolerance out of range."""
     used = options.sensors
     for column in used or ():
         if column not in COLUMNS:
@@ -178,14 +179,9 @@ def _check(options: PetrolOptions) -> None:
     if needed:
         raise InputError("--sensors", f"no {listed(list(dict.fromkeys(needed)))}", listed(list(COLUMNS)),
                          "only p_amb_pa and t_amb_k can be left out: the air's balances need all others")
-    for effect in (*options.withhold, *options.search.withhold):
-        if effect not in HYPOTHESES:
-            raise unknown_name("--withhold", effect, list(HYPOTHESES))
     low, high = TOLERANCE_RANGE
     if options.map_tolerance is not None and not low <= options.map_tolerance <= high:
         raise InputError("--map-tolerance", f"{options.map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
-    if options.seed < 0:
-        raise InputError("--seed", options.seed, "0 or more", "choose another")
 
 
 @dataclass(frozen=True, repr=False)

@@ -280,11 +280,10 @@ def ask(
         base, geometry = base_and_geometry(Path(engine))
     else:
         base = geometry = diesel_engine(engine)
-    withhold = (*(question.withhold or ()), *search.withhold)
-    for given, known, flag in ((sensors, STATES, "--sensors"), (withhold, tuple(EFFECTS), "--withhold")):
-        for name in given:
-            if name not in known:
-                raise unknown_name(flag, name, list(known))
+    for name in sensors:
+        if name not in STATES:
+            raise unknown_name("--sensors", name, list(STATES))
+    question.check(EFFECTS, search.withhold)
     options = Options(sensors or None, tuple(question.withhold or ()), question.seed, search=search)
     source = settled_points(points, channels, geometry, NEEDED)
     well = [settled_points(reference, channels, geometry, NEEDED) for reference in question.reference]

@@ -28,7 +28,7 @@ from dieseltwin.rigs.simulate import simulate_rig
 from dieseltwin.rigs.twin import model_of
 from dieseltwin.rigs.verdict import details, document, sentence
 from dieseltwin.sealed import sealed_json
-from dieseltwin.settings.names import refuse_options, unknown_name
+from dieseltwin.settings.names import refuse_options
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -131,11 +131,7 @@ def ask(
     refuse_options({"--sensors": question.sensors, "--map-tolerance": question.map_tolerance,
                     "--reference": tuple(question.reference) or None}, f"for {rig.name}")  # fmt: skip
     search, withhold = question.settings.search.rigs, tuple(question.withhold or ())
-    for effect in withhold:
-        if effect not in rig.effects:
-            raise unknown_name("--withhold", effect, list(rig.effects))
-    if question.seed < 0:
-        raise InputError("--seed", question.seed, "0 or more", "choose another")
+    question.check(rig.effects)
     asked = {
         "withhold": list(withhold), "seed": question.seed, "code_version": __version__,
         "engine_sha256": sha256(rig.model_dump_json().encode()).hexdigest(),
