@@ -10,11 +10,10 @@ from typing import TypeAlias
 from dieseltwin.api import driving, rigs
 from dieseltwin.api.engines import Engine, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Kind, Question
-from dieseltwin.api.reading import Channels, Made, Source, as_engine, opened, settled
+from dieseltwin.api.reading import Channels, Made, Opened, Source, as_engine, opened, settled
 from dieseltwin.discovery.verdict.explain import check_name
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
-from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.rigs.parameters import RigParameters
 
@@ -96,7 +95,7 @@ def _machine(engine: Engine | str | Path | None, asked: Asked) -> Engine:
     return as_engine(engine)
 
 
-def _kind(machine: Engine, read: Sequence[Imported | Made]) -> Kind:
+def _kind(machine: Engine, read: Sequence[Opened]) -> Kind:
     """Who asks about such recordings of such a machine; what points and petrol engines need takes half a second."""
     if isinstance(machine, RigParameters):
         return rigs

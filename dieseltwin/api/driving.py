@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
-from dieseltwin.api.reading import Channels, Made, over_time
+from dieseltwin.api.reading import Channels, Opened, over_time
 from dieseltwin.api.results import drawn
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
@@ -222,7 +222,7 @@ def _time_notes(document: Discrepancy) -> list[Note]:
 
 
 def ask(
-    read: Sequence[Imported | Made],
+    read: Sequence[Opened],
     engine: Engine | str | Path | None,
     channels: Channels | None,
     question: Asked,

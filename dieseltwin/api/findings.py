@@ -15,12 +15,11 @@ from typing import Any, Protocol
 import pandas as pd
 
 from dieseltwin.api.engines import Engine
-from dieseltwin.api.reading import Channels, Made, Source
+from dieseltwin.api.reading import Channels, Opened, Source
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explain import Known
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.discovery import DiscoverConfig
 from dieseltwin.settings.names import unknown_name
@@ -99,8 +98,7 @@ class Kind(Protocol):
     """A kind of machine: its module, which knows how it is asked about."""
 
     def ask(
-        self, read: Sequence[Imported | Made], engine: Engine | str | Path | None, channels: Channels | None,
-        question: Asked,
+        self, read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
     ) -> Question:  # fmt: skip
         """Check what was read and what is asked of it; see `discovery.discover`.
 

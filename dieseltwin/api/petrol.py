@@ -13,7 +13,7 @@ import pandas as pd
 
 from dieseltwin.api.engines import Engine, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
-from dieseltwin.api.reading import Channels, Made, Source, petrol_recording
+from dieseltwin.api.reading import Channels, Made, Opened, Source, petrol_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
@@ -27,7 +27,6 @@ from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, rows_of
 from dieseltwin.recordings.channel_checks import series_notes
-from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.shared_rows import refuse_shared, share_known
 from dieseltwin.report import petrol as pages
 from dieseltwin.report.page import write_page
@@ -122,7 +121,7 @@ class PetrolQuestion(Question):
 
 
 def ask(
-    read: Sequence[Imported | Made], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
 ) -> PetrolQuestion:
     """Check a recording of a petrol engine; see `findings.Kind.ask`. With references it is learned from them first.
 
@@ -243,7 +242,7 @@ def calibrate_petrol(recording: Source | PetrolRecording, base: PetrolParameters
 
 
 def learn_petrol(
-    recordings: Sequence[Source | PetrolRecording], base: PetrolParameters, channels: Channels | None = None
+    recordings: Sequence[Source | Made], base: PetrolParameters, channels: Channels | None = None
 ) -> PetrolCalibrated:
     """See `learning.learn`: what the recordings say together, as if they were one with gaps.
 

@@ -13,7 +13,7 @@ import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question
-from dieseltwin.api.reading import Channels, Made, Source, settled_points
+from dieseltwin.api.reading import Channels, Opened, Source, settled_points
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.calibration.calibrate import Calibration, read_geometry
@@ -37,7 +37,6 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, doubts_among, warnings_of
 from dieseltwin.recordings.channels import INPUTS, SENSORS
-from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import write_recording
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
 from dieseltwin.report import calibration as pages
@@ -269,7 +268,7 @@ class PointsQuestion(Question):
 
 
 def ask(
-    read: Sequence[Imported | Made], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
 ) -> PointsQuestion:
     """Read settled points, and the engine file's sidecar where there is one; see `findings.Kind.ask`."""
     (points,) = read

@@ -14,13 +14,12 @@ import pandas as pd
 
 from dieseltwin.api.engines import Engine, rig_of
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
-from dieseltwin.api.reading import Channels, Made, Source, rig_recording
+from dieseltwin.api.reading import Channels, Opened, Source, rig_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig, fitted
 from dieseltwin.rigs.parameters import RigParameters, save_rig
 from dieseltwin.rigs.recording import RigRecording
@@ -117,7 +116,7 @@ class RigQuestion(Question):
 
 
 def ask(
-    read: Sequence[Imported | Made], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
 ) -> RigQuestion:
     """Check a recording of a rig; see `findings.Kind.ask`.
 
