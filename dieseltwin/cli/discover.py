@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dieseltwin.atomic import check_folder
 from dieseltwin.cli.options import (
     ChannelsFile,
     EngineFile,
@@ -19,6 +18,7 @@ from dieseltwin.cli.options import (
     names,
     progress,
     readable,
+    results_in,
     say,
     strictly,
 )
@@ -96,19 +96,12 @@ def discover_command(
 
 def _answer(question: Question, out: Path, pdf: bool) -> list[dict[str, Any]]:
     """Search, say and save; the answer's warnings."""
-    from dieseltwin.report.pdf import browser, print_report
-
-    if pdf:
-        browser()  # none is better known before the work
-    check_folder(out)  # a place that cannot be written to is better known before the work
-    with question.getting_ready():
+    with results_in(out, pdf), question.getting_ready():
         progress(question.about)
         say(question.preview())
         progress("fitting ...")
         found = question.answer()
         say(found.lines())  # who waits reads it while the files are written
         found.save(out)
-    if pdf:
-        print_report(out)
     say([f"results: {out}"])
     return found.warnings

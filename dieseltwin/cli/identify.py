@@ -18,6 +18,7 @@ from dieseltwin.cli.options import (
     names,
     progress,
     readable,
+    results_in,
     say,
     strictly,
 )
@@ -75,7 +76,6 @@ def identify_command(
     from dieseltwin.api.engines import rig_of
     from dieseltwin.api.identification import Setup, ask
     from dieseltwin.api.rigs import identify_rig
-    from dieseltwin.report.pdf import browser, print_report
 
     rig = rig_of(engine)
     if rig is not None:
@@ -90,14 +90,9 @@ def identify_command(
     setup = Setup(models, maps, params, profile, names(sensors), fit_test)
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
-    if pdf:
-        browser()  # none is better known before the work
-    check_folder(out)  # a place that cannot be written to is better known before the work
-    with question.getting_ready():
+    with results_in(out, pdf), question.getting_ready():
         progress(f"{recording}: {len(question.problems)} segments, {question.runs} runs each, {method} ...")
         found = question.answer()
         found.save(out)
-    if pdf:
-        print_report(out)
     say([*found.lines(), f"results: {out}"])
     strictly(strict, found.warnings)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
 
+from dieseltwin.atomic import check_folder
 from dieseltwin.errors import InputError
 from dieseltwin.notes import STRICT_CODE
 from dieseltwin.paths import refuse_unreadable, same_file
@@ -72,6 +74,19 @@ def check_apart(out: Path, *inputs: Path | str | None) -> None:
     for path in inputs:
         if path is not None and same_file(out, path):
             raise InputError(f"--out {out}", f"the file that is read ({path})", "another file", "choose another name")
+
+
+@contextmanager
+def results_in(out: Path, pdf: bool) -> Iterator[None]:
+    """A folder that results can be written to, and a browser to print with: none is better known before the work."""
+    from dieseltwin.report.pdf import browser, print_report
+
+    if pdf:
+        browser()
+    check_folder(out)
+    yield
+    if pdf:
+        print_report(out)
 
 
 def strictly(strict: bool, warnings: Sequence[object]) -> None:
