@@ -7,22 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from dieseltwin.api.driving import ask_driving
+from dieseltwin.api import driving, rigs
 from dieseltwin.api.engines import Engine, petrol_base
-from dieseltwin.api.findings import Asked, Discovered, Question
-from dieseltwin.api.reading import Channels, Made, Source, as_engine, opened
-from dieseltwin.api.rigs import ask_rig
+from dieseltwin.api.findings import Asked, Discovered, Kind, Question
+from dieseltwin.api.reading import Channels, Made, Opened, Source, as_engine, opened, settled
+from dieseltwin.discovery.verdict.explain import check_name
 from dieseltwin.errors import InputError
-from dieseltwin.learning.files import LearnedEngine, learned_engine_of
-from dieseltwin.notes import Note
 from dieseltwin.petrol.parameters import PetrolParameters
-from dieseltwin.petrol.recording import PetrolRecording
-from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.rigs.parameters import RigParameters
-from dieseltwin.rigs.recording import RigRecording
-from dieseltwin.settings.names import refuse_options
 
 AnyRecording: TypeAlias = Source | Made
 
@@ -73,38 +66,24 @@ def ask(
     """Read and check all that `discover` needs, and search for nothing yet; the errors are those of it."""
     asked = asked or Asked()
     machine = _machine(engine, asked)
-    _refuse_the_same(recording, asked.reference)
-    if isinstance(recording, Sequence) and not isinstance(recording, str):
-        if len(recording) != 1:
-            together = _together(recording, machine, channels)
-            return ask_driving(together, engine, channels, asked, _known(engine, asked, channels))
-        recording = recording[0]
-    if isinstance(machine, RigParameters):
-        refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
-    if isinstance(machine, PetrolParameters):
-        refuse_options({"--time": asked.time_s}, "for a petrol engine")
-    read = opened(recording, channels)
-    if isinstance(machine, RigParameters):
-        return ask_rig(read, machine, asked)
-    if isinstance(read, RigRecording):
-        raise InputError("recording", "one of a rig", "one of an engine", "name the rig's file")
-    if isinstance(machine, PetrolParameters):
-        if isinstance(read, Recording | SteadyPoints):
-            raise InputError("recording", "one of a diesel engine", "one of a petrol engine, as the engine is",
-                             "name the engine that it belongs to")
-        engine_file = Path(engine) if isinstance(engine, str | Path) else None
-        from dieseltwin.api.petrol import ask_petrol  # what the others of its kind need takes half a second
+    recordings = _several(recording)
+    _refuse_the_same(recordings, asked.reference)
+    if not recordings:
+        raise InputError("RECORDING", "nothing", "a recording", "name the recording")
+    if len(recordings) > 1 and isinstance(machine, PetrolParameters | RigParameters):
+        raise InputError("RECORDING", f"{len(recordings)}", "one of a petrol engine or a rig", "judge them one by one")
+    read = []
+    for item in recordings:
+        read.append(opened(item, machine, channels))
+    question = _kind(machine, read).ask(read, engine, channels, asked)
+    if asked.explain is not None:
+        check_name(asked.explain, question.catalogue)
+    return question
 
-        return ask_petrol(read, machine, engine_file, asked, channels)
-    if isinstance(read, PetrolRecording):
-        raise InputError("recording", "one of a petrol engine", "one of a diesel engine, as the engine is",
-                         "name the engine that it belongs to")
-    if isinstance(read, Recording) or (isinstance(read, Imported) and read.timed):
-        return ask_driving([read], engine, channels, asked, _known(engine, asked, channels))
-    refuse_options({"--map-tolerance": asked.map_tolerance, "--time": asked.time_s}, "for settled points")
-    from dieseltwin.api.points import ask_points
 
-    return ask_points(read, engine, channels, asked)
+def _several(recording: AnyRecording | Sequence[AnyRecording]) -> Sequence[AnyRecording]:
+    """Recordings, one of them for one."""
+    return recording if isinstance(recording, Sequence) and not isinstance(recording, str) else (recording,)
 
 
 def _machine(engine: Engine | str | Path | None, asked: Asked) -> Engine:
@@ -116,46 +95,25 @@ def _machine(engine: Engine | str | Path | None, asked: Asked) -> Engine:
     return as_engine(engine)
 
 
-def _refuse_the_same(recording: AnyRecording | Sequence[AnyRecording], reference: Sequence[object]) -> None:
+def _kind(machine: Engine, read: Sequence[Opened]) -> Kind:
+    """Who asks about such recordings of such a machine; what points and petrol engines need takes half a second."""
+    if isinstance(machine, RigParameters):
+        return rigs
+    if isinstance(machine, PetrolParameters):
+        from dieseltwin.api import petrol
+
+        return petrol
+    if len(read) == 1 and settled(read[0]):
+        from dieseltwin.api import points
+
+        return points
+    return driving
+
+
+def _refuse_the_same(recordings: Sequence[AnyRecording], reference: Sequence[object]) -> None:
     """Refuse a file that is its own reference, before anything is learned from it."""
-    judged = recording if isinstance(recording, Sequence) and not isinstance(recording, str) else (recording,)
     healthy = [item for item in reference if isinstance(item, str | Path) and Path(item).is_file()]
-    for one in (item for item in judged if isinstance(item, str | Path) and Path(item).is_file()):
+    for one in (item for item in recordings if isinstance(item, str | Path) and Path(item).is_file()):
         if any(filecmp.cmp(one, other, shallow=False) for other in healthy):
             raise InputError(str(one), "the reference itself", "driving that the engine wasn't learned from",
                              "judge another recording, or leave this one out of --reference")
-
-
-def _known(
-    engine: Engine | str | Path | None, asked: Asked, channels: Channels | None
-) -> tuple[LearnedEngine | None, Sequence[Note]]:
-    """What is known of a diesel engine, as `learning.known_engine`."""
-    if not asked.reference:
-        return learned_engine_of(engine), ()
-    from dieseltwin.api.learning import known_engine  # with what calibration needs, a third of a second
-
-    return known_engine(engine, asked.reference, channels)
-
-
-def _together(
-    recordings: Sequence[AnyRecording], machine: Engine, channels: Channels | None
-) -> list[Imported | Recording]:
-    """Recordings that are to be judged together, opened.
-
-    Raises:
-        InputError: none at all, a petrol engine, settled points.
-    """
-    if not recordings:
-        raise InputError("RECORDING", "nothing", "a recording", "name the recording")
-    if isinstance(machine, PetrolParameters | RigParameters):
-        raise InputError("RECORDING", f"{len(recordings)}", "one of a petrol engine or a rig", "judge them one by one")
-    found: list[Imported | Recording] = []
-    for item in recordings:
-        read = opened(item, channels)
-        if isinstance(read, SteadyPoints | PetrolRecording | RigRecording) or (
-            isinstance(read, Imported) and not read.timed
-        ):
-            raise InputError("RECORDING", "settled points among several", "recordings over time of a diesel engine",
-                             "judge settled points by themselves")  # fmt: skip
-        found.append(read)
-    return found

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
-from dieseltwin.api.reading import Channels
+from dieseltwin.api.reading import Channels, Opened, over_time
 from dieseltwin.api.results import drawn
 from dieseltwin.atomic import atomic_folder, write_json, write_text
 from dieseltwin.discovery import discover as core
@@ -28,7 +28,7 @@ from dieseltwin.discovery.verdict.implied import implied_frame
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
-from dieseltwin.learning.files import LearnedEngine, overlap
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap
 from dieseltwin.notes import Note
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import SENSORS
@@ -40,10 +40,10 @@ from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.recordings.shared_rows import refuse_shared
 from dieseltwin.report.beside import begin_beside, ready_beside
 from dieseltwin.report.circumstance_words import alike_words, circumstances_words
-from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.discovery_words import sentence as in_words
+from dieseltwin.report.discovery_words import visible_table
 from dieseltwin.sealed import sealed_json, sealed_text
-from dieseltwin.settings.names import listed, unknown_name
+from dieseltwin.settings.names import listed
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -165,10 +165,6 @@ class DrivingQuestion(Question):
     days: tuple[Dated, ...] = ()
 
     @property
-    def kind(self) -> str:
-        return "for a recording"
-
-    @property
     def about(self) -> str:
         sensors = ", ".join(self.options.sensors or ())
         if self.days:
@@ -225,23 +221,25 @@ def _time_notes(document: Discrepancy) -> list[Note]:
     return [Note(f"the time was over before the search was through: not finished are {unfinished}", "out_of_time")]
 
 
-def ask_driving(
-    recordings: Sequence[Imported | Recording],
+def ask(
+    read: Sequence[Opened],
     engine: Engine | str | Path | None,
     channels: Channels | None,
     question: Asked,
-    known: tuple[LearnedEngine | None, Sequence[Note]] = (None, ()),
+    known: LearnedEngine | None = None,
 ) -> DrivingQuestion:
-    """Check recordings, one or several, and what is asked of them; see `discovery.discover`.
+    """Check recordings, one or several, and what is asked of them; see `findings.Kind.ask`.
 
     Args:
-        channels: that the recordings were opened with; part of the question.
+        channels: part of the question.
+        known: the engine that the file `engine` holds, where it has been loaded.
 
     Raises:
         InputError: any file or option that can't be used, a recording or an engine that can't carry a verdict.
     """
+    recordings = [over_time(item) for item in read]
+    learned, doubts = (known, ()) if known is not None else _known(engine, channels, question)
     began = time.perf_counter()
-    learned, doubts = known
     if learned is not None and question.map_tolerance is not None:
         raise InputError("--map-tolerance", f"{question.map_tolerance:g}", "none with a learned engine, whose"
                          " file says how well each map is known", "leave it out")  # fmt: skip
@@ -277,6 +275,17 @@ def ask_driving(
     )
 
 
+def _known(
+    engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+) -> tuple[LearnedEngine | None, Sequence[Note]]:
+    """What is known of the engine, from its file or from references, and what is doubtful about these."""
+    if not question.reference:
+        return learned_engine_of(engine), ()
+    from dieseltwin.api.learning import known_engine  # with what calibration needs, a third of a second
+
+    return known_engine(engine, question.reference, channels)
+
+
 def _length_notes(where: str, judged: Recording, whole: Recording) -> list[Note]:
     """That a part of a long recording is judged, where it is."""
     if judged is whole:
@@ -308,15 +317,11 @@ def circumstance_notes(document: Discrepancy) -> list[Note]:
 
 def _asked(engine: Engine | str | Path | None, channels: Channels | None, question: Asked) -> dict[str, Any]:
     withhold, sensors, seed, settings = question.withhold or (), question.sensors, question.seed, question.settings
-    for effect in (*withhold, *settings.search.driving.withhold):
-        if effect not in EFFECTS:
-            raise unknown_name("--withhold", effect, list(EFFECTS))
+    question.check(EFFECTS, settings.search.driving.withhold)
     map_tolerance = settings.map_tolerance if question.map_tolerance is None else question.map_tolerance
     low, high = TOLERANCE_RANGE
     if not low <= map_tolerance <= high:  # not so for NaN either
         raise InputError("--map-tolerance", f"{map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
-    if seed < 0:
-        raise InputError("--seed", seed, "0 or more", "choose another")
     time_s = settings.time_s if question.time_s is None else question.time_s
     if time_s is not None and not 0.0 < time_s < math.inf:
         raise InputError("--time", f"{time_s:g}", "a positive number of seconds", "choose another or leave it out")
@@ -363,19 +368,6 @@ def _checked(recording: Imported | Recording, parameters: EngineParameters) -> R
         if source is not None:
             check_engine(source, parameters)
         raise
-
-
-def visible_table(smallest: Mapping[str, float]) -> list[str]:
-    """What the recording could show, as lines of text: smallest visible size, tolerance, place."""
-    rows = []
-    for name, size in smallest.items():
-        effect = EFFECTS[name]
-        mark = "" if size <= effect.tolerance else f"  {size / effect.tolerance:.2g} x tolerance"
-        shown = magnitude_words(name, size, None, effect.unit, extra=False, digits=2)
-        least = magnitude_words(name, effect.tolerance, None, effect.unit, extra=False, digits=2)
-        rows.append((size / effect.tolerance, f"{name:<31}{shown:>18}{least:>18}   {effect.site}{mark}"))
-    head = f"{'this recording could show':<31}{'from':>18}{'of interest from':>18}   in"
-    return [head, *(line for _, line in sorted(rows))]
 
 
 def engine_yaml(engine: EngineParameters) -> str:

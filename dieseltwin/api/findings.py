@@ -5,22 +5,24 @@ from __future__ import annotations
 import os
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import pandas as pd
 
 from dieseltwin.api.engines import Engine
-from dieseltwin.api.reading import Source
+from dieseltwin.api.reading import Channels, Opened, Source
 from dieseltwin.api.results import Result
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explain import Known
+from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.discovery import DiscoverConfig
+from dieseltwin.settings.names import unknown_name
 from dieseltwin.settings.params import load_params
 
 COLUMNS = ("effect", "magnitude", "std", "unit", "probability", "equivalent", "law")
@@ -38,6 +40,7 @@ class Asked:
         reference: recordings of the engine when it was known to be well; it is learned from them first.
         settings: what is decided by; `discover` of params.yaml.
         time_s: of the whole discovery [s], after which the best answer so far is given; None: the settings'.
+        explain: name of the catalogue that is to be explained with the answer.
     """
 
     sensors: Sequence[str] | None = None
@@ -47,6 +50,23 @@ class Asked:
     reference: Sequence[Source | Recording] = ()
     settings: DiscoverConfig = field(default_factory=lambda: load_params().discover)
     time_s: float | None = None
+    explain: str | None = None
+
+    def check(self, catalogue: Collection[str], by_settings: Sequence[str] = ()) -> None:
+        """Refuse what no kind of machine takes.
+
+        Args:
+            catalogue: effects that can be kept out of it.
+            by_settings: those that the settings keep out.
+
+        Raises:
+            InputError: an effect to withhold that the catalogue doesn't hold, a negative seed.
+        """
+        for effect in (*(self.withhold or ()), *by_settings):
+            if effect not in catalogue:
+                raise unknown_name("--withhold", effect, list(catalogue))
+        if self.seed < 0:
+            raise InputError("--seed", self.seed, "0 or more", "choose another")
 
 
 class Discovered(Result):
@@ -74,6 +94,26 @@ class Discovered(Result):
         return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
+class Kind(Protocol):
+    """A kind of machine: its module, which knows how it is asked about."""
+
+    def ask(
+        self, read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+    ) -> Question:  # fmt: skip
+        """Check what was read and what is asked of it; see `discovery.discover`.
+
+        Args:
+            read: one recording or several, opened.
+            engine: that is meant: name, file or parameters.
+            channels: channel map that the recordings were opened with.
+            question: what is asked beside them.
+
+        Raises:
+            InputError: what can't be used, or can't carry a verdict.
+        """
+        ...
+
+
 class Question(ABC):
     """A recording and an engine, read and checked, ready for the search."""
 
@@ -81,11 +121,6 @@ class Question(ABC):
     @abstractmethod
     def about(self) -> str:
         """What is going to be looked at, for one who waits."""
-
-    @property
-    @abstractmethod
-    def kind(self) -> str:
-        """Which machines it is about, for messages: "for settled points"."""
 
     def preview(self) -> Iterator[str]:
         """Lines of what this recording could show, before anything is fitted; none where that isn't known.

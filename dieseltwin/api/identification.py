@@ -280,8 +280,6 @@ def ask(
     if segment_s is not None and not SEGMENT_RANGE_S[0] <= segment_s <= SEGMENT_RANGE_S[1]:
         raise InputError("--segment", f"{segment_s:g} s", "{:g} to {:g} s".format(*SEGMENT_RANGE_S), "choose another")
     parameters = diesel_engine(engine)
-    if isinstance(recording, RigRecording):
-        raise InputError("recording", "one of a rig", "one of a diesel engine", "name the rig's file")
     used = SENSORS if setup.sensors is None else _checked(setup.sensors, chosen)
     source = diesel_recording(recording, channels, parameters, sensors=used)
     if source.time_s.size > MOST_ROWS:

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
-from dieseltwin.api.reading import Channels, Source, diesel_recording
+from dieseltwin.api.reading import Channels, Made, Source, diesel_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
@@ -26,7 +26,6 @@ from dieseltwin.learning.files import LearnedEngine, distinct, learned_engine_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
-from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
@@ -89,7 +88,7 @@ class LearnedResult(Result):
 
 
 def learn(
-    recordings: Sequence[Source | Recording | PetrolRecording],
+    recordings: Sequence[Source | Made],
     engine: Engine | str | Path | None = None,
     *,
     channels: Channels | None = None,
@@ -116,25 +115,12 @@ def learn(
     petrol = None if engine is None else petrol_base(engine)
     if petrol is not None:
         refuse_options({"--map-error": map_error, "--siblings": siblings or None}, "for a petrol engine")
-        return learn_petrol(_all_of(recordings, Recording, "a petrol engine"), petrol, channels)
-    return _learn_diesel(_all_of(recordings, PetrolRecording, "a diesel engine"), engine, channels, map_error, siblings)
-
-
-_A = TypeVar("_A")
-_B = TypeVar("_B")
-
-
-def _all_of(recordings: Sequence[_A | _B], other: type[_A], wanted: str) -> list[_B]:
-    """The recordings, none of which may be of the `other` kind."""
-    kept = [item for item in recordings if not isinstance(item, other)]
-    if len(kept) < len(recordings):
-        raise InputError("HEALTHY", "a recording of another kind of engine", f"one of {wanted}, as the engine is",
-                         "read it for this engine")
-    return cast("list[_B]", kept)
+        return learn_petrol(recordings, petrol, channels)
+    return _learn_diesel(recordings, engine, channels, map_error, siblings)
 
 
 def _learn_diesel(
-    recordings: Sequence[Source | Recording], engine: Engine | str | Path | None, channels: Channels | None,
+    recordings: Sequence[Source | Made], engine: Engine | str | Path | None, channels: Channels | None,
     map_error: float | None = None, siblings: Sequence[str | Path] = (),
 ) -> LearnedResult:  # fmt: skip
     low, high = MAP_ERRORS

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from dieseltwin.api.engines import Engine, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
-from dieseltwin.api.reading import Channels, Source, petrol_recording
+from dieseltwin.api.reading import Channels, Made, Opened, Source, petrol_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
@@ -26,12 +27,11 @@ from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, rows_of
 from dieseltwin.recordings.channel_checks import series_notes
-from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.shared_rows import refuse_shared, share_known
 from dieseltwin.report import petrol as pages
 from dieseltwin.report.page import write_page
 from dieseltwin.sealed import sealed_json
-from dieseltwin.settings.names import listed, unknown_name
+from dieseltwin.settings.names import listed, refuse_options, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -108,10 +108,6 @@ class PetrolQuestion(Question):
     notes: tuple[Note, ...] = ()
 
     @property
-    def kind(self) -> str:
-        return "for a petrol engine"
-
-    @property
     def about(self) -> str:
         return f"{self.recording.path}: {self.recording.signals.time_s[-1]:.0f} s ..."
 
@@ -124,26 +120,23 @@ class PetrolQuestion(Question):
         return PetrolDiscovered(self, discover_petrol(self.recording, self.parameters, self.options, engine_sha256))
 
 
-def ask_petrol(
-    recording: Imported | PetrolRecording,
-    parameters: PetrolParameters,
-    engine_file: Path | None,
-    question: Asked | None = None,
-    channels: Channels | None = None,
+def ask(
+    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
 ) -> PetrolQuestion:
-    """Check a recording of a petrol engine; see `discovery.discover`. With references it is learned from them first.
-
-    Args:
-        engine_file: that the parameters were read from, if any.
-        question: checked here.
-        channels: channel map of the references.
+    """Check a recording of a petrol engine; see `findings.Kind.ask`. With references it is learned from them first.
 
     Raises:
         InputError: a file or an option that can't be used, an engine without maps, references beside maps, a recording
             that is in the references.
     """
-    question = question or Asked()
+    (recording,) = read
+    parameters = None if engine is None else petrol_base(engine)
+    if parameters is None:
+        raise InputError("engine", "no petrol engine", "a petrol engine", "name it or its file")
+    engine_file = Path(engine) if isinstance(engine, str | Path) else None
+    refuse_options({"--time": question.time_s}, "for a petrol engine")
     options = _options(question)
+    question.check(HYPOTHESES, options.search.withhold)
     _check(options)
     judged = petrol_recording(recording)
     notes: tuple[Note, ...] = ()
@@ -176,7 +169,7 @@ def _options(asked: Asked) -> PetrolOptions:
 
 
 def _check(options: PetrolOptions) -> None:
-    """Refuse an unknown column or effect, a column that no verdict can do without, a size out of range."""
+    """Refuse an unknown column, a column that no verdict can do without, a tolerance out of range."""
     used = options.sensors
     for column in used or ():
         if column not in COLUMNS:
@@ -185,14 +178,9 @@ def _check(options: PetrolOptions) -> None:
     if needed:
         raise InputError("--sensors", f"no {listed(list(dict.fromkeys(needed)))}", listed(list(COLUMNS)),
                          "only p_amb_pa and t_amb_k can be left out: the air's balances need all others")
-    for effect in (*options.withhold, *options.search.withhold):
-        if effect not in HYPOTHESES:
-            raise unknown_name("--withhold", effect, list(HYPOTHESES))
     low, high = TOLERANCE_RANGE
     if options.map_tolerance is not None and not low <= options.map_tolerance <= high:
         raise InputError("--map-tolerance", f"{options.map_tolerance:g}", f"{low:g} to {high:g}", "choose another")
-    if options.seed < 0:
-        raise InputError("--seed", options.seed, "0 or more", "choose another")
 
 
 @dataclass(frozen=True, repr=False)
@@ -254,7 +242,7 @@ def calibrate_petrol(recording: Source | PetrolRecording, base: PetrolParameters
 
 
 def learn_petrol(
-    recordings: Sequence[Source | PetrolRecording], base: PetrolParameters, channels: Channels | None = None
+    recordings: Sequence[Source | Made], base: PetrolParameters, channels: Channels | None = None
 ) -> PetrolCalibrated:
     """See `learning.learn`: what the recordings say together, as if they were one with gaps.
 

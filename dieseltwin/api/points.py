@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question
-from dieseltwin.api.reading import Channels, Source, settled_points
+from dieseltwin.api.reading import Channels, Opened, Source, settled_points
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.calibration.calibrate import Calibration, read_geometry
@@ -37,7 +37,6 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, doubts_among, warnings_of
 from dieseltwin.recordings.channels import INPUTS, SENSORS
-from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import write_recording
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
 from dieseltwin.report import calibration as pages
@@ -45,7 +44,7 @@ from dieseltwin.report import points as points_pages
 from dieseltwin.report.page import write_page
 from dieseltwin.report.style import ReportFigure
 from dieseltwin.sealed import sealed_json
-from dieseltwin.settings.names import unknown_name
+from dieseltwin.settings.names import refuse_options, unknown_name
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -254,10 +253,6 @@ class PointsQuestion(Question):
         }  # fmt: skip
 
     @property
-    def kind(self) -> str:
-        return "for settled points"
-
-    @property
     def about(self) -> str:
         judged = self.points.judged.size
         beside = f", {self.points.size - judged} of the reference" if judged < self.points.size else ""
@@ -272,29 +267,27 @@ class PointsQuestion(Question):
         return PointsDiscovered(found, self.asked, time.perf_counter() - began)
 
 
-def ask_points(
-    points: Source | Imported | SteadyPoints,
-    engine: Engine | str | Path | None,
-    channels: Channels | None = None,
-    asked: Asked | None = None,
+def ask(
+    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
 ) -> PointsQuestion:
-    """Read settled points, and the engine file's sidecar where there is one; see `discovery.discover`."""
-    asked = asked or Asked()
-    sensors, search = tuple(asked.sensors or ()), asked.settings.search.points
+    """Read settled points, and the engine file's sidecar where there is one; see `findings.Kind.ask`."""
+    (points,) = read
+    refuse_options({"--map-tolerance": question.map_tolerance, "--time": question.time_s,
+                    "--explain": question.explain}, "for settled points")  # fmt: skip
+    sensors, search = tuple(question.sensors or ()), question.settings.search.points
     if isinstance(engine, str | Path) and Path(engine).is_file():
         base, geometry = base_and_geometry(Path(engine))
     else:
         base = geometry = diesel_engine(engine)
-    withhold = (*(asked.withhold or ()), *search.withhold)
-    for given, known, flag in ((sensors, STATES, "--sensors"), (withhold, tuple(EFFECTS), "--withhold")):
-        for name in given:
-            if name not in known:
-                raise unknown_name(flag, name, list(known))
-    options = Options(sensors or None, tuple(asked.withhold or ()), asked.seed, search=search)
+    for name in sensors:
+        if name not in STATES:
+            raise unknown_name("--sensors", name, list(STATES))
+    question.check(EFFECTS, search.withhold)
+    options = Options(sensors or None, tuple(question.withhold or ()), question.seed, search=search)
     source = settled_points(points, channels, geometry, NEEDED)
-    well = [settled_points(reference, channels, geometry, NEEDED) for reference in asked.reference]
+    well = [settled_points(reference, channels, geometry, NEEDED) for reference in question.reference]
     used = beside_reference(source, well) if well else source
-    return PointsQuestion(used, base, geometry, asked.seed, options)
+    return PointsQuestion(used, base, geometry, question.seed, options)
 
 
 def _implied(found: PointsDiscovery) -> pd.DataFrame:

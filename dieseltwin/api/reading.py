@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
@@ -38,6 +38,14 @@ Source: TypeAlias = Union[str, Path, pd.DataFrame, "xr.Dataset"]
 Made: TypeAlias = Recording | SteadyPoints | PetrolRecording | RigRecording
 """What `read` makes of one."""
 
+Opened: TypeAlias = Imported | Made
+"""The columns of one, not yet checked, or what was made of them already."""
+
+_MADE: Mapping[type, str] = {
+    Recording: "one of a diesel engine", SteadyPoints: "settled points of a diesel engine",
+    PetrolRecording: "one of a petrol engine", RigRecording: "one of a rig",
+}  # fmt: skip
+
 
 def read(
     source: Source, channels: Channels | None = None, engine: Engine | str | Path | None = None
@@ -54,12 +62,11 @@ def read(
         InputError: one line saying what is wrong with the file.
     """
     machine = as_engine(engine)
+    found = opened(source, machine, channels)
     if isinstance(machine, RigParameters):
-        refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
-        return rig_recording(source, machine)
+        return rig_recording(found, machine)
     if isinstance(machine, PetrolParameters):
-        return petrol_recording(source, channels)
-    found = opened(source, channels)
+        return petrol_recording(found)
     if not isinstance(found, Imported):
         return found
     if found.timed:
@@ -85,18 +92,47 @@ def as_engine(source: Engine | str | Path | None) -> Engine:
     return diesel_engine(None) if source is None else engine(source)
 
 
-def opened(source: Source | Made, channels: Channels | None) -> Imported | Made:
+def opened(source: Source | Made, machine: Engine, channels: Channels | None) -> Opened:
     """The columns of a file or a table by our names, so that it is read once; what was made of one already as it is.
 
+    Args:
+        machine: that it is of; a rig's file names the columns itself.
+
     Raises:
-        InputError: a file or a channel map that can't be read.
+        InputError: a file or a channel map that can't be read, a map for a rig.
     """
+    if isinstance(machine, RigParameters):
+        refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
     source = as_table(source)
     return import_columns(source, channels) if isinstance(source, str | Path | pd.DataFrame) else source
 
 
+def settled(read: Opened) -> bool:
+    """Whether it is settled points, not a recording over time."""
+    return isinstance(read, SteadyPoints) or (isinstance(read, Imported) and not read.timed)
+
+
+def _of_another(made: object, wanted: str) -> InputError:
+    """The refusal of what was made of another machine's recording."""
+    return InputError("recording", _MADE.get(type(made), "something else"), wanted, "name the machine that it is of")
+
+
+def over_time(read: Opened) -> Imported | Recording:
+    """A recording over time of a diesel engine, checked or not.
+
+    Raises:
+        InputError: anything else.
+    """
+    if isinstance(read, PetrolRecording | RigRecording):
+        raise _of_another(read, "one of a diesel engine")
+    if isinstance(read, SteadyPoints) or settled(read):
+        raise InputError("RECORDING", "settled points among several", "recordings over time of a diesel engine",
+                         "judge settled points by themselves")  # fmt: skip
+    return read
+
+
 def diesel_recording(
-    source: Source | Imported | Recording, channels: Channels | None, engine: EngineParameters, *,
+    source: Source | Opened, channels: Channels | None, engine: EngineParameters, *,
     sensors: Sequence[str], any_rate: bool = False,
 ) -> Recording:  # fmt: skip
     """A recording of a diesel engine, with the sensors that are asked for.
@@ -105,6 +141,8 @@ def diesel_recording(
         InputError: one line saying what is wrong with it.
     """
     source = as_table(source)
+    if isinstance(source, SteadyPoints | PetrolRecording | RigRecording):
+        raise _of_another(source, "one of a diesel engine over time")
     if not isinstance(source, Recording):
         return read_recording(source, channels, engine, sensors=sensors, any_rate=any_rate)
     for name in sensors:
@@ -115,7 +153,7 @@ def diesel_recording(
 
 
 def settled_points(
-    source: Source | Imported | SteadyPoints, channels: Channels | None, engine: EngineParameters,
+    source: Source | Opened, channels: Channels | None, engine: EngineParameters,
     needed: Sequence[str],
 ) -> SteadyPoints:  # fmt: skip
     """Settled points, or the quiet stretches of a recording as such.
@@ -127,6 +165,8 @@ def settled_points(
         InputError: one line saying what is wrong with them.
     """
     source = as_table(source)
+    if isinstance(source, Recording | PetrolRecording | RigRecording):
+        raise _of_another(source, "settled points of a diesel engine")
     return source if isinstance(source, SteadyPoints) else read_points(source, channels, engine, needed)
 
 
@@ -142,7 +182,7 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     """
     source = as_table(source)
     if not isinstance(source, str | Path | pd.DataFrame | Imported | RigRecording):
-        raise InputError("recording", "one of an engine", f"one of {rig.name}", "name its file")
+        raise _of_another(source, f"one of {rig.name}")
     found = source if isinstance(source, RigRecording) else read_rig(source, rig)
     missing = [name for name in rig.readings if name not in found.readings]
     if all_readings and missing:
@@ -150,13 +190,15 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     return found
 
 
-def petrol_recording(source: Source | Imported | PetrolRecording, channels: Channels | None = None) -> PetrolRecording:
+def petrol_recording(source: Source | Opened, channels: Channels | None = None) -> PetrolRecording:
     """A recording of a petrol engine.
 
     Raises:
         InputError: one line saying what is wrong with it.
     """
     source = as_table(source)
+    if isinstance(source, Recording | SteadyPoints | RigRecording):
+        raise _of_another(source, "one of a petrol engine")
     return source if isinstance(source, PetrolRecording) else read_petrol(source, channels)
 
 

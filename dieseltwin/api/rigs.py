@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from dieseltwin.api.engines import Engine, rig_of
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
-from dieseltwin.api.reading import Source, rig_recording
+from dieseltwin.api.reading import Channels, Opened, Source, rig_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
@@ -26,7 +27,7 @@ from dieseltwin.rigs.simulate import simulate_rig
 from dieseltwin.rigs.twin import model_of
 from dieseltwin.rigs.verdict import details, document, sentence
 from dieseltwin.sealed import sealed_json
-from dieseltwin.settings.names import refuse_options, unknown_name
+from dieseltwin.settings.names import refuse_options
 from dieseltwin.settings.params import params_sha256
 from dieseltwin.version import __version__
 
@@ -100,10 +101,6 @@ class RigQuestion(Question):
     asked: Mapping[str, Any]
 
     @property
-    def kind(self) -> str:
-        return f"for {self.rig.name}"
-
-    @property
     def about(self) -> str:
         return f"{self.recording.path}: {len(self.recording.time_s)} samples of {self.rig.name} ..."
 
@@ -118,21 +115,22 @@ class RigQuestion(Question):
         return RigDiscovered(self, discover_rig(self.recording, self.rig, self.options))
 
 
-def ask_rig(recording: object, rig: RigParameters, question: Asked | None = None) -> RigQuestion:
-    """Read a recording of a rig; see `discovery.discover`.
+def ask(
+    read: Sequence[Opened], engine: Engine | str | Path | None, channels: Channels | None, question: Asked
+) -> RigQuestion:
+    """Check a recording of a rig; see `findings.Kind.ask`.
 
     Raises:
         InputError: a file or an option that can't be used, a recording without a reading.
     """
-    question = question or Asked()
+    (recording,) = read
+    rig = rig_of(engine)
+    if rig is None:
+        raise InputError("engine", "no rig", "a rig", "name the rig's file")
     refuse_options({"--sensors": question.sensors, "--map-tolerance": question.map_tolerance,
                     "--reference": tuple(question.reference) or None}, f"for {rig.name}")  # fmt: skip
     search, withhold = question.settings.search.rigs, tuple(question.withhold or ())
-    for effect in withhold:
-        if effect not in rig.effects:
-            raise unknown_name("--withhold", effect, list(rig.effects))
-    if question.seed < 0:
-        raise InputError("--seed", question.seed, "0 or more", "choose another")
+    question.check(rig.effects)
     asked = {
         "withhold": list(withhold), "seed": question.seed, "code_version": __version__,
         "engine_sha256": sha256(rig.model_dump_json().encode()).hexdigest(),

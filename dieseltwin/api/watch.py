@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from dieseltwin.api.driving import DrivingDiscovered, ask_driving
+from dieseltwin.api.driving import DrivingDiscovered, ask
 from dieseltwin.api.findings import Asked
 from dieseltwin.api.reading import Channels
 from dieseltwin.api.results import Result, drawn
@@ -167,7 +167,7 @@ def _learned(engine: str | Path) -> LearnedEngine:
 def _judged(
     path: Path, engine: str | Path, learned: LearnedEngine, channels: Channels | None, sensors: Sequence[str] | None
 ) -> Entry:
-    question = ask_driving([import_columns(path, channels)], engine, channels, Asked(sensors), (learned, ()))
+    question = ask([import_columns(path, channels)], engine, channels, Asked(sensors), learned)
     day = dated(question.recording)
     if day is None:
         raise InputError(str(path), "no date", "a date in the file or in its name", "name it 2026-03-14.csv")

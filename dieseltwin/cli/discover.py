@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dieseltwin.atomic import check_folder
 from dieseltwin.cli.options import (
     ChannelsFile,
     EngineFile,
@@ -18,12 +17,15 @@ from dieseltwin.cli.options import (
     Strict,
     names,
     progress,
+    readable,
+    results_in,
     say,
     strictly,
 )
 from dieseltwin.errors import InputError
-from dieseltwin.paths import refuse_unreadable
-from dieseltwin.settings.names import refuse_options
+
+if TYPE_CHECKING:
+    from dieseltwin.api.findings import Question
 
 
 def discover_command(
@@ -32,6 +34,7 @@ def discover_command(
         list[Path] | None,
         typer.Argument(
             metavar="RECORDING...",
+            callback=readable,
             help="Recording of a running engine (CSV, MDF, ...), 10 min or more; several are judged together.",
         ),
     ] = None,
@@ -54,7 +57,12 @@ def discover_command(
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of everything random.")] = 0,
     reference: Annotated[
         list[Path] | None,
-        typer.Option("--reference", metavar="HEALTHY", help="Recording of the engine when it was well; repeatable."),
+        typer.Option(
+            "--reference",
+            metavar="HEALTHY",
+            callback=readable,
+            help="Recording of the engine when it was well; repeatable.",
+        ),
     ] = None,
     time_s: Annotated[
         float | None,
@@ -66,12 +74,9 @@ def discover_command(
     strict: Strict = False,
 ) -> None:
     """Find what physics the twin leaves out: where, what, how large, since when."""
-    for path in (*(recordings or ()), *(reference or ())):
-        refuse_unreadable(path)
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
-    from dieseltwin.discovery.verdict.explain import check_name, explain
-    from dieseltwin.report.pdf import browser, print_report
+    from dieseltwin.discovery.verdict.explain import explain
     from dieseltwin.settings.params import load_params
 
     if not recordings:
@@ -80,29 +85,23 @@ def discover_command(
         say(explain(name, out))
         return
     settings = load_params(params, profile).discover
-    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings,
-                  time_s)
+    asked = Asked(names(sensors), names(withhold), map_tolerance, seed, tuple(reference or ()), settings, time_s, name)
     question = ask(tuple(recordings), engine, channels, asked)
+    answered = name is not None and question.answered_in(out)
+    warnings = [] if answered else _answer(question, out, pdf)
     if name is not None:
-        if not question.catalogue:
-            refuse_options({"--explain": name}, question.kind)
-        check_name(name, question.catalogue)
-        if question.answered_in(out):
-            say(explain(name, out, question.catalogue))
-            return
-    if pdf:
-        browser()  # none is better known before the work
-    check_folder(out)  # a place that cannot be written to is better known before the work
-    with question.getting_ready():
+        say([*([] if answered else [""]), *explain(name, out, question.catalogue)])
+    strictly(strict, warnings)
+
+
+def _answer(question: Question, out: Path, pdf: bool) -> list[dict[str, Any]]:
+    """Search, say and save; the answer's warnings."""
+    with results_in(out, pdf), question.getting_ready():
         progress(question.about)
         say(question.preview())
         progress("fitting ...")
         found = question.answer()
         say(found.lines())  # who waits reads it while the files are written
         found.save(out)
-    if pdf:
-        print_report(out)
     say([f"results: {out}"])
-    if name is not None:
-        say(["", *explain(name, out, question.catalogue)])
-    strictly(strict, found.warnings)
+    return found.warnings

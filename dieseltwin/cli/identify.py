@@ -17,17 +17,21 @@ from dieseltwin.cli.options import (
     Strict,
     names,
     progress,
+    readable,
+    results_in,
     say,
     strictly,
 )
-from dieseltwin.paths import refuse_unreadable
 from dieseltwin.settings import methods
 from dieseltwin.settings.names import refuse_options, unknown_name
 
 
 def identify_command(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Recording of a running engine (CSV, Excel, MDF, CAN, ...).")
+        Path,
+        typer.Argument(
+            metavar="RECORDING", callback=readable, help="Recording of a running engine (CSV, Excel, MDF, CAN, ...)."
+        ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
     method: Annotated[
@@ -69,11 +73,9 @@ def identify_command(
     """Find A_egrmax, A_vgtmax, eta_sc and h_tot in a recording, with their uncertainty."""
     if method not in methods.names():
         raise unknown_name("--method", method, methods.names())
-    refuse_unreadable(recording)
     from dieseltwin.api.engines import rig_of
     from dieseltwin.api.identification import Setup, ask
     from dieseltwin.api.rigs import identify_rig
-    from dieseltwin.report.pdf import browser, print_report
 
     rig = rig_of(engine)
     if rig is not None:
@@ -88,14 +90,9 @@ def identify_command(
     setup = Setup(models, maps, params, profile, names(sensors), fit_test)
     question = ask(recording, engine, channels=channels, method=method, runs=runs, segment_s=segment, seed=seed,
                    setup=setup)  # fmt: skip
-    if pdf:
-        browser()  # none is better known before the work
-    check_folder(out)  # a place that cannot be written to is better known before the work
-    with question.getting_ready():
+    with results_in(out, pdf), question.getting_ready():
         progress(f"{recording}: {len(question.problems)} segments, {question.runs} runs each, {method} ...")
         found = question.answer()
         found.save(out)
-    if pdf:
-        print_report(out)
     say([*found.lines(), f"results: {out}"])
     strictly(strict, found.warnings)

@@ -8,14 +8,16 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, progress, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, progress, readable, say
 from dieseltwin.errors import InputError
-from dieseltwin.paths import refuse_unreadable
 
 
 def learn_command(
     recordings: Annotated[
-        list[Path], typer.Argument(metavar="HEALTHY...", help="Recordings of the engine when it was known to be well.")
+        list[Path],
+        typer.Argument(
+            metavar="HEALTHY...", callback=readable, help="Recordings of the engine when it was known to be well."
+        ),
     ],
     out: Annotated[
         Path, typer.Option("--out", metavar="FILE", help="Engine file to write, a .yaml; a .learned.parquet beside it.")
@@ -28,7 +30,9 @@ def learn_command(
     ] = None,
     siblings: Annotated[
         list[Path] | None,
-        typer.Option("--siblings", metavar="FILE", help="Learned engine of the same type; repeatable."),
+        typer.Option(
+            "--siblings", metavar="FILE", callback=readable, help="Learned engine of the same type; repeatable."
+        ),
     ] = None,
 ) -> None:
     """Learn an engine's own maps, health and sensors from ordinary driving; learning more later adds to the file.
@@ -37,8 +41,6 @@ def learn_command(
     """
     if out.suffix not in (".yaml", ".yml"):
         raise InputError("--out", str(out), "a name that ends in .yaml", "choose another")
-    for path in (*recordings, *(siblings or ())):
-        refuse_unreadable(path)
     check_apart(out, *recordings, *(siblings or ()), channels)
     check_writable(out)
     progress("learning ...")

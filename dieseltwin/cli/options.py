@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
+from dieseltwin.atomic import check_folder
 from dieseltwin.errors import InputError
 from dieseltwin.notes import STRICT_CODE
-from dieseltwin.paths import same_file
+from dieseltwin.paths import refuse_unreadable, same_file
 
 EngineFile = Annotated[
     Path | None, typer.Option("--engine", metavar="FILE", help="YAML that overrides engine parameters by name.")
@@ -28,6 +30,20 @@ Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile
 Pdf = Annotated[bool, typer.Option("--pdf", help="Print the report to report.pdf as well (with Chromium or Chrome).")]
 
 Strict = Annotated[bool, typer.Option("--strict", help="Exit code 3 when the answer carries a warning.")]
+
+
+Named = TypeVar("Named", Path, list[Path], None)
+
+
+def readable(named: Named) -> Named:
+    """One file, or several, of an argument or an option (its callback): refused before anything slow is imported.
+
+    Raises:
+        InputError: what can't be read, as `refuse_unreadable`.
+    """
+    for path in named if isinstance(named, list) else (named,):
+        refuse_unreadable(path)
+    return named
 
 
 def progress(text: str) -> None:
@@ -58,6 +74,19 @@ def check_apart(out: Path, *inputs: Path | str | None) -> None:
     for path in inputs:
         if path is not None and same_file(out, path):
             raise InputError(f"--out {out}", f"the file that is read ({path})", "another file", "choose another name")
+
+
+@contextmanager
+def results_in(out: Path, pdf: bool) -> Iterator[None]:
+    """A folder that results can be written to, and a browser to print with: none is better known before the work."""
+    from dieseltwin.report.pdf import browser, print_report
+
+    if pdf:
+        browser()
+    check_folder(out)
+    yield
+    if pdf:
+        print_report(out)
 
 
 def strictly(strict: bool, warnings: Sequence[object]) -> None:

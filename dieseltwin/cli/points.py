@@ -9,13 +9,14 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import Strict, check_apart, say, strictly
+from dieseltwin.cli.options import Strict, check_apart, readable, say, strictly
 from dieseltwin.errors import InputError
-from dieseltwin.paths import refuse_unreadable
 
 ENGINE_SUFFIXES = (".yaml", ".yml")
 
-Points = Annotated[Path, typer.Argument(metavar="POINTS", help="Steady points, or a recording, in any format.")]
+Points = Annotated[
+    Path, typer.Argument(metavar="POINTS", callback=readable, help="Steady points, or a recording, in any format.")
+]
 Channels = Annotated[Path | None, typer.Option("--channels", metavar="MAP", help="YAML mapping foreign columns.")]
 
 
@@ -35,7 +36,6 @@ def calibrate_command(
     strict: Strict = False,
 ) -> None:
     """Calibrate another engine of the same kind from steady points."""
-    refuse_unreadable(points)
     from dieseltwin.api.calibration import calibrate
 
     began = time.perf_counter()
@@ -58,7 +58,6 @@ def imply_command(
     strict: Strict = False,
 ) -> None:
     """Say, for each point, every quantity that nobody measured, with its standard deviation."""
-    refuse_unreadable(points)
     from dieseltwin.api.points import imply
 
     check_apart(out, points, engine, channels)

@@ -9,9 +9,8 @@ import typer
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.cli.effects import EffectOption, named_values
-from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, readable, say
 from dieseltwin.errors import InputError
-from dieseltwin.paths import refuse_unreadable
 
 SUFFIXES = (".csv", ".parquet")
 
@@ -21,6 +20,7 @@ def simulate_command(
         Path,
         typer.Argument(
             metavar="INPUTS",
+            callback=readable,
             help="Any recording with time_s, n_e_rpm, u_delta_mg, u_egr_pct, u_vgt_pct. The states start at the first "
             "row's p_im_pa, p_em_pa, omega_t_rad_s where it has them, else at rest at the first inputs.",
         ),
@@ -33,7 +33,6 @@ def simulate_command(
     effect: EffectOption = None,
 ) -> None:
     """Simulate the engine over recorded or made-up inputs."""
-    refuse_unreadable(inputs)
     from dieseltwin.api.simulation import simulate
 
     if out.suffix.lower() not in SUFFIXES:

@@ -16,11 +16,11 @@ from dieseltwin.cli.options import (
     help_without_command,
     names,
     progress,
+    readable,
     say,
 )
 from dieseltwin.errors import InputError, Refused
 from dieseltwin.notes import counted
-from dieseltwin.paths import refuse_unreadable
 
 if TYPE_CHECKING:
     from dieseltwin.settings.watch import WatchConfig
@@ -41,7 +41,9 @@ def _help(context: typer.Context) -> None:
 
 @watch_app.command("add")
 def add_command(
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings of the engine.")],
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", callback=readable, help="Recordings of the engine.")
+    ],
     engine: Annotated[Path, typer.Option("--engine", metavar="FILE", help="File that `dieseltwin learn` wrote.")],
     history: HistoryFolder,
     channels: ChannelsFile = None,
@@ -51,8 +53,6 @@ def add_command(
     profile: Profile = "quick",
 ) -> None:
     """Judge recordings, add each to the history once, and say whether the engine has changed."""
-    for path in recordings:
-        refuse_unreadable(path)
     progress(f"{counted(len(recordings), 'recording')} ...")
     from dieseltwin.api.watch import watch
 

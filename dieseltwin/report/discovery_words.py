@@ -340,3 +340,16 @@ def sentence(document: Discrepancy) -> str:
             *_time_words(document),
         ]
     ) + "."
+
+
+def visible_table(smallest: Mapping[str, float]) -> list[str]:
+    """What the recording could show, as lines of text: smallest visible size, tolerance, place."""
+    rows = []
+    for name, size in smallest.items():
+        effect = EFFECTS[name]
+        mark = "" if size <= effect.tolerance else f"  {size / effect.tolerance:.2g} x tolerance"
+        shown = magnitude_words(name, size, None, effect.unit, extra=False, digits=2)
+        least = magnitude_words(name, effect.tolerance, None, effect.unit, extra=False, digits=2)
+        rows.append((size / effect.tolerance, f"{name:<31}{shown:>18}{least:>18}   {effect.site}{mark}"))
+    head = f"{'this recording could show':<31}{'from':>18}{'of interest from':>18}   in"
+    return [head, *(line for _, line in sorted(rows))]

@@ -291,6 +291,13 @@ def test_options_without_effect_on_settled_points_are_refused(
     assert not (tmp_path / "o").exists()
 
 
+def test_a_negative_seed_is_refused_for_settled_points(run: Run, csv: Path, tmp_path: Path) -> None:
+    points = tmp_path / "points.csv"
+    pd.read_csv(csv).drop(columns="time_s").to_csv(points, index=False)
+    code, _, error = run(points, "--out", tmp_path / "o", "--seed", "-1")
+    assert code == 2 and "--seed: got -1; allowed: 0 or more" in error
+
+
 def test_no_recording_and_nothing_to_explain(run: Run, fake: FakeCore, tmp_path: Path) -> None:
     code, _, error = run("--out", tmp_path / "o")
     assert code == 2 and "name the recording" in error

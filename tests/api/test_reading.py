@@ -1,0 +1,75 @@
+"""What was read of one kind of machine is refused by the others, in one line that says which it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.api.discovery import ask
+from dieseltwin.api.reading import Made, diesel_recording, over_time, petrol_recording, read, settled, settled_points
+from dieseltwin.challenge.petrol_plant import drive as drive_petrol
+from dieseltwin.engine import we2011
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.named_columns import import_columns
+from dieseltwin.rigs.recording import RigRecording
+from tests.api.simulated import drive
+
+
+@pytest.fixture(scope="module")
+def driven() -> pd.DataFrame:
+    return drive(60.0, we2011.PARAMETERS)
+
+
+@pytest.fixture(scope="module")
+def made(driven: pd.DataFrame) -> dict[str, Made]:
+    """What `read` makes of each kind."""
+    time_s = np.arange(20.0)
+    return {
+        "diesel": read(driven), "points": read(driven.drop(columns="time_s")),
+        "petrol": read(drive_petrol(90.0, 1), engine="liu_petrol"),
+        "rig": RigRecording(time_s, {"q": time_s}, {"level": time_s}, "the table", ""),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("reader", "taken"),
+    [
+        (over_time, "diesel"),
+        (lambda found: diesel_recording(found, None, we2011.PARAMETERS, sensors=()), "diesel"),
+        (petrol_recording, "petrol"),
+        (lambda found: settled_points(found, None, we2011.PARAMETERS, INPUTS), "points"),
+    ],
+)
+def test_each_reader_takes_its_own(reader: Callable[[Made], Made], taken: str, made: dict[str, Made]) -> None:
+    for kind, found in made.items():
+        if kind == taken:
+            assert reader(found) is found
+        else:
+            with pytest.raises(InputError) as error:
+                reader(found)
+            assert "\n" not in str(error.value)
+
+
+def test_settled_points_are_known_before_they_are_checked(driven: pd.DataFrame, made: dict[str, Made]) -> None:
+    timed = import_columns(driven)
+    columns = {name: values for name, values in timed.columns.items() if name != "time_s"}
+    assert settled(made["points"]) and settled(replace(timed, columns=columns))
+    assert not settled(made["diesel"]) and not settled(timed)
+
+
+@pytest.mark.parametrize(("kind", "says"), [("petrol", "one of a petrol engine"), ("rig", "one of a rig")])
+def test_a_diesel_engine_is_asked_about_its_own_recordings(kind: str, says: str, made: dict[str, Made]) -> None:
+    with pytest.raises(InputError, match=says):
+        ask(made[kind])
+
+
+def test_several_are_all_driving(made: dict[str, Made]) -> None:
+    with pytest.raises(InputError, match="judge settled points by themselves"):
+        ask([made["diesel"], made["points"]])
+    with pytest.raises(InputError, match="judge them one by one"):
+        ask([made["petrol"], made["petrol"]], "liu_petrol")
