@@ -26,6 +26,7 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 
 from dieseltwin.atomic import write_bytes
+from dieseltwin.report.ticks import ticks_known
 from dieseltwin.settings.methods import MethodStyle, known
 
 TRUTH = "#000000"
@@ -164,7 +165,7 @@ class ReportFigure:
             if dpi != DPI:
                 raise ValueError(f"{self.name} was drawn in another process, at {DPI} dots an inch")
             return self.content
-        with mpl.rc_context(RC):
+        with mpl.rc_context(RC), ticks_known(self.figure):
             if self.kind == "png":
                 return _png(self.figure, dpi)
             return _svg(self.figure)
