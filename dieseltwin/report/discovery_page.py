@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ from markupsafe import Markup
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.report import discovery_figures, discovery_residuals, findings, over_recordings, quantities
 from dieseltwin.report.discovery_words import sentence, unit_of
-from dieseltwin.report.encoding import Drawn, drawn_here, drawn_in_two
+from dieseltwin.report.encoding import Drawing, Drawn, drawn_here, drawn_in_two
 from dieseltwin.report.interactive import discovery_series, still
 from dieseltwin.report.law_cards import law_cards
 from dieseltwin.report.page import Page, Section, kept, write_page
@@ -21,18 +22,26 @@ from dieseltwin.report.style import ReportFigure
 LOUD = 1.3  # rms residual over noise; right names leave 1.0 to 1.1 where maps and sensors keep to their tolerances
 
 
+def of_curves(found: Discovery) -> dict[str, Drawing]:
+    """Drawings of the curves: what `discover` goes on to work out, health and sizes, changes nothing in them."""
+    return {
+        "residual_map": partial(discovery_residuals.residual_map, found),
+        "residual_map_actuators": partial(discovery_residuals.residual_map, found, discovery_figures.MAPS[1]),
+        "readings": lambda: still(discovery_series(found)),
+        "residual_time": partial(discovery_residuals.residual_time, found),
+        "visible": partial(discovery_figures.minimum_detectable, found),
+        "candidates": partial(discovery_figures.candidates, found),
+        "evidence_maps": partial(discovery_figures.evidence_maps, found),
+        "score": partial(discovery_figures.score, found),
+        "evidence_time": partial(discovery_figures.evidence_time, found),
+    }  # fmt: skip
+
+
 def discovery_sections(found: Discovery, drawn: Drawn = drawn_here) -> list[Section]:
     """The page's sections with all figures that `found` has data for; `drawn` makes the figures of drawings."""
     curves, series = found.curves, discovery_series(found)
     figures = drawn({
-        "residual_map": partial(discovery_residuals.residual_map, found),
-        "residual_map_actuators": partial(discovery_residuals.residual_map, found, discovery_figures.MAPS[1]),
-        "readings": lambda: still(series), "residual_time": partial(discovery_residuals.residual_time, found),
-        "visible": partial(discovery_figures.minimum_detectable, found),
-        "candidates": partial(discovery_figures.candidates, found),
-        "evidence_maps": partial(discovery_figures.evidence_maps, found),
-        "health": partial(discovery_figures.health, found), "score": partial(discovery_figures.score, found),
-        "evidence_time": partial(discovery_figures.evidence_time, found),
+        **of_curves(found), "health": partial(discovery_figures.health, found),
         "law": partial(discovery_figures.law_curves, found), "trends": partial(over_recordings.trends, found),
     })  # fmt: skip
 
@@ -77,7 +86,7 @@ def _plain(value: Any) -> str:
     return ", ".join(map(_plain, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _page(found: Discovery) -> Page:
+def _page(found: Discovery, drawn: Drawn) -> Page:
     document = found.document
     recording = document.recording
     return Page(
@@ -88,22 +97,29 @@ def _page(found: Discovery) -> Page:
         caution=Markup(quantities.with_symbols(left_over(found))),
         findings=findings.findings(document), cards=law_cards(document),
         tables=(findings.places(document), findings.levels(document, "health parameter"), findings.fit(document)),
-        sections=discovery_sections(found, drawn_in_two), provenance=findings.provenance(document),
+        sections=discovery_sections(found, drawn), provenance=findings.provenance(document),
         machine=[(str(key), _plain(value)) for key, value in found.runtime.items()],
     )  # fmt: skip
 
 
 def build_discovery_report(
-    found: Discovery, out_html: str | Path, *, figures_dir: str | Path | None = None
-) -> Path:
+    found: Discovery, out_html: str | Path, *, figures_dir: str | Path | None = None,
+    ahead: Mapping[str, ReportFigure | None] | None = None,
+) -> Path:  # fmt: skip
     """Write the page atomically, and its figures as files beside it.
 
     Args:
         found: what `discover` returned.
         out_html: the page; its folder is made where missing.
         figures_dir: where to save the figures as SVG too; None for the page alone.
+        ahead: those of `of_curves` that are drawn already.
 
     Returns:
         The path of the page.
     """
-    return write_page(_page(found), out_html, figures_dir)
+    there = dict(ahead or {})
+
+    def drawn(drawings: Mapping[str, Drawing]) -> Mapping[str, ReportFigure | None]:
+        return {**there, **drawn_in_two({name: drawings[name] for name in drawings if name not in there})}
+
+    return write_page(_page(found, drawn), out_html, figures_dir)

@@ -47,11 +47,12 @@ def drawn_in_two(drawings: Mapping[str, Drawing]) -> dict[str, ReportFigure | No
     Not only files are made by two processes then, but figures, too, which takes a third of the time. A finished figure
     is bytes alone: matplotlib's stays where it was drawn.
     """
-    made = _in_two([partial(_finished, drawing) for drawing in drawings.values()])
+    made = _in_two([partial(finished, drawing) for drawing in drawings.values()])
     return dict(zip(drawings, made, strict=True))
 
 
-def _finished(drawing: Drawing) -> ReportFigure | None:
+def finished(drawing: Drawing) -> ReportFigure | None:
+    """A figure as the bytes of its file alone."""
     figure = drawing()
     return None if figure is None else replace(figure, figure=Figure(), content=figure.encode())
 
