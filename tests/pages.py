@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from dieseltwin.report.encoding import drawn_here
+
 LARGEST = 3_000_000
 """Bytes that a page may have."""
 
@@ -43,4 +45,6 @@ def without_pictures() -> Iterator[None]:
     """Figures are made and captioned as ever, and none is laid out and drawn, which is most of a command's page."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dieseltwin.report.page.encode_all", lambda figures, *_: {f.name: b"no picture" for f in figures})
+        for page in ("discovery_page", "identification"):
+            patch.setattr(f"dieseltwin.report.{page}.drawn_in_two", drawn_here)
         yield

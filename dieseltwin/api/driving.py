@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dieseltwin.api import driving_page
 from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question, machine
 from dieseltwin.api.reading import Channels, Opened, over_time
@@ -38,7 +39,7 @@ from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.recordings.shared_rows import refuse_shared
-from dieseltwin.report.beside import begin_beside, ready_beside
+from dieseltwin.report.beside import begin_ahead, begin_beside, ready_beside
 from dieseltwin.report.circumstance_words import alike_words, circumstances_words
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.report.discovery_words import visible_table
@@ -104,7 +105,7 @@ class DrivingDiscovered(Discovered):
             details = details_of(self.found, self.question.asked, list(self.question.notes))
             write_json(folder / DETAILS, sealed_json(details))
             write_text(folder / "engine.yaml", engine_yaml(self.engine))
-            written = begin_beside(_write_page, replace(self.found, document=self.document), folder)
+            written = begin_beside(driving_page.write, replace(self.found, document=self.document), folder)
             stds = {n: v.std for n, v in self.document.health.items() if v.std is not None and n in HEALTH}
             sensors = self.question.options.sensors
             judged, whole = self.question.recording, self.question.whole
@@ -121,19 +122,6 @@ class DrivingDiscovered(Discovered):
 
     def lines(self) -> list[str]:
         return ["", self.sentence]
-
-
-def _write_page(found: Discovery, folder: Path) -> None:
-    from dieseltwin.report.discovery_page import build_discovery_report  # loads matplotlib
-
-    build_discovery_report(found, folder / "report.html", figures_dir=folder / "figures")
-
-
-def _load_page() -> None:
-    import dieseltwin.report.discovery_page  # noqa: F401
-    from dieseltwin.report import style
-
-    style.load()
 
 
 @dataclass(frozen=True)
@@ -197,7 +185,7 @@ class DrivingQuestion(Question):
         return EFFECTS
 
     def getting_ready(self) -> AbstractContextManager[None]:
-        return ready_beside(_load_page)
+        return ready_beside(driving_page.load)
 
     def answered_in(self, folder: Path) -> bool:
         judged = [day.recording for day in self.days] or [self.recording]
@@ -209,7 +197,8 @@ class DrivingQuestion(Question):
         if self.time_s is not None:
             left = max(0.0, self.time_s - _REPORT_S - (time.perf_counter() - self.began))
         judged = self.days or self.recording
-        found = core.discover(judged, self.parameters, self.options, self.known, self.prepared, left)
+        found = core.discover(judged, self.parameters, self.options, self.known, self.prepared, left,
+                              shown=lambda known: begin_ahead(driving_page.draw_ahead, known))
         check_fit(self.recording, self.parameters, found.engine, found.document.fit.chi2_per_sample_after)
         return DrivingDiscovered(self, found, time.perf_counter() - self.began)
 

@@ -131,12 +131,13 @@ class Identified(Result):
         """identification.json, runtime.json, states.parquet, report.html, figures/; curves.parquet if any."""
         with atomic_folder(out, owned=OPTIONAL_RESULTS) as folder:
             name = self.provenance.get("recording", "")
+            states = self.found.states  # worked out once, before the figures want them in a process of their own
             drawn_beside = begin_beside(_write_page, self.found, self.problems, folder, name)
             write_json(folder / "identification.json",
                        sealed_json({**self.found.to_json(), "warnings": self.warnings}))
             runtime = {**self.found.runtime(), **self.provenance, "notes": list(self.notes)}
             write_json(folder / "runtime.json", sealed_json(runtime))
-            self.found.states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)
+            states.to_parquet(folder / "states.parquet", index=False, write_page_checksum=True)
             curves = curves_table(self.found)
             if curves is not None:
                 curves.to_parquet(folder / "curves.parquet", index=False, write_page_checksum=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -63,6 +63,7 @@ def prepare(
 def discover(
     recordings: Recording | Sequence[Dated], engine: EngineParameters, options: Options | None = None,
     learned: LearnedEngine | None = None, prepared: Prepared | None = None, time_s: float | None = None,
+    shown: Callable[[Discovery], None] | None = None,
 ) -> Discovery:  # fmt: skip
     """Detect, locate, name, model, prove.
 
@@ -76,6 +77,8 @@ def discover(
         learned: what is known of the engine from recordings of when it was well; `engine` is then its own.
         prepared: of the same recordings, engine and options, where that was asked before.
         time_s: of the search, after which the best answer so far is given; None: no limit.
+        shown: is given the result when its curves are final; what health, sizes and circumstances are under maps off in
+            all detail takes a third of the time from there on.
 
     Raises:
         InputError: no usable sensor, no stretch with the engine running, or recordings without a common set of sensors.
@@ -86,7 +89,7 @@ def discover(
     clock = time.perf_counter() - prepared.found.seconds["prepare"]
     found = search.carry_on(prepared.found.anew(), laws=options.law_search, time_s=time_s)
     then = None if learned is None else np.sqrt(np.diag(health_covariance(learned))) / learned.belief.health
-    result = assemble(days, found, options, _reference(found, learned), time_s, then)
+    result = assemble(days, found, options, _reference(found, learned), time_s, then, shown)
     runtime = {**found.seconds, "total": time.perf_counter() - clock}
     return replace(_with_doubts(result, found, engine, [day.recording for day in days]), runtime=runtime)
 

@@ -10,9 +10,10 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
-from typing import ParamSpec
+from typing import Concatenate, ParamSpec
 
 from dieseltwin.engine.observations import SIMULATOR_THREADS, thread_count
 
@@ -20,7 +21,21 @@ P = ParamSpec("P")
 
 _PATIENCE_S = 120.0  # for a page, of which ten seconds on a busy machine are usual
 _LOADING_S = 10.0  # that it may still load when it is wanted; who never says that it is ready would never read its task
-_ready: list[Connection] = []
+
+
+@dataclass
+class _Waiting:
+    """A process that waits, and whether it has said that it is ready."""
+
+    here: Connection
+    said: bool = False
+
+    def is_ready(self, patience_s: float) -> bool:
+        self.said = self.said or _said(self.here, patience_s)
+        return self.said
+
+
+_ready: list[_Waiting] = []
 
 
 def may_fork() -> bool:
@@ -33,7 +48,8 @@ def may_fork() -> bool:
 
 @contextmanager
 def ready_beside(load: Callable[[], object]) -> Iterator[None]:
-    """While the block runs, a process that has called `load` waits for one task of `begin_beside`, where one may."""
+    """While the block runs, a process that has called `load` waits for one task of `begin_beside`, where one may, and
+    for what `begin_ahead` gives it to do before."""
     if _ready or not may_fork():
         yield
         return
@@ -42,7 +58,7 @@ def ready_beside(load: Callable[[], object]) -> Iterator[None]:
     process = context.Process(target=_wait, args=(here, there, load))
     process.start()
     there.close()
-    _ready.append(here)
+    _ready.append(_Waiting(here))
     try:
         yield
     finally:
@@ -52,15 +68,29 @@ def ready_beside(load: Callable[[], object]) -> Iterator[None]:
         process.join()
 
 
+def begin_ahead(
+    task: Callable[Concatenate[Callable[[], bool], P], object], *arguments: P.args, **options: P.kwargs
+) -> None:
+    """Give the process that waits something that its task will need; nothing where none is ready.
+
+    `task` gets a function that says whether the task itself has come, which then goes first. Whatever it meets is
+    passed over: the task does all that isn't there.
+    """
+    if _ready and _ready[-1].is_ready(0.0):
+        with suppress(OSError):  # it was killed: `begin_beside` will know
+            _ready[-1].here.send((True, task, arguments, options))
+
+
 def begin_beside(task: Callable[P, object], *arguments: P.args, **options: P.kwargs) -> Callable[[], None]:
     """Begin a task in the process that waits; the function returned ends when it is done.
 
     Where none waits, or the task failed there, that function does it in this process: its errors are raised here.
     """
-    here = _ready.pop() if _ready else None
-    if here is not None and _said(here, _LOADING_S):
+    waiting = _ready.pop() if _ready else None
+    here = None if waiting is None else waiting.here
+    if here is not None and waiting is not None and waiting.is_ready(_LOADING_S):
         with suppress(OSError):  # it was killed: `finish` will know
-            here.send((task, arguments, options))
+            here.send((False, task, arguments, options))
     else:
         here = None
 
@@ -85,6 +115,10 @@ def _wait(here: Connection, there: Connection, load: Callable[[], object]) -> No
     with suppress(Exception):  # whatever it is: the first process does it all itself, and says what it meets
         load()
         there.send(True)
-        task, arguments, options = there.recv()
+        ahead, task, arguments, options = there.recv()
+        while ahead:
+            with suppress(Exception):
+                task(there.poll, *arguments, **options)
+            ahead, task, arguments, options = there.recv()
         task(*arguments, **options)
         there.send(True)

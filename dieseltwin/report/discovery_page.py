@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,38 +13,54 @@ from markupsafe import Markup
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.report import discovery_figures, discovery_residuals, findings, over_recordings, quantities
 from dieseltwin.report.discovery_words import sentence, unit_of
-from dieseltwin.report.interactive import discovery_series
+from dieseltwin.report.encoding import Drawing, Drawn, drawn_here, drawn_in_two
+from dieseltwin.report.interactive import discovery_series, still
 from dieseltwin.report.law_cards import law_cards
 from dieseltwin.report.page import Page, Section, kept, write_page
+from dieseltwin.report.style import ReportFigure
 
 LOUD = 1.3  # rms residual over noise; right names leave 1.0 to 1.1 where maps and sensors keep to their tolerances
 
 
-def discovery_sections(found: Discovery) -> list[Section]:
-    """The page's sections with all figures that `found` has data for."""
-    curves = found.curves
+def of_curves(found: Discovery) -> dict[str, Drawing]:
+    """Drawings of the curves: what `discover` goes on to work out, health and sizes, changes nothing in them."""
+    return {
+        "residual_map": partial(discovery_residuals.residual_map, found),
+        "residual_map_actuators": partial(discovery_residuals.residual_map, found, discovery_figures.MAPS[1]),
+        "readings": lambda: still(discovery_series(found)),
+        "residual_time": partial(discovery_residuals.residual_time, found),
+        "visible": partial(discovery_figures.minimum_detectable, found),
+        "candidates": partial(discovery_figures.candidates, found),
+        "evidence_maps": partial(discovery_figures.evidence_maps, found),
+        "score": partial(discovery_figures.score, found),
+        "evidence_time": partial(discovery_figures.evidence_time, found),
+    }  # fmt: skip
+
+
+def discovery_sections(found: Discovery, drawn: Drawn = drawn_here) -> list[Section]:
+    """The page's sections with all figures that `found` has data for; `drawn` makes the figures of drawings."""
+    curves, series = found.curves, discovery_series(found)
+    figures = drawn({
+        **of_curves(found), "health": partial(discovery_figures.health, found),
+        "law": partial(discovery_figures.law_curves, found), "trends": partial(over_recordings.trends, found),
+    })  # fmt: skip
+
+    def kept_of(*names: str) -> tuple[ReportFigure, ...]:
+        return kept(*(figures[name] for name in names))
+
     units = {row["name"]: curves.units.get(row["name"]) or unit_of(row["name"]) or "" for row in curves.candidates}
     sections = [
-        Section("readings-over-time", "Readings over time", series=discovery_series(found)),
+        Section("readings-over-time", "Readings over time", series=replace(series, pictured=figures["readings"])),
         Section("doubts", "What is doubtful", tables=(findings.doubts(found.document),)),
-        Section("over-recordings", "The recordings", kept(over_recordings.trends(found))),
-        Section("health-parameters", "Health parameters", kept(discovery_figures.health(found))),
-        Section("law-of-it", "Law", kept(discovery_figures.law_curves(found))),
-        Section(
-            "evidence", "Evidence",
-            kept(discovery_figures.evidence_time(found), discovery_figures.evidence_maps(found)),
-        ),
-        Section(
-            "residuals", "Residuals",
-            kept(
-                discovery_residuals.residual_time(found), discovery_residuals.residual_map(found),
-                discovery_residuals.residual_map(found, discovery_figures.MAPS[1]),
-            ),
-        ),
-        Section("held-out", "Held-out score", kept(discovery_figures.score(found))),
-        Section("weighed", "Candidates", kept(discovery_figures.candidates(found)),
+        Section("over-recordings", "The recordings", kept_of("trends")),
+        Section("health-parameters", "Health parameters", kept_of("health")),
+        Section("law-of-it", "Law", kept_of("law")),
+        Section("evidence", "Evidence", kept_of("evidence_time", "evidence_maps")),
+        Section("residuals", "Residuals", kept_of("residual_time", "residual_map", "residual_map_actuators")),
+        Section("held-out", "Held-out score", kept_of("score")),
+        Section("weighed", "Candidates", kept_of("candidates"),
                 tables=(findings.weighed(curves.candidates, units),)),
-        Section("visible", "What could be seen", kept(discovery_figures.minimum_detectable(found))),
+        Section("visible", "What could be seen", kept_of("visible")),
     ]  # fmt: skip
     return [section for section in sections if not section.empty]
 
@@ -67,7 +86,7 @@ def _plain(value: Any) -> str:
     return ", ".join(map(_plain, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _page(found: Discovery) -> Page:
+def _page(found: Discovery, drawn: Drawn) -> Page:
     document = found.document
     recording = document.recording
     return Page(
@@ -78,22 +97,29 @@ def _page(found: Discovery) -> Page:
         caution=Markup(quantities.with_symbols(left_over(found))),
         findings=findings.findings(document), cards=law_cards(document),
         tables=(findings.places(document), findings.levels(document, "health parameter"), findings.fit(document)),
-        sections=discovery_sections(found), provenance=findings.provenance(document),
+        sections=discovery_sections(found, drawn), provenance=findings.provenance(document),
         machine=[(str(key), _plain(value)) for key, value in found.runtime.items()],
     )  # fmt: skip
 
 
 def build_discovery_report(
-    found: Discovery, out_html: str | Path, *, figures_dir: str | Path | None = None
-) -> Path:
+    found: Discovery, out_html: str | Path, *, figures_dir: str | Path | None = None,
+    ahead: Mapping[str, ReportFigure | None] | None = None,
+) -> Path:  # fmt: skip
     """Write the page atomically, and its figures as files beside it.
 
     Args:
         found: what `discover` returned.
         out_html: the page; its folder is made where missing.
         figures_dir: where to save the figures as SVG too; None for the page alone.
+        ahead: those of `of_curves` that are drawn already.
 
     Returns:
         The path of the page.
     """
-    return write_page(_page(found), out_html, figures_dir)
+    there = dict(ahead or {})
+
+    def drawn(drawings: Mapping[str, Drawing]) -> Mapping[str, ReportFigure | None]:
+        return {**there, **drawn_in_two({name: drawings[name] for name in drawings if name not in there})}
+
+    return write_page(_page(found, drawn), out_html, figures_dir)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from markupsafe import Markup
 
 from dieseltwin.report import captions, charts, quantities, style, timeseries, training, violins
-from dieseltwin.report.interactive import results_series
+from dieseltwin.report.encoding import Drawn, drawn_here
+from dieseltwin.report.interactive import results_series, still
 from dieseltwin.report.page import EMPTY, Page, Section, Table, kept, marked, swatched
 from dieseltwin.report.results import PARAMETERS, MethodResult, Results
 from dieseltwin.report.tables import headline, segment_table, summary_table
@@ -21,21 +24,32 @@ SOURCE = (
 )
 
 
-def identification_sections(results: Results) -> list[Section]:
-    """What the page of any identification shows."""
-    residuals = kept(*(timeseries.residual_figure(results, m) for m in results.methods))
-    estimates = kept(
-        charts.identifiability_map(results), violins.violins(results), violins.violins(results, close=True)
-    )
-    states = kept(timeseries.states(results), timeseries.flows(results), timeseries.empirical(results))
+def identification_sections(results: Results, drawn: Drawn = drawn_here) -> list[Section]:
+    """What the page of any identification shows; `drawn` makes the figures of drawings."""
+    series, methods = results_series(results), results.methods
+    figures = drawn({
+        **{f"residuals {k}": partial(timeseries.residual_figure, results, m) for k, m in enumerate(methods)},
+        "states": partial(timeseries.states, results), "flows": partial(timeseries.flows, results),
+        "empirical": partial(timeseries.empirical, results),
+        "readings": lambda: None if series is None else still(series),
+        "map": partial(charts.identifiability_map, results), "violins": partial(violins.violins, results),
+        "close": partial(violins.violins, results, close=True), "bound": partial(charts.bound_ratio, results),
+        **{f"training {k}": partial(training.convergence, results, m) for k, m in enumerate(methods)},
+    })  # fmt: skip
+
+    def kept_of(*names: str) -> tuple[style.ReportFigure, ...]:
+        return kept(*(figures[name] for name in names))
+
+    every = range(len(methods))
     return [
-        Section("readings-over-time", "Readings over time", series=results_series(results)),
-        Section("parameters", "Health parameters", estimates, tables=(_segments(results),)),
-        Section("accuracy", "Accuracy", kept(charts.bound_ratio(results))),
-        Section("states", "States and flows", states),
-        Section("residuals", "Residuals", residuals, captions.RESIDUALS),
-        Section("training", "Training", kept(*(training.convergence(results, m) for m in results.methods))),
-    ]
+        Section("readings-over-time", "Readings over time",
+                series=None if series is None else replace(series, drawn=figures["readings"])),
+        Section("parameters", "Health parameters", kept_of("map", "violins", "close"), tables=(_segments(results),)),
+        Section("accuracy", "Accuracy", kept_of("bound")),
+        Section("states", "States and flows", kept_of("states", "flows", "empirical")),
+        Section("residuals", "Residuals", kept_of(*(f"residuals {k}" for k in every)), captions.RESIDUALS),
+        Section("training", "Training", kept_of(*(f"training {k}" for k in every))),
+    ]  # fmt: skip
 
 
 def identification_page(results: Results, sections: Sequence[Section]) -> Page:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification
+from dieseltwin.report.encoding import drawn_in_two
 from dieseltwin.report.html import identification_page, identification_sections
 from dieseltwin.report.inputs import results_of
 from dieseltwin.report.page import write_page
@@ -31,4 +32,4 @@ def identification_figures(
         The path of the page.
     """
     results = results_of(identification, problems, about={"recording": recording} if recording else None)
-    return write_page(identification_page(results, identification_sections(results)), page, out_dir)
+    return write_page(identification_page(results, identification_sections(results, drawn_in_two)), page, out_dir)

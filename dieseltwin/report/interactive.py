@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -87,13 +87,15 @@ class Series:
         panels: in their order.
         linked: they share the axis, zoom together and have one cursor; else each has its own, side by side.
         marks: in all of them.
-        drawn: the figure for paper; None: the panels as they are.
+        drawn: the figure for paper, a file as well; None: the panels as they are.
+        pictured: the panels as they are, where they were drawn already.
     """
 
     panels: tuple[Panel, ...]
     linked: bool = True
     marks: tuple[Mark, ...] = ()
     drawn: style.ReportFigure | None = None
+    pictured: style.ReportFigure | None = None
 
     @property
     def data(self) -> Markup:
@@ -106,7 +108,7 @@ class Series:
     @property
     def still(self) -> style.ReportFigure:
         """The figure for paper."""
-        return self.drawn or still(self)
+        return self.drawn or self.pictured or still(self)
 
 
 def script() -> Markup:
@@ -178,8 +180,7 @@ def results_series(results: Results) -> Series | None:
             panels.append(Panel(name, quantities.unit(name), time_s, lines))
     if not panels:
         return None
-    series = Series(tuple(panels))
-    return replace(series, drawn=still(series))
+    return Series(tuple(panels))
 
 
 def _line(name: str, label: str, colour: str, values: Array, dots: bool = False) -> Line:

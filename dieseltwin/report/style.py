@@ -10,7 +10,7 @@ import base64
 import io
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -26,6 +26,7 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 
 from dieseltwin.atomic import write_bytes
+from dieseltwin.report.ticks import ticks_known
 from dieseltwin.settings.methods import MethodStyle, known
 
 TRUTH = "#000000"
@@ -148,6 +149,7 @@ class ReportFigure:
     """One figure of the report with the words that belong to it.
 
     ``kind`` is ``"svg"`` for charts and ``"png"`` for long time series, whose paths would make an SVG heavy.
+    ``content`` is its file at `DPI` where another process drew it, which keeps the ``figure``.
     """
 
     name: str
@@ -155,10 +157,15 @@ class ReportFigure:
     caption: str
     figure: Figure
     kind: str = "svg"
+    content: bytes | None = field(default=None, repr=False)
 
     def encode(self, dpi: int = DPI) -> bytes:
         """Return the file's bytes; the same figure gives the same bytes (no date, no random ids)."""
-        with mpl.rc_context(RC):
+        if self.content is not None:
+            if dpi != DPI:
+                raise ValueError(f"{self.name} was drawn in another process, at {DPI} dots an inch")
+            return self.content
+        with mpl.rc_context(RC), ticks_known(self.figure):
             if self.kind == "png":
                 return _png(self.figure, dpi)
             return _svg(self.figure)

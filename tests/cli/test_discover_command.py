@@ -68,7 +68,7 @@ class FakeCore:
         return SimpleNamespace(minimum_detectable=self.smallest)
 
     def discover(self, source: Recording, engine: Any, options: Any, known: Any = None, prepared: Any = None,
-                 time_s: float | None = None) -> Discovery:  # fmt: skip
+                 time_s: float | None = None, shown: Any = None) -> Discovery:  # fmt: skip
         self.asked += 1
         about = {"path": str(source.path), "sha256": source.sha256, "duration_s": source.duration_s,
                  "channels": list(options.sensors)}  # fmt: skip

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from dieseltwin.errors import InputError
-from dieseltwin.report.beside import begin_beside, ready_beside
+from dieseltwin.report.beside import begin_ahead, begin_beside, ready_beside
 
 
 @pytest.fixture(autouse=True)
@@ -81,3 +83,37 @@ def test_an_error_is_raised_here_and_a_task_that_died_is_done_here(tmp_path: Pat
     with ready_beside(_load):
         begin_beside(_die, tmp_path / "died", os.getpid())()
     assert (tmp_path / "died").read_text(encoding="utf-8") == "done here"
+
+
+def _ahead(wanted: Callable[[], bool], word: str) -> None:
+    os.environ["LOADED_BY"] = word
+    if word == "fails":
+        raise ValueError(word)
+    while word == "goes_on" and not wanted():
+        time.sleep(0.01)
+
+
+def _once_ready(*words: str) -> None:
+    """As a search that takes longer than to load."""
+    from dieseltwin.report.beside import _ready
+
+    assert _ready[-1].is_ready(30.0)
+    for word in words:
+        begin_ahead(_ahead, word)
+
+
+@pytest.mark.parametrize("words", [("first", "last"), ("goes_on",), ("first", "fails")])
+def test_what_is_begun_ahead_is_there_for_the_task_and_makes_way_for_it(tmp_path: Path, words: tuple[str, ...]) -> None:
+    with ready_beside(_load):
+        _once_ready(*words)
+        begin_beside(_write, tmp_path / "page", "by")()
+    _, writer, ahead = (tmp_path / "page").read_text(encoding="utf-8").split()
+    assert writer != str(os.getpid()) and ahead == words[-1]
+
+
+def test_nothing_is_begun_ahead_where_no_process_is_ready(tmp_path: Path) -> None:
+    begin_ahead(_ahead, "here")
+    with ready_beside(lambda: time.sleep(0.5)):
+        begin_ahead(_ahead, "too early")
+        begin_beside(_write, tmp_path / "page", "by")()
+    assert (tmp_path / "page").read_text(encoding="utf-8").endswith(" None")

@@ -13,8 +13,9 @@ import synthetic_discovery as synthetic
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.report import discovery_figures, discovery_residuals
-from dieseltwin.report.discovery_page import build_discovery_report, discovery_sections, left_over
+from dieseltwin.report.discovery_page import build_discovery_report, discovery_sections, left_over, of_curves
 from dieseltwin.report.discovery_words import sentence
+from dieseltwin.report.encoding import drawn_in_two
 from dieseltwin.report.style import ReportFigure
 
 FIGURES = {"health", "law", "evidence_time", "evidence_map", "residual_time", "residual_map", "residual_map_actuators",
@@ -74,6 +75,23 @@ def test_averages_show_what_single_residuals_hide(leak: Discovery) -> None:
         grid = discovery_residuals.over_noise(*discovery_figures.cell_means(x, y, residual, edges, 10), 1.0)
         sizes.append(float(np.nanmean(grid**2)))
     assert sizes[0] > 1.4 > sizes[1]
+
+
+def test_figures_drawn_ahead_are_those_of_the_page(leak: Discovery, tmp_path: Path) -> None:
+    """They are drawn while health and the effects' sizes are still those of the search, and the page is the same."""
+    before = leak.document.model_copy(update={
+        "health": {name: item.model_copy(update={"value": 1.1 * item.value, "std": 1.0})
+                   for name, item in leak.document.health.items()},
+        "effects": tuple(effect.model_copy(update={"magnitude": 1.0, "std": None}) for effect in leak.document.effects),
+        "circumstances": (),
+    })  # fmt: skip
+    ahead = drawn_in_two(of_curves(replace(leak, document=before)))
+    names = {figure.name for figure in ahead.values() if figure is not None}
+    assert names == FIGURES - {"health", "law"} | {"readings"}
+    pages = [build_discovery_report(leak, tmp_path / name / "report.html", figures_dir=tmp_path / name, ahead=there)
+             for name, there in (("plain", None), ("ahead", ahead))]  # fmt: skip
+    files = [{path.name: path.read_bytes() for path in page.parent.iterdir()} for page in pages]
+    assert files[0] == files[1]
 
 
 def test_page_is_self_contained_and_says_the_sentence(leak: Discovery, tmp_path: Path) -> None:

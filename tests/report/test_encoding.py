@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import pytest
 from matplotlib.figure import Figure
 
-from dieseltwin.report.encoding import encode_all
+from dieseltwin.report.encoding import drawn_here, drawn_in_two, encode_all
 from dieseltwin.report.style import ReportFigure
 
 
@@ -32,10 +33,40 @@ def test_two_processes_make_the_files_that_one_makes(monkeypatch: pytest.MonkeyP
         assert pool.submit(encode_all, _figures()).result() == alone
 
 
+def test_figures_are_drawn_by_two_processes_as_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def drawing(number: int) -> ReportFigure | None:
+        return None if number == 3 else _figures()[number]
+
+    drawings = {f"drawing {number}": partial(drawing, number) for number in range(5)}
+    alone = drawn_here(drawings)
+    for threads in ("1", "2"):
+        monkeypatch.setenv("DIESELTWIN_THREADS", threads)
+        both = drawn_in_two(drawings)
+        assert list(both) == list(alone) and both["drawing 3"] is None
+        for name, figure in alone.items():
+            finished = both[name]
+            if figure is not None and finished is not None:
+                assert finished.name == figure.name and finished.encode() == figure.encode()
+    with pytest.raises(ValueError, match="figure_0 was drawn in another process"):
+        both["drawing 0"].encode(60)  # type: ignore[union-attr]
+
+
+def test_what_fails_in_one_of_two_processes_is_raised_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever takes it: what the second one can't draw is drawn here once more, and fails here."""
+    monkeypatch.setenv("DIESELTWIN_THREADS", "2")
+    drawings = {**{figure.name: partial(_same, figure) for figure in _figures()}, "none": partial(divmod, 1, 0)}
+    with pytest.raises(ZeroDivisionError):
+        drawn_in_two(drawings)  # type: ignore[arg-type]
+
+
+def _same(figure: ReportFigure) -> ReportFigure:
+    return figure
+
+
 def test_what_the_second_process_can_not_send_is_drawn_here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DIESELTWIN_THREADS", "2")
     alone = {figure.name: figure.encode() for figure in _figures()}
-    monkeypatch.setattr("dieseltwin.report.encoding._send", lambda sender, figures: sender.close())
+    monkeypatch.setattr("dieseltwin.report.encoding._send", lambda sender, numbers, tasks: sender.close())
     assert encode_all(_figures()) == alone
 
 
@@ -43,7 +74,7 @@ def test_a_second_process_that_never_sends_is_not_waited_for(monkeypatch: pytest
     monkeypatch.setenv("DIESELTWIN_THREADS", "2")
     alone = {figure.name: figure.encode() for figure in _figures()}
     monkeypatch.setattr("dieseltwin.report.encoding._PATIENCE_S", 0.2)
-    monkeypatch.setattr("dieseltwin.report.encoding._send", lambda sender, figures: time.sleep(600.0))
+    monkeypatch.setattr("dieseltwin.report.encoding._send", lambda sender, numbers, tasks: time.sleep(600.0))
     begun = time.perf_counter()
     assert encode_all(_figures()) == alone
     assert time.perf_counter() - begun < 60.0

@@ -166,9 +166,13 @@ class EngineTwin:
         return stiffness(states, self._even[0], self.engine)
 
     def _choose_steps(self) -> None:
-        """Steps, and the actuators without effects on them."""
         self.steps_s = step_lengths(self._stiffness, self.starts)
-        self._plain = actuate_lanes(self.inputs, self.engine, {}, 1, None, self.steps_s)
+        self.__dict__.pop("_plain", None)
+
+    @cached_property
+    def _plain(self) -> list[Actuation]:
+        """Actuators without effects; a twin that is given other windows at once, and so other steps, asks for none."""
+        return actuate_lanes(self.inputs, self.engine, {}, 1, None, self.steps_s)
 
     def _begin(self) -> None:
         """Readings without the first moments of each window, and the states at the windows' starts."""
@@ -287,7 +291,7 @@ class EngineTwin:
         longer = np.diff(inputs.time_s) / np.diff(self.time_s)
         other.inputs, other.time_s, other._memory = inputs.clipped(self.engine), inputs.time_s, Memory()
         other.steps_s = longer * self.steps_s
-        other._plain = actuate_lanes(other.inputs, self.engine, {}, 1, None, other.steps_s)
+        other.__dict__.pop("_plain", None)
         other._law_signals = dict(self._law_signals)
         return other
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, cast
 
@@ -47,7 +47,7 @@ from dieseltwin.discovery.verdict.over_recordings import (
 )
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.since_reference import no_better_than_then, since_reference
-from dieseltwin.discovery.verdict.told import told
+from dieseltwin.discovery.verdict.told import Told, told
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import OneTerm, Term
@@ -58,7 +58,7 @@ from dieseltwin.version import __version__
 
 def assemble(
     days: Sequence[Dated], found: Search, options: Options, reference: Reference | None = None,
-    time_s: float | None = None, then: Array | None = None,
+    time_s: float | None = None, then: Array | None = None, shown: Callable[[Discovery], None] | None = None,
 ) -> Discovery:  # fmt: skip
     """The result of a search on recordings of the engine, one or several that were judged together.
 
@@ -69,45 +69,24 @@ def assemble(
         options: what was asked; reference: what the engine was learned from.
         time_s: limit of the search [s], None where there was none.
         then: (4,) relative standard deviations of health when the reference was recorded [-]; None without one.
+        shown: is given the result with health, sizes and circumstances as the search left them, everything else final.
     """
-    null = found.null
-    best = found.best
+    null, best, mismatch = found.null, found.best, found.kind != "healthy"
     twin = cast(EngineTwin | SeveralTwin, found.twin)
-    mismatch = found.kind != "healthy"
     at = explained_at(found)
     after = at.simulated
-    said = told(found, at, after)
-    parameters = said.fit.parameters[: len(twin.parameters)]
     apart = disagreement(found, at)
-    own = cast(Array, said.fit.covariance)[: apart.size, : apart.size] + np.diag(apart**2)
-    covariance = no_better_than_then(own, parameters, then)
     since = since_reference(at, found.twin, apart)
     evidence = _evidence(found, after)
     sizes, differ = told_apart(found, days) if mismatch else ([], "")
-    document = Discrepancy(
-        schema=1,  # type: ignore[call-arg]  # the alias of schema_version
-        recording=_about(days, twin.channels),
-        mismatch=mismatch,
-        p_value=p_value(found),
-        location=onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None,
-        effects=with_words(findings.effects(found, said.fit), differ) if mismatch else (),
-        more_is_missing=found.more_is_missing(),
-        health=health_values(found, (parameters, covariance), since),
-        fit=fit_figures(found, after),
-        minimum_detectable=finite_only(minimum_detectable(found.scored, found.settings.alarm_gain)),
-        provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
-        out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
-        recordings=judged(found, days, (parameters, covariance), since, sizes),
-        circumstances=tuple(found_circumstance(item) for item in said.circumstances),
-    )  # fmt: skip
-    before_engine = _engine(twin, null.fit.parameters, ())
-    terms = _terms(found, twin, said.fit) if mismatch else ()
+    location = onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None
+    figures, smallest = fit_figures(found, after), minimum_detectable(found.scored, found.settings.alarm_gain)
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
         after=after, sigma=found.noise.sigma, evidence_over_time=_by_window(found, evidence),
         evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found, twin),
-        sensitivity=document.minimum_detectable,
+        sensitivity=finite_only(smallest),
         tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
         allowed=_allowed(found, after),
@@ -116,10 +95,36 @@ def assemble(
     starts, local = twin.starts, twin.initial(at.fit.local)
     if isinstance(twin, SeveralTwin):
         starts, local = twin.parts[-1].starts, local[-twin.parts[-1].starts.size :]
-    return Discovery(
-        document, _engine(twin, parameters, terms), before_engine, curves, {}, details, starts, local,
-        None if len(days) > 1 else observed(found, (parameters, covariance), since),
-    )
+
+    def result(said: Told) -> Discovery:
+        parameters = said.fit.parameters[: len(twin.parameters)]
+        own = cast(Array, said.fit.covariance)[: apart.size, : apart.size] + np.diag(apart**2)
+        covariance = no_better_than_then(own, parameters, then)
+        document = Discrepancy(
+            schema=1,  # type: ignore[call-arg]  # the alias of schema_version
+            recording=_about(days, twin.channels),
+            mismatch=mismatch,
+            p_value=p_value(found),
+            location=location,
+            effects=with_words(findings.effects(found, said.fit), differ) if mismatch else (),
+            more_is_missing=found.more_is_missing(),
+            health=health_values(found, (parameters, covariance), since),
+            fit=figures,
+            minimum_detectable=finite_only(smallest),
+            provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
+            out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
+            recordings=judged(found, days, (parameters, covariance), since, sizes),
+            circumstances=tuple(found_circumstance(item) for item in said.circumstances),
+        )  # fmt: skip
+        terms = _terms(found, twin, said.fit) if mismatch else ()
+        return Discovery(
+            document, _engine(twin, parameters, terms), _engine(twin, null.fit.parameters, ()), curves, {}, details,
+            starts, local, None if len(days) > 1 else observed(found, (parameters, covariance), since),
+        )
+
+    if shown is not None:
+        shown(result(Told(at.fit, ())))
+    return result(told(found, at, after))
 
 
 def _about(days: Sequence[Dated], channels: Sequence[str]) -> RecordingInfo:
