@@ -310,8 +310,7 @@ class LawTerm(_Limited):
         return self
 
     def signal(self, variables: Any, power: Any = positive_power, nozzle: Any = nozzle_flow_factor) -> Any:
-        """The law's value where `variables` maps names to arrays or tensors; `power` (of what is positive, else nought:
-        a valve's position overshoots below nought) and `nozzle` are their backend's."""
+        """Value at arrays or tensors by name; `power` (0 where a valve overshoots), `nozzle`: of their backend."""
         value: Any = self.coefficient
         for variable, reference, exponent in self.factors:
             value = value * power(variables[variable] / reference, exponent)
