@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from dieseltwin.report.style import ReportFigure
 
 ROOT = Path(__file__).resolve().parents[1]
-TOGETHER = "tests/flows/"
+TOGETHER = {
+    "tests/flows/": "tests/flows/",  # Prefect's server and the chain
+    "tests/engine/test_new_": "tests/engine/test_new_",  # a library of its own, whose kernels are compiled
+}
+"""Begin of files that share what takes long -> the name of their scope: one process takes all of them."""
 
 # Processor seconds, kernels of the simulator compiled before: what is long begins first, what isn't here is done in the
 # end.
@@ -84,13 +88,13 @@ def figures(results: Results) -> dict[str, ReportFigure]:
 
 
 class ByFile(LoadScopeScheduling):  # type: ignore[misc]
-    """A process takes whole files, and one process all files of the flows, which share Prefect's server and the chain.
+    """A process takes whole files, and one process all files that are `TOGETHER`.
 
     (xdist's own groups, `--dist loadgroup`, are written into an identifier that pytest 9.2 doesn't read any more.)
     """
 
     def _split_scope(self, nodeid: str) -> str:
-        return TOGETHER if nodeid.startswith(TOGETHER) else nodeid.partition("::")[0]
+        return next((scope for begin, scope in TOGETHER.items() if nodeid.startswith(begin)), nodeid.partition("::")[0])
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -99,10 +103,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first, so that no process waits for another one's at the end."""
+    """The flows and then long files first, so that no process waits for another one's at the end."""
     files = {item: Path(os.path.relpath(item.path, ROOT)).as_posix() for item in items}
     rank = {f"tests/{file}": -seconds for file, seconds in LONG.items()}
-    items.sort(key=lambda item: (not files[item].startswith(TOGETHER), rank.get(files[item], 0.0)))
+    items.sort(key=lambda item: (not files[item].startswith("tests/flows/"), rank.get(files[item], 0.0)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
