@@ -89,6 +89,9 @@ bench: $(READY)  ## docs/speed.md
 promote: $(READY)  ## the registry's champion, from models/
 	@$(BIN)/python -m flows.promote --profile $(PROFILE)
 
+# Where a machine forbids Python to keep what it compiled, every process would compile all test modules anew, and every
+# step and command of the tests its part of the library.
+test: export PYTHONDONTWRITEBYTECODE :=
 test: $(READY)  ## all tests on two processes
 	@$(BIN)/python -m pytest -n 2 --no-loadscope-reorder -q
 

@@ -19,22 +19,26 @@ if TYPE_CHECKING:
     from dieseltwin.report.style import ReportFigure
 
 ROOT = Path(__file__).resolve().parents[1]
-TOGETHER = "tests/flows/"
+TOGETHER = {
+    "tests/flows/": "tests/flows/",  # Prefect's server and the chain
+    "tests/engine/test_new_": "tests/engine/test_new_",  # a library of its own, whose kernels are compiled
+}
+"""Begin of files that share what takes long -> the name of their scope: one process takes all of them."""
 
 # Processor seconds, kernels of the simulator compiled before: what is long begins first, what isn't here is done in the
 # end.
 LONG = {
-    "end_to_end/test_diesel.py": 78, "app/test_browser.py": 69, "end_to_end/test_points.py": 53,
-    "petrol/test_petrol_discover.py": 49, "end_to_end/test_rigs.py": 39, "api/test_api_discover.py": 38,
-    "examples/test_small_rigs.py": 29, "surrogates/test_empirical.py": 26, "test_core.py": 25,
-    "discovery/search/test_circumstances.py": 25, "engine/test_new_column.py": 24,
-    "discovery/twins/test_diesel_between.py": 23, "cli/test_learn_command.py": 23, "cli/test_app.py": 16,
-    "petrol/test_petrol_commands.py": 21, "cli/test_bad_input.py": 20, "challenge/test_points_tier.py": 18,
-    "challenge/test_baselines.py": 18, "api/test_api_together.py": 17, "paper/comparison/test_page.py": 15,
-    "calibration/test_imply.py": 15, "paper/test_compiled_loss.py": 12, "paper/test_network_loops.py": 12,
-    "examples/test_scripts.py": 12, "engine/test_new_effect.py": 12,
-    "discovery/reference/test_learn.py": 12, "discovery/search/test_search.py": 11,
-    "api/test_front_door.py": 11, "discovery/search/test_local_misfit.py": 11,
+    "app/test_browser.py": 69, "end_to_end/test_diesel.py": 42, "petrol/test_petrol_discover.py": 37,
+    "end_to_end/test_points.py": 36, "end_to_end/test_rigs.py": 27, "engine/test_new_column.py": 27,
+    "api/test_api_discover.py": 22, "examples/test_small_rigs.py": 22, "petrol/test_petrol_commands.py": 21,
+    "surrogates/test_empirical.py": 17, "test_core.py": 16, "discovery/search/test_circumstances.py": 16,
+    "discovery/search/test_search.py": 14, "paper/test_network_loops.py": 13, "cli/test_bad_input.py": 13,
+    "cli/test_learn_command.py": 12, "challenge/test_points_tier.py": 12, "api/test_api_together.py": 10,
+    "calibration/test_imply.py": 10, "calibration/test_reference_engine.py": 10, "api/test_front_door.py": 9,
+    "paper/test_compiled_loss.py": 9, "calibration/test_lasting_errors.py": 8, "challenge/test_baselines.py": 8,
+    "paper/comparison/test_page.py": 8, "app/test_pages.py": 7, "calibration/test_recovery.py": 7,
+    "calibration/test_sensor_errors.py": 7, "cli/test_app.py": 7, "discovery/search/test_local_misfit.py": 7,
+    "discovery/twins/test_diesel_between.py": 7, "examples/test_scripts.py": 7, "rigs/test_rig_page.py": 7,
 }  # fmt: skip
 
 # Repeatable: a red run must be red again. No deadlines: two shared cores.
@@ -84,13 +88,13 @@ def figures(results: Results) -> dict[str, ReportFigure]:
 
 
 class ByFile(LoadScopeScheduling):  # type: ignore[misc]
-    """A process takes whole files, and one process all files of the flows, which share Prefect's server and the chain.
+    """A process takes whole files, and one process all files that are `TOGETHER`.
 
     (xdist's own groups, `--dist loadgroup`, are written into an identifier that pytest 9.2 doesn't read any more.)
     """
 
     def _split_scope(self, nodeid: str) -> str:
-        return TOGETHER if nodeid.startswith(TOGETHER) else nodeid.partition("::")[0]
+        return next((scope for begin, scope in TOGETHER.items() if nodeid.startswith(begin)), nodeid.partition("::")[0])
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -99,10 +103,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first, so that no process waits for another one's at the end."""
+    """The flows and then long files first, so that no process waits for another one's at the end."""
     files = {item: Path(os.path.relpath(item.path, ROOT)).as_posix() for item in items}
     rank = {f"tests/{file}": -seconds for file, seconds in LONG.items()}
-    items.sort(key=lambda item: (not files[item].startswith(TOGETHER), rank.get(files[item], 0.0)))
+    items.sort(key=lambda item: (not files[item].startswith("tests/flows/"), rank.get(files[item], 0.0)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

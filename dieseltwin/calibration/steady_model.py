@@ -220,8 +220,8 @@ class SteadyModel:
         for name in self.extra:
             pairs[EXTRA_ROWS[name]] = (points[name], implied[EXTRA_ROWS[name]])
         shape = np.broadcast_shapes((lanes, points.size), x.shape[:-1])
-        measured = {k: np.broadcast_to(v[0], shape) for k, v in pairs.items()}
-        predicted = {k: np.broadcast_to(v[1], shape) for k, v in pairs.items()}
+        measured = {k: _spread(v[0], shape) for k, v in pairs.items()}
+        predicted = {k: _spread(v[1], shape) for k, v in pairs.items()}
         residual = np.stack([_log_ratio(measured[k], predicted[k]) for k in self.rows], axis=-1)
         # The compressor's map is judged in its implicit form (A.46): solved for the flow, a flat speed line would
         # turn 1 % of pressure into 30 % of flow.
@@ -239,7 +239,7 @@ class SteadyModel:
             "Psi_c": _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c),
         }  # fmt: skip
         return Relations(residual, measured, predicted,
-                         {k: np.broadcast_to(v, shape) for k, v in quantities.items()})
+                         {k: _spread(v, shape) for k, v in quantities.items()})
 
     def _entered(self, points: SteadyPoints, values: Mapping[str, Any], lanes: int) -> dict[str, Array]:
         """Signals by insertion point, with the smooth errors of maps; points without their columns are elsewhere and
@@ -373,8 +373,22 @@ class _Terms:
         return self("work_0") * (1.0 - self("work_slope") * volume * Pi_c ** -0.36)
 
 
+def _spread(values: Any, shape: tuple[int, ...]) -> Array:
+    """`np.broadcast_to`, which takes longer than an equation, where it has something to do."""
+    return values if np.shape(values) == shape else np.broadcast_to(values, shape)
+
+
+def _middle(values: Array) -> float:
+    """`np.nanmedian` of all values without its overhead; there is one."""
+    known = values[~np.isnan(values)]
+    half = known.size // 2
+    if known.size % 2:
+        return float(np.partition(known, half)[half])
+    low, high = np.partition(known, (half - 1, half))[half - 1 : half + 1]
+    return float((low + high) / 2.0)
+
+
 def _log_ratio(measured: Array, predicted: Array) -> Array:
-    with np.errstate(invalid="ignore"):
-        middle = np.nanmedian(np.abs(measured)) if np.isfinite(measured).any() else 1.0
+    middle = _middle(np.abs(measured)) if np.isfinite(measured).any() else 1.0
     floor = SMALL_FLOW * middle + 1e-9
     return np.log((np.maximum(measured, 0.0) + floor) / (np.maximum(predicted, 0.0) + floor))

@@ -160,12 +160,15 @@ _VECTORS: dict[str, tuple[str, ...]] = {
 }
 
 
+_PUBLISHED = frozenset(PUBLISHED)
+
+
 def _scalars(parameters: EngineParameters) -> dict[str, float]:
     values: dict[str, float] = {}
-    for name, value in parameters.model_dump().items():
+    for name, value in parameters:
         if name in _VECTORS:
             values.update(zip(_VECTORS[name], value, strict=True))
-        elif name in PUBLISHED:
+        elif name in _PUBLISHED:
             values[name] = float(value)
     return values
 
@@ -229,7 +232,8 @@ def parameter_batch(parameters: EngineParameters, size: int | None = None, **col
             do="align the columns",
         )
     batch = lengths.pop() if lengths else (size or 1)
-    values: dict[str, Any] = {name: np.full(batch, value) for name, value in _scalars(parameters).items()}
+    common = _scalars(parameters)
+    values: dict[str, Any] = dict(zip(common, np.repeat(list(common.values()), batch).reshape(-1, batch), strict=True))
     for name, column in columns.items():
         if name not in PUBLISHED:
             close = difflib.get_close_matches(name, PUBLISHED, n=1)

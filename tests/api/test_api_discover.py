@@ -83,7 +83,7 @@ def test_a_refusal_is_one_line_and_nothing_is_searched(leaking: Path) -> None:
 @pytest.fixture(scope="module")
 def points(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An engine whose exhaust is throttled by a flap, 0.5 % noise."""
-    made = made_points(count=80, noise=0.005, effects=FLAP)
+    made = made_points(count=50, noise=0.005, effects=FLAP)
     path = tmp_path_factory.mktemp("points") / "points.csv"
     pd.DataFrame(dict(made.columns)).to_csv(path, index=False)
     return path
@@ -99,7 +99,7 @@ def quick_points(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_points_are_calibrated_discovered_and_answered_for(points: Path, tmp_path: Path) -> None:
     calibrated = dt.calibrate(points, geometry=GEOMETRY)
     file = calibrated.save(tmp_path / "engine.yaml")
-    assert dt.engine(file) == calibrated.engine and "80 points" in calibrated.sentence
+    assert dt.engine(file) == calibrated.engine and "50 points" in calibrated.sentence
     assert set(calibrated.table().columns) >= {"held_out_pct", "tolerance_pct"} and len(calibrated.plot().axes) == 6
     found = dt.discover(points, file)
     assert isinstance(found, PointsDiscovered) and found.document.mismatch and "flap" in found.sentence

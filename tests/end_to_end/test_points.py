@@ -170,7 +170,7 @@ def test_withheld_channels_fall_into_their_intervals(flap: Calibrated, tmp_path:
 
 @pytest.mark.usefixtures("one_start")
 def test_a_flap_that_nobody_recorded_is_something_behind_the_turbine(flap: Calibrated, tmp_path: Path) -> None:
-    points = pd.read_csv(flap.points).drop(columns="u_flap_pct").iloc[::2]
+    points = pd.read_csv(flap.points).drop(columns="u_flap_pct").iloc[::3]
     points.to_csv(tmp_path / "points.csv", index=False)
     dt.calibrate(tmp_path / "points.csv", geometry=flap.points.parent / "geometry.yaml").save(tmp_path / "engine.yaml")
     found = dt.discover(tmp_path / "points.csv", engine=tmp_path / "engine.yaml")

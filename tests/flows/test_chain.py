@@ -24,7 +24,6 @@ import yaml
 from tiny_settings import new_context
 
 from dieseltwin import engine
-from flows.identify import COMPARED
 from tasks import discover, identify, pretrain, prove, report, simulate
 from tasks.progress import Display
 from tasks.run_context import RunContext, Step
@@ -34,13 +33,19 @@ from tasks.workspace import PROJECT, Workspace, quiet_settings
 # A busy machine: what is tested is what comes out, not when.
 pytestmark = pytest.mark.timeout(900)
 
-STAGES: dict[str, tuple[Step, ...]] = {
-    "simulate": (simulate.driving_sets, simulate.case_recordings),
-    "pretrain": (pretrain.eta_tm_labels, pretrain.maps, pretrain.operators, pretrain.bodies),
-    "identify": (*(identify.STEPS[method] for method in COMPARED), report.comparison),
-    "discover": (prove.benchmark, discover.discover),
-    "prove": (prove.benchmark, prove.case, prove.opened, prove.bands, prove.baseline, prove.score),
-}
+
+def steps_of_stages() -> dict[str, tuple[Step, ...]]:
+    """What the stages run; Prefect is imported here, not by every process that collects tests."""
+    from flows.identify import COMPARED
+
+    return {
+        "simulate": (simulate.driving_sets, simulate.case_recordings),
+        "pretrain": (pretrain.eta_tm_labels, pretrain.maps, pretrain.operators, pretrain.bodies),
+        "identify": (*(identify.STEPS[method] for method in COMPARED), report.comparison),
+        "discover": (prove.benchmark, discover.discover),
+        "prove": (prove.benchmark, prove.case, prove.opened, prove.bands, prove.baseline, prove.score),
+    }
+
 
 
 @pytest.mark.flow
@@ -223,7 +228,7 @@ def file_of(module: str) -> str:
 
 def test_a_stage_depends_on_every_module_and_file_that_its_steps_rest_on() -> None:
     context = RunContext(Workspace(PROJECT), Display(PROJECT / "unused"))
-    for stage, steps in STAGES.items():
+    for stage, steps in steps_of_stages().items():
         deps = dvc_stages()[stage]["deps"]
         folders = tuple(f"{dep}/" for dep in deps if not dep.endswith(".py"))
         rests_on = {f"tasks/{stage}.py", f"flows/{stage}.py"}
@@ -264,7 +269,7 @@ def sections_read(flow: str) -> set[tuple[str, ...]]:
 
 
 def test_a_stage_declares_every_setting_that_its_flow_reads_in_common_and_in_its_profile() -> None:
-    for stage in STAGES:
+    for stage in steps_of_stages():
         declared = {str(name) for name in dvc_stages()[stage]["params"]}
         profile = re.search(r"--profile (\S+)", dvc_stages()[stage]["cmd"])
         assert profile is not None

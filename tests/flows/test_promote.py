@@ -10,8 +10,6 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from mlflow.exceptions import MlflowException
-from mlflow.protos.databricks_pb2 import INTERNAL_ERROR, RESOURCE_DOES_NOT_EXIST
 
 from tasks import promote
 from tasks.failures import StepFailed, WorkerKilled
@@ -27,6 +25,9 @@ class Registered:
         self.aliases, self.source, self.sha256, self.broken, self.asked = aliases, source, sha256, broken, 0
 
     def _ask(self) -> None:
+        from mlflow.exceptions import MlflowException  # here, not in every process that collects tests
+        from mlflow.protos.databricks_pb2 import INTERNAL_ERROR
+
         self.asked += 1
         if self.asked == self.broken:
             raise MlflowException("database is locked", INTERNAL_ERROR)
@@ -38,6 +39,9 @@ class Registered:
     def get_model_version(self, name: str, version: str) -> Any:
         self._ask()
         if version not in self.aliases.values():
+            from mlflow.exceptions import MlflowException
+            from mlflow.protos.databricks_pb2 import RESOURCE_DOES_NOT_EXIST
+
             raise MlflowException("no such version", RESOURCE_DOES_NOT_EXIST)
         return SimpleNamespace(version=version, source=self.source, tags={"dieseltwin.sha256": self.sha256})
 
@@ -51,6 +55,8 @@ def registry(root: Path, client: Registered) -> Registry:
 
 
 def test_a_registry_that_cannot_be_read_is_not_one_without_a_champion(tmp_path: Path) -> None:
+    from mlflow.exceptions import MlflowException
+
     folder = Workspace(tmp_path).mlruns / "artifacts" / "promote" / "networks"
     folder.mkdir(parents=True)
     (folder / "bodies.pt").write_text("weights")

@@ -54,6 +54,17 @@ class Insertion:
         return value
 
 
+class _NothingInserted(Insertion):
+    """Where no signal and no law enters, nobody asks what was noted: every quantity goes on as it is."""
+
+    def __init__(self) -> None:
+        super().__init__({}, {}, {}, {})
+
+    def __call__(self, name: str, value: Any) -> Any:
+        del name
+        return value
+
+
 @dataclass(frozen=True)
 class Model:
     """Declarations of a small twin.
@@ -229,24 +240,33 @@ class SimpleTwin(TwinDefaults):
         own = self._lane_signals(lanes)
         factors = {name: factor[self._rows] for name, factor in lanes.schedules.items() if name in lanes.magnitudes}
         magnitudes = {name: np.asarray(value)[:, None] for name, value in lanes.magnitudes.items()}
-        absent = dict.fromkeys(self.hypotheses, 0.0)
-        linear = model.hold == "linear"
+        constant = SimpleNamespace(**{**dict.fromkeys(self.hypotheses, 0.0), **magnitudes})
+        untouched = None if shared or own or any(laws.values()) else _NothingInserted()
 
-        def rates(state: Array, k: int, share: float) -> Array:
-            def at(values: Array) -> Array:
-                return values[k] if share == 0.0 else (1.0 - share) * values[k] + share * values[k + 1]
+        # What doesn't depend on the states is taken between the samples for all of them at once: the loop below runs
+        # over thousands of steps with few lanes.
+        def between(values: Array, share: float) -> Array:
+            return values[:-1] if share == 0.0 else (1.0 - share) * values[:-1] + share * values[1:]
 
-            x = SimpleNamespace(**dict(zip(self.states, state, strict=True)))
-            u = SimpleNamespace(**{name: at(values) if linear else values[k] for name, values in inputs.items()})
-            e = SimpleNamespace(**absent)
-            for name, magnitude in magnitudes.items():
-                setattr(e, name, magnitude * factors[name][k] if name in factors else magnitude)
-            signals = {name: [at(values)] for name, values in shared.items()}
+        shares = [j / m for j in range(m + 1)]
+        held = model.hold == "held"
+        driven = [{name: between(v, 0.0 if held else share) for name, v in inputs.items()} for share in shares]
+        entering = [{name: between(v, share) for name, v in shared.items()} for share in shares]
+
+        def inserted(x: SimpleNamespace, u: SimpleNamespace, k: int, j: int) -> Insertion:
+            signals = {name: [values[k]] for name, values in entering[j].items()}
             for name, values in own.items():
-                signals.setdefault(name, []).append(at(values))
-            insertion = Insertion(self._points, signals, laws, {**vars(x), **vars(u)})
+                signals.setdefault(name, []).append(between(values[k : k + 2], shares[j])[0])
+            return Insertion(self._points, signals, laws, {**vars(x), **vars(u)})
+
+        def rates(state: Array, k: int, j: int) -> Array:
+            x = SimpleNamespace(**dict(zip(self.states, state, strict=True)))
+            u = SimpleNamespace(**{name: values[k] for name, values in driven[j].items()})
+            e = constant
+            if factors:
+                e = SimpleNamespace(**{**vars(constant), **{n: magnitudes[n] * f[k] for n, f in factors.items()}})
             derivative = np.empty_like(state)
-            for i, value in enumerate(model.rates(x, u, p, insertion, e)):
+            for i, value in enumerate(model.rates(x, u, p, untouched or inserted(x, u, k, j), e)):
                 derivative[i] = value
             return derivative
 
@@ -254,8 +274,8 @@ class SimpleTwin(TwinDefaults):
             for k in range(length - 1):
                 state, step = out[k], self._step[k] / m
                 for j in range(m):
-                    first = rates(state, k, j / m)
-                    second = rates(state + step * first, k, (j + 1) / m)
+                    first = rates(state, k, j)
+                    second = rates(state + step * first, k, j + 1)
                     state = state + 0.5 * step * (first + second)
                 out[k + 1] = state
         return out

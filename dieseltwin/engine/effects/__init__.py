@@ -11,6 +11,7 @@ import pkgutil
 from collections import namedtuple
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 from dieseltwin.engine.effect import SITES, Curve, Effect, Entry
@@ -85,6 +86,7 @@ Magnitudes = _tuple_type("Magnitudes", STATE_EFFECTS, module=__name__)
 """Magnitudes of `STATE_EFFECTS` at a moment [their units]; a drift's is rate times time."""
 
 
+@cache
 def effects_at(quantity: str) -> tuple[str, ...]:
     """Names of the effects that enter at a quantity of `hooks`."""
     return tuple(n for n, e in EFFECTS.items() if e.enters.through == "quantity" and e.enters.name == quantity)
