@@ -26,8 +26,9 @@ TOGETHER = {
 """Begin of files that share what takes long -> the name of their scope: one process takes all of them."""
 
 # Processor seconds, kernels of the simulator compiled before: what is long begins first, what isn't here is done in the
-# end.
+# end. Of the flows these two stand beside each other as their steps are forked by one server, which others end.
 LONG = {
+    "flows/test_chain.py": 80, "flows/test_evaluate.py": 55,
     "app/test_browser.py": 69, "end_to_end/test_diesel.py": 42, "petrol/test_petrol_discover.py": 37,
     "end_to_end/test_points.py": 36, "end_to_end/test_rigs.py": 27, "engine/test_new_column.py": 27,
     "api/test_api_discover.py": 22, "examples/test_small_rigs.py": 22, "petrol/test_petrol_commands.py": 21,
