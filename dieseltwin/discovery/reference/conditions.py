@@ -98,6 +98,8 @@ class Conditions:
             (item, item.assumed + item.std * float(at)) for item, at, now in
             zip(self.items, estimate, self.applied(twin), strict=True) if item.kind != DRIFT and abs(at - now) > _NEAR
         ]  # fmt: skip
+        if not far:
+            return None
         other = twin.under({**twin.values, **{item.name: value for item, value in far}}, twin.opened, like=True)
         return other if any(other.values[item.name] != twin.values.get(item.name) for item, _ in far) else None
 

@@ -11,7 +11,8 @@ CALLS = "FAKE_DISCOVERY_CALLS"
 
 
 def _discover(
-    recording: Any, engine: Any, options: Any = None, known: Any = None, prepared: Any = None, time_s: Any = None
+    recording: Any, engine: Any, options: Any = None, known: Any = None, prepared: Any = None, time_s: Any = None,
+    shown: Any = None,
 ) -> Any:
     """Says "boost leak" of every recording whose mean intake pressure is odd."""
     import hashlib
