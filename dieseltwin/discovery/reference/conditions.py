@@ -13,7 +13,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.circumstances import WithCircumstances, from_the_middle
 from dieseltwin.discovery.likelihood.metric import Metric
-from dieseltwin.discovery.search.circumstances import ROUNDS, under_circumstances, weather_is_read
+from dieseltwin.discovery.search.circumstances import ROUNDS, under_circumstances
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes
@@ -27,6 +27,7 @@ _FAR = 0.6  # of a prior's standard deviation (5 kPa, 9 K): nearer weather is le
 _NEAR = 0.15  # of a prior's standard deviation (1.2 kPa, 2 K, 0.02 s): farther, responses are others
 _SHARPEST = 0.005  # s; the middle clock, from which the others count, has no deviation of its own
 _SURE = 4.0  # standard deviations that a clock of the engine's recordings is off
+_CHARGE = "t_im_k"
 
 
 def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float) -> LoggedTwin:
@@ -51,14 +52,13 @@ def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float
 
 
 def open_of(twin: WithCircumstances) -> tuple[Circumstance, ...]:
-    """What stays open of a reference: clocks that were found to be off, and the ambient that no column gives.
+    """What stays open of a reference: clocks that were found to be off, ambient and charge that no column gives.
 
-    The charge's temperature is one product with the level of eta_vol: the map has it. With both free fits came to no
-    rest.
+    A charge of another temperature is one product with the level of eta_vol. It has to be open even so: two pieces of a
+    reference whose charges are 5 K apart would be met by a map that is off in between, and known too well.
     """
-    weather = () if weather_is_read(twin) else tuple(
-        item for item in twin.circumstances if item.unknown and not item.read and item.column in AMBIENT
-    )  # fmt: skip
+    unread = {item.column for item in twin.circumstances if item.plain in (*AMBIENT, _CHARGE) and not item.read}
+    weather = (item for item in twin.circumstances if item.kind in ("", DRIFT) and item.column in unread)
     return (*weather, *(item for item in twin.circumstances if item.name in twin.opened))
 
 
@@ -103,12 +103,12 @@ class Conditions:
         other = twin.under({**twin.values, **{item.name: value for item, value in far}}, twin.opened, like=True)
         return other if any(other.values[item.name] != twin.values.get(item.name) for item, _ in far) else None
 
-    def clocks(self, twin: LoggedTwin, metric: Metric, residual: Array) -> tuple[Clock, ...]:
-        """Clocks that are open, as the readings behind a fit (n, C) say them; `metric` with the responses."""
+    def clocks(self, twin: LoggedTwin, metric: Metric, estimate: Array) -> tuple[Clock, ...]:
+        """Clocks that are open, as a fit says them: `metric` with the responses, (K,) estimate as of `moved`."""
         if not any(item.kind == TIME_SHIFT for item in self.items):
             return ()
         scale = np.array([item.std for item in self.items])
-        values = np.array([item.assumed for item in self.items]) + scale * metric.nuisance_estimate(residual)
+        values = np.array([item.assumed for item in self.items]) + scale * estimate
         covariance = metric.nuisance_covariance() * np.outer(scale, scale)
         values, covariance = from_the_middle(twin, self.items, values, covariance)
         std = np.sqrt(np.maximum(np.diag(covariance), _SHARPEST**2))

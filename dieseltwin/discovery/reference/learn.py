@@ -173,7 +173,6 @@ def learn(
         converged = joint.fit(_ROUNDS)
     if joint.leave_crooked_out(np.random.default_rng(settings.seed)) or not converged:
         converged = joint.fit(_ROUNDS)
-    joint.leave_conditions_open()
     evidence = joint.evidence()
     suspicions = joint.suspicions(settings.suspicious_gain)
     return Learned(combined(prior, evidence), evidence, converged, roughness, suspicions, joint.clocks())
@@ -202,7 +201,7 @@ class _Joint:
             self.x[HEALTH_AT] = (health - prior.health) / self.scale[HEALTH_AT]
         for part in self.parts:
             part.begin(prior)
-        self.residuals = [part.residual(self.x, part.local) for part in self.parts]
+        self._simulate()
         self.at: list[Linear] = []
         self._linearise()
 
@@ -234,54 +233,43 @@ class _Joint:
         return False
 
     def put_right(self) -> bool:
-        """Take clocks and weather to be what the readings say beside the maps as corrected by now, until they are;
-        whether any were others."""
+        """Simulate in the clocks and the weather that the readings show beside the maps as corrected by now, until they
+        show no others; whether any were. They are open all the time, but linear only near where the simulation is."""
         changed = False
         for _ in range(_PUT_RIGHT if any(at.conditions is not None for at in self.at) else 0):
-            covariance: Array = np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
-            gradient = self._gradient()
-            moved = [
-                part.put_right(at, self.x, rest, covariance, gradient)
-                for part, at, rest in zip(self.parts, self.at, self.projected, strict=True)
-            ]
-            if not any(moved):
+            rows = zip(self.parts, self.at, self.residuals, strict=True)
+            if not any([part.put_right(at, self.x, rest) for part, at, rest in rows]):
                 break
             changed = True
-            self.residuals = [part.residual(self.x, part.local) for part in self.parts]
+            self._simulate()
+            self._rewhiten()
             self.whiten_anew()
             self.fit(1)  # with the sensitivities of before, which are near enough for a step
         return changed
 
-    def leave_conditions_open(self) -> None:
-        """From here on clocks and weather are free within their priors, in what the recordings say."""
-        rows = zip(self.parts, self.at, self.residuals, strict=True)
-        found = [part.beside_conditions(at, rest) for part, at, rest in rows]
-        self.at, self.residuals = [pair[0] for pair in found], [pair[1] for pair in found]
-        self._project()
-
     def clocks(self) -> Mapping[str, float]:
-        """Column -> how late all recordings together show it to be [s]; behind `leave_conditions_open`."""
+        """Column -> how late all recordings together show it to be [s]."""
         rows = zip(self.parts, self.at, self.residuals, strict=True)
         return clocks_of_all([part.clocks(at, rest) for part, at, rest in rows])
 
     def whiten_anew(self) -> None:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""
-        for part in self.parts:
-            part.whiten_anew(part.shown(self.x, part.local))
+        for part, at, rest in zip(self.parts, self.at, self.residuals, strict=True):
+            part.whiten_anew(at, self.x, rest)
         self._rewhiten()
 
     def leave_crooked_out(self, rng: np.random.Generator) -> bool:
         """Leave windows out in which what is believed now doesn't act linearly; whether there are any."""
         covariance: Array = np.asarray(np.linalg.inv(self._information()), dtype=np.float64)
         found = [part.crooked(at, self.x, covariance, rng) for part, at in zip(self.parts, self.at, strict=True)]
-        for part, windows in zip(self.parts, found, strict=True):
+        rows = zip(self.parts, self.at, self.residuals, found, strict=True)
+        for part, at, rest, windows in rows:
             if windows.any():
-                explained = part.shown(self.x, part.local)
                 part.leave_out(windows)
-                part.whiten_anew(explained)
+                part.whiten_anew(at, self.x, rest)
         any_out = any(windows.any() for windows in found)
         if any_out:
-            self.residuals = [part.residual(self.x, part.local) for part in self.parts]
+            self._simulate()
             self._rewhiten()
         return any_out
 
@@ -325,6 +313,10 @@ class _Joint:
                 found[name] = Suspicion(name, hypothesis.unit, size, information**-0.5, gain)
         return tuple(sorted(found.values(), key=lambda item: -item.gain))
 
+    def _simulate(self) -> None:
+        """Readings less simulation of all recordings at x."""
+        self.residuals = [part.residual(self.x, part.local) for part in self.parts]
+
     def _linearise(self) -> None:
         """Sensitivities of all recordings at x."""
         self.at = [part.linearised(self.x) for part in self.parts]
@@ -336,9 +328,7 @@ class _Joint:
         self._project()
 
     def _project(self) -> None:
-        self.projected = [
-            at.metric.project(rest[None])[0] for at, rest in zip(self.at, self.residuals, strict=True)
-        ]
+        self.projected = [at.rest(rest) for at, rest in zip(self.at, self.residuals, strict=True)]
 
     def _information(self) -> Array:
         return np.asarray(self.precision + np.sum([at.projected @ at.projected.T for at in self.at], axis=0))

@@ -40,15 +40,37 @@ class Linear:
         columns: (D, n, C) responses to one prior standard deviation of every coordinate.
         local: (S, n, C) responses to the initial states.
         conditions: (K, n, C) responses to the circumstances that are open, None where none is.
-        metric: of the readings, initial states taken out, and circumstances where they are (`beside_conditions`).
+        applied: (K,) where the simulation has those, in standard deviations of their priors.
+        metric: of the readings, initial states and circumstances taken out.
         projected: (D, rows) the columns in it.
     """
 
     columns: Array
     local: Array
     conditions: Array | None
+    applied: Array
     metric: Metric
     projected: Array
+
+    def rest(self, residual: Array) -> Array:
+        """What readings less simulation (n, C) are in the metric, (rows,): priors of circumstances count from what is
+        assumed of them."""
+        return self.metric.project(self._as_assumed(residual)[None])[0]
+
+    def conditions_at(self, residual: Array) -> Array:
+        """(K,) where readings less simulation (n, C) have the circumstances, in standard deviations of their priors."""
+        return self.metric.nuisance_estimate(self._as_assumed(residual))
+
+    def elsewhere(self, residual: Array) -> Array | float:
+        """(n, C) what the circumstances add to the simulation where the readings have them."""
+        if self.conditions is None:
+            return 0.0
+        return np.asarray(np.tensordot(self.conditions_at(residual) - self.applied, self.conditions, 1))
+
+    def _as_assumed(self, residual: Array) -> Array:
+        if self.conditions is None:
+            return residual
+        return np.asarray(residual + np.tensordot(self.applied, self.conditions, 1))
 
 
 class Part:
@@ -85,8 +107,9 @@ class Part:
         """Number of readings used."""
         return int(np.isfinite(self.twin.measured).sum())
 
-    def whiten_anew(self, explained: Array) -> None:
-        """Estimate the noise from what a model leaves; explained (n, C)."""
+    def whiten_anew(self, here: Linear, x: Array, residual: Array) -> None:
+        """Estimate the noise from what the simulation at a point leaves, in the circumstances that readings show."""
+        explained = self.shown(x, self.local) + here.elsewhere(residual)
         measured, starts = self.twin.measured, self.twin.starts
         noise = estimate_noise(measured, explained=explained)
         noise = noise_beside(noise, measured - explained, starts, self._scatter.windows)
@@ -104,21 +127,9 @@ class Part:
         clean = twin.simulate(single(values[HEALTH_AT], local))[0]
         return clean * (1.0 + values[GAINS_AT][self.at]) + values[OFFSETS_AT][self.at]
 
-    def put_right(self, here: Linear, x: Array, rest: Array, covariance: Array, gradient: Array) -> bool:
-        """Take the circumstances to be what the readings say beside all coordinates; whether they were others.
-
-        Args:
-            here: about x; rest: (rows,) the residual there, in its metric.
-            covariance: (D, D) of the coordinates as all recordings say them; gradient: (D,) what is left of theirs.
-        """
-        if here.conditions is None:
-            return False
-        rows = here.metric.project(here.conditions)
-        across = here.projected @ rows.T
-        applied = self.conditions.applied(self.twin)
-        push = rows @ rest - applied - across.T @ (covariance @ gradient)
-        information = rows @ rows.T + np.eye(len(rows)) - across.T @ covariance @ across
-        other = self.conditions.moved(self.twin, applied + np.linalg.solve(information, push))
+    def put_right(self, here: Linear, x: Array, residual: Array) -> bool:
+        """Simulate in the circumstances that readings less simulation (n, C) at x show; whether they were others."""
+        other = None if here.conditions is None else self.conditions.moved(self.twin, here.conditions_at(residual))
         if other is None:
             return False
         self.twin = other
@@ -127,20 +138,9 @@ class Part:
         self._scatter = scatter_about(twin, single(values[HEALTH_AT], self.local))
         return True
 
-    def beside_conditions(self, here: Linear, residual: Array) -> tuple[Linear, Array]:
-        """The same responses with the circumstances taken out, and the residual (n, C) as if those were as assumed,
-        which their priors count from."""
-        if here.conditions is None:
-            return here, residual
-        open_ones = WhitenedNuisances.of(self.whitening, here.conditions)
-        metric = Metric(self.whitening, self.twin.starts, here.local, self.twin.state_scales, open_ones)
-        moved = residual + np.tensordot(self.conditions.applied(self.twin), here.conditions, 1)
-        there = np.where(np.isfinite(self.twin.measured), moved, 0.0)
-        return replace(here, metric=metric, projected=metric.project(here.columns)), there
-
     def clocks(self, here: Linear, residual: Array) -> tuple[Clock, ...]:
-        """Clocks that are open, as readings say them; arguments as `beside_conditions` gives them."""
-        return self.conditions.clocks(self.twin, here.metric, residual)
+        """Clocks that are open, as readings less simulation (n, C) say them."""
+        return self.conditions.clocks(self.twin, here.metric, here.conditions_at(residual))
 
     def residual(self, x: Array, local: Array) -> Array:
         """Readings less simulation (n, C), 0 where there is no reading."""
@@ -175,8 +175,9 @@ class Part:
         return self._whitened(here.columns, here.local, here.conditions)
 
     def _whitened(self, columns: Array, local: Array, conditions: Array | None) -> Linear:
-        metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales)
-        return Linear(columns, local, conditions, metric, metric.project(columns))
+        taken_out = WhitenedNuisances.of(self.whitening, conditions)
+        metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales, taken_out)
+        return Linear(columns, local, conditions, self.conditions.applied(self.twin), metric, metric.project(columns))
 
     def finer(self, here: Linear, x: Array) -> Array:
         """Responses (D, rows), in the metric of `here` about x, to a coefficient of one of the functions that aren't
@@ -193,19 +194,21 @@ class Part:
     def moved(self, here: Linear, x: Array, residual: Array, change: Array) -> tuple[Array, Array]:
         """Initial states that go with a change (D,) of x, each window's at its minimum, and the residual there."""
         rest = residual - np.tensordot(change, here.columns, 1)
-        return self.settled(here.metric, x + change, bounded(self.twin, self.local + here.metric.local_step(rest)))
+        step = here.metric.local_step(rest - here.elsewhere(rest))
+        return self.settled(here, x + change, bounded(self.twin, self.local + step))
 
-    def settled(self, metric: Metric, x: Array, local: Array) -> tuple[Array, Array]:
+    def settled(self, here: Linear, x: Array, local: Array) -> tuple[Array, Array]:
         """Initial states at their minimum, each window by itself, and the residual there."""
-        residual = self.residual(x, local)
-        cost, shrink = metric.window_costs(residual), np.ones(len(local))
+        metric, residual = here.metric, self.residual(x, local)
+        elsewhere = here.elsewhere(residual)
+        cost, shrink = metric.window_costs(residual - elsewhere), np.ones(len(local))
         for _ in range(_SETTLING_ROUNDS):
-            step = metric.local_step(residual)
+            step = metric.local_step(residual - elsewhere)
             if not np.any(np.abs(step) > _SETTLED * self.twin.state_scales):
                 break
             trial = bounded(self.twin, local + shrink[:, None] * step)
             moved = self.residual(x, trial)
-            costs = metric.window_costs(moved)
+            costs = metric.window_costs(moved - elsewhere)
             better = costs < cost
             local = np.where(better[:, None], trial, local)
             residual = np.where(rows_of(self.twin, better)[:, None], moved, residual)

@@ -14,6 +14,7 @@ from dieseltwin.discovery.discover import prepare
 from dieseltwin.discovery.reference.conditions import Clock, clocks_of_all, open_of, recorded_twin
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.engine import we2011
+from dieseltwin.learning.belief import MAPS_AT, prior_belief
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
 from dieseltwin.recordings.reader import Recording, recording
 
@@ -64,8 +65,23 @@ def test_the_next_recording_is_judged_with_the_clocks_of_the_reference(
 def test_weather_that_no_column_gives_differs_from_day_to_day():
     twins = [recorded_twin(recording(_driven(k, **day)), we2011.PARAMETERS, MAP_RMS) for k, day in enumerate(DAYS)]
     for twin, day in zip(twins, DAYS, strict=True):
-        assert {item.name for item in open_of(twin)} == {"p_amb_pa", "drift:p_amb_pa", "t_amb_k"}
+        assert {item.name for item in open_of(twin)} == {"p_amb_pa", "drift:p_amb_pa", "t_amb_k", "t_im_k"}
         assert twin.values.get("p_amb_pa", we2011.PARAMETERS.p_amb) == pytest.approx(day["p_amb"], abs=2500.0)
+
+
+def test_a_charge_that_no_column_gives_may_differ_from_piece_to_piece():
+    ambient = {"p_amb_pa": we2011.PARAMETERS.p_amb, "t_amb_k": we2011.PARAMETERS.T_amb}
+    pieces = [
+        recording(_driven(k, T_im=we2011.PARAMETERS.T_im + away).assign(**ambient))
+        for k, away in enumerate((-4.0, 4.0))
+    ]
+    known, found = learn_engine(pieces, we2011.PARAMETERS, MAP_RMS)
+    assert found.converged and found.suspicions == ()
+    free = prior_belief(we2011.PARAMETERS, MAP_RMS).free
+    away = known.belief.mean[MAPS_AT][free]  # the plant's maps are the twin's
+    covariance = known.belief.covariance[MAPS_AT, MAPS_AT][np.ix_(free, free)]
+    # as far as is said, or nearer; 8 K between the pieces, taken for a map, are 13
+    assert away @ np.linalg.solve(covariance, away) < 1.0 * free.sum()
 
 
 def test_a_reference_that_says_all_is_taken_as_it_is():

@@ -17,6 +17,7 @@ from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
 from dieseltwin.learning.belief import HEALTH_AT, prior_belief
 from dieseltwin.recordings.reader import Recording, recording
+from dieseltwin.settings.params import default_learn
 
 MAP_RMS = 0.02
 SHARES = {"A_egrmax": 0.92, "A_vgtmax": 1.08, "eta_sc": 0.98, "h_tot": 1.1}
@@ -76,7 +77,7 @@ def test_neither_order_nor_repetition_matters(learned: Learned, recordings):
 def test_what_maps_take_up_is_no_suspicion_before_a_fit_is_done(recordings):
     prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
     begun = _Joint([Part(recordings[0], we2011.PARAMETERS, prior, MAP_RMS)], prior)
-    assert begun.suspicions(9.0) == ()
+    assert begun.suspicions(default_learn().suspicious_gain) == ()
 
 
 def test_a_fault_that_no_map_takes_up_is_suspected():
