@@ -53,6 +53,9 @@ class SearchSettings(StrictModel):
     equivalent_share: NonNegativeFloat = Field(description="the same as a share of the gain [-]")
     edges_share: NonNegativeFloat = Field(description="of the gain of an effect in a region: closer names can't be "
                                           "told apart [-]")
+    rivals_from: NonNegativeFloat = Field(
+        description="gain of what an explanation leaves from which terms without a name are refitted against it"
+    )
     chance_leaves: PositiveFloat = Field(description="gain of the best term without a name beyond a right explanation")
     believed_range: float = Field(gt=1, description="of magnitudes over their tolerance, log-uniform [-]")
     own_metric_gain: PositiveFloat | None = Field(description="from which leading explanations are compared with the "
