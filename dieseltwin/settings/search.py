@@ -53,6 +53,10 @@ class SearchSettings(StrictModel):
     equivalent_share: NonNegativeFloat = Field(description="the same as a share of the gain [-]")
     edges_share: NonNegativeFloat = Field(description="of the gain of an effect in a region: closer names can't be "
                                           "told apart [-]")
+    unnamed_simulated_from: NonNegativeFloat | None = Field(
+        description="gain by its linear score from which a term without a name is simulated before it raises no alarm; "
+        "null: never"
+    )
     rivals_from: NonNegativeFloat = Field(
         description="gain of what an explanation leaves from which terms without a name are refitted against it"
     )
