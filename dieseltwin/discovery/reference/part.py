@@ -30,6 +30,7 @@ _SMALL = 1e-3  # of a coefficient, for its response: with steps of 1e-5, kinks s
 _DRAWS = 2
 _CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of what is believed then
 _MOST_CROOKED = 1.0 / 3.0
+_RUNAWAY = 1e4  # of a middle reading, for a map that is off by itself: engines answer with up to some ten times that
 
 
 @dataclass(frozen=True)
@@ -181,12 +182,19 @@ class Part:
 
     def finer(self, here: Linear, x: Array) -> Array:
         """Responses (D, rows), in the metric of `here` about x, to a coefficient of one of the functions that aren't
-        free; those of all other coordinates are nought."""
+        free; those of all other coordinates are nought.
+
+        In a window in which the linear response runs away it is nought as well: at idle, next to where the compressor
+        lifts nothing, it grew to 1e51 of a reading, and no likelihood could be told of it.
+        """
         values = self._values(x)
         twin = self.twin.with_coefficients(values[MAPS_AT])
         lanes = single(values[HEALTH_AT], self.local)
         held = ~self.prior.free
-        columns = map_columns(twin, lanes, twin.simulate(lanes)[0], held) * (1.0 + values[GAINS_AT][self.at])
+        simulated = twin.simulate(lanes)[0]
+        columns = map_columns(twin, lanes, simulated, held) * (1.0 + values[GAINS_AT][self.at])
+        far = ~(np.abs(columns) < _RUNAWAY * np.median(np.abs(simulated), axis=0)).all(axis=(0, 2))
+        columns[:, rows_of(twin, np.logical_or.reduceat(far, twin.starts))] = 0.0
         rows = np.zeros_like(here.projected)
         rows[MAPS_AT][held] = here.metric.project(columns)
         return rows

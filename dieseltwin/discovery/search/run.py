@@ -285,7 +285,7 @@ def _shown_by_simulation(found: Search) -> bool:
     """Whether a term without a name that is weak by its linear score raises an alarm where it is simulated.
 
     Far from nothing the score tells too little: a compressor whose flow was 3.4 % short, a name that was withheld, had
-    12 and explained 51. Simulated, terms on 75 healthy engines explained at most 11.
+    12 and explained 51 beside ambient as published. Simulated, terms on 75 healthy engines explained at most 13.
     """
     settings = found.settings
     items = [item for item in found.nameless() if item.feature.form is not None]

@@ -12,10 +12,11 @@ from dieseltwin.challenge.plant import run_plant
 from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
+from dieseltwin.discovery.reference import part as part_module
 from dieseltwin.discovery.reference.learn import Learned, _Joint, combined, learn, learn_engine
 from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import HEALTH, we2011
-from dieseltwin.learning.belief import HEALTH_AT, prior_belief
+from dieseltwin.learning.belief import HEALTH_AT, MAPS_AT, prior_belief
 from dieseltwin.recordings.reader import Recording, recording
 from dieseltwin.settings.params import default_learn
 
@@ -78,6 +79,23 @@ def test_what_maps_take_up_is_no_suspicion_before_a_fit_is_done(recordings):
     prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
     begun = _Joint([Part(recordings[0], we2011.PARAMETERS, prior, MAP_RMS)], prior)
     assert begun.suspicions(default_learn().suspicious_gain) == ()
+
+
+def test_a_window_in_which_a_response_runs_away_says_nothing_of_finer_maps(recordings, monkeypatch):
+    prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
+    part = Part(recordings[0], we2011.PARAMETERS, prior, MAP_RMS)
+    x = np.zeros(prior.mean.size)
+    here = part.linearised(x)
+    window = slice(int(part.twin.starts[1]), int(part.twin.starts[2]))
+
+    def running_away(twin, lanes, simulated, which):
+        columns = np.tile(simulated, (int(which.sum()), 1, 1))
+        columns[0, window] = 1e40
+        return columns
+
+    monkeypatch.setattr(part_module, "map_columns", running_away)
+    rows = part.finer(here, x)[MAPS_AT][~prior.free]
+    assert np.any(rows != 0.0) and np.abs(rows).max() < 1e6
 
 
 def test_a_fault_that_no_map_takes_up_is_suspected():
