@@ -244,14 +244,15 @@ def _named(row: dict[str, Any]) -> bool:
 def _held(rows: list[dict[str, Any]], name: str) -> Iterator[bool]:
     """Whether the intervals of one circumstance, or of all clocks, hold the truth.
 
-    Where no clock is trusted, shifts count from the middle one.
+    Shifts count from the clocks that are trusted, from the middle one of them; where none is, from the middle of all.
     """
     for row in rows:
         said = row["said"]["circumstances"]
         wanted = {key: value for key, value in said.items() if key == name or key.startswith(f"{name}:")}
         true = {key: row["true"][key] if row["kind"] == "nothing" or key in WEATHER else 0.0 for key in wanted}
-        if name == "time_shift" and len(wanted) == len(INPUTS) + len(SENSORS):
-            middle = float(np.median(list(true.values())))
+        if name == "time_shift" and row["kind"] == "nothing":
+            trusted = {key: late for key, late in row["true"].items() if key.startswith(name) and key not in wanted}
+            middle = float(np.median(list((trusted or true).values() or [0.0])))
             true = {key: value - middle for key, value in true.items()}
         yield from (abs(value - true[key]) <= INTERVAL_STD * std for key, (value, std, _) in wanted.items())
 
