@@ -32,7 +32,7 @@ from dieseltwin.api.learning import known_engine
 from dieseltwin.challenge.cases import HEALTH_SPREAD, MAP_RMS, Plan, draw_fault, make_plans
 from dieseltwin.challenge.driving import INPUTS, Driving
 from dieseltwin.challenge.map_errors import MapErrors
-from dieseltwin.challenge.own_engine import PIECE_S, TIERS, draw_health, same_sensors, worn
+from dieseltwin.challenge.own_engine import TIERS, draw_health, reference_drivings, same_sensors, worn
 from dieseltwin.challenge.plant import PlantRun, run_plant
 from dieseltwin.challenge.plant_effects import Fault
 from dieseltwin.challenge.routes import draw_driving
@@ -105,12 +105,7 @@ def machine_of(plan: Plan, seed: int, seconds: float, shift_s: float, reference_
     run, fine = _driven(coarse, parameters, faults, maps)
     recordings = _recorded(coarse, fine, run, faults, logger, parameters, rng)
     references: dict[str, list[Recording]] = {kind: [] for kind in TOLD}
-    left = reference_s
-    while left > 0.0:
-        piece = min(left, PIECE_S)
-        left -= piece
-        kind = "random" if len(references["nothing"]) % 2 == 0 else "whtc"
-        driving = draw_driving(kind, piece, laboratory, well_rng)
+    for driving in reference_drivings(reference_s, laboratory, well_rng):
         _, then = _somewhere(well, laboratory, well_rng)
         before, fine = _driven(driving, then, (), maps)
         there = replace(logger, sensors=same_sensors(sensors, run, before))
@@ -252,7 +247,7 @@ def _held(rows: list[dict[str, Any]], name: str) -> Iterator[bool]:
         true = {key: row["true"][key] if row["kind"] == "nothing" or key in WEATHER else 0.0 for key in wanted}
         if name == "time_shift" and row["kind"] == "nothing":
             trusted = {key: late for key, late in row["true"].items() if key.startswith(name) and key not in wanted}
-            middle = float(np.median(list((trusted or true).values() or [0.0])))
+            middle = float(np.median(list((trusted or true).values())))
             true = {key: value - middle for key, value in true.items()}
         yield from (abs(value - true[key]) <= INTERVAL_STD * std for key, (value, std, _) in wanted.items())
 

@@ -6,13 +6,15 @@ fault. The sensors are the same ones: an offset is the same in their unit, whate
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.map_errors import CORRELATION_LENGTH, MapErrors
 from dieseltwin.challenge.plant import PlantRun, run_plant
 from dieseltwin.challenge.routes import draw_driving
@@ -63,11 +65,23 @@ def same_sensors(sensors: SensorSet, first: PlantRun, now: PlantRun) -> SensorSe
     return replace(sensors, offset_rel=sensors.offset_rel * np.array(means))
 
 
+def reference_drivings(
+    seconds: float, laboratory: Mapping[str, Any], rng: np.random.Generator
+) -> Iterator[Driving]:
+    """Driving of a reference, each piece drawn when it is asked for: `PIECE_S` each, random and the WHTC in turns."""
+    left = seconds
+    for route in cycle(("random", "whtc")):
+        if left <= 0.0:
+            return
+        yield draw_driving(route, min(left, PIECE_S), laboratory, rng)
+        left -= PIECE_S
+
+
 def record_reference(
     then: Mapping[str, Any], laboratory: Mapping[str, Any], maps: MapErrors, sensors: tuple[SensorSet, PlantRun, int],
     minutes: float, rng: np.random.Generator,
 ) -> tuple[pd.DataFrame, ...]:  # fmt: skip
-    """Recordings of the engine when it was well, `PIECE_S` each, random driving and the WHTC in turns.
+    """Recordings of the engine when it was well, one of each of `reference_drivings`.
 
     Args:
         then: its parameters; laboratory: published ones, for the driving and the weather's middle.
@@ -76,11 +90,7 @@ def record_reference(
         minutes: of all recordings together [min]; rng: the only source of randomness.
     """
     out: list[pd.DataFrame] = []
-    left = 60.0 * minutes
-    while left > 0.0:
-        duration = min(left, PIECE_S)
-        left -= duration
-        driving = draw_driving("random" if len(out) % 2 == 0 else "whtc", duration, laboratory, rng)
+    for driving in reference_drivings(60.0 * minutes, laboratory, rng):
         today = weather(then, laboratory, rng)
         run = run_plant(driving, today, (), maps)
         frame = read(run, driving, (), same_sensors(sensors[0], sensors[1], run), sensors[2], rng)

@@ -47,7 +47,6 @@ def steps_of_stages() -> dict[str, tuple[Step, ...]]:
     }
 
 
-
 @pytest.mark.flow
 def test_the_chain_ends_with_results_report_and_records(chain: tuple[Path, set[str]]) -> None:
     root, ran = chain

@@ -18,7 +18,6 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.interface import Array, Lanes
 from dieseltwin.engine import EngineParameters
-from dieseltwin.recordings.channels import AMBIENT
 from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, Circumstance
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.params import default_search
@@ -27,7 +26,6 @@ _FAR = 0.6  # of a prior's standard deviation (5 kPa, 9 K): nearer weather is le
 _NEAR = 0.15  # of a prior's standard deviation (1.2 kPa, 2 K, 0.02 s): farther, responses are others
 _SHARPEST = 0.005  # s; the middle clock, from which the others count, has no deviation of its own
 _SURE = 4.0  # standard deviations that a clock of the engine's recordings is off
-_CHARGE = "t_im_k"
 
 
 def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float) -> LoggedTwin:
@@ -57,7 +55,7 @@ def open_of(twin: WithCircumstances) -> tuple[Circumstance, ...]:
     A charge of another temperature is one product with the level of eta_vol. It has to be open even so: two pieces of a
     reference whose charges are 5 K apart would be met by a map that is off in between, and known too well.
     """
-    unread = {item.column for item in twin.circumstances if item.plain in (*AMBIENT, _CHARGE) and not item.read}
+    unread = {item.column for item in twin.circumstances if not item.kind and not item.read}
     weather = (item for item in twin.circumstances if item.kind in ("", DRIFT) and item.column in unread)
     return (*weather, *(item for item in twin.circumstances if item.name in twin.opened))
 
@@ -81,10 +79,10 @@ class Conditions:
     def __init__(self, twin: LoggedTwin) -> None:
         self.items = open_of(twin)
 
-    def responses(self, twin: LoggedTwin, lanes: Lanes) -> Array | None:
-        """Responses (K, n, C) to one prior standard deviation of each, next to one lane; None where nothing is open."""
+    def responses(self, twin: LoggedTwin, lanes: Lanes) -> Array:
+        """Responses (K, n, C) to one prior standard deviation of each, next to one lane."""
         if not self.items:
-            return None
+            return np.zeros((0, *twin.measured.shape))  # without a simulation
         found = twin.circumstance_responses(lanes, twin.measured, [item.name for item in self.items])
         return np.asarray(np.array([item.std for item in self.items])[:, None, None] * found)
 

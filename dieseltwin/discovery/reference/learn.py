@@ -236,13 +236,14 @@ class _Joint:
         """Simulate in the clocks and the weather that the readings show beside the maps as corrected by now, until they
         show no others; whether any were. They are open all the time, but linear only near where the simulation is."""
         changed = False
-        for _ in range(_PUT_RIGHT if any(at.conditions is not None for at in self.at) else 0):
+        for _ in range(_PUT_RIGHT):
             rows = zip(self.parts, self.at, self.residuals, strict=True)
-            if not any([part.put_right(at, self.x, rest) for part, at, rest in rows]):
+            there = [part.put_right(at, self.x, rest) for part, at, rest in rows]
+            if not any(there):
                 break
             changed = True
+            self.at = [new or at for new, at in zip(there, self.at, strict=True)]
             self._simulate()
-            self._rewhiten()
             self.whiten_anew()
             self.fit(1)  # with the sensitivities of before, which are near enough for a step
         return changed

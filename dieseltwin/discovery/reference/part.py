@@ -40,7 +40,7 @@ class Linear:
     Attributes:
         columns: (D, n, C) responses to one prior standard deviation of every coordinate.
         local: (S, n, C) responses to the initial states.
-        conditions: (K, n, C) responses to the circumstances that are open, None where none is.
+        conditions: (K, n, C) responses to the circumstances that are open.
         applied: (K,) where the simulation has those, in standard deviations of their priors.
         metric: of the readings, initial states and circumstances taken out.
         projected: (D, rows) the columns in it.
@@ -48,7 +48,7 @@ class Linear:
 
     columns: Array
     local: Array
-    conditions: Array | None
+    conditions: Array
     applied: Array
     metric: Metric
     projected: Array
@@ -62,15 +62,11 @@ class Linear:
         """(K,) where readings less simulation (n, C) have the circumstances, in standard deviations of their priors."""
         return self.metric.nuisance_estimate(self._as_assumed(residual))
 
-    def elsewhere(self, residual: Array) -> Array | float:
+    def elsewhere(self, residual: Array) -> Array:
         """(n, C) what the circumstances add to the simulation where the readings have them."""
-        if self.conditions is None:
-            return 0.0
         return np.asarray(np.tensordot(self.conditions_at(residual) - self.applied, self.conditions, 1))
 
     def _as_assumed(self, residual: Array) -> Array:
-        if self.conditions is None:
-            return residual
         return np.asarray(residual + np.tensordot(self.applied, self.conditions, 1))
 
 
@@ -128,16 +124,17 @@ class Part:
         clean = twin.simulate(single(values[HEALTH_AT], local))[0]
         return clean * (1.0 + values[GAINS_AT][self.at]) + values[OFFSETS_AT][self.at]
 
-    def put_right(self, here: Linear, x: Array, residual: Array) -> bool:
-        """Simulate in the circumstances that readings less simulation (n, C) at x show; whether they were others."""
-        other = None if here.conditions is None else self.conditions.moved(self.twin, here.conditions_at(residual))
+    def put_right(self, here: Linear, x: Array, residual: Array) -> Linear | None:
+        """Simulate in the circumstances that readings less simulation (n, C) at x show; the same responses with the
+        simulation there, None where it was there."""
+        other = self.conditions.moved(self.twin, here.conditions_at(residual))
         if other is None:
-            return False
+            return None
         self.twin = other
         values = self._values(x)
         twin = other.with_coefficients(values[MAPS_AT])
         self._scatter = scatter_about(twin, single(values[HEALTH_AT], self.local))
-        return True
+        return replace(here, applied=self.conditions.applied(other))
 
     def clocks(self, here: Linear, residual: Array) -> tuple[Clock, ...]:
         """Clocks that are open, as readings less simulation (n, C) say them."""
@@ -169,13 +166,13 @@ class Part:
         columns *= self.scale[:, None, None]
         local = differences[len(twin.parameters) :] * factor
         conditions = self.conditions.responses(twin, fit.lanes())
-        return self._whitened(columns, local, None if conditions is None else conditions * factor)
+        return self._whitened(columns, local, conditions * factor)
 
     def rewhitened(self, here: Linear) -> Linear:
         """The same responses behind another whitening."""
         return self._whitened(here.columns, here.local, here.conditions)
 
-    def _whitened(self, columns: Array, local: Array, conditions: Array | None) -> Linear:
+    def _whitened(self, columns: Array, local: Array, conditions: Array) -> Linear:
         taken_out = WhitenedNuisances.of(self.whitening, conditions)
         metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales, taken_out)
         return Linear(columns, local, conditions, self.conditions.applied(self.twin), metric, metric.project(columns))

@@ -293,7 +293,7 @@ def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] =
     if not enough and (
         (held > limit and ahead > settings.left_ahead)
         or bumps > max(settings.local_gain, settings.left_share[place] * gained)
-        or (left >= settings.rivals_from and _one_term_explains_more(found, best))
+        or (left >= settings.rivals_from and _one_term_explains_more_than_names(found, best))
     ):
         found.refused, found.kind = kind, "law"
         return
@@ -361,7 +361,12 @@ def beyond_law(found: Search, law: Law) -> tuple[list[Structure], list[Structure
     return score_what_is_left(at, kinds[0], found.structure), score_what_is_left(at, kinds[1], found.local)
 
 
-def _one_term_explains_more(found: Search, value: float) -> bool:
+def one_term_gains(found: Search, needed: float) -> bool:
+    """Whether one term without a name, refitted by simulation as names are, gains more than is needed."""
+    return best_term(found.twin, found.whitening, found.null, found.nameless(), needed) > needed
+
+
+def _one_term_explains_more_than_names(found: Search, value: float) -> bool:
     """Whether one term without a name, refitted as names are, explains more than the chosen names.
 
     A wrong name may leave nothing about itself, where maps take up the rest, and still be far behind: a compressor's
@@ -369,8 +374,7 @@ def _one_term_explains_more(found: Search, value: float) -> bool:
     of a right name by x with a probability below exp(-x/2) (likelihood ratio): 5e-4 at 15 for each of a dozen terms
     refitted. Of 138 explanations with right names none was behind by more than 7.
     """
-    needed = value + max(found.settings.law_gain, found.settings.missing_share * value)
-    return best_term(found.twin, found.whitening, found.null, found.nameless(), needed) > needed
+    return one_term_gains(found, value + max(found.settings.law_gain, found.settings.missing_share * value))
 
 
 def polish(found: Search, fits: Sequence[Fit], count: int = _POLISHED) -> list[Fit]:

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 from dieseltwin.discovery.laws.features import Structure, generic_features, local_features, score_features
 from dieseltwin.discovery.laws.sensor import best_law
-from dieseltwin.discovery.laws.unnamed import best_term
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
@@ -22,6 +21,7 @@ from dieseltwin.discovery.search.explanations import (
     beyond_law,
     choose,
     choose_so_far,
+    one_term_gains,
     pair_beats_single,
     polish,
     try_more_pairs,
@@ -288,10 +288,10 @@ def _shown_by_simulation(found: Search) -> bool:
     12 and explained 51 beside ambient as published. Simulated, terms on 75 healthy engines explained at most 13.
     """
     settings = found.settings
-    items = [item for item in found.nameless() if item.feature.form is not None]
-    if settings.unnamed_simulated_from is None or not items or items[0].gain < settings.unnamed_simulated_from:
+    linear = max((item.gain for item in found.nameless() if item.feature.form is not None), default=0.0)
+    if settings.unnamed_simulated_from is None or linear < settings.unnamed_simulated_from:
         return False
-    return best_term(found.twin, found.whitening, found.null, items, settings.unnamed_gain) > settings.unnamed_gain
+    return one_term_gains(found, settings.unnamed_gain)
 
 
 def _explained_by_catalogue(found: Search, item: Structure) -> bool:
