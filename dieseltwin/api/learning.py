@@ -22,7 +22,7 @@ from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
-from dieseltwin.learning.files import LearnedEngine, distinct, learned_engine_of, save_learned
+from dieseltwin.learning.files import UNSETTLED, LearnedEngine, distinct, learned_engine_of, save_learned
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
@@ -149,7 +149,7 @@ def _learn_diesel(
     for source in sources:
         _check_misfit(known, source, settings.misfit_max)
     if not found.converged:
-        notes.append("note: the fit stopped before it converged; the intervals may be too narrow")
+        notes.append(f"note: {UNSETTLED}")
     return LearnedResult(known, found, (*notes, *_far_off(known), *_doubts(found)))
 
 

@@ -37,6 +37,8 @@ from dieseltwin.settings.strict import read_mapping
 from dieseltwin.version import __version__
 
 SCHEMA = 1
+UNSETTLED = "the engine was learned by a fit that stopped before it converged; intervals may be too narrow, and what \
+doesn't fit may be the reference's"
 _KEY = b"dieseltwin.learned"
 
 
@@ -55,6 +57,7 @@ class LearnedEngine:
         roughness: variance of errors of half the correlation length, over that of the smooth ones, that the recordings
             ask for; it is part of what is believed, and of no `prior` [-].
         clocks: column -> how late it is recorded, of those whose clock is off in these recordings [s].
+        converged: whether the fit of all recordings came to rest; else the covariance may be too small.
     """
 
     base: EngineParameters
@@ -66,6 +69,7 @@ class LearnedEngine:
     prior: Belief | None = None
     roughness: float = 0.0
     clocks: Mapping[str, float] = field(default_factory=dict)
+    converged: bool = True
 
     @property
     def believed(self) -> Belief:
@@ -138,7 +142,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
     table = pa.table(columns)
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
-        "roughness": learned.roughness, "clocks": dict(learned.clocks),
+        "roughness": learned.roughness, "clocks": dict(learned.clocks), "converged": learned.converged,
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -181,7 +185,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         base, belief, float(about["map_rms"]), tuple(_recording(row, data, base) for row, data in known),
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, float(about["roughness"]),
-        dict(about.get("clocks", {})),
+        dict(about.get("clocks", {})), bool(about.get("converged", True)),
     )  # fmt: skip
 
 

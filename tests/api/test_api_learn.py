@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import dieseltwin as dt
+from dieseltwin.api.discovery import ask
+from dieseltwin.api.driving import DrivingQuestion
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
+from dieseltwin.learning.files import UNSETTLED, load_learned, save_learned
+from tests.api.learned import learned_file
 from tests.api.simulated import drive
 
 
@@ -21,6 +27,22 @@ def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
     assert len(found.plot().axes) == 1
     file = found.save(tmp_path / "mine.yaml")
     assert dt.engine(file) == found.engine
+
+
+def test_an_engine_whose_fit_did_not_converge_says_so_when_a_recording_is_judged_by_it(tmp_path: Path) -> None:
+    file = learned_file(tmp_path)
+    judged = drive(120.0, seed=31)
+    assert f"note: {UNSETTLED}" not in _notes(judged, file)
+    known = load_learned(file)
+    assert known is not None
+    save_learned(replace(known, converged=False), file)
+    assert f"note: {UNSETTLED}" in _notes(judged, file)
+
+
+def _notes(judged: pd.DataFrame, file: Path) -> list[str]:
+    question = ask(judged, file)
+    assert isinstance(question, DrivingQuestion)
+    return list(question.notes)
 
 
 def test_recordings_that_are_together_more_than_memory_bears_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

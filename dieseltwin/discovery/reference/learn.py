@@ -28,14 +28,15 @@ from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.discovery import LearnConfig
 from dieseltwin.settings.params import default_learn
 
-_FIRST_ROUNDS = 2  # before the noise is estimated from what is left
+_NEAR = 0.02  # of -2 log posterior that a step promises, when the noise is estimated from what is left
 _ROUNDS = 12
 _CONVERGED = 0.05  # predicted decrease of -2 log posterior: a twentieth of a standard deviation squared, of any mix
 _LEFT_TO_NEXT = 0.2  # of that, below which steps with old sensitivities promise nothing
 _STALLED = 0.5  # of the decrease predicted before, above which old sensitivities mislead
 _STUCK = 0.05  # promised decrease an unknown that counts as none where no step leads down: the posterior has kinks
+_SIFTED = 3  # times that windows are looked at for what doesn't act linearly, where the fit doesn't come to rest
 _SHRINKS = (1.0, 0.4, 0.16, 0.064)
-_PUT_RIGHT = 3  # times that clocks and weather are moved
+_DAMPINGS = (0.01, 0.1, 1.0)  # of an unknown's own information
 _LEAST_INFORMATION = 1e-6  # of an effect's own, that is no coordinate's
 
 
@@ -135,7 +136,7 @@ def learn_engine(
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
     domain = domain_of(found.belief, map_rms)
     known_now = LearnedEngine(
-        base, found.belief, map_rms, together, domain, misfits, prior, found.roughness, found.clocks
+        base, found.belief, map_rms, together, domain, misfits, prior, found.roughness, found.clocks, found.converged
     )
     return known_now, found
 
@@ -159,20 +160,22 @@ def learn(
     settings = settings or default_learn()
     prior = prior_belief(engine, map_rms) if prior is None else prior
     joint = _Joint([Part(item, engine, prior, map_rms) for item in sorted(recordings, key=lambda r: r.sha256)], prior)
-    joint.fit(_FIRST_ROUNDS)
-    joint.put_right()
+    joint.fit(_ROUNDS, _NEAR)
     joint.whiten_anew()
     roughness = roughness_of(prior, map_rms, *joint.of_all_functions())
     if roughness > 0.0:
         prior = rougher(prior, map_rms, roughness)
         joint.begin(prior)  # the smooth maps' fit lies where steps stop short of a minimum
-        joint.fit(_FIRST_ROUNDS)
+        joint.fit(_ROUNDS, _NEAR)
         joint.whiten_anew()
     converged = joint.fit(_ROUNDS)
-    if joint.put_right():
+    rng = np.random.default_rng(settings.seed)
+    for _ in range(_SIFTED):
+        if not joint.leave_crooked_out(rng) and converged:
+            break
         converged = joint.fit(_ROUNDS)
-    if joint.leave_crooked_out(np.random.default_rng(settings.seed)) or not converged:
-        converged = joint.fit(_ROUNDS)
+        if converged:
+            break
     evidence = joint.evidence()
     suspicions = joint.suspicions(settings.suspicious_gain)
     return Learned(combined(prior, evidence), evidence, converged, roughness, suspicions, joint.clocks())
@@ -215,38 +218,36 @@ class _Joint:
             vector += rows @ (rest + at.projected.T @ self.x)
         return information, vector
 
-    def fit(self, rounds: int) -> bool:
-        """Damped Gauss-Newton with at most so many sets of sensitivities; whether it converged."""
+    def fit(self, rounds: int, near: float = 0.0) -> bool:
+        """Damped Gauss-Newton with at most so many sets of sensitivities; whether it converged.
+
+        Args:
+            near: share of -2 log posterior below which what a step promises is enough as well.
+        """
         for _ in range(rounds):
             factor = cho_factor(self._information())
             step, predicted = self._step(factor)
-            if predicted < _CONVERGED:
+            if predicted < max(_CONVERGED, near * self._cost()):
                 return True
-            if not self._advance(step):
+            if not self._advance(step) and not self._creep():
                 return predicted < _STUCK * self.unknowns
             while True:
                 before = predicted
                 step, predicted = self._step(factor)
                 if predicted < _LEFT_TO_NEXT * _CONVERGED or predicted > _STALLED * before or not self._advance(step):
                     break
+            self._put_right()
             self._linearise()
-        return False
+        return self._step(cho_factor(self._information()))[1] < _STUCK * self.unknowns
 
-    def put_right(self) -> bool:
-        """Simulate in the clocks and the weather that the readings show beside the maps as corrected by now, until they
-        show no others; whether any were. They are open all the time, but linear only near where the simulation is."""
-        changed = False
-        for _ in range(_PUT_RIGHT):
-            rows = zip(self.parts, self.at, self.residuals, strict=True)
-            there = [part.put_right(at, self.x, rest) for part, at, rest in rows]
-            if not any(there):
-                break
-            changed = True
+    def _put_right(self) -> None:
+        """Simulate in the clocks and the weather that the readings show beside the maps as corrected by now. They are
+        open all the time, but linear only near where the simulation is."""
+        rows = zip(self.parts, self.at, self.residuals, strict=True)
+        there = [part.put_right(at, self.x, rest) for part, at, rest in rows]
+        if any(there):
             self.at = [new or at for new, at in zip(there, self.at, strict=True)]
             self._simulate()
-            self.whiten_anew()
-            self.fit(1)  # with the sensitivities of before, which are near enough for a step
-        return changed
 
     def clocks(self) -> Mapping[str, float]:
         """Column -> how late all recordings together show it to be [s]."""
@@ -348,10 +349,16 @@ class _Joint:
     def _cost(self) -> float:
         return float(self.x @ self.precision @ self.x + sum(rest @ rest for rest in self.projected))
 
-    def _advance(self, step: Array) -> bool:
+    def _creep(self) -> bool:
+        """Go along a step that avoids what the readings say least of, where Gauss-Newton's own leads nowhere down."""
+        whole, gradient = self._information(), self._gradient()
+        steps = (np.linalg.solve(whole + damping * np.diag(np.diag(whole)), gradient) for damping in _DAMPINGS)
+        return any(self._advance(step, _SHRINKS[:1]) for step in steps)
+
+    def _advance(self, step: Array, shrinks: Sequence[float] = _SHRINKS) -> bool:
         """Go along a step as far as the posterior rises; False where it nowhere does."""
         before, cost = (self.x, [part.local for part in self.parts], self.residuals), self._cost()
-        for shrink in _SHRINKS:
+        for shrink in shrinks:
             x, change = before[0], shrink * step
             for part, local in zip(self.parts, before[1], strict=True):
                 part.local = local

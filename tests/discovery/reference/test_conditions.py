@@ -12,7 +12,8 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.discovery.discover import prepare
 from dieseltwin.discovery.reference.conditions import Clock, clocks_of_all, open_of, recorded_twin
-from dieseltwin.discovery.reference.learn import Learned, learn_engine
+from dieseltwin.discovery.reference.learn import Learned, _Joint, learn_engine
+from dieseltwin.discovery.reference.part import Part
 from dieseltwin.engine import we2011
 from dieseltwin.learning.belief import MAPS_AT, prior_belief
 from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
@@ -82,6 +83,21 @@ def test_a_charge_that_no_column_gives_may_differ_from_piece_to_piece():
     covariance = known.belief.covariance[MAPS_AT, MAPS_AT][np.ix_(free, free)]
     # as far as is said, or nearer; 8 K between the pieces, taken for a map, are 13
     assert away @ np.linalg.solve(covariance, away) < 1.0 * free.sum()
+
+
+def test_a_charge_that_is_taken_wrongly_at_first_is_put_right_along_the_fit(monkeypatch: pytest.MonkeyPatch):
+    def warm(*arguments):
+        return recorded_twin(*arguments).under({"t_im_k": we2011.PARAMETERS.T_im + 45.0}, frozenset())
+
+    monkeypatch.setattr("dieseltwin.discovery.reference.part.recorded_twin", warm)
+    piece = recording(_driven(1).assign(p_amb_pa=we2011.PARAMETERS.p_amb, t_amb_k=we2011.PARAMETERS.T_amb))
+    prior = prior_belief(we2011.PARAMETERS, MAP_RMS)
+    part = Part(piece, we2011.PARAMETERS, prior, MAP_RMS)
+    joint = _Joint([part], prior)
+    assert joint.fit(12)
+    assert part.twin.values["t_im_k"] == pytest.approx(we2011.PARAMETERS.T_im, abs=12.0)
+    shown = joint.at[0].conditions_at(joint.residuals[0])
+    assert shown == pytest.approx(joint.at[0].applied, abs=0.2)
 
 
 def test_a_reference_that_says_all_is_taken_as_it_is():
