@@ -352,8 +352,8 @@ class _Joint:
     def _creep(self) -> bool:
         """Go along a step that avoids what the readings say least of, where Gauss-Newton's own leads nowhere down."""
         whole, gradient = self._information(), self._gradient()
-        steps = (np.linalg.solve(whole + damping * np.diag(np.diag(whole)), gradient) for damping in _DAMPINGS)
-        return any(self._advance(step, _SHRINKS[:1]) for step in steps)
+        damped = (whole + damping * np.diag(np.diag(whole)) for damping in _DAMPINGS)
+        return any(self._advance(np.asarray(np.linalg.solve(to, gradient)), _SHRINKS[:1]) for to in damped)
 
     def _advance(self, step: Array, shrinks: Sequence[float] = _SHRINKS) -> bool:
         """Go along a step as far as the posterior rises; False where it nowhere does."""
