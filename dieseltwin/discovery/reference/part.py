@@ -10,14 +10,11 @@ from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_a
 from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
 from dieseltwin.discovery.likelihood.learned import map_columns
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
-from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.score import secant_sizes
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
 from dieseltwin.discovery.twins.interface import Array, Lanes, rows_of, single
 from dieseltwin.engine import MEASURED, EngineParameters
-from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
-from dieseltwin.engine.quantities import POINTS
 from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
@@ -26,7 +23,6 @@ _ROUGH_ROUNDS = 5
 _SETTLING_ROUNDS = 3
 _SETTLED = 1e-3  # of a state's scale
 _SHORTER = 0.4
-_SMALL = 1e-3  # of a coefficient, for its response: with steps of 1e-5, kinks stop the fit before it converges
 _DRAWS = 2
 _CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of what is believed then
 _MOST_CROOKED = 1.0 / 3.0
@@ -154,12 +150,9 @@ class Part:
         clean, factor = simulated[0], 1.0 + values[GAINS_AT][self.at]
         differences = (simulated[1:] - clean) / steps[:, None, None]
         free = self.prior.free
-        points = [POINTS.index(CORRECTED_POINTS[m]) for m in basis().maps[free]]
-        signals = _SMALL * basis_along(twin.variables(fit.lanes()), free)
         columns = np.zeros((x.size, *clean.shape))
         columns[HEALTH_AT] = differences[: len(twin.parameters)] * factor
-        responses = signal_responses(twin, fit.lanes(), clean, points, signals) * (factor / _SMALL)
-        columns[MAPS_AT][free] = responses
+        columns[MAPS_AT][free] = map_columns(twin, fit.lanes(), clean, free) * factor
         for j, channel in enumerate(self.at):
             columns[GAINS_AT.start + channel, :, j] = clean[:, j]
             columns[OFFSETS_AT.start + channel, :, j] = 1.0

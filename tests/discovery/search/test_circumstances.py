@@ -23,6 +23,7 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.circumstances import Settled, _delay, in_weather_of
 from dieseltwin.discovery.search.preparation import prepare, recentred
+from dieseltwin.discovery.twins import diesel_circumstances
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.engine import we2011
@@ -116,12 +117,26 @@ def test_responses_are_those_of_the_recording_under_other_circumstances() -> Non
     twin = LoggedTwin(source, we2011.PARAMETERS)
     lanes = first_fit(twin).lanes()
     simulated = twin.simulate(lanes)[0]
-    for name, step in (("p_amb_pa", 100.0), ("t_amb_k", 0.5), ("t_im_k", 0.5), ("time_shift:u_delta_mg", 0.05)):
+    for name, step in (("p_amb_pa", 1.0), ("t_amb_k", 0.01), ("t_im_k", 0.01), ("time_shift:u_delta_mg", 0.05)):
         assumed = {"p_amb_pa": source.p_amb_pa, "t_amb_k": source.t_amb_k, "t_im_k": we2011.PARAMETERS.T_im}
         moved = twin.under({name: assumed.get(name, 0.0) + step}, frozenset(), like=True).simulate(lanes)[0]
         (response,) = twin.circumstance_responses(lanes, simulated, [name])
         off = np.abs(moved - simulated - step * response).max(axis=0) / np.abs(moved - simulated).max(axis=0)
         assert (off < 0.1).all(), (name, off)
+
+
+def test_responses_do_not_reach_the_kink_at_which_no_gas_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where p_em crosses p_im a larger difference's rows are off by half: they alone then tell charge from health."""
+    twin = LoggedTwin(recording(_driven(400.0)), we2011.PARAMETERS)
+    lanes, names = first_fit(twin).lanes(), ("p_amb_pa", "t_amb_k", "t_im_k", "scale:u_delta_mg")
+    simulated = twin.simulate(lanes)[0]
+    behind = simulated[:, twin.channels.index("p_em_pa")] < simulated[:, twin.channels.index("p_im_pa")]
+    assert np.count_nonzero(np.diff(behind)) > 10
+    responses = twin.circumstance_responses(lanes, simulated, names)
+    finer = {name: 0.1 * step for name, step in diesel_circumstances._STEPS.items()}
+    monkeypatch.setattr(diesel_circumstances, "_STEPS", finer)
+    off = np.abs(twin.circumstance_responses(lanes, simulated, names) - responses)
+    assert (off.max(axis=1) < 1e-3 * np.abs(responses).max(axis=1)).all()
 
 
 def test_the_estimated_charge_is_simulated_and_its_prior_stays() -> None:
