@@ -85,7 +85,7 @@ def in_weather_of(found: Search, fit: Fit) -> Twin | None:
     From 1 kPa away a leak of the exhaust was 4 mm2 short, and left more than a term without a name did.
     """
     twin = found.twin
-    if not isinstance(twin, WithCircumstances) or belief_of(twin) is not None:
+    if not isinstance(twin, WithCircumstances):
         return None
     items = [item for item in _movable(found) if not item.kind]
     if all(item.read for item in items if item.plain in AMBIENT):

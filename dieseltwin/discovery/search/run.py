@@ -14,7 +14,7 @@ from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, f
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
-from dieseltwin.discovery.search.by_recording import gained_elsewhere, refitted, starts_by_recording
+from dieseltwin.discovery.search.by_recording import Start, gained_elsewhere, refitted, starts_by_recording
 from dieseltwin.discovery.search.circumstances import ROUNDS, in_weather_of, under_circumstances
 from dieseltwin.discovery.search.explanations import (
     VARIANTS,
@@ -99,6 +99,11 @@ def _with_names(found: Search) -> Search:
     clock = time.perf_counter()
     found, starts = refitted(found, starts_by_recording(found))
     found.seconds["by_recording"] = time.perf_counter() - clock
+    return _about_leading_name(found, starts)
+
+
+def _about_leading_name(found: Search, starts: Sequence[Start] = ()) -> Search:
+    """Single effects with what was learned of the maps about the one that leads; as they are where nothing was."""
     for renewal in range(_RENEWALS):
         lead = _lead(found)
         if belief_of(found.twin) is None or found.gain(lead) < BENDS:
@@ -128,7 +133,7 @@ def _in_own_weather(found: Search) -> Search:
         other = in_weather_of(here, here.singles[0])
         if other is None:
             break
-        here = _with_singles(prepare(other, found.settings))
+        here = _about_leading_name(_with_singles(prepare(other, found.settings)))
         _explain(here)
         if here.singles[0].candidate.names != name:
             break

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
+from dieseltwin.discovery.laws.features import Structure
+from dieseltwin.discovery.likelihood.circumstances import open_circumstances
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.refit import scatter
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
@@ -36,36 +40,78 @@ def disagreement(found: Search, at: Linearisation) -> Array:
     Args:
         at: the chosen explanation, as `explained_at`.
     """
-    if found.kind == "healthy":
-        return np.zeros(len(found.twin.parameters))
-    return np.hypot(_among_explanations(found), _beyond_explanation(found, at))
-
-
-def _among_explanations(found: Search) -> Array:
-    """Each explanation counts by its likelihood. Where something has neither name nor law, it is what the best name
-    changes."""
     count = len(found.twin.parameters)
+    if found.kind == "healthy":
+        return np.zeros(count)
+    if found.kind == "law" and found.law is not None:
+        among = np.zeros(count) if found.law.disagreement is None else found.law.disagreement
+    else:
+        among = _among_explanations(found, lambda fits: np.array([fit.parameters[:count] for fit in fits]))
+    moved, coefficients = _terms_beyond(found, at)
+    return np.hypot(among, _mean_size(moved[:, :count] * coefficients[:, None]))
+
+
+def disagreement_of_circumstances(found: Search, at: Linearisation) -> Array:
+    """The same (K,) of the circumstances that are open, in standard deviations of their priors.
+
+    An effect that is missing in an explanation is met by weather: beside a p_em that read wrongly, its name withheld,
+    ambient pressure was 5 kPa from the truth, and 0.4 was stated.
+    """
+    items = open_circumstances(found.twin)
+    if not items or found.kind == "healthy" or found.null.nuisance_response is None:
+        return np.zeros(len(items))
+    if found.kind == "law" and found.law is not None:
+        among = np.zeros(len(items))
+    else:
+        among = _among_explanations(found, lambda fits: _circumstances_beside(found, fits))
+    taken_up = [np.zeros(len(items))]
+    if at.nuisance_response is not None:
+        moved, coefficients = _terms_beyond(found, at)
+        taken_up = [
+            at.metric.nuisance_estimate(size * (term.response + np.tensordot(step, at.jacobian, 1)))[-len(items) :]
+            for size, term, step in zip(coefficients, _beyond(found), moved, strict=True)
+        ] or taken_up
+    return np.hypot(among, _mean_size(np.array(taken_up)))
+
+
+def _circumstances_beside(found: Search, fits: Sequence[Fit]) -> Array:
+    """Open circumstances (F, K) as fits leave them, in standard deviations of their priors."""
+    count = len(open_circumstances(found.twin))
+    left = np.nan_to_num(found.twin.measured - simulate_fits(found.twin, fits))
+    return np.array([found.null.metric.nuisance_estimate(each)[-count:] for each in left])
+
+
+def _among_explanations(found: Search, values: Callable[[Sequence[Fit]], Array]) -> Array:
+    """Scatter of values (F, N) of fits, each explanation counted by its likelihood. Where something has neither name
+    nor law, it is the most that a name changes which explains half as much as the best."""
     if found.kind == "law":
-        if found.law is not None:
-            return np.zeros(count) if found.law.disagreement is None else found.law.disagreement
-        away = [fit.parameters[:count] - found.null.fit.parameters[:count] for fit in found.singles[:1]]
-        return np.abs(away[0]) if away else np.zeros(count)
+        most = 0.5 * max((found.gain(fit) for fit in found.singles), default=0.0)
+        said = values([found.null.fit, *(fit for fit in found.singles if found.gain(fit) >= most)])
+        return np.asarray(np.abs(said - said[0]).max(axis=0))
     pool = {"pair": found.pairs, "variant": [fit for _, fit in found.variants]}.get(found.kind, found.singles)
     fits = sorted((fit for fit in pool if fit.candidate.names in found.equivalent), key=lambda fit: fit.objective)
-    if not fits:
-        return np.zeros(count)
-    values = np.array([fit.parameters[:count] for fit in fits])
-    return scatter(values, values[0], np.array([fit.objective - fits[0].objective for fit in fits]))
+    if len(fits) < 2:  # one doesn't disagree with itself
+        return np.zeros(1)
+    said = values(fits)
+    return scatter(said, said[0], np.array([fit.objective - fits[0].objective for fit in fits]))
 
 
-def _beyond_explanation(found: Search, at: Linearisation) -> Array:
-    """What the strongest terms beyond the explanation change: they say the same with other words, so one of them."""
-    count = len(found.twin.parameters)
+def _beyond(found: Search) -> list[Structure]:
+    """The strongest terms beyond the explanation: they say the same with other words."""
     left = sorted((*found.left, *found.left_local), key=lambda item: -item.held)
-    kept = [item for item in left if item.held > max(found.settings.chance_leaves, _AS_STRONG * left[0].held)]
+    return [item for item in left if item.held > max(found.settings.chance_leaves, _AS_STRONG * left[0].held)]
+
+
+def _terms_beyond(found: Search, at: Linearisation) -> tuple[Array, Array]:
+    """How a unit of each of the strongest terms that are left moves what an explanation has free (F, P), and their
+    coefficients (F,)."""
+    kept = _beyond(found)
     if not kept:
-        return np.zeros(count)
+        return np.zeros((0, len(at.jacobian))), np.zeros(0)
     rows = at.metric.project(np.array([item.response for item in kept]))
-    moved = -(rows @ at.projected.T) @ at.covariance
-    apart = moved[:, :count] * np.array([item.coefficient for item in kept])[:, None]
-    return np.asarray(np.sqrt(np.mean(apart**2, axis=0)))
+    return -(rows @ at.projected.T) @ at.covariance, np.array([item.coefficient for item in kept])
+
+
+def _mean_size(changes: Array) -> Array:
+    """Root mean square (N,) over changes (F, N): one of them is made. 0 for none."""
+    return np.sqrt(np.mean(changes**2, axis=0)) if len(changes) else np.zeros(changes.shape[1])

@@ -27,6 +27,7 @@ from dieseltwin.discovery.likelihood.nuisance import FINE, Nuisance, Rebased, nu
 from dieseltwin.discovery.search.preparation import tolerances
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin
+from dieseltwin.discovery.verdict.explained import disagreement_of_circumstances
 
 _ROUNDS = 3
 _PLACES = (2, 3)  # at which maps and weather are taken linearly, at least and at most
@@ -55,12 +56,13 @@ def told(found: Search, at: Linearisation, after: Array) -> Told:
         at: the explanation, as `explained.explained_at`; beside a law health is the law's, as it is.
         after: (n, C) readings of the explanation.
     """
+    apart = disagreement_of_circumstances(found, at)
     if found.kind == "law":
         places = beside_fine_maps(found, found.null, found.twin.measured - after)
-        return Told(at.fit, _mean([place.circumstances for place in places]))
+        return Told(at.fit, _mean([place.circumstances for place in places], apart))
     places = beside_fine_maps(found, at)
     fit = at.fit if places[0].fit is at.fit else _together(places, found.widening)
-    return Told(fit, _mean([place.circumstances for place in places]))
+    return Told(fit, _mean([place.circumstances for place in places], apart, found.widening))
 
 
 def beside_fine_maps(found: Search, at: Linearisation, residual: Array | None = None) -> list[Told]:
@@ -138,11 +140,15 @@ def _together(places: Sequence[Told], widening: float) -> Fit:
     return replace(last, parameters=mean[:count], magnitudes=mean[count:], covariance=covariance)
 
 
-def _mean(said: Sequence[Sequence[Estimate]]) -> tuple[Estimate, ...]:
-    """Estimates of several fits as one, their scatter in the standard deviations."""
+def _mean(said: Sequence[Sequence[Estimate]], apart: Array, widening: float = 1.0) -> tuple[Estimate, ...]:
+    """Estimates of several fits as one. In the standard deviations are their scatter beside what one of them states,
+    widened, and how far explanations are apart (K,), in standard deviations of priors."""
     values = np.array([[item.value for item in each] for each in said])
     spread = values.std(axis=0, ddof=1) if len(said) > 1 else np.zeros(values.shape[1])
     return tuple(
-        replace(item, value=float(value), std=float(np.hypot(item.std, more)))
-        for item, value, more in zip(said[-1], values.mean(axis=0), spread, strict=True)
+        replace(
+            item, value=float(value),
+            std=float(np.linalg.norm([np.sqrt(widening) * item.std, more, item.circumstance.std * other])),
+        )
+        for item, value, more, other in zip(said[-1], values.mean(axis=0), spread, apart, strict=True)
     )

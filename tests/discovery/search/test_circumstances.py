@@ -17,8 +17,13 @@ from dieseltwin.discovery import fit_test
 from dieseltwin.discovery.discover import as_it_was, discover
 from dieseltwin.discovery.laws.features import generic_features, score_features
 from dieseltwin.discovery.laws.grammar import operators
-from dieseltwin.discovery.likelihood.circumstances import at_estimates, circumstance_nuisances, estimates
-from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_fit
+from dieseltwin.discovery.likelihood.circumstances import (
+    at_estimates,
+    circumstance_nuisances,
+    estimates,
+    open_circumstances,
+)
+from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_fit, fit_fully, simulate_fits
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.circumstances import Settled, _delay, in_weather_of
@@ -26,6 +31,8 @@ from dieseltwin.discovery.search.preparation import prepare, recentred
 from dieseltwin.discovery.twins import diesel_circumstances
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.verdict.document import Discrepancy
+from dieseltwin.discovery.verdict.explained import disagreement_of_circumstances
+from dieseltwin.discovery.verdict.told import told
 from dieseltwin.engine import we2011
 from dieseltwin.engine.inputs import INPUT_COLUMNS
 from dieseltwin.recordings.dates import MODIFIED, Dated
@@ -217,6 +224,25 @@ def test_beside_a_name_the_weather_is_followed_to_where_it_asks_for() -> None:
     told = recording(_leaking(120.0).assign(p_amb_pa=95_500.0, t_amb_k=285.15))
     by_columns = LoggedTwin(told, we2011.PARAMETERS)
     assert in_weather_of(prepare(by_columns, Options().settings()), first_fit(by_columns)) is None
+
+
+def test_weather_is_as_uncertain_as_what_the_best_name_makes_of_it_where_none_is_given() -> None:
+    """Weather takes the place of what was not named, and was said to be known as well as beside it."""
+    twin = LoggedTwin(recording(_leaking(120.0)), we2011.PARAMETERS)
+    found = prepare(twin, Options().settings())
+    null, start = found.null, first_fit(twin, Candidate(("exhaust_leak",)), [1.3e-5])
+    leak = fit_fully(twin, found.whitening, start, frozen=null).fit
+    nameless = replace(found, kind="law", singles=[leak])
+    scale = [item.std for item in open_circumstances(twin)]
+    left = twin.measured - simulate_fits(twin, [leak, null.fit])
+    shares = np.array([null.metric.nuisance_estimate(each)[-len(scale) :] for each in left])
+    apart = scale * disagreement_of_circumstances(nameless, null)
+    assert apart == pytest.approx(scale * np.abs(shares[0] - shares[1]))
+    assert (apart > 0.0).all()
+    both = (told(item, null, null.simulated).circumstances for item in (nameless, replace(nameless, singles=[])))
+    with_name, without = (np.array([item.std for item in said]) for said in both)
+    assert with_name == pytest.approx(np.hypot(without, apart))
+    assert not disagreement_of_circumstances(replace(found, kind="healthy"), null).any()
 
 
 def test_a_hole_to_the_surroundings_has_the_name_of_a_leak_where_it_flows_out() -> None:
