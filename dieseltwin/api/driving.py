@@ -70,7 +70,7 @@ class DrivingDiscovered(Discovered):
     found: Discovery
     seconds: float
 
-    @property
+    @cached_property
     def document(self) -> Discrepancy:
         document = self.found.document
         if document.out_of_time is not None:  # the search knows what was left for it

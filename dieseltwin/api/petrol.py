@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,7 +55,7 @@ class PetrolDiscovered(Discovered):
     question: PetrolQuestion
     found: PetrolDiscovery
 
-    @property
+    @cached_property
     def document(self) -> Discrepancy:
         return with_warnings(self.found.document, [*self.question.notes, *recording_notes(self.question.recording)])
 

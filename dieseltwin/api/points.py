@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -164,7 +165,7 @@ class PointsDiscovered(Discovered):
     asked: Mapping[str, object]
     seconds: float
 
-    @property
+    @cached_property
     def document(self) -> Discrepancy:
         return document(self.found)
 

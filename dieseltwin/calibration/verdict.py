@@ -15,7 +15,6 @@ from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.search.run import Search
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
-    Alternative,
     Discrepancy,
     Fit,
     FoundEffect,
@@ -30,7 +29,7 @@ from dieseltwin.discovery.verdict.document import (
     with_warnings,
 )
 from dieseltwin.discovery.verdict.explain import plain
-from dieseltwin.discovery.verdict.findings import finite, valid_for
+from dieseltwin.discovery.verdict.findings import finite, none_of_these, ranked_location, valid_for
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import Term
@@ -39,7 +38,6 @@ from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import JUDGED, STATES
 from dieseltwin.version import __version__
 
-_LEAST_PROBABILITY = 1e-3  # of a site that is still worth a line
 PLACES = {
     "p_es": "the pressure behind the turbine (a valve, brake or filter in the exhaust)",
     "p_bc": "the pressure before the compressor", "T_im": "the temperature of the charge",
@@ -114,8 +112,7 @@ def _effects(result: PointsDiscovery) -> tuple[FoundEffect, ...]:
         if result.scatter is not None:
             laws.append(scatter_words(result.scatter))
     if laws:
-        entries.append(FoundEffect(name=NONE_OF_THESE, probability=1.0, law="; ".join(laws), magnitude=None, std=None,
-                                   unit=None))
+        entries.append(none_of_these("; ".join(laws)))
     return tuple(entries)
 
 
@@ -145,10 +142,7 @@ def _location(result: PointsDiscovery) -> Location:
     weights.setdefault(site, 0.0)
     if not first.taken:
         weights = {site: 1.0}
-    ranked = sorted(weights.items(), key=lambda pair: -pair[1])
-    others = tuple(Alternative(site=s, probability=w) for s, w in ranked if s != site and w > _LEAST_PROBABILITY)
-    return Location(site=site, probability=min(weights[site], 1.0), alternatives=others, regions=(_region(result),),
-                    onset_s=None)
+    return ranked_location(weights, site, regions=(_region(result),))
 
 
 def document(result: PointsDiscovery) -> Discrepancy:

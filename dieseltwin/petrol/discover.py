@@ -24,7 +24,6 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.assemble import details_of_search, finite_only, fit_figures, p_value
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.discovery.verdict.document import (
-    Alternative,
     Discrepancy,
     FoundEffect,
     HealthValue,
@@ -35,7 +34,7 @@ from dieseltwin.discovery.verdict.document import (
     with_warnings,
 )
 from dieseltwin.discovery.verdict.explained import explained_at
-from dieseltwin.discovery.verdict.findings import effects, finite, site_probabilities
+from dieseltwin.discovery.verdict.findings import effects, finite, ranked_location, site_probabilities
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
@@ -48,7 +47,6 @@ from dieseltwin.version import __version__
 
 TOLD_LEVEL = 0.01  # shift of a level that the sentence tells [-]
 ONSET_SHARE = 0.1  # of the recording, before an effect that `minimum_detectable` speaks of
-LEAST_SITE = 1e-3  # probability of a place that is still worth a line
 SPLIT_BY = {
     frozenset(("p_ic_gain", "p_ic_offset")): "p_ic is known at rest, near one value; other ambient pressure would tell",
     frozenset(("p_im_gain", "p_im_offset")): "driving over a wide range of p_im tells gain from offset",
@@ -212,13 +210,7 @@ def _document(
 
 
 def _location(recording: PetrolRecording, found: Search) -> Location:
-    ranked = sorted(site_probabilities(found).items(), key=lambda item: -item[1])
-    (site, probability), others = ranked[0], ranked[1:6]
-    return Location(
-        site=site, probability=min(float(probability), 1.0),
-        alternatives=tuple(Alternative(site=s, probability=min(float(p), 1.0)) for s, p in others if p > LEAST_SITE),
-        onset_s=_onset(recording, found),
-    )  # fmt: skip
+    return ranked_location(site_probabilities(found), onset_s=_onset(recording, found))
 
 
 def _onset(recording: PetrolRecording, found: Search) -> float | None:

@@ -12,7 +12,6 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.assemble import details_of_search, finite_only, p_value
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
-    Alternative,
     Discrepancy,
     Fit,
     FoundEffect,
@@ -24,12 +23,16 @@ from dieseltwin.discovery.verdict.document import (
     with_warnings,
 )
 from dieseltwin.discovery.verdict.explain import plain
-from dieseltwin.discovery.verdict.findings import effects, site_probabilities, valid_for
+from dieseltwin.discovery.verdict.findings import (
+    effects,
+    none_of_these,
+    ranked_location,
+    site_probabilities,
+    valid_for,
+)
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.rigs.discover import RigDiscovery, Round
 from dieseltwin.version import __version__
-
-_LEAST_PROBABILITY = 1e-3  # of a site that is still worth a line
 
 
 def document(result: RigDiscovery) -> Discrepancy:
@@ -65,7 +68,7 @@ def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
     entries: list[FoundEffect] = []
     for item in result.taken:
         if item.law is not None:
-            entries.append(_none_of_these(item.law.text, valid_for(item.found)))
+            entries.append(none_of_these(item.law.text, valid_for(item.found)))
             continue
         told = {e.name: e for e in effects(item.found)} if item.found.best is not None else {}
         for name in item.names:
@@ -78,13 +81,8 @@ def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
                 split_by=None if own is None else own.split_by,
             ))  # fmt: skip
     if result.more_is_missing and not any(e.name == NONE_OF_THESE for e in entries):
-        entries.append(_none_of_these("more is missing; no law foretells it", valid_for(result.rounds[-1].found)))
+        entries.append(none_of_these("more is missing; no law foretells it", valid_for(result.rounds[-1].found)))
     return tuple(entries)
-
-
-def _none_of_these(law: str, valid: str) -> FoundEffect:
-    return FoundEffect(name=NONE_OF_THESE, probability=1.0, law=law, magnitude=None, std=None, unit=None,
-                       valid_for=valid)  # fmt: skip
 
 
 def _location(first: Round) -> Location:
@@ -97,10 +95,7 @@ def _location(first: Round) -> Location:
         weights = {first.found.twin.hypotheses[first.names[0]].site: 1.0}
     else:
         weights = {first.found.structure[0].feature.site: 1.0}
-    ranked = sorted(weights.items(), key=lambda pair: -pair[1])
-    (site, probability), rest = ranked[0], ranked[1:6]
-    others = tuple(Alternative(site=s, probability=float(w)) for s, w in rest if w > _LEAST_PROBABILITY)
-    return Location(site=site, probability=float(min(probability, 1.0)), alternatives=others)
+    return ranked_location(weights)
 
 
 def _fit(result: RigDiscovery) -> Fit:

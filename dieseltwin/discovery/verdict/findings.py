@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from scipy.special import expit, logsumexp
@@ -16,6 +17,7 @@ from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, Fo
 from dieseltwin.discovery.verdict.reasons import split_by
 
 _LEAST_PROBABILITY = 1e-3  # of a site or name that is still worth a line
+_RIVALS = 5  # sites that are said beside the first
 _REGION_SHARE = 0.9  # of the positive evidence that a reported region holds along each condition
 _CONDITIONS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 
@@ -27,22 +29,39 @@ def finite(value: float | None) -> float | None:
 
 def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> Location:
     """Site with its rivals, the driving that holds the evidence, and the onset."""
-    weights = site_probabilities(found)
-    ranked = sorted(weights.items(), key=lambda item: -item[1])
-    site, probability = ranked[0]
     variant = found.variant if found.kind == "variant" else None
-    return Location(
-        site=site, probability=float(min(probability, 1.0)),
-        alternatives=tuple(
-            Alternative(site=name, probability=float(value))
-            for name, value in ranked[1:6]
-            if value > _LEAST_PROBABILITY
-        ),
+    return ranked_location(
+        site_probabilities(found),
         regions=_regions(twin, evidence, variant.region if variant else None),
         onset_s=None if variant is None or variant.onset_s is None else float(
             twin.recording_time_s[np.searchsorted(twin.time_s, variant.onset_s)] - twin.recording_time_s[0]
         ),
     )  # fmt: skip
+
+
+def ranked_location(weights: Mapping[str, float], site: str | None = None, **more: Any) -> Location:
+    """The likeliest site with its strongest rivals.
+
+    Args:
+        weights: site -> probability.
+        site: that comes first; None: the likeliest.
+        more: further fields of the location.
+    """
+    ranked = sorted(weights.items(), key=lambda item: -item[1])
+    site = ranked[0][0] if site is None else site
+    rivals = [item for item in ranked if item[0] != site][:_RIVALS]
+    return Location(
+        site=site, probability=float(min(weights[site], 1.0)),
+        alternatives=tuple(Alternative(site=s, probability=float(p)) for s, p in rivals if p > _LEAST_PROBABILITY),
+        **more,
+    )  # fmt: skip
+
+
+def none_of_these(law: str | None, valid: str | None = None, probability: float = 1.0) -> FoundEffect:
+    """Something that has no name: the law by which it goes, where there is one, and where that holds."""
+    return FoundEffect(
+        name=NONE_OF_THESE, probability=probability, law=law, magnitude=None, std=None, unit=None, valid_for=valid
+    )
 
 
 def site_probabilities(found: Search) -> dict[str, float]:
@@ -167,9 +186,6 @@ def _unnamed(found: Search) -> FoundEffect:
             if item.feature.text == "gain"
             else f"reading + {item.coefficient:.4g} of its mean"
         )
-    return FoundEffect(
-        name=NONE_OF_THESE, probability=float(expit(0.5 * ahead)), law=law, magnitude=None, std=None, unit=None,
-        valid_for=valid_for(found),
-    )
+    return none_of_these(law, valid_for(found), float(expit(0.5 * ahead)))
 
 
