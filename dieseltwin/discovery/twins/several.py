@@ -176,7 +176,7 @@ class SeveralTwin:
         for r, part in enumerate(self.parts):
             own = self._lanes_of(r, lanes)
             first, again = _alike(own)
-            out.append(answer(part, own if first.size == own.size else some_lanes(own, first))[again])
+            out.append(answer(part, own) if first.size == own.size else answer(part, some_lanes(own, first))[again])
         return np.concatenate(out, axis=1)
 
     def simulate(self, lanes: Lanes) -> Array:

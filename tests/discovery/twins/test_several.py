@@ -52,6 +52,19 @@ def test_every_lane_is_that_of_each_part(twin: SeveralTwin):
     assert np.array_equal(together[1, twin.rows[1]], together[0, twin.rows[1]])  # is nothing to the second
 
 
+def test_lanes_that_all_differ_keep_their_order(twin: SeveralTwin):
+    """Every effect had another one's response: what is the same in two lanes is found in sorted order."""
+    sizes = {"vgt_offset": np.array([0.0, 0.0, 2.0]), "boost_leak": np.array([3e-5, 1e-5, 0.0])}
+    base = first_fit(twin).lanes()
+    lanes = replace(
+        base, parameters=np.repeat(base.parameters, 3, axis=0), local=np.repeat(base.local, 3, axis=0), magnitudes=sizes
+    )
+    together = twin.simulate(lanes)
+    for b in range(3):
+        alone = replace(base, magnitudes={name: values[b : b + 1] for name, values in sizes.items()})
+        assert np.allclose(together[b], twin.simulate(alone)[0], rtol=1e-9)
+
+
 def test_profiles_of_a_year():
     year = [Occasion(90.0 * k, 290.0 + t) for k, t in enumerate((0.0, 10.0, -12.0, 1.0))]
     found = profiles_of(year)
