@@ -19,7 +19,10 @@ from tasks.store import Artifact
 
 @flow(name="watch", description=__doc__, task_runner=task_runner())
 def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
-    """Add what is new. Returns the names of the recordings that were added; those that are no good stop none."""
+    """Add what is new. Returns the names of the recordings that were added.
+
+    Those that are no good stop none; they end the flow behind all others.
+    """
     settings = load_settings(profile)
     files = steps.engine_files(engine)
     pending = {

@@ -119,6 +119,14 @@ def _check_place(root: Path) -> None:
 
 def serve(flow: Any, cron: str, **parameters: Any) -> int:
     """Register the flow with its schedule on a server of its own and run it when it is due, until Ctrl-C."""
+    from prefect.client.schemas.schedules import CronSchedule
+
+    try:
+        CronSchedule(cron=cron)
+    except ValueError:
+        print(f"error: --cron: got {cron!r}; allowed: five fields, such as '0 * * * *' for every hour; mend it",
+              file=sys.stderr)  # fmt: skip
+        return 2
     workspace = prepare_environment()
     try:
         databases.check_settings()

@@ -33,6 +33,7 @@ def watched(
     """
     import shutil
     import tempfile
+    from contextlib import chdir
 
     from dieseltwin.api.watch import judge
     from dieseltwin.learning.history import to_json
@@ -41,7 +42,8 @@ def watched(
         shutil.copy2(recording, Path(folder) / name)  # with its date
         shutil.copyfile(engine, Path(folder) / "engine.yaml")
         shutil.copyfile(learned, Path(folder) / beside)
-        entry = judge(Path(folder) / name, Path(folder) / "engine.yaml")
+        with chdir(folder):  # what is refused is named as it is in its folder
+            entry = judge(name, "engine.yaml")
     (out / ENTRY).write_text(to_json(entry) + "\n", encoding="utf-8")
 
 
@@ -126,7 +128,7 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
 
 
 def show(batch: Batch, refused: Mapping[str, StepFailed]) -> None:
-    """Print what was added, what was refused and why, and what the history says."""
+    """Print what was added, what was refused and why, and what the history says; raise the first refusal behind it."""
     display = current().display
     for name in batch.added:
         display.say(f"{name}: added")
@@ -134,3 +136,5 @@ def show(batch: Batch, refused: Mapping[str, StepFailed]) -> None:
         display.say(f"{name}: not added: {error}")
     display.say(batch.sentence)
     display.say(f"page: {batch.page}")
+    for error in refused.values():
+        raise error

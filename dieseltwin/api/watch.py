@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from dieseltwin.api.driving import DrivingDiscovered, ask
+from dieseltwin.api.driving import DrivingDiscovered, DrivingQuestion, ask
 from dieseltwin.api.findings import Asked
 from dieseltwin.api.reading import Channels
 from dieseltwin.api.results import Result, drawn
@@ -115,7 +115,9 @@ def watch(
             if path.is_file() and store.holds(file_sha256(path)):
                 known.append(str(path))
                 continue
-            (added if store.add(_judged(path, engine, learned, channels, sensors)) else known).append(str(path))
+            question, day = _asked(path, engine, learned, channels, sensors)
+            new = not store.holds(day.recording.rows_sha256) and store.add(_entry(question.answer(), day))
+            (added if new else known).append(str(path))
         except InputError as error:
             refused.append((str(path), str(error)))
     return _watched(store, settings, tuple(added), tuple(known), tuple(refused))
@@ -125,7 +127,8 @@ def judge(
     recording: str | Path, engine: str | Path, *, channels: Channels | None = None, sensors: Sequence[str] | None = None
 ) -> Entry:
     """What `watch` would add for one recording, without a history to add it to; arguments and errors as there."""
-    return _judged(Path(recording), engine, _learned(engine), channels, sensors)
+    question, day = _asked(Path(recording), engine, _learned(engine), channels, sensors)
+    return _entry(question.answer(), day)
 
 
 def begun(folder: str | Path, engine: str | Path) -> History:
@@ -164,14 +167,15 @@ def _learned(engine: str | Path) -> LearnedEngine:
     return learned
 
 
-def _judged(
+def _asked(
     path: Path, engine: str | Path, learned: LearnedEngine, channels: Channels | None, sensors: Sequence[str] | None
-) -> Entry:
+) -> tuple[DrivingQuestion, Dated]:
+    """A recording, read and checked, with its date."""
     question = ask([import_columns(path, channels)], engine, channels, Asked(sensors), learned)
     day = dated(question.recording)
     if day is None:
         raise InputError(str(path), "no date", "a date in the file or in its name", "name it 2026-03-14.csv")
-    return _entry(question.answer(), day)
+    return question, day
 
 
 def _known_sha256(learned: LearnedEngine) -> str:
@@ -193,4 +197,5 @@ def _entry(found: DrivingDiscovered, day: Dated) -> Entry:
         p_amb_pa=recording.p_amb_pa, t_amb_k=recording.t_amb_k, health=seen.health,
         health_covariance=seen.health_covariance, since=seen.since, since_std=seen.since_std, scores=seen.scores,
         verdict=" + ".join(effect.name for effect in document.effects) or "healthy", sentence=found.sentence,
+        rows_sha256=recording.rows_sha256,
     )  # fmt: skip

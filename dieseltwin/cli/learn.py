@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dieseltwin.atomic import check_writable
-from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, progress, readable, say
+from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, progress, readable, readable_engines, say
 from dieseltwin.errors import InputError
 
 
@@ -31,7 +31,7 @@ def learn_command(
     siblings: Annotated[
         list[Path] | None,
         typer.Option(
-            "--siblings", metavar="FILE", callback=readable, help="Learned engine of the same type; repeatable."
+            "--siblings", metavar="FILE", callback=readable_engines, help="Learned engine of the same type; repeatable."
         ),
     ] = None,
 ) -> None:
@@ -45,8 +45,9 @@ def learn_command(
     check_writable(out)
     progress("learning ...")
     from dieseltwin.api.learning import learn
+    from dieseltwin.engine.learned_file import learned_beside
 
     found = learn(recordings, engine, channels=channels, map_error=map_error, siblings=siblings or ())
     found.save(out)
-    beside = ", with the file beside it" if out.with_suffix(".learned.parquet").is_file() else ""
+    beside = ", with the file beside it" if learned_beside(out).is_file() else ""
     say([*found.lines(), f"{out}: --engine takes it{beside}"])

@@ -25,7 +25,7 @@ Sensors = Annotated[
     str | None, typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; all without it.")
 ]
 ParamsFile = Annotated[Path | None, typer.Option("--params", metavar="FILE", help="Settings instead of params.yaml.")]
-Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile of the settings: quick or paper.")]
+Profile = Annotated[str, typer.Option("--profile", metavar="NAME", help="Profile: quick, paper or tiny.")]
 
 Pdf = Annotated[bool, typer.Option("--pdf", help="Print the report to report.pdf as well (with Chromium or Chrome).")]
 
@@ -43,6 +43,13 @@ def readable(named: Named) -> Named:
     """
     for path in named if isinstance(named, list) else (named,):
         refuse_unreadable(path)
+    return named
+
+
+def readable_engines(named: list[Path] | None) -> list[Path] | None:
+    """The same of engine files."""
+    for path in named or ():
+        refuse_unreadable(path, "a learned engine")
     return named
 
 

@@ -61,8 +61,12 @@ def engine_lines(engine: EngineFile) -> Iterator[str]:
 
 def params_lines(params: ParamsFile, profile: str) -> Iterator[str]:
     """The settings of one profile as YAML, headed by their hash."""
+    from dieseltwin.engine import we2011
+    from dieseltwin.engine.parameters import validated
     from dieseltwin.settings.params import load_params
 
     loaded = load_params(params, profile)
+    own = {**we2011.PARAMETERS.model_dump(), **loaded.engine.overrides}
+    validated(own, f"{params or 'params.yaml'}: engine.overrides")  # settings know no engine
     yield f"# sha256 {loaded.sha256}"
     yield from _plain_yaml(loaded.model_dump(mode="json"))

@@ -25,6 +25,16 @@ WITHOUT_THREADS: Mapping[str, Any] = {"use_threads": False, "pre_buffer": False}
 LEARN_AGAIN = "put the file back, or learn the engine again with `dieseltwin learn`"
 
 
+def learned_beside(path: Path) -> Path:
+    """The file that `learn` writes beside an engine file."""
+    return path.with_name(f"{path.stem if path.suffix == '.yaml' else path.name}.learned.parquet")
+
+
+def replaced_by(target: Path) -> Path:
+    """Where the file that another one takes the place of is kept, until the engine file names the new one."""
+    return target.with_name(f"{target.name}.before")
+
+
 def learned_bytes(path: Path, document: Mapping[str, Any]) -> bytes:
     """Content of the file that an engine file names.
 
@@ -38,11 +48,14 @@ def learned_bytes(path: Path, document: Mapping[str, Any]) -> bytes:
     if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name:
         raise InputError(f"{path}: learned", repr(name), "the name of a file beside it", LEARN_AGAIN)
     target = path.with_name(name)
+    wanted = str(document.get(SHA256))
     try:
         content = target.read_bytes()
+        if hashlib.sha256(content).hexdigest() != wanted and replaced_by(target).is_file():
+            content = replaced_by(target).read_bytes()  # learning more was ended before the engine file was written
     except (OSError, ValueError):
         raise InputError(f"{path}: learned", f"no {target.name} beside it", "both files", LEARN_AGAIN) from None
-    got, wanted = hashlib.sha256(content).hexdigest(), str(document.get(SHA256))
+    got = hashlib.sha256(content).hexdigest()
     if got != wanted:
         raise InputError(str(target), f"SHA-256 {got[:12]}...", f"{wanted[:12]}..., as {path.name} says", LEARN_AGAIN)
     return content

@@ -24,7 +24,15 @@ import yaml
 
 from dieseltwin.atomic import write_bytes, write_text
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters
-from dieseltwin.engine.learned_file import LEARN_AGAIN, LEARNED, SHA256, WITHOUT_THREADS, learned_bytes
+from dieseltwin.engine.learned_file import (
+    LEARN_AGAIN,
+    LEARNED,
+    SHA256,
+    WITHOUT_THREADS,
+    learned_beside,
+    learned_bytes,
+    replaced_by,
+)
 from dieseltwin.engine.terms import CorrectionTerm
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief, rougher
@@ -93,11 +101,15 @@ class LearnedEngine:
 def save_learned(learned: LearnedEngine, path: Path) -> Path:
     """Write `path` (YAML) and, beside it, the Parquet file that it names; returns the latter.
 
+    Until the YAML stands, what it named before is kept beside it: killed at any moment, one of both can be read.
+
     Raises:
         InputError: a place that cannot be written to.
     """
-    target = path.with_name(f"{path.stem}.learned.parquet")
-    content = _parquet(learned)
+    target = learned_beside(path)
+    content, before = _parquet(learned), replaced_by(target)
+    if (kept := _named_now(path)) is not None:
+        write_bytes(before, kept)
     write_bytes(target, content)
     values: dict[str, Any] = learned.engine.model_dump(mode="json")
     values["terms"] = [term.model_dump(mode="json") for term in learned.base.terms]
@@ -106,7 +118,19 @@ def save_learned(learned: LearnedEngine, path: Path) -> Path:
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
     heading = f"# Learned by `dieseltwin learn` from {minutes}; --engine accepts it.\n"
     write_text(path, sealed_text(heading + text))
+    before.unlink(missing_ok=True)
     return target
+
+
+def _named_now(path: Path) -> bytes | None:
+    """Content of the file that an engine file names; None where there is no such file, or nothing that can be read."""
+    if not path.is_file():
+        return None
+    try:
+        document = read_mapping(path)
+        return learned_bytes(path, document) if LEARNED in document else None
+    except InputError:
+        return None
 
 
 def load_learned(path: Path) -> LearnedEngine | None:
@@ -208,5 +232,6 @@ def _rows(item: Recording, names: Sequence[str]) -> np.ndarray:
 
 
 def distinct(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Each recording once, sorted by hash."""
-    return tuple(sorted({item.sha256: item for item in recordings}.values(), key=lambda item: item.sha256))
+    """Each recording once, sorted by hash; of copies with the same rows the one whose hash comes first."""
+    ordered = sorted(recordings, key=lambda item: item.sha256, reverse=True)
+    return tuple(sorted({item.rows_sha256: item for item in ordered}.values(), key=lambda item: item.sha256))

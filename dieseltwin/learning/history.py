@@ -9,9 +9,10 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -48,6 +49,7 @@ class Entry:
         since, since_std: (4,) health over that of the reference [-].
         scores: of every effect.
         verdict: names of what the recording shows by itself, "healthy" without any; sentence: the same in words.
+        rows_sha256: of what is in the file, "" in histories from before it was kept.
     """
 
     sha256: str
@@ -64,6 +66,7 @@ class Entry:
     scores: tuple[Score, ...]
     verdict: str
     sentence: str
+    rows_sha256: str = ""
 
     @property
     def moment(self) -> datetime:
@@ -94,12 +97,8 @@ class History:
             check_folder(self.folder)
 
     def _begun(self) -> bool:
-        """Whether there is a history: a file that a kill left empty while it was made is none."""
-        if not self.path.is_file() or not self.path.stat().st_size:
-            return False
-        with self._opened() as connection:
-            named = connection.execute("PRAGMA application_id").fetchone()[0]
-            return bool(named) or connection.execute("SELECT 1 FROM sqlite_master").fetchone() is not None
+        """Whether there is a history."""
+        return self.path.is_file()
 
     def _make(self) -> None:
         try:
@@ -107,21 +106,22 @@ class History:
         except OSError as error:
             raise InputError(str(self.folder), error.strerror or error, "a folder you may write to",
                              "choose another --history") from None
-        with self._opened() as connection:
-            known = {name for name, in connection.execute("SELECT name FROM sqlite_master")}
-            if not known:  # another process may have been first
-                for table in _TABLES:
-                    connection.execute(table)
-                about = {"schema": str(SCHEMA), "engine_sha256": str(self._engine_sha256),
-                         "code_version": __version__}  # fmt: skip
-                connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
-                connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+        made = self.path.with_name(f".{FILE_NAME}.{os.getpid()}.new")
+        with self._opened(made) as connection:
+            for table in _TABLES:
+                connection.execute(table)
+            about = {"schema": str(SCHEMA), "engine_sha256": str(self._engine_sha256), "code_version": __version__}
+            connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
+            connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+        with suppress(FileExistsError):  # another process was first
+            os.link(made, self.path)  # whole or not at all: an empty history is a damaged one
+        made.unlink()
 
     @contextmanager
-    def _opened(self) -> Iterator[sqlite3.Connection]:
+    def _opened(self, path: Path | None = None) -> Iterator[sqlite3.Connection]:
         """One transaction, whole or not at all."""
         try:
-            with closing(sqlite3.connect(self.path, timeout=_WAIT_S, isolation_level=None)) as connection:
+            with closing(sqlite3.connect(path or self.path, timeout=_WAIT_S, isolation_level=None)) as connection:
                 connection.execute("PRAGMA synchronous = FULL")
                 connection.execute("BEGIN IMMEDIATE")
                 try:
@@ -140,6 +140,8 @@ class History:
         return InputError(str(self.path), what, "a history as `dieseltwin watch add` wrote it", _NEW)
 
     def _check(self) -> None:
+        if not self.path.stat().st_size:
+            raise self._damaged("an empty file")
         with self._opened() as connection:
             if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION:
                 raise self._damaged("an SQLite file of something else")
@@ -156,11 +158,11 @@ class History:
             )  # fmt: skip
 
     def holds(self, sha256: str) -> bool:
-        """Whether a recording is there already."""
+        """Whether a recording is there already, by the hash of a file or of its rows."""
         if not self._begun():
             return False
         with self._opened() as connection:
-            return connection.execute("SELECT 1 FROM recordings WHERE sha256 = ?", (sha256,)).fetchone() is not None
+            return _holds(connection, sha256)
 
     def add(self, entry: Entry) -> bool:
         """Add a recording; False where it is there already, which stays as it is."""
@@ -170,10 +172,11 @@ class History:
         row = to_json(entry)
         columns = (entry.sha256, entry.date, entry.hours, entry.p_amb_pa, entry.t_amb_k, entry.verdict)
         with self._opened() as connection:
-            before = connection.total_changes
-            connection.execute("INSERT OR IGNORE INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-                               (*columns, row, _checksum(row)))
-            return connection.total_changes > before
+            if _holds(connection, entry.sha256) or (entry.rows_sha256 and _holds(connection, entry.rows_sha256)):
+                return False
+            values = (*columns, row, _checksum(row))
+            connection.execute("INSERT INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
+            return True
 
     def entries(self) -> tuple[Entry, ...]:
         """All recordings by date, whatever the order in which they were added.
@@ -192,6 +195,11 @@ class History:
                 raise self._damaged(f"the row of {sha256[:12]} is not as it was written")
             out.append(entry)
         return tuple(out)
+
+
+def _holds(connection: sqlite3.Connection, sha256: str) -> bool:
+    asked = "SELECT 1 FROM recordings WHERE sha256 = ?1 OR json_extract(row, '$.rows_sha256') = ?1"
+    return connection.execute(asked, (sha256,)).fetchone() is not None
 
 
 def _checksum(row: str) -> str:

@@ -118,6 +118,12 @@ class Recording:
         return sum(self._length(piece) for piece in self.pieces())
 
     @property
+    def rows_sha256(self) -> str:
+        """Hash of the rows: the same for a copy with other line ends, in another format or with further columns."""
+        known = (TIME, *INPUTS, *OPTIONAL_INPUTS, *MEASURED, *AMBIENT)
+        return columns_sha256({name: self.columns[name] for name in known if name in self.columns})
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Names of the columns."""
         return tuple(self.columns)

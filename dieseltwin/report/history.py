@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from markupsafe import Markup
 from dieseltwin.engine import HEALTH
 from dieseltwin.learning.alarm import Course
 from dieseltwin.learning.history import Entry
+from dieseltwin.notes import counted
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import magnitude_words, site_words
 from dieseltwin.report.page import Page, Section, Table
@@ -26,7 +28,7 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     rate = f"{alarms_per_year:g} false alarms an engine and year at most"
     if not entries:
         return "The history holds no recording."
-    span = f"{len(entries)} recordings, {entries[0].moment:{_DAY}} to {entries[-1].moment:{_DAY}}"
+    span = f"{counted(len(entries), 'recording')}, {_days(entries[0].moment, entries[-1].moment)}"
     alarm, last = course.alarm, entries[-1].verdict
     if alarm is None:
         alone = "" if last == "healthy" else f"; but the last recording by itself shows {last}"
@@ -40,9 +42,14 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
         f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size}, "
-        f"{way} {alarm.since:{_DAY}} ({alarm.earliest:{_DAY}} to {alarm.latest:{_DAY}}){alone}; {span}; {rate}. "
+        f"{way} {alarm.since:{_DAY}} ({_days(alarm.earliest, alarm.latest)}){alone}; {span}; {rate}. "
         "`dieseltwin discover` on these recordings together says what it is."
     )
+
+
+def _days(first: datetime, last: datetime) -> str:
+    """From one day to another, or the one day."""
+    return f"{first:{_DAY}} to {last:{_DAY}}" if first.date() != last.date() else f"{first:{_DAY}}"
 
 
 def table(entries: Sequence[Entry], course: Course) -> pd.DataFrame:

@@ -81,10 +81,13 @@ def test_a_batch_is_added_once_and_logged_once(
     arrived(folder, "2026-01-01.csv")
     arrived(folder, "2026-02-01.csv", 20.0)  # too short
     fresh()
-    assert watch("tiny", str(folder), str(mine), str(history)) == ["2026-01-01.csv"]
+    with pytest.raises(StepFailed, match=r"^2026-02-01\.csv") as refused:
+        watch("tiny", str(folder), str(mine), str(history))
+    assert refused.value.exit_code == 2
     assert [entry.path for entry in dt.history(history).entries] == ["2026-01-01.csv"]
     page = tmp_path / "reports" / "watch" / "lorry_7" / "history.html"
     assert "2026-01-01.csv" in page.read_text()
+    (folder / "2026-02-01.csv").unlink()
     fresh()
     assert watch("tiny", str(folder), str(mine), str(history)) == []
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from dieseltwin.engine import load_engine, simulate, we2011
 from dieseltwin.engine.inputs import Inputs
 from dieseltwin.engine.terms import corrections_in
 from dieseltwin.errors import InputError
+from dieseltwin.learning import files
 from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.files import LearnedEngine, distinct, load_learned, overlap, save_learned
@@ -71,6 +74,47 @@ def test_order_and_repetition_change_no_byte(tmp_path: Path, two):
         save_learned(_learned(*some), tmp_path / name / "mine.yaml")
     for name in ("mine.yaml", "mine.learned.parquet"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_a_copy_with_the_same_rows_counts_once(two):
+    first, second = two
+    columns = {**first.columns, "oil_k": np.full(first.time_s.size, 360.0)}
+    copy = replace(first, columns=columns, sha256="0" * 64)
+    assert distinct([first, second, copy]) == distinct([copy, second, first])
+    assert [item.sha256 for item in distinct([first, copy])] == [copy.sha256]
+
+
+@pytest.mark.parametrize("killed_at", ["mine.learned.parquet.before", "mine.learned.parquet", "mine.yaml"])
+def test_learning_more_that_is_killed_leaves_one_of_both(
+    tmp_path: Path, two, killed_at: str, monkeypatch: pytest.MonkeyPatch
+):
+    path, less, more = tmp_path / "mine.yaml", _learned(two[0]), _learned(*two)
+    save_learned(less, path)
+
+    def killed(write: Callable[..., None]) -> Callable[..., None]:
+        def until(target: Path, content: bytes | str) -> None:
+            write(target, content)
+            if target.name == killed_at:
+                raise KeyboardInterrupt
+
+        return until
+
+    for _ in range(2):  # what is killed once may be killed again
+        with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+            for name in ("write_bytes", "write_text"):
+                patched.setattr(files, name, killed(getattr(files, name)))
+            save_learned(more, path)
+        known = load_learned(path)
+        assert known is not None
+        assert len(known.recordings) == (2 if killed_at == "mine.yaml" else 1)
+        assert corrections_in(load_engine(path).terms) is not None
+    save_learned(more, path)
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["mine.learned.parquet", "mine.yaml"]
+
+
+def test_files_that_differ_in_their_ending_have_each_its_own_beside_them(tmp_path: Path, two):
+    names = [save_learned(_learned(*two), tmp_path / name).name for name in ("mine.yaml", "mine.yml")]
+    assert names == ["mine.learned.parquet", "mine.yml.learned.parquet"]
 
 
 def test_every_command_gets_the_mean_corrections(tmp_path: Path, two):

@@ -94,11 +94,21 @@ def test_a_damaged_history_is_refused_in_one_line(tmp_path: Path, damage: str):
     assert "\n" not in str(refused.value)
 
 
-def test_a_file_that_a_kill_left_empty_is_no_history_yet(tmp_path: Path):
+def test_a_file_that_was_emptied_is_refused_and_none_is_ever_begun_empty(tmp_path: Path):
     store = History(tmp_path / "new", ENGINE)
     assert not store.entries() and not store.holds("f" * 64) and not (tmp_path / "new").exists()
-    (tmp_path / FILE_NAME).touch()
-    assert History(tmp_path, ENGINE).add(entry(0)) and len(History(tmp_path).entries()) == 1
+    assert store.add(entry(0)) and [item.name for item in (tmp_path / "new").iterdir()] == [FILE_NAME]
+    store.path.write_bytes(b"")
+    for engine in (ENGINE, None):
+        with pytest.raises(InputError, match="an empty file"):
+            History(tmp_path / "new", engine)
+
+
+def test_the_same_rows_in_another_file_are_the_same_recording(tmp_path: Path):
+    store, rows = History(tmp_path, ENGINE), "a" * 64
+    assert store.add(replace(entry(0), rows_sha256=rows)) and store.holds(rows)
+    assert not store.add(replace(entry(1), rows_sha256=rows)) and len(store.entries()) == 1
+    assert store.add(entry(1)) and store.add(entry(2))  # of before rows were told apart
 
 
 def test_a_history_belongs_to_one_engine(tmp_path: Path):
