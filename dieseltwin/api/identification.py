@@ -61,7 +61,7 @@ class Setup:
         maps: which empirical maps: exact, paper or improved; None is the method's own.
         params: file of settings; None is params.yaml.
         profile: of the settings.
-        sensors: columns to use; None takes the paper's five, which must be there then.
+        sensors: columns to use; None takes all that there are, of which the paper's five must be among them.
         fit_test: test whether the twin fits the recording (methods with exact maps; see `discovery.fit_test`).
     """
 
@@ -293,13 +293,15 @@ def ask(
                for name in SENSORS if name not in used]
     notes = (*_notes(source, parameters), *channel_notes(source, used), *without, *left_out)
     seed = settings.seed if seed is None else seed
-    fit_with = (with_charge(parameters, source), tuple(used)) if setup.fit_test and chosen.needs.maps == EXACT else None
+    fitted = tuple(used) if masked is not None else tuple(name for name in MEASURED if name in source.columns)
+    fit_with = (with_charge(parameters, source), fitted) if setup.fit_test and chosen.needs.maps == EXACT else None
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source,
                                   segment_s, masked, fit_with, source.path.name if source.path else "")  # fmt: skip
 
 
 def sensors_of(source: Recording) -> tuple[str, ...] | None:
-    """Sensors that `Setup` has to name for this recording: None where it has the paper's five, else those it has."""
+    """Sensors that `Setup` has to name for this recording: None where it has the paper's five, which then go with
+    whatever else there is, else those of the five that it has."""
     there = tuple(name for name in SENSORS if name in source.columns)
     return None if there == SENSORS else there
 

@@ -43,7 +43,7 @@ def identify_command(
     channels: ChannelsFile = None,
     sensors: Annotated[
         str | None,
-        typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; the paper's five without it."),
+        typer.Option("--sensors", metavar="A,B,...", help="Sensor columns to use; without it all, five at least."),
     ] = None,
     models: Annotated[
         Path | None,

@@ -20,6 +20,8 @@ DRIFT, SCALE, TIME_SHIFT = "drift", "scale", "time_shift"
 
 _OF = "@"
 
+_POSSIBLE = {"p_amb_pa": (4.5e4, 1.1e5), "t_amb_k": (215.0, 330.0), "t_im_k": (230.0, 420.0)}
+"""Weather and charge behind a cooler that an engine can have: to 6 km of height, -58 to 57 degC."""
 
 @dataclass(frozen=True)
 class Circumstance:
@@ -84,8 +86,11 @@ def kind_of(name: str) -> str:
 
 
 def applicable(recording: Recording, name: str, value: float) -> float:
-    """The value as `put_right` can apply it: shifts of sensors are whole rows, so that their noise stays as it is."""
+    """The value as `put_right` can apply it: weather as there is on earth, which a channel that is plainly wrong can
+    ask beyond; shifts of sensors are whole rows, so that their noise stays as it is."""
     kind, _, column = name.rpartition(":")
+    if name in _POSSIBLE:
+        return float(np.clip(value, *_POSSIBLE[name]))
     if kind == DRIFT:
         return 0.0
     if kind == TIME_SHIFT and column not in INPUTS:

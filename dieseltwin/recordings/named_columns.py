@@ -14,11 +14,15 @@ import pandas as pd
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import TIME, ChannelMap, channel_map, known_columns, read_channel_map
+from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps, with_index
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
 
-LIKE_TIME = ("time", "t_s", "t [")
+LIKE_TIME = ("time", "t_s", "t [", "zeit", "uhrzeit", "sekunden", "seconds")
 """Beginnings of names that a column of time may have in a file that nobody mapped."""
+LIKE_DATE = ("date", "datum")
+"""The same of dates, which settled points have as well."""
+_APART_S = 60.0  # rows of a recording are nearer to each other, settled points farther apart
 
 
 def read_table(path: str | Path) -> pd.DataFrame:
@@ -55,7 +59,17 @@ class Imported:
     @property
     def timed(self) -> bool:
         """Whether it is a recording over time (`time_s`, or a column that is called so) rather than settled points."""
-        return any(name == TIME or name.lower().startswith(LIKE_TIME) for name in self.columns)
+        named = {name.lower(): values for name, values in self.columns.items()}
+        dates = [values for name, values in named.items() if name.startswith(LIKE_DATE)]
+        return any(name == TIME or name.startswith(LIKE_TIME) for name in named) or any(map(_ticks, dates))
+
+
+def _ticks(values: np.ndarray) -> bool:
+    """Whether dates, as seconds (n,), are those of rows over time."""
+    if values.size < 2 or not np.issubdtype(np.asarray(values).dtype, np.number):
+        return False
+    steps = np.diff(values)
+    return bool((steps > 0.0).all() and np.median(steps) < _APART_S)
 
 
 def import_columns(
@@ -72,7 +86,9 @@ def import_columns(
     if isinstance(source, Imported):
         return source
     if isinstance(source, pd.DataFrame):
-        return Imported(renamed(source, channels))
+        table = with_index(source)
+        in_seconds, _, notes = seconds_from_stamps(table, "table")
+        return Imported(renamed(in_seconds, channels), tuple(notes), first_stamp(table))
     path = Path(source)
     mapping = _map(channels)
     wanted = {*mapping.entries, *known_columns()} if mapping.entries else None

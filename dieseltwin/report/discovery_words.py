@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from dieseltwin.discovery.verdict.document import (
+    NOTED_CHI2,
     Discrepancy,
     FoundEffect,
     FoundRegion,
@@ -268,8 +269,15 @@ def _left_words(document: Discrepancy) -> list[str]:
         parts.append(f"but more is missing{amount}, so what is named may imitate something that is not in the catalogue"
                      if any(effect.named for effect in document.effects) else f"more is missing{amount}")  # fmt: skip
     elif much:
-        parts.append(f"{left:.2f} of chi-square per sample is left where noise leaves 1, as the maps' tolerances allow")
+        whose = ("more than maps and sensors within their tolerances would leave, so sizes and names may be off"
+                 if left is not None and left > NOTED_CHI2 else "as the maps' tolerances allow")  # fmt: skip
+        parts.append(f"{left:.2f} of chi-square per sample is left where noise leaves 1, {whose}")
     return parts
+
+
+def _doubt_words(document: Discrepancy) -> list[str]:
+    """That the engine file may be another engine's, where the recording looks like it."""
+    return [doubt.text for doubt in document.warnings if doubt.code == "wrong_engine"]
 
 
 def _what_words(document: Discrepancy) -> str:
@@ -321,7 +329,7 @@ def _healthy(document: Discrepancy) -> str:
                 "the tolerances of the maps explain it")
     if shown:
         text += f"; {listing(shown)} would have been seen, smaller ones cannot be ruled out"
-    return "; ".join([text, *recorded_words(document), *_time_words(document)]) + "."
+    return "; ".join([text, *recorded_words(document), *_time_words(document), *_doubt_words(document)]) + "."
 
 
 def sentence(document: Discrepancy) -> str:
@@ -338,6 +346,7 @@ def sentence(document: Discrepancy) -> str:
             *_left_words(document),
             *recorded_words(document),
             *_time_words(document),
+            *_doubt_words(document),
         ]
     ) + "."
 

@@ -16,6 +16,8 @@ from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.named_columns import import_columns
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.rigs.recording import RigRecording
 from tests.api.simulated import drive
 
@@ -73,3 +75,21 @@ def test_several_are_all_driving(made: dict[str, Made]) -> None:
         ask([made["diesel"], made["points"]])
     with pytest.raises(InputError, match="judge them one by one"):
         ask([made["petrol"], made["petrol"]], "liu_petrol")
+
+
+def test_the_time_of_a_table_may_be_its_index(driven: pd.DataFrame) -> None:
+    """It was dropped, and the rows were judged as settled points."""
+    seconds, values = driven["time_s"], driven.drop(columns="time_s")
+    stamps = pd.Timestamp("2026-03-01") + pd.to_timedelta(seconds.to_numpy(), unit="s")
+    indices = (
+        pd.Index(seconds, name="time_s"), pd.to_timedelta(seconds.to_numpy(), unit="s"), stamps, stamps.rename("time_s")
+    )  # fmt: skip
+    for index in indices:
+        found = read(values.set_axis(index))
+        assert isinstance(found, Recording) and found.time_s == pytest.approx(seconds - seconds.iloc[0], abs=1e-9)
+        assert (found.began is not None) is isinstance(index, pd.DatetimeIndex)
+    for name in ("Zeit", "date"):
+        with pytest.raises(InputError, match="column time_s"):
+            read(values.assign(**{name: stamps}))
+    apart = values.head(5).assign(date=pd.date_range("2026-03-01", periods=5))
+    assert isinstance(read(apart), SteadyPoints)

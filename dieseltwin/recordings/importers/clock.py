@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.channels import TIME
 from dieseltwin.recordings.importers.layout import MONTHS, ZONES, is_date, is_stamp_text
 
 DAY_S = 86400.0
@@ -23,6 +24,19 @@ _GERMAN_MONTHS = {"mär": "mar", "maer": "mar", "mrz": "mar", "mai": "may", "okt
 _YEAR_LAST = re.compile(r"^(?:[A-Za-z]{3} )?([A-Za-z]{3,9}) (\d{1,2}) (\S+)( \S+)? (\d{4})$")
 _CLOCK_NAME = re.compile(r"time|zeit|stamp|datum|date|uhr", re.IGNORECASE)
 _COLON_FRACTION = re.compile(r"(\d{1,2}:\d{2}:\d{2}):(\d{1,6})$")  # 12:00:00:250, hundredths or ms after a colon
+
+
+def with_index(frame: pd.DataFrame) -> pd.DataFrame:
+    """The table with its index as a column, where that has a name or holds dates or spans of time (then in s)."""
+    index = frame.index
+    if index.name is None and not isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):
+        return frame
+    name = str(index.name or TIME)
+    if name in frame:
+        return frame
+    if isinstance(index, pd.TimedeltaIndex):
+        frame = frame.set_axis(index / pd.Timedelta(seconds=1))
+    return frame.reset_index(names=name)
 
 
 def stamped_columns(frame: pd.DataFrame) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pyarrow.parquet as pq
 
-from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps
+from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps, with_index
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
 
 UNIT_KEYS = (b"unit", b"units", b"Unit")
@@ -24,8 +24,7 @@ def read_parquet(path: Path) -> RawChannels:
         schema = pq.read_schema(path)
     except (OSError, ValueError) as error:
         raise unreadable(path, "Parquet", error) from None
-    if frame.index.name is not None or isinstance(frame.index, pd.DatetimeIndex):
-        frame = frame.reset_index(names=str(frame.index.name or "time"))
+    frame = with_index(frame)
     units = {}
     for field in schema:
         metadata = field.metadata or {}
