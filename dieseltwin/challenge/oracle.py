@@ -32,7 +32,7 @@ def _settled(twin: EngineTwin, noise: Noise, fit: Fit) -> Linearisation:
     return settle_local(at, rounds=4)
 
 
-def held_out_nll(engine: EngineParameters, recording: Recording, noise: Noise | None = None) -> float:
+def held_out_nll(engine: EngineParameters, recording: Recording) -> float:
     """Negative log-likelihood per sample of a recording under an engine whose parameters stay as they are.
 
     Only the turbo speeds at the windows' starts are fitted. The noise is estimated from the recording itself, so that
@@ -42,8 +42,7 @@ def held_out_nll(engine: EngineParameters, recording: Recording, noise: Noise | 
         InputError: a recording that can't be used.
     """
     twin = EngineTwin(recording, engine)
-    noise = noise or estimate_noise(twin.measured)
-    at = _settled(twin, noise, first_fit(twin))
+    at = _settled(twin, estimate_noise(twin.measured), first_fit(twin))
     residual = np.nan_to_num(at.residual)
     whitened = at.metric.without_local(residual[None])[0]
     logs = at.whitening.log_normaliser(at.whitening.present)

@@ -100,7 +100,7 @@ def test_files_give_the_same_results_as_memory(
     assert curves is not None
     curves.to_parquet(folder / "curves.parquet")
     write_report_inputs(tmp_path, found.problems, truth_states=trace, about={"title": "t"})
-    stored, memory = load_results(tmp_path), results_of(found, found.problems, truth_states=trace)
+    stored, memory = load_results(tmp_path), results_of(found, found.problems)
     drop = ["seconds_per_run"]
     pd.testing.assert_frame_equal(
         summary_table(stored).drop(columns=drop), summary_table(memory).drop(columns=drop)
