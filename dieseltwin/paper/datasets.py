@@ -15,16 +15,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dieseltwin.duty_cycles import (
-    Demand,
-    Driving,
-    drive,
-    joined,
-    load_schedule,
-    random_demand,
-    schedule_demand,
-    smoothed_demand,
-)
+from dieseltwin.duty_cycles.driving import Driving, drive
+from dieseltwin.duty_cycles.random_driving import random_demand, smoothed_demand
+from dieseltwin.duty_cycles.schedules import Demand, joined, load_schedule, schedule_demand
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, Inputs, simulate, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording, Segment, read_recording, recording

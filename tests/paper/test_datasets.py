@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dieseltwin.duty_cycles import Driving, limit_breaks
+from dieseltwin.duty_cycles.driving import Driving, limit_breaks
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.paper.comparison.driving import set_figure
