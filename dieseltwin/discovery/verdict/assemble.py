@@ -15,7 +15,7 @@ from dieseltwin.discovery.likelihood.circumstances import Estimate
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
-from dieseltwin.discovery.search.run import Search, occam
+from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array, rows_of
 from dieseltwin.discovery.twins.several import SeveralTwin
