@@ -76,7 +76,7 @@ def cheap_kinds(folder: Path) -> list[Kind]:
     from dieseltwin.engine import load_engine, we2011
     from dieseltwin.learning.belief import prior_belief
     from dieseltwin.learning.files import LearnedEngine, load_learned, save_learned
-    from dieseltwin.networks.files import load_state, save_network
+    from dieseltwin.networks.files import load_state, save_state
     from dieseltwin.networks.perceptron import MLP
     from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
     from dieseltwin.recordings.channels import read_channel_map
@@ -85,7 +85,8 @@ def cheap_kinds(folder: Path) -> list[Kind]:
     from dieseltwin.sealed import sealed_text
     from dieseltwin.settings.params import default_params_path, load_params
 
-    save_network(folder / "network.pt", MLP([3, 16, 16, 2]), {"of": "a test"})
+    network = MLP([3, 16, 16, 2])
+    save_state(folder / "network.pt", network.state_dict(), {"spec": network.spec(), "of": "a test"})
     (folder / "engine.yaml").write_text(engine_yaml(we2011.FIELD))
     save_petrol(PetrolParameters(), folder / "petrol.yaml")
     drive = read_recording(_reference(), sensors=())

@@ -19,18 +19,18 @@ import pandas as pd
 import torch
 
 from dieseltwin.paper.datasets import laboratory_parameters, make_case, make_validation
+from dieseltwin.paper.printed import BODY_ERRORS, operator_errors
 from dieseltwin.settings.params import Params, load_params
-from dieseltwin.surrogates.bodies import PAPER_TRAINING_ERROR_PCT, Kind, pod_floor, train_bodies
-from dieseltwin.surrogates.operators import (
-    COMMANDS,
-    OPERATORS,
-    PAPER_TEST_ERROR_PCT,
-    PAPER_TRAINING_OPERATOR_ERROR_PCT,
-    train_operators,
-)
+from dieseltwin.surrogates.bodies import Kind, pod_floor, train_bodies
+from dieseltwin.surrogates.operators import COMMANDS, OPERATORS, train_operators
 
 VALIDATION_SEEDS = (901, 902)
 CASES = ("case_i", "case_iv", "case_vi", "case_vii")
+PRINTED_AS = {
+    "p_im_pa": "p_im", "p_em_pa": "p_em", "x_r": "x_r", "t_1_k": "T_1", "omega_t_rad_s": "omega_t",
+    "u_egr1_pct": "u_egr1", "u_egr2_pct": "u_egr2", "u_vgt_act_pct": "u_vgt",
+}  # fmt: skip
+"""Column -> name in the paper's tables of errors."""
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
@@ -86,7 +86,7 @@ def operators(
             errors |= {where: [o.errors(frame)[label] for o in trained] for where, frame in held.items()}
             shown = [f"{np.mean(values):.3f}+-{np.std(values):.3f}" for values in errors.values()]
             command = [f"{command_error(frame, label):.2f}" for frame in held.values()]
-            paper = [PAPER_TRAINING_OPERATOR_ERROR_PCT[label], PAPER_TEST_ERROR_PCT[label]]
+            paper = [operator_errors(where)[PRINTED_AS[label]][0] for where in ("train", "test")]
             rows.append([name, label, *shown, " ".join(command), *paper])
     updates = f"{config.egr.updates} / {config.vgt.updates} updates on {config.egr.batch} rows"
     table(
@@ -118,8 +118,8 @@ def bodies(
     linear = {where: pod_floor(training, [frame], widths, "linear") for where, frame in held.items()}
     found = {where: [b.errors([frame]) for b in trained] for where, frame in held.items()}
     found_linear = {where: [b.errors([frame], "linear") for b in trained] for where, frame in held.items()}
-    for column, paper in PAPER_TRAINING_ERROR_PCT.items():
-        row: list[object] = [column, float(np.mean([e[column] for e in own])), paper]
+    for column in own[0]:
+        row: list[object] = [column, float(np.mean([e[column] for e in own])), BODY_ERRORS[PRINTED_AS[column]][0]]
         for where in held:
             error = float(np.mean([e[column] for e in found[where]]))
             ratios = [e[column] / floors[where][column] for e in found[where]]

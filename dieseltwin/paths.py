@@ -1,4 +1,4 @@
-"""Files that the user names: found, readable, and no folder, before anything is made of them."""
+"""Files that the user names: found, readable, and no folder, before anything is made of them; the cache's folder."""
 
 from __future__ import annotations
 
@@ -61,3 +61,13 @@ def file_sha256(path: str | Path) -> str:
     """SHA-256 of a file's bytes as hex digits; the file is read block by block."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def xdg_cache_folder() -> Path:
+    """This program's folder in the user's cache: in XDG_CACHE_HOME, else in ~/.cache.
+
+    Raises:
+        RuntimeError: the user has no home.
+    """
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "dieseltwin"

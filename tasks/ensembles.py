@@ -191,9 +191,9 @@ def members(
     if chosen.with_epochs:
         given["first_run"] = what["first"]
     else:  # it compiles on its first use: seconds are those of a warm machine
-        chosen.estimate(problems[:1], 1, what["seed"], config=config, **given)
+        chosen.run(problems[:1], 1, what["seed"], config=config, **given)
     began = time.perf_counter()
-    estimates = chosen.estimate(problems, what["runs"], what["seed"], config=config, **given)
+    estimates = chosen.run(problems, what["runs"], what["seed"], config=config, **given)
     _write(out, estimates, time.perf_counter() - began)
 
 

@@ -91,11 +91,11 @@ def identified(
 
 
 def rests_on(method: Method) -> tuple[str, ...]:
-    """Modules of the library that a method's result rests on: its own, and those of the networks that it is given.
+    """Modules of the library that a method's result rests on: its own ones, and those of the networks that it is given.
 
-    Both are found by name when they run, so that a change in one method leaves the others' results alone.
+    All are found by name when they run, so that a change in one method leaves the others' results alone.
     """
-    return (method.module, *(f"dieseltwin.surrogates.{CLASSES[kind][0]}" for kind in files_of(method.needs)))
+    return (*method.modules, *(f"dieseltwin.surrogates.{CLASSES[kind][0]}" for kind in files_of(method.needs)))
 
 
 def steps_of_all() -> dict[str, Step]:

@@ -7,22 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dieseltwin.duty_cycles import (
+from dieseltwin.duty_cycles.driving import Driving, drive, fuel_for_torque, limit_breaks
+from dieseltwin.duty_cycles.ecu import idle_weight, positions
+from dieseltwin.duty_cycles.random_driving import random_demand, slow_dither
+from dieseltwin.duty_cycles.schedules import (
     FULL_LOAD_SPEED_RPM,
     FULL_LOAD_TORQUE_NM,
-    Driving,
     denormalised_speed,
-    drive,
-    fuel_for_torque,
     full_load_torque,
-    idle_weight,
     joined,
-    limit_breaks,
     load_schedule,
-    positions,
-    random_demand,
     schedule_demand,
-    slow_dither,
     speed_per_norm,
 )
 from dieseltwin.engine import Inputs, actuate, bind, constants, parameter_batch, simulate, simulate_states, we2011

@@ -161,16 +161,26 @@ class Identified(Result):
 
 
 def _load_page() -> None:
-    import dieseltwin.report.identification  # noqa: F401
+    import dieseltwin.report.html
+    import dieseltwin.report.inputs  # noqa: F401
     from dieseltwin.report import style
 
     style.load()
 
 
 def _write_page(found: Identification, problems: Sequence[SegmentProblem], folder: Path, recording: str) -> None:
-    from dieseltwin.report.identification import identification_figures  # loads matplotlib
+    """The page, and its figures as SVG (charts) and PNG (time series); the truth needn't be known.
 
-    identification_figures(found, problems, folder / "figures", folder / "report.html", recording)
+    The paper's printed run times stay out: they belong to the comparison of methods.
+    """
+    from dieseltwin.report.encoding import drawn_in_two
+    from dieseltwin.report.html import identification_page, identification_sections  # loads matplotlib
+    from dieseltwin.report.inputs import results_of
+    from dieseltwin.report.page import write_page
+
+    results = results_of(found, problems, about={"recording": recording} if recording else None)
+    page = identification_page(results, identification_sections(results, drawn_in_two))
+    write_page(page, folder / "report.html", folder / "figures")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,12 @@ from dieseltwin.app.kept import ARCHIVE, HISTORY_PAGE, RESULT, Job
 from dieseltwin.app.security import REPORT_POLICY
 
 router = APIRouter()
-REPORTS = ("report.html", HISTORY_PAGE)
+FILES: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "report.html": (tuple(f"{RESULT}/{name}" for name in ("report.html", HISTORY_PAGE)), "report.html"),
+    "engine.yaml": (tuple(f"{RESULT}/{name}" for name in REPAIRED), "engine.yaml"),
+    "result.zip": ((ARCHIVE,), "dieseltwin-result.zip"),
+}
+"""File to take away, as its address ends -> where in an analysis's folder it may lie, and the name that it gets."""
 STAGE = "# "
 LAST_LINES = 60
 
@@ -40,8 +45,8 @@ def show(request: Request, key: str) -> Response:
     return desk.page(
         "job.html.j2", tab="recordings", oob=False, **progress_values(desk, analysis), verdict=desk.verdict(job),
         recordings=[item for item in recordings if item is not None], engine_name=desk.engine_name,
-        report=_report_of(desk, job) is not None, engine=_engine_of(desk, job) is not None,
-        archive=(desk.store.job_folder(key) / ARCHIVE).is_file(),
+        report=_file_of(desk, job, "report.html") is not None, engine=_file_of(desk, job, "engine.yaml") is not None,
+        archive=_file_of(desk, job, "result.zip") is not None,
         kept_as=[item for item in desk.store.engines() if item.job == key],
     )  # fmt: skip
 
@@ -99,51 +104,28 @@ def keep_engine(request: Request, key: str) -> Response:
 def report(request: Request, key: str) -> Response:
     """The report as a page without any right on this one: what it embeds can't reach the server."""
     desk = desk_of(request)
-    path = _report_of(desk, desk.job(key))
+    path = _file_of(desk, desk.job(key), "report.html")
     if path is None:
         return desk.refused(404, "This result has no report.", f"/jobs/{key}")
     return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
 
 @router.get("/jobs/{key}/report.html")
-def report_file(request: Request, key: str) -> Response:
-    desk = desk_of(request)
-    path = _report_of(desk, desk.job(key))
-    return _download(desk, key, path is not None, path, "report.html")
-
-
 @router.get("/jobs/{key}/engine.yaml")
-def engine_download(request: Request, key: str) -> Response:
-    desk = desk_of(request)
-    path = _engine_of(desk, desk.job(key))
-    return _download(desk, key, path is not None, path, "engine.yaml")
-
-
 @router.get("/jobs/{key}/result.zip")
-def archive(request: Request, key: str) -> Response:
+def download(request: Request, key: str) -> Response:
     desk = desk_of(request)
-    path = desk.store.job_folder(desk.job(key).id) / ARCHIVE
-    return _download(desk, key, path.is_file(), path, "dieseltwin-result.zip")
+    name = request.url.path.rpartition("/")[2]
+    path, label = _file_of(desk, desk.job(key), name), FILES[name][1]
+    if path is None:
+        return desk.refused(404, f"This result has no {label}.", f"/jobs/{key}")
+    return FileResponse(path, media_type="application/octet-stream", filename=label)
 
 
-def _download(desk: Desk, key: str, there: bool, path: Path | None, name: str) -> Response:
-    if not there:
-        return desk.refused(404, f"This result has no {name}.", f"/jobs/{key}")
-    return FileResponse(str(path), media_type="application/octet-stream", filename=name)
-
-
-def _engine_of(desk: Desk, job: Job) -> Path | None:
-    return _first(desk, job, REPAIRED)
-
-
-def _report_of(desk: Desk, job: Job) -> Path | None:
-    return _first(desk, job, REPORTS)
-
-
-def _first(desk: Desk, job: Job, names: Sequence[str]) -> Path | None:
-    """The first of these files that a result holds."""
-    result = desk.store.job_folder(job.id) / RESULT
-    return next((result / name for name in names if (result / name).is_file()), None)
+def _file_of(desk: Desk, job: Job, name: str) -> Path | None:
+    """Where a file of `FILES` lies, None where the analysis has none."""
+    folder = desk.store.job_folder(job.id)
+    return next((folder / place for place in FILES[name][0] if (folder / place).is_file()), None)
 
 
 @router.get("/compare")

@@ -36,6 +36,8 @@ from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.preparation import tolerance_responses
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Hypothesis
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.parameters import EngineParameters
@@ -84,7 +86,7 @@ class Round:
         taken: whether the held-out points like it.
     """
 
-    found: search.Search
+    found: Search
     names: tuple[str, ...]
     nll: float
     taken: bool
@@ -239,7 +241,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     )  # fmt: skip
 
 
-def _named(found: search.Search, least_explained: float) -> tuple[str, ...]:
+def _named(found: Search, least_explained: float) -> tuple[str, ...]:
     """What a round takes: the search's choice, or the strongest name where what it leaves is the next round's."""
     if found.kind == "healthy":
         return ()
@@ -254,7 +256,7 @@ def _named(found: search.Search, least_explained: float) -> tuple[str, ...]:
 
 
 def _vanished(
-    candidate: Calibration, names: Sequence[str], hypotheses: Mapping[str, Hypothesis], found: search.Search
+    candidate: Calibration, names: Sequence[str], hypotheses: Mapping[str, Hypothesis], found: Search
 ) -> set[str]:
     """Names that the joint fit makes smaller than what is of interest, or than twice their deviation."""
     values, std = candidate.estimate.values(), candidate.estimate.std()
@@ -262,7 +264,7 @@ def _vanished(
     return {name for name in names if abs(values[name]) < max(least[name], _SIGNIFICANT * std[name])}
 
 
-def _start_of(found: search.Search, names: tuple[str, ...], more: list[Coefficient]) -> dict[str, float]:
+def _start_of(found: Search, names: tuple[str, ...], more: list[Coefficient]) -> dict[str, float]:
     """Where the joint fit starts: the magnitudes of the search."""
     at = found.best.fit if found.best is not None and found.best.fit.candidate.names == names else None
     fit = at or next(f for f in [*found.singles, *found.pairs] if f.candidate.names == names)
@@ -295,7 +297,7 @@ def _held_out(here: Calibration, free: list[Coefficient]) -> tuple[float, dict[s
 _Proved = tuple[Law, tuple[OneTerm, ...], Calibration, float, dict[str, float]]
 
 
-def _proved_law(found: search.Search, here: Calibration, free: list[Coefficient], nll: float) -> _Proved | None:
+def _proved_law(found: Search, here: Calibration, free: list[Coefficient], nll: float) -> _Proved | None:
     """A law for what no name explains, if the held-out third is foretold better with it and all coefficients fitted.
 
     Among some thousand forms the best one always fits better; a law that doesn't foretell is none. Nor is one that
@@ -310,7 +312,7 @@ def _proved_law(found: search.Search, here: Calibration, free: list[Coefficient]
         unnamed = [item for item in found.everything_unnamed()
                    if item.feature.point is None or points[item.feature.point].name not in refused]
         law = best_law(found.twin, found.null, unnamed,
-                       lambda there: search.tolerance_responses(there.twin, there, found.settings))
+                       lambda there: tolerance_responses(there.twin, there, found.settings))
         terms = law_terms_of(law, points) if law is not None else ()
         if law is None or not terms:
             return None

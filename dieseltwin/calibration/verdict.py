@@ -12,7 +12,7 @@ from dieseltwin.calibration.discover import PointsDiscovery, Round
 from dieseltwin.calibration.scatter import Scatter
 from dieseltwin.calibration.steady_model import ROWS
 from dieseltwin.discovery.likelihood.score import minimum_detectable
-from dieseltwin.discovery.search.run import Search
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Discrepancy,

@@ -8,7 +8,7 @@ from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, first_fit, fit_fully, settle_local
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import effect_responses, score, secant_sizes
-from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.preparation import split_growing, tolerance_responses
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.engine.map_corrections import basis, look_up
@@ -26,13 +26,13 @@ _RIDGE = 1e-6  # functions that a plant's range doesn't reach stay at nothing
 def _settled(twin: EngineTwin, noise: Noise, fit: Fit) -> Linearisation:
     """Initial states fitted at fixed parameters."""
     at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), fit)
-    cut = search.split_growing(at)
+    cut = split_growing(at)
     if cut is not None:
         at = Linearisation(twin, Whitening.of(twin.measured, noise, twin.starts), cut)
     return settle_local(at, rounds=4)
 
 
-def held_out_nll(engine: EngineParameters, recording: Recording, noise: Noise | None = None) -> float:
+def held_out_nll(engine: EngineParameters, recording: Recording) -> float:
     """Negative log-likelihood per sample of a recording under an engine whose parameters stay as they are.
 
     Only the turbo speeds at the windows' starts are fitted. The noise is estimated from the recording itself, so that
@@ -42,8 +42,7 @@ def held_out_nll(engine: EngineParameters, recording: Recording, noise: Noise | 
         InputError: a recording that can't be used.
     """
     twin = EngineTwin(recording, engine)
-    noise = noise or estimate_noise(twin.measured)
-    at = _settled(twin, noise, first_fit(twin))
+    at = _settled(twin, estimate_noise(twin.measured), first_fit(twin))
     residual = np.nan_to_num(at.residual)
     whitened = at.metric.without_local(residual[None])[0]
     logs = at.whitening.log_normaliser(at.whitening.present)
@@ -76,7 +75,7 @@ def fit_oracle(
     rough = _settled(twin, noise, first_fit(twin, candidate, [t.magnitude for t in terms]))
     noise = estimate_noise(twin.measured, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
-    nuisance = search.tolerance_responses(twin, rough, default_search().driving)
+    nuisance = tolerance_responses(twin, rough, default_search().driving)
     at = fit_fully(twin, whitening, rough.fit, nuisance, rounds=6)
     values = {name: float(value) for name, value in zip(HEALTH, at.fit.parameters, strict=True)}
     refitted = tuple(
@@ -116,7 +115,7 @@ def separability(
     noise = estimate_noise(twin.measured, explained=rough.simulated)
     whitening = Whitening.of(twin.measured, noise, twin.starts)
     bare = Linearisation(twin, whitening, first_fit(twin))
-    tolerances = search.tolerance_responses(twin, bare, default_search().driving)
+    tolerances = tolerance_responses(twin, bare, default_search().driving)
     at = Linearisation(twin, whitening, bare.fit, None, tolerances)
     wanted = secant_sizes(twin, [name for name in twin.hypotheses if name != term.effect])
     own = [(term.effect, term.magnitude)]

@@ -16,16 +16,9 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.plant import SAMPLE_S, run_plant
-from dieseltwin.duty_cycles import (
-    Demand,
-    joined,
-    load_schedule,
-    positions,
-    random_demand,
-    schedule_demand,
-    slow_dither,
-    smoothed_demand,
-)
+from dieseltwin.duty_cycles.ecu import positions
+from dieseltwin.duty_cycles.random_driving import random_demand, slow_dither, smoothed_demand
+from dieseltwin.duty_cycles.schedules import Demand, joined, load_schedule, schedule_demand
 from dieseltwin.settings.params import EcuConfig, RandomDrivingConfig, SpeedMapConfig
 
 # The benchmark's own settings: what it is must not move with params.yaml. Values as in docs/definitions.md.

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-import numpy as np
 import yaml
 from pydantic import BaseModel, Field
 
@@ -24,6 +23,7 @@ from dieseltwin.challenge.make import MANIFEST
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.seal import check_file
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
+from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.engine import EngineParameters, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import fit_maps
@@ -262,23 +262,6 @@ def write_engine(engine: EngineParameters, path: Path) -> None:
     published = we2011.PARAMETERS.model_dump(mode="json")
     changed = {k: v for k, v in engine.model_dump(mode="json").items() if v != published.get(k)}
     write_text(path, sealed_text(yaml.safe_dump(changed, sort_keys=False, allow_unicode=True) if changed else "{}\n"))
-
-
-def plain(value: Any) -> Any:
-    """JSON types of nested results: arrays as lists, what is not finite as null."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value if value is None or isinstance(value, str) else str(value)
 
 
 def _reset_peak() -> None:

@@ -15,9 +15,10 @@ from dieseltwin.challenge import metrics
 from dieseltwin.challenge.cases import DRAWN, PETROL, POINTS
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.records import CaseRow, Scoring, case_row, diesel_row, oracle_row, petrol_truth, verdict_row
-from dieseltwin.challenge.run import RESULTS, plain, read_manifest
+from dieseltwin.challenge.run import RESULTS, read_manifest
 from dieseltwin.challenge.seal import SEALED, check_file, open_answers, read_salt
 from dieseltwin.challenge.table import extra, lines, markdown
+from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.errors import InputError
 from dieseltwin.sealed import sealed_json
 

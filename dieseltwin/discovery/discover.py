@@ -12,8 +12,10 @@ import numpy as np
 from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
+from dieseltwin.discovery.search import preparation
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.circumstances import leading
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin
 from dieseltwin.discovery.verdict.assemble import assemble
@@ -39,7 +41,7 @@ class Prepared:
         found: the search as it begins; `discover` goes on with a copy.
     """
 
-    found: search.Search
+    found: Search
 
     @property
     def minimum_detectable(self) -> Mapping[str, float]:
@@ -57,7 +59,7 @@ def prepare(
         InputError: as `discover`.
     """
     options = options or Options()
-    return Prepared(search.prepare(_twin_over(_dated(recordings), engine, options, learned), options.settings()))
+    return Prepared(preparation.prepare(_twin_over(_dated(recordings), engine, options, learned), options.settings()))
 
 
 def discover(
@@ -95,7 +97,7 @@ def discover(
 
 
 def _with_doubts(
-    result: Discovery, found: search.Search, engine: EngineParameters, recordings: Sequence[Recording]
+    result: Discovery, found: Search, engine: EngineParameters, recordings: Sequence[Recording]
 ) -> Discovery:
     """What was done to the recordings on reading, and what is doubtful about the fit, in the document."""
     doubts = [Note(note, "reading") for recording in recordings for note in recording.notes]
@@ -128,7 +130,7 @@ def as_it_was(
     """
     options = options or Options()
     twin = _twin(recording if minutes_max is None else liveliest(recording, minutes_max), engine, options, None)
-    found = search.looked_at(search.prepare(twin, options.settings()))
+    found = search.looked_at(preparation.prepare(twin, options.settings()))
     moved = found.twin.values if isinstance(found.twin, LoggedTwin) else {}
     shown = tuple(item for item in estimates(leading(found)) if item.off and item.circumstance.kind != DRIFT)
     beside = {item.circumstance.name: item.value for item in shown if item.circumstance.kind != TIME_SHIFT}
@@ -163,7 +165,7 @@ def _twin(
                       beliefs=options.circumstances, values=clocks, opened=frozenset(clocks))  # fmt: skip
 
 
-def _reference(found: search.Search, learned: LearnedEngine | None) -> Reference | None:
+def _reference(found: Search, learned: LearnedEngine | None) -> Reference | None:
     """What the engine was learned from, and how much of the recording lies where all its maps are known."""
     if learned is None:
         return None

@@ -12,8 +12,8 @@ from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import read_mapping
 
 
-def load_engine(path: str | Path, base: EngineParameters = PARAMETERS) -> EngineParameters:
-    """Engine parameters from a YAML file that overrides any parameter of `base` (default: the published set).
+def load_engine(path: str | Path) -> EngineParameters:
+    """Engine parameters from a YAML file that overrides any parameter of the published set.
 
     A file that `dieseltwin learn` wrote names a second one; its corrections of the maps are among the terms.
 
@@ -28,7 +28,7 @@ def load_engine(path: str | Path, base: EngineParameters = PARAMETERS) -> Engine
         document["terms"] = (*terms, corrections)
         del document[LEARNED]
         document.pop(SHA256, None)
-    found = validated({**base.model_dump(), **document}, source=f"engine file {path}")
+    found = validated({**PARAMETERS.model_dump(), **document}, source=f"engine file {path}")
     _refuse_repeated(found, path)
     return found
 

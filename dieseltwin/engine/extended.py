@@ -18,9 +18,6 @@ from dieseltwin.engine.parameters import ParameterBatch
 from dieseltwin.engine.quantities import POINTS
 from dieseltwin.errors import InputError
 
-EXTENDED_STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k", "t_gas_k")
-"""Order of the states of `simulate_extended`; the last is the gas temperature that heats the EGR or lags."""
-
 MOST_PIECES = 512
 """Windows of lanes that one thread takes at once, at most: cores that others use, too, don't end together."""
 
@@ -126,9 +123,9 @@ def simulate_extended(
             0.48 the order is three and steps may be almost twice as long before they are unstable.
 
     Returns:
-        `Observations` with states (B, n, 6) in the order of `EXTENDED_STATES` and measured (B, n, C) as usual. At a
-        restart the pressures and the speed are the new ones; x_r and T_1 settle there as at every sample, and a
-        lagged gas temperature carries on (it is at rest at the first sample).
+        `Observations` with states (B, n, 6), those of `STATES` and the gas temperature that heats the EGR or lags
+        [K], and measured (B, n, C) as usual. At a restart the pressures and the speed are the new ones; x_r and T_1
+        settle there as at every sample, and a lagged gas temperature carries on (it is at rest at the first sample).
 
     Raises:
         InputError: shapes that don't fit each other, or values that are not finite.

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from dieseltwin.atomic import write_json
 from dieseltwin.errors import InputError
+from dieseltwin.paths import xdg_cache_folder
 
 PACKAGE = Path(__file__).resolve().parents[1]
 _CHECKSUMS = "checksums.json"
@@ -49,14 +50,10 @@ def kernel_folder(sources: Path, versions: Iterable[str]) -> Path:
 
 def _places() -> Iterator[Path]:
     """In a checkout, in the user's cache, among temporary files."""
-    cache = os.environ.get("XDG_CACHE_HOME")
     if (PACKAGE.parent / "pyproject.toml").is_file():
         yield PACKAGE.parent / ".numba_cache"
-    if cache:
-        yield Path(cache) / "dieseltwin"
-    else:
-        with suppress(RuntimeError):  # this user has no home
-            yield Path.home() / ".cache" / "dieseltwin"
+    with suppress(RuntimeError):  # this user has no home
+        yield xdg_cache_folder()
     yield Path(tempfile.gettempdir()) / f"dieseltwin-{os.getuid()}"
 
 

@@ -48,9 +48,9 @@ class Bound:
     initial: Array
     fisher: Array
 
-    def identifiable(self, threshold: float = IDENTIFIABLE_BELOW) -> NDArray[np.bool_]:
-        """(4,) whether the relative bound is at most `threshold`."""
-        return np.asarray(self.relative <= threshold)
+    def identifiable(self) -> NDArray[np.bool_]:
+        """(4,) whether the relative bound is at most `IDENTIFIABLE_BELOW`."""
+        return np.asarray(self.relative <= IDENTIFIABLE_BELOW)
 
 
 def cramer_rao(

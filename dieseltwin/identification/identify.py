@@ -58,9 +58,7 @@ def identify_segments(
     chosen.check_installed()
     threshold = config.identifiable_bound_rel if isinstance(config, IdentifyConfig) else IDENTIFIABLE_BELOW
     began = time.perf_counter()
-    estimates = chosen.estimate(
-        list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config
-    )
+    estimates = chosen.run(list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config)
     seconds = time.perf_counter() - began
     segments = [replace(e, identifiable=e.bound <= threshold * e.centre) for e in estimates]
     return Identification(method, tuple(segments), tuple(problems), seed, seconds, threshold)

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 
-NOMINAL = 0
-"""Variant in which every map is the nominal one."""
-
 
 class LearnedSimulator:
     """A `shooting.Simulator` whose empirical maps are learned ones, in variants.

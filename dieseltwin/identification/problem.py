@@ -60,15 +60,12 @@ class NoiseLevels:
         object.__setattr__(self, "sigma", sigma)
 
     @classmethod
-    def from_signals(
-        cls, signals: ArrayLike, relative: ArrayLike = PAPER_NOISE, floor: ArrayLike = NOISE_FLOOR
-    ) -> NoiseLevels:
-        """Percentages of the mean over the whole recording: the noise that the paper adds.
+    def from_signals(cls, signals: ArrayLike, relative: ArrayLike = PAPER_NOISE) -> NoiseLevels:
+        """Percentages of the mean over the whole recording: the noise that the paper adds, `NOISE_FLOOR` at least.
 
         Args:
             signals: (n, C) clean (or measured) channels of the whole recording, NaN where absent.
             relative: (C,) noise as a share of the mean [-].
-            floor: (C,) smallest standard deviation [SI]; zeros switch it off.
 
         Returns:
             Levels; a channel that is absent everywhere gets its floor and is never used.
@@ -76,10 +73,7 @@ class NoiseLevels:
         values = np.asarray(signals, dtype=np.float64)
         present = np.isfinite(values)
         mean = np.where(present, values, 0.0).sum(axis=0) / np.maximum(present.sum(axis=0), 1)
-        sigma = np.maximum(np.abs(mean) * np.asarray(relative), np.asarray(floor))
-        # With the floor off, a channel of zeros has no noise of its own; any positive value serves, as it
-        # has no samples.
-        return cls(np.where(sigma > 0.0, sigma, np.asarray(NOISE_FLOOR)))
+        return cls(np.maximum(np.abs(mean) * np.asarray(relative), np.asarray(NOISE_FLOOR)))
 
 
 @dataclass(frozen=True)

@@ -126,17 +126,3 @@ def network_from_spec(spec: Mapping[str, Any]) -> nn.Module:
         if options.get(pair) is not None:
             options[pair] = tuple(options[pair])
     return _KINDS[kind](**options)
-
-
-def save_network(path: str | Path, network: nn.Module, meta: Mapping[str, Any] | None = None) -> Path:
-    """Write a network of this module (structure, weights) and `meta` to one file, atomically."""
-    spec = network.spec()  # type: ignore[operator]  # every class in _KINDS has it
-    return save_state(path, network.state_dict(), {"spec": spec, "meta": dict(meta or {})})
-
-
-def load_network(path: str | Path) -> tuple[nn.Module, dict[str, Any]]:
-    """Network and meta data of a file of `save_network`, bit for bit."""
-    state, meta = load_state(path)
-    network = network_from_spec(meta["spec"])
-    network.load_state_dict(state)
-    return network, meta["meta"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -30,8 +29,7 @@ class MLP(nn.Module):
     Args:
         widths: (in, hidden ..., out) number of neurons of each layer.
         activation: name in ACTIVATIONS, used after each layer but the last (see `activate_last`).
-        dropout: share of hidden neurons switched off. It stays on in `eval()` mode too, as in the paper; pass
-            `masks=no_dropout` to leave it out, or masks of `sample_masks` to keep one realisation.
+        dropout: share of hidden neurons switched off. It stays on in `eval()` mode too, as in the paper.
         members: None for a single network, else the number of stacked networks of equal widths.
         last_gain: weights of the last layer are drawn from N(0, last_gain / (in + out)).
         activate_last: apply the activation after the last layer too (the body of a multi-head network).
@@ -83,7 +81,7 @@ class MLP(nn.Module):
         return self.widths[1:-1]
 
     def spec(self) -> dict[str, Any]:
-        """Plain JSON from which `from_spec` makes a network of the same structure."""
+        """Plain JSON from which `network_from_spec` makes a network of the same structure."""
         return {
             "kind": "MLP",
             "widths": list(self.widths),
@@ -94,12 +92,6 @@ class MLP(nn.Module):
             "activate_last": self.activate_last,
             "dtype": str(self.weights[0].dtype).removeprefix("torch."),
         }
-
-    @classmethod
-    def from_spec(cls, spec: Mapping[str, Any]) -> MLP:
-        """Network of the structure of `spec()`, with new weights."""
-        options = {key: value for key, value in spec.items() if key != "kind"}
-        return cls(**{**options, "dtype": getattr(torch, options["dtype"])})
 
     def sample_masks(
         self, lead: Sequence[int] = (), *, generator: torch.Generator | None = None
@@ -122,20 +114,12 @@ class MLP(nn.Module):
             masks.append((uniform < keep).to(reference.dtype) / keep)
         return tuple(masks)
 
-    def forward(
-        self,
-        x: Tensor,
-        masks: Sequence[Tensor] | None = None,
-        *,
-        generator: torch.Generator | None = None,
-    ) -> Tensor:
-        """Evaluate the network.
+    def forward(self, x: Tensor, *, generator: torch.Generator | None = None) -> Tensor:
+        """Evaluate the network, with a fresh mask for each row and hidden layer where dropout > 0.
 
         Args:
             x: (..., n, in).
-            masks: of `sample_masks`, `no_dropout` (= ()) for none; None draws a fresh mask for each row and hidden
-                layer where dropout > 0.
-            generator: source of these fresh masks.
+            generator: source of the masks.
         """
         act = ACTIVATIONS[self.activation]
         last = len(self.weights) - 1
@@ -144,13 +128,10 @@ class MLP(nn.Module):
             x = torch.matmul(x, weight) + bias
             if layer < last:
                 x = act(x)
-                if masks is None:
-                    if self.dropout > 0.0:
-                        keep = 1.0 - self.dropout
-                        uniform = torch.rand(x.shape, generator=generator, dtype=x.dtype)
-                        x = x * ((uniform < keep).to(x.dtype) / keep)
-                elif len(masks) > 0:
-                    x = x * masks[layer]
+                if self.dropout > 0.0:
+                    keep = 1.0 - self.dropout
+                    uniform = torch.rand(x.shape, generator=generator, dtype=x.dtype)
+                    x = x * ((uniform < keep).to(x.dtype) / keep)
             elif self.activate_last:
                 x = act(x)
         return x
@@ -161,24 +142,3 @@ class MLP(nn.Module):
         for weight, bias in list(zip(self.weights, self.biases, strict=True))[:-1]:
             x = act(torch.matmul(x, weight) + bias)
         return x
-
-
-no_dropout: tuple[Tensor, ...] = ()
-
-
-def stack_members(networks: Sequence[MLP]) -> MLP:
-    """Stack single networks of equal structure into one with `members = len(networks)`."""
-    if not networks:
-        raise InputError("stack_members", "no network", "one or more", "give networks")
-    specs = {json.dumps(network.spec(), sort_keys=True) for network in networks}
-    if len(specs) != 1 or networks[0].members is not None:
-        raise InputError("stack_members", sorted(specs), "single networks of equal structure", "stack likes only")
-    stacked = MLP.from_spec({**networks[0].spec(), "members": len(networks)})
-    with torch.no_grad():
-        for target, *sources in zip(
-            stacked.parameters(), *(network.parameters() for network in networks), strict=True
-        ):
-            target.copy_(torch.stack([s.detach() for s in sources]))
-    return stacked
-
-

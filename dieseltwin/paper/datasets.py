@@ -15,16 +15,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dieseltwin.duty_cycles import (
-    Demand,
-    Driving,
-    drive,
-    joined,
-    load_schedule,
-    random_demand,
-    schedule_demand,
-    smoothed_demand,
-)
+from dieseltwin.duty_cycles.driving import Driving, drive
+from dieseltwin.duty_cycles.random_driving import random_demand, smoothed_demand
+from dieseltwin.duty_cycles.schedules import Demand, joined, load_schedule, schedule_demand
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, Inputs, simulate, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording, Segment, read_recording, recording
@@ -33,8 +26,6 @@ from dieseltwin.settings.params import CaseConfig, DrivingConfig, EngineConfig, 
 from dieseltwin.settings.strict import unknown_name
 
 INPUT_NAMES = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
-LAB_CASES = ("case_i", "case_ii", "case_iii", "case_iv", "case_vi", "case_vii")
-FIELD_CASE = "case_v"
 
 JOINT_S = 4.0  # passage between blocks of driving: the longest ramp of the random driving
 # Set-II is arranged around the only long idle in the second half of the WHTC, seconds 1146-1195
@@ -44,6 +35,8 @@ SCHEDULE_HALF_S, SCHEDULE_END_S = 900, 1800
 # 24 minutes do not hold the WHSC (1895 s): the sets take its start (idle, full load, part load at one speed), ten
 # minutes of the WHTC and random driving for the rest
 SHORT_SET_WHSC_S, SHORT_SET_WHTC_S = (181, 420), (151, 750)
+HEALTH_SPREAD = 0.25  # of validation engines about the laboratory's, either way [-]
+BENCHMARK_SEGMENT_S, BENCHMARK_STEP_S = 60.0, 0.0125
 
 
 def set_demand(name: str, config: DrivingConfig) -> Demand:
@@ -209,15 +202,14 @@ def noise_sigma(clean: Mapping[str, np.ndarray] | pd.DataFrame, noise: NoiseConf
     return np.asarray(relative_noise(noise)) * means
 
 
-def add_noise(clean: pd.DataFrame, noise: NoiseConfig, draw: int = 0) -> pd.DataFrame:
+def add_noise(clean: pd.DataFrame, noise: NoiseConfig) -> pd.DataFrame:
     """The recording as sensors would give it: the inputs and the sensors only, Gaussian noise on the sensors.
 
     Args:
         clean: simulated recording.
-        noise: `noise` of params.yaml.
-        draw: number of the noise draw; another number, other noise of the same level.
+        noise: `noise` of params.yaml; another seed, other noise of the same level.
     """
-    rng = np.random.default_rng([noise.seed, draw])
+    rng = np.random.default_rng([noise.seed, 0])
     noisy = clean[["time_s", *INPUT_NAMES]].copy()
     for name, sigma in zip(MEASURED, noise_sigma(clean, noise), strict=True):
         # drawn for absent sensors too, so that the noise of one sensor does not depend on the others
@@ -231,11 +223,11 @@ def add_noise(clean: pd.DataFrame, noise: NoiseConfig, draw: int = 0) -> pd.Data
 
 
 def make_validation(
-    seed: int, params: Params, *, duration_s: float = 1200.0, spread_rel: float = 0.25
+    seed: int, params: Params, *, duration_s: float = 1200.0
 ) -> tuple[pd.DataFrame, EngineParameters]:
     """A clean recording to choose hyper-parameters on: random driving of another seed, other health values.
 
-    Case-V is not for tuning. Health values are drawn uniformly within `spread_rel` about the laboratory's
+    Case-V is not for tuning. Health values are drawn uniformly within `HEALTH_SPREAD` about the laboratory's
     (eta_sc within a third of it), the baseline ambient, Set-II's sampling.
 
     Returns:
@@ -249,7 +241,7 @@ def make_validation(
         raise InputError("validation seed", seed, f"not the seed of {used[seed]}", "take another seed")
     rng = _generator(seed, 2)
     lab = laboratory_parameters(params.engine)
-    spreads = {name: spread_rel / 3.0 if name == "eta_sc" else spread_rel for name in HEALTH}
+    spreads = {name: HEALTH_SPREAD / 3.0 if name == "eta_sc" else HEALTH_SPREAD for name in HEALTH}
     truth = lab.replace(**{n: getattr(lab, n) * (1.0 + rng.uniform(-s, s)) for n, s in spreads.items()})
     sample_s = params.driving.sample_s
     demand = random_demand(duration_s, sample_s, params.driving.random, rng)
@@ -257,9 +249,7 @@ def make_validation(
     return simulated(inputs, truth, sample_s, params.engine.step_s), truth
 
 
-def benchmark_segments(
-    path: str | Path, parameters: EngineParameters, *, segment_s: float = 60.0, step_s: float = 0.0125
-) -> tuple[Recording, tuple[Segment, ...]]:
+def benchmark_segments(path: str | Path, parameters: EngineParameters) -> tuple[Recording, tuple[Segment, ...]]:
     """The benchmark driving: the inputs of a reference trace, simulated with `parameters`, cut into segments.
 
     Five minutes at 5 Hz give five segments of 301 points that share their end rows.
@@ -273,6 +263,6 @@ def benchmark_segments(
     inputs = Inputs(source.time_s, n_e, u_delta, u_egr, u_vgt)
     start = ("p_im_pa", "p_em_pa", "omega_t_rad_s")
     initial = np.array([source.columns[n][0] for n in start]) if all(n in source.columns for n in start) else None
-    frame = simulate(inputs, parameters, initial=initial, step_s=step_s)
+    frame = simulate(inputs, parameters, initial=initial, step_s=BENCHMARK_STEP_S)
     made = recording(frame, parameters, where=f"{path} simulated")
-    return made, made.segments(segment_s)
+    return made, made.segments(BENCHMARK_SEGMENT_S)

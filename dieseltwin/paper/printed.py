@@ -18,9 +18,6 @@ RUNS = 30
 
 MULTI_STAGE = "Table: Predicted unknown, transfer_learning"
 FEW_SHOT = "Table:Param estimates, few shot learning"
-RUN_TIMES = "tab:trnflear_vs_fewshot"
-OPERATORS = "Table:DeepONet results"
-BODIES = "Table:Multihead_training"
 
 Cell = tuple[float, float]
 
@@ -107,7 +104,7 @@ TIMES: Mapping[tuple[str, str], PrintedTime] = {
     ("few-shot-adam", "3-4"): PrintedTime(30000, (122.82, 12.28), (141.81, 13.31)),
     ("few-shot-adam", "4-5"): PrintedTime(30000, (125.71, 11.74), (135.28, 19.45)),
 }
-"""Table `RUN_TIMES`: (our name of the method, minute) -> printed seconds."""
+"""Table "tab:trnflear_vs_fewshot": (our name of the method, minute) -> printed seconds."""
 
 
 def mean_seconds() -> dict[str, float]:
@@ -133,7 +130,8 @@ OPERATOR_ERRORS: Mapping[tuple[str, str, str], Cell] = {
     ("noisy", "u_vgt", "train"): (1.14, 0.11),
     ("noisy", "u_vgt", "test"): (2.62, 0.13),
 }
-"""Table `OPERATORS`: (labels, output, recording) -> relative L2 error [%], mean and std of six trainings."""
+"""Table "Table:DeepONet results": (labels, output, recording) -> relative L2 error [%], mean and std of six trainings.
+"""
 
 
 def operator_errors(recording: str) -> dict[str, Cell]:
@@ -150,7 +148,7 @@ BODY_ERRORS: Mapping[str, Cell] = {
     "T_1": (0.913, 0.008),
     "omega_t": (1.035, 0.028),
 }
-"""Table `BODIES`: relative L2 training error [%], mean and std."""
+"""Table "Table:Multihead_training": relative L2 training error [%], mean and std."""
 
 
 def parameter_cells() -> pd.DataFrame:

@@ -178,14 +178,3 @@ def _rate(x: Array, time_s: Array, starts: NDArray[np.int64]) -> Array:
         low, high = np.maximum(at - half, a), np.minimum(at + half, b - 1)
         out[a:b] = (x[high] - x[low]) / np.maximum(time_s[high] - time_s[low], 1e-3)
     return out
-
-
-def errors(table: pd.DataFrame, s: Signals, since_s: float = 0.0) -> dict[str, float]:
-    """Root mean square difference between simulated and measured p_im [Pa] and W_af [kg/s] from `since_s` on."""
-    rows = s.time_s >= since_s
-    return {
-        "p_im_pa": float(np.sqrt(np.mean((table.p_im_pa.to_numpy() - s.p_im)[rows] ** 2))),
-        "w_af_kg_s": float(np.sqrt(np.mean((table.w_af_kg_s.to_numpy() - s.W_af)[rows] ** 2))),
-    }
-
-

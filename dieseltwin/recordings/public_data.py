@@ -19,7 +19,7 @@ from pathlib import Path
 
 from dieseltwin.atomic import atomic_path
 from dieseltwin.errors import InputError
-from dieseltwin.paths import file_sha256
+from dieseltwin.paths import file_sha256, xdg_cache_folder
 from dieseltwin.settings.names import unknown_name
 
 LOCAL, MIRROR, CACHE = "DIESELTWIN_DATA", "DIESELTWIN_DATA_URL", "DIESELTWIN_CACHE"
@@ -113,8 +113,7 @@ def cache_folder() -> Path:
         return Path(os.environ["LOCALAPPDATA"]) / "dieseltwin" / "Cache"
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "dieseltwin"
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "dieseltwin"
+    return xdg_cache_folder()
 
 
 def wanted(name: str, files: Mapping[str, DataFile] = FILES) -> list[DataFile]:

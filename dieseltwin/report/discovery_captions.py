@@ -61,11 +61,10 @@ HEALTH = _line("""
 HEALTH_HEALTHY = "Health parameters of the fit (bar: 90 % interval); nothing had to be repaired."
 
 SCORE = _line("""
-    Left: negative log-likelihood per sample on driving that was held out, lower is better{oracle}. Right: root mean
+    Left: negative log-likelihood per sample on driving that was held out, lower is better. Right: root mean
     square of each channel's residual in standard deviations of its noise; 1 is what noise alone leaves. Small steps
     here go with large shifts of the health parameters: a good-looking fit proves nothing.
 """)
-ORACLE = "; the oracle knows the effect and fits its size alone"
 
 CANDIDATES = _line("""
     Log-likelihood that each effect gains over the health parameters alone, everything refitted (logarithmic). Blue: in

@@ -25,7 +25,6 @@ BEFORE = "#D55E00"
 AFTER = "#0072B2"
 LIGHT = "#8CC3E8"
 DROPPED = "#b8b8b8"
-ORACLE = "#009E73"
 MOST_CANDIDATES = 14
 CELLS = 10  # of an operating map along each axis
 MAPS = (("n_e_rpm", "u_delta_mg"), ("u_egr_pct", "u_vgt_pct"))
@@ -251,12 +250,11 @@ def health(found: Discovery) -> style.ReportFigure | None:
 
 @style.styled
 def score(found: Discovery) -> style.ReportFigure:
-    """Held-out score before, after and of the oracle where known; residuals per channel over noise."""
+    """Held-out score before and after; residuals per channel over noise."""
     fit, curves = found.document.fit, found.curves
     figure = Figure(figsize=(WIDTH_IN, 3.6))
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.4))
-    bars = [("before", fit.held_out_nll_before, BEFORE), ("after", fit.held_out_nll_after, AFTER),
-            ("oracle", curves.oracle_nll, ORACLE)]
+    bars = [("before", fit.held_out_nll_before, BEFORE), ("after", fit.held_out_nll_after, AFTER)]
     known = [(name, value, colour) for name, value, colour in bars if value is not None and math.isfinite(value)]
     if known:
         values = [value for _, value, _ in known]
@@ -284,8 +282,7 @@ def score(found: Discovery) -> style.ReportFigure:
     right.set_ylabel("rms residual over noise [–]")
     right.grid(False, axis="x")
     figure.legend(*right.get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    words = captions.SCORE.format(oracle=captions.ORACLE if curves.oracle_nll is not None else "")
-    return style.ReportFigure("score", "Held-out score and residuals per channel", words, figure)
+    return style.ReportFigure("score", "Held-out score and residuals per channel", captions.SCORE, figure)
 
 
 def candidate_colour(found: Discovery, name: str) -> str:

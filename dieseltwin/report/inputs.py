@@ -51,11 +51,7 @@ def nominal_values(problems: Sequence[SegmentProblem]) -> dict[str, float]:
 
 
 def results_of(
-    identification: Identification,
-    problems: Sequence[SegmentProblem],
-    *,
-    truth_states: pd.DataFrame | None = None,
-    about: Mapping[str, Any] | None = None,
+    identification: Identification, problems: Sequence[SegmentProblem], *, about: Mapping[str, Any] | None = None
 ) -> Results:
     """The report's structure from one identification in memory, with the same content as from its files."""
     method = method_from_document(
@@ -67,7 +63,6 @@ def results_of(
     return Results(
         methods=(method,),
         truth=known_truth(problems),
-        truth_states=truth_states,
         measured=measured_table(problems),
         sigma=noise_levels(problems),
         nominal=nominal_values(problems),

@@ -18,6 +18,7 @@ from dieseltwin.discovery.laws.sensor import best_law
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import recentred
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
@@ -62,7 +63,7 @@ class Round:
         early: the machine of `after`; None where it runs away, and where there was nothing to try.
     """
 
-    found: search.Search
+    found: Search
     names: tuple[str, ...]
     law: Law | None
     before: Array
@@ -176,7 +177,7 @@ def fitted(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, 
     return rig.model_copy(update={"parameters": parameters, "terms": terms}), at
 
 
-def _searched(rig: RigParameters, left: Array, recording: RigRecording, options: Options) -> search.Search:
+def _searched(rig: RigParameters, left: Array, recording: RigRecording, options: Options) -> Search:
     """The search, with gains counted in the misfit that its own explanation leaves."""
     settings = options.search.asked(options.withhold, options.seed)
     twin = RigTwin(rig, recording, rig.window_s).about(left)
@@ -193,7 +194,7 @@ def _searched(rig: RigParameters, left: Array, recording: RigRecording, options:
     return found
 
 
-def _strongest_first(found: search.Search) -> None:
+def _strongest_first(found: Search) -> None:
     """Of pairs that can't be told apart those that hold the strongest single name, where any does; the smallest first.
 
     A sum of effects can be written in several ways (dry friction and a constant force are two one-sided forces): said
@@ -214,12 +215,12 @@ def _strongest_first(found: search.Search) -> None:
         found.best = recentred(found, least)
 
 
-def _tolerances(found: search.Search, fit: Fit) -> float:
+def _tolerances(found: Search, fit: Fit) -> float:
     names = fit.candidate.names
     return sum(abs(m) / found.twin.hypotheses[n].tolerance for n, m in zip(names, fit.magnitudes, strict=True))
 
 
-def _named(found: search.Search, least_explained: float) -> tuple[str, ...]:
+def _named(found: Search, least_explained: float) -> tuple[str, ...]:
     """What a round takes: the search's choice, or the strongest name where what it leaves is the next round's."""
     if found.kind == "healthy":
         return ()
@@ -232,7 +233,7 @@ def _named(found: search.Search, least_explained: float) -> tuple[str, ...]:
     return lead.candidate.names if strong and found.of_interest(lead) else ()
 
 
-def _law(found: search.Search) -> Law | None:
+def _law(found: Search) -> Law | None:
     law = best_law(found.twin, found.null, found.everything_unnamed())
     sites = set() if law is None else {law.site, *(rival.site for rival in law.rivals)}
     if law is None or law.faults or len(sites) > 1 or any(p.form.operator for p in law.placed):
@@ -240,7 +241,7 @@ def _law(found: search.Search) -> Law | None:
     return law
 
 
-def _with(rig: RigParameters, found: search.Search, names: tuple[str, ...], law: Law | None) -> RigParameters:
+def _with(rig: RigParameters, found: Search, names: tuple[str, ...], law: Law | None) -> RigParameters:
     """The machine with what a round found, parameters as the search left them."""
     if law is not None:
         more = tuple(_written(placed.form.point, placed.coefficient, placed.form.factors, law.text)

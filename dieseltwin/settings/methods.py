@@ -10,7 +10,7 @@ A module of a method imports at its top only what is quick to import: settings a
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,7 +54,8 @@ class Method:
     Attributes:
         name: as `--method` takes it; the file's name with hyphens.
         estimate: `estimate(problems, runs, seed, *, bodies, operators, maps, config)`, one `SegmentEstimate` a segment;
-            `config` is `IdentifyConfig` or None.
+            `config` is `IdentifyConfig` or None. Or the name of the module that holds this function, which is
+            imported when the method is run.
         settings: model of its section in params.yaml.
         style: how it is drawn.
         learned: in words, what of it is learned.
@@ -69,7 +70,7 @@ class Method:
     """
 
     name: str
-    estimate: Callable[..., list[Any]]
+    estimate: str | Callable[..., list[Any]]
     settings: type[MethodSettings]
     style: MethodStyle
     learned: str
@@ -82,9 +83,17 @@ class Method:
     sources: str | None = None
 
     @property
-    def module(self) -> str:
-        """The module that declares it."""
-        return _modules()[self.name]
+    def modules(self) -> tuple[str, ...]:
+        """The module that declares it, and the one of its function where that is another."""
+        declared = _modules()[self.name]
+        return (declared, self.estimate) if isinstance(self.estimate, str) else (declared,)
+
+    def run(self, problems: Sequence[Any], runs: int, seed: int, **given: Any) -> list[Any]:
+        """One estimate a segment; arguments as of `estimate`."""
+        found = self.estimate
+        function = importlib.import_module(found).estimate if isinstance(found, str) else found
+        estimates: list[Any] = function(problems, runs, seed, **given)
+        return estimates
 
     def check_installed(self) -> None:
         """Refuse a method whose extra is not installed.

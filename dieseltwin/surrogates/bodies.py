@@ -54,14 +54,6 @@ BODIES: Mapping[str, tuple[str, ...]] = {
 }
 """State columns of the networks N_1 to N_4, in the order of their heads."""
 
-PAPER_TRAINING_ERROR_PCT: Mapping[str, float] = {
-    "p_im_pa": 1.476,
-    "p_em_pa": 1.478,
-    "x_r": 5.512,
-    "t_1_k": 0.913,
-    "omega_t_rad_s": 1.035,
-}
-
 
 @dataclass(frozen=True)
 class Body:

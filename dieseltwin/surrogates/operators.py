@@ -40,9 +40,6 @@ OPERATORS: Mapping[str, tuple[str, ...]] = {"egr": ("u_egr1_pct", "u_egr2_pct"),
 """Label columns of D1 and D2."""
 COMMANDS: Mapping[str, str] = {"egr": "u_egr_pct", "vgt": "u_vgt_pct"}
 TRAINING_CASES: Mapping[str, tuple[str, ...]] = {"egr": ("case_i", "case_vi"), "vgt": ("case_i", "case_vii")}
-PAPER_TRAINING_OPERATOR_ERROR_PCT: Mapping[str, float] = {"u_egr1_pct": 0.64, "u_egr2_pct": 0.65, "u_vgt_act_pct": 0.86}
-PAPER_TEST_ERROR_PCT: Mapping[str, float] = {"u_egr1_pct": 2.69, "u_egr2_pct": 3.64, "u_vgt_act_pct": 2.52}
-"""Relative L2 errors that the paper prints, in training and on Case-V, clean labels [%]."""
 
 _START_SAMPLES = 6  # the first samples of a window, where the initial value is forgotten, are drawn more often
 _WARM_UP_UPDATES = 100

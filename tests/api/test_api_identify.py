@@ -35,7 +35,7 @@ def test_function_and_command_find_and_write_the_same(
     assert "not identifiable" not in str(found) and "<table" in found._repr_html_()
     assert found.plot("states").axes
     # the figures are drawn by the command's own tests
-    monkeypatch.setattr("dieseltwin.report.identification.identification_figures", lambda *_: [])
+    monkeypatch.setattr("dieseltwin.report.html.identification_sections", lambda *_: [])
     found.save(tmp_path / "function")
     command = ["identify", str(worn), "--runs", "2", "--seed", "3", "--segment", "60"]
     assert main([*command, "--out", str(tmp_path / "command")]) == 0

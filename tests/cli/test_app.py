@@ -215,7 +215,7 @@ def noisy(tmp_path_factory: pytest.TempPathFactory, trace: pd.DataFrame) -> Path
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures take most of a small identification's time; one test draws them."""
-    monkeypatch.setattr("dieseltwin.report.identification.identification_figures", lambda *_: [])
+    monkeypatch.setattr("dieseltwin.report.html.identification_sections", lambda *_: [])
 
 
 @pytest.fixture(scope="module")

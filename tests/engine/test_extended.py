@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dieseltwin.engine import (
+    STATES,
     Inputs,
     actuate,
     constants,
@@ -18,7 +19,7 @@ from dieseltwin.engine import (
     we2011,
 )
 from dieseltwin.engine.effects import EFFECTS, STATE_EFFECTS, Magnitudes
-from dieseltwin.engine.extended import EXTENDED_STATES, Extension, simulate_extended
+from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.extended_frame import extended_frame
 from dieseltwin.engine.extended_terms import along, simulate_terms
 from dieseltwin.engine.inputs import actuate_like
@@ -127,7 +128,7 @@ def test_company_changes_no_bit(drive, restricted: float) -> None:  # type: igno
         np.testing.assert_array_equal(together.states[lane], alone.states[0])
         np.testing.assert_array_equal(together.measured[lane], alone.measured[0])
     plain = simulate_extended(actuation, batch, Extension(magnitudes * 0.0, restarts=at), starts)
-    t_1 = EXTENDED_STATES.index("t_1_k")
+    t_1 = STATES.index("t_1_k")
     assert np.abs(together.states[4, 72:, t_1] / plain.states[4, 72:, t_1] - 1.0).max() > 1e-5  # it does lag
 
 

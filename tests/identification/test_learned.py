@@ -12,7 +12,7 @@ import pytest
 from dieseltwin.engine import MEASURED, Observations, actuate, parameter_batch, simulate_states, we2011
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.identify import identify_segments
-from dieseltwin.identification.learned import NOMINAL, ErrorDirections, LearnedSimulator
+from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.problem import SegmentProblem
 
 # Two maps of three members; spread is the factor that calibrates their scatter.
@@ -46,12 +46,12 @@ def maps(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
 def test_each_lane_gets_its_own_variant(maps: SimpleNamespace, problem: SegmentProblem) -> None:
     learned = LearnedSimulator(maps)  # type: ignore[arg-type]
-    assert learned.variants[NOMINAL] == {}
+    assert learned.variants[0] == {}
     assert learned.variants[4:] == [{"eta_tm": 1}, {"eta_tm": 2}, {"eta_tm": 3}]
     actuation = actuate(problem.inputs, we2011.PARAMETERS)
     batch = parameter_batch(we2011.PARAMETERS, A_vgtmax=np.linspace(7e-4, 9e-4, 4))
     initial = np.tile(problem.first_states(), (4, 1))
-    found = learned([actuation] * 4, batch, initial, np.array([6, NOMINAL, 4, 6]))
+    found = learned([actuation] * 4, batch, initial, np.array([6, 0, 4, 6]))
     exact = simulate_states(actuation, batch, initial)
     np.testing.assert_array_equal(found.states, exact.states)
     shift = (found.measured - exact.measured)[:, 0, T_EM]

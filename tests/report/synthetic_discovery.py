@@ -151,7 +151,7 @@ def discovery(given: Discrepancy | None = None, n: int = 3000, seed: int = 3) ->
         time_s=time_s, channels=CHANNELS, measured=measured, before=before, after=clean, sigma=SIGMA,
         evidence_over_time=(middles, windows), evidence_map=conditions, evidence=evidence,
         candidates=candidates() if found.mismatch else [], laws=[law(rng)] if found.mismatch else [],
-        sensitivity=MINIMUM, tolerance=TOLERANCE, units=UNITS, held_out=time_s > 0.8 * time_s[-1], oracle_nll=2.5,
+        tolerance=TOLERANCE, units=UNITS, held_out=time_s > 0.8 * time_s[-1],
     )  # fmt: skip
     runtime = {"detect_s": 1.2, "name_s": 7.5, "total_s": 9.1}
     details = {"seed": 0, "equivalent_gain": 12.0, "noise_rho": dict.fromkeys(CHANNELS, 0.2)}

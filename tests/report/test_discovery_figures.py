@@ -140,7 +140,7 @@ def test_channels_that_stay_loud_are_named(leak: Discovery) -> None:
 
 
 def test_little_is_enough(leak: Discovery) -> None:
-    """No law, no candidates, no oracle, nothing held out, a channel with holes: still a page."""
+    """No law, no candidates, nothing held out, a channel with holes: still a page."""
     curves = leak.curves
     measured = curves.measured.copy()
     measured[:700, 2] = np.nan
@@ -149,7 +149,6 @@ def test_little_is_enough(leak: Discovery) -> None:
         fit={**synthetic.content()["fit"], "held_out_nll_before": None, "held_out_nll_after": None},
         minimum_detectable={},
     )
-    poor = replace(curves, measured=measured, laws=[], candidates=[], oracle_nll=None, held_out=None, sensitivity={},
-                   evidence_map={})  # fmt: skip
+    poor = replace(curves, measured=measured, laws=[], candidates=[], held_out=None, evidence_map={})
     names = {f.name for s in discovery_sections(replace(leak, document=document, curves=poor)) for f in s.figures}
     assert names == {"health", "evidence_time", "residual_time", "score"}

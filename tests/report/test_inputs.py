@@ -14,8 +14,10 @@ from dieseltwin.engine import Inputs, we2011
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification, SegmentEstimate, curves_table
 from dieseltwin.identification.unknowns import HEALTH
-from dieseltwin.report.identification import identification_figures
+from dieseltwin.report.encoding import drawn_in_two
+from dieseltwin.report.html import identification_page, identification_sections
 from dieseltwin.report.inputs import results_of, write_report_inputs
+from dieseltwin.report.page import write_page
 from dieseltwin.report.results import load_results
 from dieseltwin.report.statistics import odd_channels, residuals
 from dieseltwin.report.tables import summary_table
@@ -72,7 +74,9 @@ def found(trace: pd.DataFrame) -> Identification:
 def test_figures_of_one_identification(trace: pd.DataFrame, tmp_path: Path) -> None:
     unknown = made_up(trace, None)
     page = tmp_path / "report.html"
-    identification_figures(unknown, unknown.problems, tmp_path / "figures", page, "drive.csv")
+    results = results_of(unknown, unknown.problems, about={"recording": "drive.csv"})
+    content = identification_page(results, identification_sections(results, drawn_in_two))
+    write_page(content, page, tmp_path / "figures")
     paths = list((tmp_path / "figures").iterdir())
     assert "Recording: drive.csv" in page.read_text(encoding="utf-8")
     names = {path.name for path in paths}
@@ -100,7 +104,7 @@ def test_files_give_the_same_results_as_memory(
     assert curves is not None
     curves.to_parquet(folder / "curves.parquet")
     write_report_inputs(tmp_path, found.problems, truth_states=trace, about={"title": "t"})
-    stored, memory = load_results(tmp_path), results_of(found, found.problems, truth_states=trace)
+    stored, memory = load_results(tmp_path), results_of(found, found.problems)
     drop = ["seconds_per_run"]
     pd.testing.assert_frame_equal(
         summary_table(stored).drop(columns=drop), summary_table(memory).drop(columns=drop)

@@ -101,7 +101,7 @@ def test_a_new_estimator_is_a_step_of_the_flows(new_method: str) -> None:
     settings = load_params().model_dump(mode="json")
     assert own_settings(settings, new_method)["identify"]["methods"] == {new_method: {"members": None, "spread": 0.05}}
     for steps in (identifications(), ensembles()):
-        assert steps[new_method].entries == (methods.find(new_method).module,)
+        assert steps[new_method].entries == methods.find(new_method).modules
     settings["evaluation"] |= {"members": {new_method: 2}, "variants": []}
     assert {plan.method for plan in ensembles_of(settings)} == {new_method}
 
@@ -121,3 +121,14 @@ def test_every_method_says_what_it_is() -> None:
     assert {method.name for method in methods.in_order()} == set(methods.names())
     for method in methods.in_order():
         assert method.learned and issubclass(method.settings, object) and (method.sources is None or method.with_epochs)
+
+
+def test_every_methods_modules_are_there_and_known_to_its_steps() -> None:
+    from importlib.util import find_spec
+
+    from tasks.identify import steps_of_all
+
+    steps = steps_of_all()
+    for method in methods.in_order():
+        assert all(find_spec(module) is not None for module in method.modules)
+        assert set(method.modules) <= set(steps[method.name].entries)

@@ -16,6 +16,7 @@ from dieseltwin.settings.params import load_params
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
 from dieseltwin.surrogates.empirical_training import MapData, _with_a_slope, train_maps
 from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights
+from dieseltwin.surrogates.map_layers import network
 
 KINDS = ("paper", "improved")
 C = constants(we2011.PARAMETERS)
@@ -194,7 +195,8 @@ def test_dropped_neurons_are_the_masks_of_the_network(trained):
     masks = item.network.sample_masks((1,), generator=generator)
     p_im, n_e = np.array([1.2e5, 2.0e5]), np.array([900.0, 1500.0])
     x = (np.stack([p_im, n_e], axis=-1) - item.centre) / item.scale
-    expected = item.network(torch.as_tensor(x, dtype=torch.float32), masks)[0, :, 0].detach().numpy()
+    layers = [(w[0].detach(), b[0].detach()) for w, b in zip(item.network.weights, item.network.biases, strict=True)]
+    expected = network(torch.as_tensor(x, dtype=torch.float32), layers, item.network.activation, masks).numpy()
     assert maps.evaluate("eta_vol", p_im, n_e, member=seed) == pytest.approx(expected, rel=1e-5)
 
 

@@ -18,8 +18,9 @@ from dieseltwin.challenge.baselines.model import Bound, Net
 from dieseltwin.challenge.cases import Plan, Tier, build_case, make_plans
 from dieseltwin.challenge.processes import in_processes
 from dieseltwin.challenge.records import CaseRow
-from dieseltwin.challenge.run import plain, read_manifest
+from dieseltwin.challenge.run import read_manifest
 from dieseltwin.challenge.seal import SEALED
+from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.engine import we2011
 from dieseltwin.recordings.named_columns import read_table
 from dieseltwin.sealed import read_json, sealed_json

@@ -78,7 +78,7 @@ class Law:
         form: for simulation (`LawTwin`).
         coefficient, std, unit: of the term [unit of the point]; the deviation holds what other forms that explain as
             much say of the size.
-        shape, shape_std: estimate of the first factor's exponent (threshold, time); None where it wasn't free.
+        shape: estimate of the first factor's exponent (threshold, time); None where it wasn't free.
         argument: the variable over which `curve` shows it.
         curve: the law and, free of it, what the recording says bin by bin.
         domain: variable -> (low, high) over which it was seen.
@@ -101,7 +101,6 @@ class Law:
     std: float
     unit: str
     shape: float | None
-    shape_std: float | None
     argument: str
     curve: Curve | None
     domain: dict[str, tuple[float, float]]
@@ -277,7 +276,7 @@ def _report(
     estimates = best.twin.values(best.fit.parameters)
     placed = [replace(law, coefficient=float(c)) for law, (c, _) in zip(best.twin.laws, estimates, strict=True)]
     final = _final(twin, at, placed, best.fit, nuisance_response)
-    shape = shape_std = None
+    shape = None
     loose = LawTwin(twin, [Placed(form, coefficient, free_shape=True)]) if free else None
     # an operator's only number is its time or width: it is free already, and there is nothing more to loosen
     if loose is not None and len(loose.parameters) == final[1].fit.parameters.size + 1:
@@ -286,7 +285,7 @@ def _report(
         start = replace(start, parameters=begun, local=final[1].fit.local)
         freed = fit_fully(cast(Twin, loose), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
         at_shape = len(loose.parameters) - 1
-        shape, shape_std = float(freed.fit.parameters[at_shape]), float(np.sqrt(scale) * freed.fit.std[at_shape])
+        shape = float(freed.fit.parameters[at_shape])
         gained = worth(at.fit.objective - final[1].fit.objective)
         price = max(float(np.log(freedom)), _ALIKE_SHARE * gained)
         if worth(at.fit.objective - freed.fit.objective) > gained + price:
@@ -316,13 +315,13 @@ def _report(
         _as_found(q, float(c), s) for q, (c, s) in zip(law.laws, law.values(lin.fit.parameters), strict=True)
     )
     if form.fixed is not None:  # an operator's only number
-        shape, shape_std = last[0].form.factors[0].shape, std
+        shape = last[0].form.factors[0].shape
     text = " + ".join(
         law_text(twin, q.form, q.coefficient, std=std if k == 0 else None) for k, q in enumerate(last)
     )
     curve = _curve(twin, at, law, lin, nuisance_response, variables, argument, std / max(abs(coefficient), 1e-300))
     return Law(
-        form.point, point.site, text, last[0].form, coefficient, std, point.unit, shape, shape_std, argument, curve,
+        form.point, point.site, text, last[0].form, coefficient, std, point.unit, shape, argument, curve,
         {name: (float(np.min(variables[name])), float(np.max(variables[name]))) for name in names},
         at.fit.objective - reached.fit.objective, best.score, at.fit.objective / readings,
         reached.fit.objective / readings, rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last, (),

@@ -110,8 +110,8 @@ def sensor_law(
     site = f"sensor:{fault.channel}"
     unit = {"gain": "-", "lag": "s"}.get(fault.kind, law_scope_of(twin).channel_units.get(fault.channel, ""))
     return Law(
-        site, site, found.text(unit), Form(site), found.size, cast(float, found.std), unit, None, None, fault.channel,
-        None, {fault.channel: (float(np.min(seen)), float(np.max(seen)))}, gain, gain - charge,
+        site, site, found.text(unit), Form(site), found.size, cast(float, found.std), unit, None, fault.channel, None,
+        {fault.channel: (float(np.min(seen)), float(np.max(seen)))}, gain, gain - charge,
         at.fit.objective / readings, objective / readings, tuple(rivals.values()), best.fit.parameters[:P],
         best.fit.local, (), (found,),
     )  # fmt: skip

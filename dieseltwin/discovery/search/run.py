@@ -31,14 +31,12 @@ from dieseltwin.discovery.search.explanations import (
 from dieseltwin.discovery.search.preparation import (
     prepare,
     prepared_about,
-    rebased,
     recentred,
-    split_growing,
     tolerance_responses,
     verify,
 )
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
-from dieseltwin.discovery.search.state import Search, occam
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import Variant, edge_cost, scan
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import Twin
@@ -312,8 +310,3 @@ def _alarm(found: Search, fit: Fit) -> bool:
     gain = found.gain(fit)
     threshold = max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
     return bool(gain >= threshold and found.of_interest(fit))
-
-
-__all__ = [
-    "Search", "looked_at", "occam", "prepare", "rebased", "run", "split_growing", "tolerance_responses",
-]  # fmt: skip

@@ -15,7 +15,7 @@ from dieseltwin.discovery.likelihood.circumstances import Estimate
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
-from dieseltwin.discovery.search.run import Search, occam
+from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array, rows_of
 from dieseltwin.discovery.twins.several import SeveralTwin
@@ -86,7 +86,6 @@ def assemble(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
         after=after, sigma=found.noise.sigma, evidence_over_time=_by_window(found, evidence),
         evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found, twin),
-        sensitivity=finite_only(smallest),
         tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
         allowed=_allowed(found, after),

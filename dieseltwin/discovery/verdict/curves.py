@@ -74,13 +74,11 @@ class Curves:
         evidence: (n,) log-likelihood gained at each sample [-].
         candidates: what was weighed, strongest first.
         laws: the found terms as curves.
-        sensitivity: name -> smallest magnitude that this recording could show [unit of the effect].
         tolerance: name -> smallest magnitude of interest [unit of the effect].
-        units: name -> unit of the two.
+        units: name -> its unit.
         held_out: (n,) True where a row was not used for the fit; None where nothing was held out.
         allowed: (n, C) what the tolerances of maps and sensors explain beside the repaired fit [SI]; None where that
             isn't known.
-        oracle_nll: held-out score of a fit that knows the effect, where that is known [-].
     """
 
     time_s: Array
@@ -94,11 +92,9 @@ class Curves:
     evidence: Array
     candidates: Sequence[Candidate] = ()
     laws: Sequence[LawCurve] = ()
-    sensitivity: Mapping[str, float] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     held_out: Array | None = None
-    oracle_nll: float | None = None
     allowed: Array | None = None
 
 

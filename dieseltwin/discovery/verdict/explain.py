@@ -48,7 +48,6 @@ def details_of(found: Discovery, options: Mapping[str, Any], notes: list[str]) -
             "minimum_detectable": dict(found.document.minimum_detectable),
             "tolerance": dict(curves.tolerance),
             "units": dict(curves.units),
-            "oracle_nll": curves.oracle_nll,
             **found.details,
         }
     )

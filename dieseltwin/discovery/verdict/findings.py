@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from dieseltwin.discovery.likelihood.fit import Fit
-from dieseltwin.discovery.search.run import Search
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.twins.several import SeveralTwin

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
-from dieseltwin.discovery.search.run import Search
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
 from dieseltwin.discovery.twins.several import SeveralTwin
 

@@ -9,7 +9,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.score import Scored
-from dieseltwin.discovery.search.run import Search
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.over_recordings import health_places
 from dieseltwin.learning.alarm import Score

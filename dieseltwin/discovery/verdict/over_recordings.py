@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
-from dieseltwin.discovery.search.run import Search
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.twins.several import SeveralTwin, profiles_of
 from dieseltwin.discovery.verdict.document import (

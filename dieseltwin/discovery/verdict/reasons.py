@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Fit
-from dieseltwin.discovery.search.run import Search, occam
+from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.sensors import SENSORS

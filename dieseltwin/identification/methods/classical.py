@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
-
 from pydantic import PositiveFloat, PositiveInt
 
 from dieseltwin.settings.method_settings import MethodSettings
 from dieseltwin.settings.methods import Method, MethodStyle
-
-if TYPE_CHECKING:
-    from dieseltwin.identification.problem import SegmentProblem
-    from dieseltwin.identification.result import SegmentEstimate
 
 
 class ClassicalConfig(MethodSettings):
@@ -23,16 +16,9 @@ class ClassicalConfig(MethodSettings):
     damping_start: PositiveFloat
 
 
-def estimate(problems: Sequence[SegmentProblem], runs: int, seed: int, **given: Any) -> list[SegmentEstimate]:
-    """See `maximum_likelihood.estimate`."""
-    from dieseltwin.identification.maximum_likelihood import estimate as fit
-
-    return fit(problems, runs, seed, **given)
-
-
 METHOD = Method(
     name="classical",
-    estimate=estimate,
+    estimate="dieseltwin.identification.maximum_likelihood",
     settings=ClassicalConfig,
     style=MethodStyle("#0072B2", "o", "-", "classical"),
     learned="exact formulae",

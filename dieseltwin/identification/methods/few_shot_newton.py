@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
-
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from dieseltwin.settings.method_settings import MethodSettings
 from dieseltwin.settings.methods import Method, MethodStyle, Needs
-
-if TYPE_CHECKING:
-    from dieseltwin.identification.problem import SegmentProblem
-    from dieseltwin.identification.result import SegmentEstimate
 
 
 class NewtonConfig(MethodSettings):
@@ -28,16 +21,9 @@ class NewtonConfig(MethodSettings):
     floor_share: PositiveFloat = Field(description="of the median defect that the process noise doesn't fall below")
 
 
-def estimate(problems: Sequence[SegmentProblem], runs: int, seed: int, **given: Any) -> list[SegmentEstimate]:
-    """See `few_shot.newton.estimate`."""
-    from dieseltwin.identification.few_shot.newton import estimate as fit
-
-    return fit(problems, runs, seed, **given)
-
-
 METHOD = Method(
     name="few-shot-newton",
-    estimate=estimate,
+    estimate="dieseltwin.identification.few_shot.newton",
     settings=NewtonConfig,
     style=MethodStyle("#D55E00", "s", "--", "few-shot-newton"),
     learned="bodies learned, exact formulae",

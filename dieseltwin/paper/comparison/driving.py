@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dieseltwin.duty_cycles import full_load_torque
+from dieseltwin.duty_cycles.schedules import full_load_torque
 from dieseltwin.report.style import ReportFigure, note, styled
 from dieseltwin.settings.params import EcuConfig
 from dieseltwin.symbols import label

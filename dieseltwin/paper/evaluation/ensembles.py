@@ -96,11 +96,6 @@ def case_problems(
     return made
 
 
-def batches(members: int, at_a_time: int) -> list[tuple[int, int]]:
-    """(first member, number of members) of each batch."""
-    return [(first, min(at_a_time, members - first)) for first in range(0, members, at_a_time)]
-
-
 _FIELDS = (
     "time_s", "parameters", "std", "interval_90", "states", "bound", "identifiable", "converged", "chi2_per_sample",
     "state_samples", "parameter_samples",

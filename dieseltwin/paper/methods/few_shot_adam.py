@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
-
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from dieseltwin.settings.method_settings import MethodSettings
 from dieseltwin.settings.methods import Method, MethodStyle, Needs
-
-if TYPE_CHECKING:
-    from dieseltwin.identification.problem import SegmentProblem
-    from dieseltwin.identification.result import SegmentEstimate
 
 
 class AdamConfig(MethodSettings):
@@ -41,16 +34,9 @@ class AdamConfig(MethodSettings):
         return self.epochs
 
 
-def estimate(problems: Sequence[SegmentProblem], runs: int, seed: int, **given: Any) -> list[SegmentEstimate]:
-    """See `loops.few_shot_adam.estimate`."""
-    from dieseltwin.paper.loops.few_shot_adam import estimate as train
-
-    return train(problems, runs, seed, **given)
-
-
 METHOD = Method(
     name="few-shot-adam",
-    estimate=estimate,
+    estimate="dieseltwin.paper.loops.few_shot_adam",
     settings=AdamConfig,
     style=MethodStyle("#009E73", "^", "-.", "few-shot-adam"),
     learned="maps, operators and bodies learned",

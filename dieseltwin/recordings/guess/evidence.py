@@ -178,7 +178,7 @@ def _positions(columns: Columns) -> Iterator[Support]:
             agrees = ranks_agree(columns["u_egr_pct"], beside_air(columns))
             text = f"the cylinders take in more than the air flow with it (rank correlation {agrees:.2f})"
             yield Support(("u_egr_pct", "w_c_kg_s"), abs(agrees) - 0.2, text)
-    turbine = turbine_area(columns) if "p_amb_pa" in columns else None
+    turbine = turbine_area(columns)
     if turbine is not None and "u_vgt_pct" in columns and moves(columns["u_vgt_pct"]):
         agrees = _follows(columns["u_vgt_pct"], turbine)
         text = f"the turbine's flow area follows (rank correlation {agrees:.2f})"

@@ -265,21 +265,20 @@ def beside_air(columns: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def turbine_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     """Area of the turbine as a nozzle up to a factor, W sqrt(T)/(p_em sqrt(1 - Pi^2)); NaN where it hardly flows."""
-    if not {"p_em_pa", "w_c_kg_s"} <= set(columns):
-        return None
-    ratio = columns["p_amb_pa"] / np.maximum(columns["p_em_pa"], 1.0)
-    temperature = columns.get("t_em_k", np.full(ratio.size, 700.0))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        area = columns["w_c_kg_s"] * np.sqrt(temperature) / (columns["p_em_pa"] * np.sqrt(1.0 - ratio**2))
-    return np.where(ratio < FLOWS_BELOW, area, np.nan)
+    return _area(columns, "w_c_kg_s", "p_amb_pa", FLOWS_BELOW)
 
 
 def egr_area(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     """Area of the EGR valve as a nozzle up to a factor, as `turbine_area`; NaN where hardly anything drives it."""
-    if not {"p_em_pa", "p_im_pa", "w_egr_kg_s"} <= set(columns):
+    return _area(columns, "w_egr_kg_s", "p_im_pa", DRIVEN_BELOW)
+
+
+def _area(columns: Mapping[str, np.ndarray], flow: str, behind: str, below: float) -> np.ndarray | None:
+    """Area that a flow out of the exhaust manifold passes, NaN where the pressure ratio over it isn't below `below`."""
+    if not {"p_em_pa", flow, behind} <= set(columns):
         return None
-    ratio = columns["p_im_pa"] / np.maximum(columns["p_em_pa"], 1.0)
+    ratio = columns[behind] / np.maximum(columns["p_em_pa"], 1.0)
     temperature = columns.get("t_em_k", np.full(ratio.size, 700.0))
     with np.errstate(invalid="ignore", divide="ignore"):
-        area = columns["w_egr_kg_s"] * np.sqrt(temperature) / (columns["p_em_pa"] * np.sqrt(1.0 - ratio**2))
-    return np.where(ratio < DRIVEN_BELOW, area, np.nan)
+        area = columns[flow] * np.sqrt(temperature) / (columns["p_em_pa"] * np.sqrt(1.0 - ratio**2))
+    return np.where(ratio < below, area, np.nan)

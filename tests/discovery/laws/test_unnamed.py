@@ -11,7 +11,7 @@ from dieseltwin.discovery.laws.features import Structure, generic_features, scor
 from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.unnamed import best_term, leading, refit_terms
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
-from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.twins.interface import Point
 from tests.discovery.toy import SETTINGS, Toy
 
@@ -21,7 +21,7 @@ class _Withheld:
 
     def __init__(self) -> None:
         self.toy = Toy(2000, 10).record(leak=0.15)
-        self.found = search.prepare(self.toy, SETTINGS)
+        self.found = prepare(self.toy, SETTINGS)
         null = self.found.null
         self.structure = score_features(null, generic_features(self.toy, null.fit))
 
@@ -89,7 +89,7 @@ def test_leading_terms_are_of_several_points(withheld: _Withheld) -> None:
 def test_actuators_may_be_late_and_other_points_not() -> None:
     toy = Toy(1000, 5).record()
     toy.points = (toy.points[0], Point("u", "heater", False, "%", ("u",)))
-    features = generic_features(toy, search.prepare(Toy(1000, 5).record(), SETTINGS).null.fit)
+    features = generic_features(toy, prepare(Toy(1000, 5).record(), SETTINGS).null.fit)
     late = {f.text: f for f in features if f.form is not None and f.form.operator}
     assert {f.site for f in late.values()} == {"heater"}
     assert {"dead time 0.05", "dead time 0.2", "lag 0.4", "play 1"} <= set(late)
@@ -105,7 +105,7 @@ def test_what_would_run_ahead_of_its_command_explains_nothing() -> None:
     delay = Form("leak", (Factor("dead_time", ("x",), (1.0,), 0.2, ("%",)),), 1.0)
     late = replace(leak.feature, signal=sign * leak.feature.signal, form=delay)
     ahead = replace(late, signal=-late.signal)
-    null = search.prepare(toy, SETTINGS).null
+    null = prepare(toy, SETTINGS).null
     (scored,) = score_features(null, [late, ahead])
     assert scored.feature is late and scored.coefficient > 0.0 and scored.gain > 50.0
     assert {feature.behind for feature in generic_features(toy, null.fit)} == {False}
@@ -115,7 +115,7 @@ def test_what_would_run_ahead_of_its_command_explains_nothing() -> None:
 
 def test_losses_of_a_shaft_and_holes_of_hot_gas() -> None:
     toy = Toy(1000, 5).record()
-    fit = search.prepare(toy, SETTINGS).null.fit
+    fit = prepare(toy, SETTINGS).null.fit
     n = toy.time_s.size
     walk = 1.0 + 0.2 * np.sin(toy.time_s)
     values = {"omega": 5e3 * walk, "p_em": 2e5 * walk, "T_em": 700.0 * walk**2, "p_amb": np.full(n, 1e5)}
@@ -145,6 +145,6 @@ def test_a_term_that_hangs_on_one_window_is_not_held() -> None:
 
 
 def _strongest(toy: Toy) -> Structure:
-    null = search.prepare(toy, SETTINGS).null
+    null = prepare(toy, SETTINGS).null
     terms = score_features(null, generic_features(toy, null.fit))
     return next(item for item in terms if item.feature.site == "vessel" and item.feature.text == "x")

@@ -10,7 +10,8 @@ import pytest
 
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.discovery.laws.features import Structure
-from dieseltwin.discovery.search.run import Search, run
+from dieseltwin.discovery.search.run import run
+from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.discovery.verdict.told import beside_fine_maps, told

@@ -21,6 +21,7 @@ from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.explanations import choose
+from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.variants import Variant, scan
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.recordings.noise import Noise, estimate_noise
@@ -279,7 +280,7 @@ def test_a_second_effect_that_hangs_on_one_window_is_not_named() -> None:
 
 
 def test_a_lesser_effect_of_half_a_tolerance_counts_beside_a_strong_one() -> None:
-    found = search.prepare(Toy().record(drag=0.2), SETTINGS)
+    found = prepare(Toy().record(drag=0.2), SETTINGS)
 
     def pair(drag: float, offset: float) -> Fit:
         sizes = np.array([drag, offset]) * [0.01, 0.02]  # their tolerances
@@ -343,7 +344,7 @@ def test_an_onset_that_only_the_linear_scan_promises_is_no_alarm(monkeypatch: py
 
 def test_a_refit_that_found_no_way_down_gets_sensitivities_of_its_own() -> None:
     toy = Toy(2000, 10).record(leak=0.15)
-    found = search.prepare(toy, SETTINGS)
+    found = prepare(toy, SETTINGS)
     null = found.null.fit
     stuck = Fit(Candidate(("leak",)), null.parameters, np.zeros(1), null.local, null.objective, False)
     freed = search._unstuck(found, stuck)

@@ -70,7 +70,7 @@ def _discover(
     return Discovery(document, engine, engine, curves, {"fit": 0.1}, {"seed": getattr(options, "seed", None)})
 
 
-def _held_out_nll(engine: Any, recording: Any, noise: Any = None) -> float:
+def _held_out_nll(engine: Any, recording: Any) -> float:
     return 2.0
 
 
