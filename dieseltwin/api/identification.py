@@ -105,6 +105,8 @@ class Identified(Result):
         words = [", ".join(known) or "no parameter can be told"]
         words += [f"not identifiable here: {', '.join(unknown)}"] if unknown and known else []
         doubt = "The twin doesn't fit this recording (see `dieseltwin discover`). " if self._misfits else ""
+        if not doubt and any(note.code == "misfit" for note in misfits(self.found.to_json())):
+            doubt = "The fit leaves more than the noise, so that the intervals are too narrow. "
         return f"{doubt}{self.found.method}, {len(self.problems)} segments: {'; '.join(words)}."
 
     def table(self) -> pd.DataFrame:
