@@ -12,7 +12,7 @@ from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification
 from dieseltwin.settings.methods import find
-from dieseltwin.settings.params import IdentifyConfig
+from dieseltwin.settings.params import IdentifyConfig, default_identify
 
 if TYPE_CHECKING:
     from dieseltwin.surrogates.bodies import Bodies
@@ -42,7 +42,7 @@ def identify_segments(
         bodies: trained multi-head bodies (few-shot methods).
         operators: trained actuator operators, or None for the exact actuators.
         config: `IdentifyConfig` (`identify` of params.yaml, which also says from which relative bound on a parameter
-            counts as identifiable), the method's own settings, or None for its defaults.
+            counts as identifiable), the method's own settings, or None for `default_identify`.
 
     Returns:
         Estimates of every segment and run, with their pooling.
@@ -56,6 +56,7 @@ def identify_segments(
         raise InputError("runs", runs, "1 or more", "ask for at least one run")
     chosen = find(method)
     chosen.check_installed()
+    config = default_identify() if config is None else config
     threshold = config.identifiable_bound_rel if isinstance(config, IdentifyConfig) else IDENTIFIABLE_BELOW
     began = time.perf_counter()
     estimates = chosen.estimate(

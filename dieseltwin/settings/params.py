@@ -245,6 +245,12 @@ class IdentifyConfig(StrictModel):
             return self.methods[method]
         return validate(find(method).settings, {}, f"identify.methods.{method}")
 
+    def changed(self, method: str, **settings: object) -> IdentifyConfig:
+        """The same with some settings of one method changed; refused like what stands in the file."""
+        own = self.of(method)
+        section = validate(type(own), {**own.model_dump(), **settings}, f"identify.methods.{method}")
+        return self.model_copy(update={"methods": {**self.methods, method: section}})
+
     def runs_of(self, method: str) -> int:
         """Runs a segment: the method's own number where it has one."""
         return self.of(method).members or self.runs
@@ -312,6 +318,11 @@ def _validated(path: Path, content: bytes, profile: str) -> Params:
     validate(Params, {**common, "profile": profile}, str(path))
     settings = overridden(common, overrides, f"{path}: profiles.{profile}")
     return validate(Params, {**settings, "profile": profile}, f"{path}: profile {profile}")
+
+
+def default_identify() -> IdentifyConfig:
+    """What the estimators do where no settings are given: as in the paper, by `default_params_path()`."""
+    return load_params(None, "paper").identify
 
 
 def default_search() -> SearchConfig:

@@ -15,8 +15,8 @@ from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.identify import identify_segments
-from dieseltwin.identification.maximum_likelihood import ClassicalSettings
 from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.settings.params import default_identify
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
@@ -100,9 +100,8 @@ def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None
 
 
 def test_an_unconverged_run_is_reported_not_dropped(problem: SegmentProblem) -> None:
-    from dieseltwin.identification.maximum_likelihood import estimate
-
-    found = estimate([problem], 3, 0, config=ClassicalSettings(iterations_max=1))[0]
+    short = default_identify().changed("classical", iterations_max=1)
+    found = identify_segments([problem], "classical", 3, 0, config=short).segments[0]
     assert not found.converged.any()
     assert found.parameters.shape == (3, 4)
 

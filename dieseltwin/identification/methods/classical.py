@@ -5,22 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from pydantic import PositiveFloat, PositiveInt
-
-from dieseltwin.settings.method_settings import MethodSettings
+from dieseltwin.identification.settings import ClassicalConfig
 from dieseltwin.settings.methods import Method, MethodStyle
 
 if TYPE_CHECKING:
     from dieseltwin.identification.problem import SegmentProblem
     from dieseltwin.identification.result import SegmentEstimate
-
-
-class ClassicalConfig(MethodSettings):
-    """Maximum likelihood by shooting with sensitivities."""
-
-    iterations_max: PositiveInt
-    tolerance: PositiveFloat
-    damping_start: PositiveFloat
 
 
 def estimate(problems: Sequence[SegmentProblem], runs: int, seed: int, **given: Any) -> list[SegmentEstimate]:
