@@ -26,8 +26,9 @@ from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
 from dieseltwin.paper.loops import baseline
 from dieseltwin.paper.loops import multi_stage as multistage
-from dieseltwin.paper.loops.few_shot_program import AdamSettings
+from dieseltwin.paper.loops.few_shot_program import METHOD as FEW_SHOT
 from dieseltwin.paper.loops.pinn_training import PinnSettings
+from dieseltwin.settings.params import default_identify
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
 EFFECTS = {"boost_leak": 3e-5, "back_pressure": 1e5, "bearing_friction": 5e-6}
@@ -70,8 +71,10 @@ def errors(problems: list[SegmentProblem], method: str, runs: int, share: float)
     config: Any = None
     if method == "baseline":
         config = shortened(baseline.SETTINGS, share)
-    elif method == "few-shot-adam":
-        config = replace(AdamSettings(), epochs=max(1, round(AdamSettings().epochs * share)))
+    elif method == FEW_SHOT:
+        config = default_identify()
+        epochs = config.of(FEW_SHOT).trained_epochs
+        config = config.changed(FEW_SHOT, epochs=max(1, round(epochs * share)))
     found = identify_segments(problems, method, runs, 0, config=config)
     pooled = found.pooled()
     centre = np.mean([segment.centre for segment in found.segments], axis=0)  # where no segment may be trusted

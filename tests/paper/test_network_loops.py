@@ -31,7 +31,8 @@ def problem(request: pytest.FixtureRequest, simulated: Callable[..., SegmentProb
 def made(problem: SegmentProblem, dtype: torch.dtype) -> tuple[Any, StateNetworks, Tensor]:
     settings = pinn.PinnSettings(STAGES, dtype=dtype)
     lanes = pinn.make_lanes([problem], [0], 3, 5, settings)
-    program = make_program(lanes, {0: actuate(problem.inputs, problem.parameters)}, None, None, None, settings)
+    actuations = {0: actuate(problem.inputs, problem.parameters)}
+    program = make_program(lanes, actuations, None, None, None, settings, dtype)
     networks = StateNetworks(problem.time_s, dtype=dtype)
     return program, networks, pinn.start_values(lanes, program, networks, settings)
 

@@ -27,13 +27,15 @@ from dieseltwin.identification.few_shot.residuals import HEALTH, physics_residua
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.unknowns import START_SIGMA, to_physical
+from dieseltwin.paper.loop_settings import Scales
 from dieseltwin.paper.loops.averaging import TailMean
 from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
 from dieseltwin.paper.loops.few_shot_program import Lane, Program, draw_lane, make_program
-from dieseltwin.paper.loops.losses import PAPER_WEIGHTS, Scales, starting_weights
+from dieseltwin.paper.loops.losses import PAPER_WEIGHTS, starting_weights
 from dieseltwin.paper.loops.network_loops import epoch_function
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
+from dieseltwin.settings.params import StartConfig
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -89,7 +91,7 @@ class PinnSettings:
     start_sigma: float = START_SIGMA
     first_layer_slopes: tuple[float, float] | None = FIRST_LAYER_SLOPES
     weight_start: Mapping[str, float] = field(default_factory=lambda: dict(PINN_WEIGHTS))
-    scales: Scales = field(default_factory=Scales)
+    scales: Scales = field(default_factory=lambda: Scales(T_em=300.0, rate=1.0, x_r=0.1))
     fresh_dropout: bool = True
     average_share: float = 0.1
     lanes: int = 150
@@ -306,7 +308,8 @@ def make_lanes(
 ) -> list[Lane]:  # fmt: skip
     """Lanes of some segments, run by run from `first_run` on; a run's draws depend on (seed, segment, run) alone."""
     numbers = range(first_run, first_run + runs)
-    return [draw_lane(problems[i], i, run, seed, settings) for i in group for run in numbers]  # type: ignore[arg-type]
+    start = StartConfig.model_validate({"at": settings.start_at, "sd_masked": settings.start_sigma})
+    return [draw_lane(problems[i], i, run, seed, start) for i in group for run in numbers]
 
 
 def train_lanes(
@@ -332,7 +335,7 @@ def train_lanes(
     for a in range(0, len(lanes), settings.lanes):
         part = lanes[a : a + settings.lanes]
         actuations = {lane.index: actuate(lane.problem.inputs, lane.problem.parameters) for lane in part}
-        program = make_program(part, actuations, None, operators, maps, settings)  # type: ignore[arg-type]
+        program = make_program(part, actuations, None, operators, maps, settings, settings.dtype)  # type: ignore[arg-type]
         networks = StateNetworks(part[0].problem.time_s, dtype=settings.dtype)
         taken = None if sources is None else (sources[0][a : a + len(part)], sources[1][a : a + len(part)])
         values = start_values(part, program, networks, settings, taken)

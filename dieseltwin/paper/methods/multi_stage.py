@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from dieseltwin.paper.pinn_config import PinnConfig
+from dieseltwin.paper.loop_settings import PinnConfig
 from dieseltwin.settings.methods import Method, MethodStyle, Needs
 
 if TYPE_CHECKING:
