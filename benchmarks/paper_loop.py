@@ -40,10 +40,10 @@ from dieseltwin.identification.few_shot.residuals import HEALTH, physics_residua
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.paper.loop_settings import Stage
 from dieseltwin.paper.loops import baseline, pinn_training
 from dieseltwin.paper.loops import few_shot_adam as fewshot_adam
 from dieseltwin.paper.loops import few_shot_program as fewshot_program
-from dieseltwin.paper.loops import multi_stage as multistage
 from dieseltwin.paper.loops.losses import Weights, total_loss
 from dieseltwin.paper.loops.pinn_networks import N_STATES, StateNetworks
 from dieseltwin.settings.params import default_identify, load_params
@@ -136,7 +136,7 @@ def few_shot_loop(problem: SegmentProblem, maps: Any, fresh: bool) -> Loop:
 
 def network_loop(problem: SegmentProblem, maps: Any, fresh: bool, last_only: bool = False) -> Loop:
     """Networks differentiated by time in every epoch; `last_only` trains the last layers (Stages II and III)."""
-    settings = baseline.SETTINGS
+    settings = PAPER.of(baseline.METHOD)
     lanes, program = program_of(problem, maps, settings, 1, fresh)
     networks = StateNetworks(problem.time_s)
     values = pinn_training.start_values(lanes, program, networks, settings)
@@ -183,7 +183,7 @@ def pieces(method: str) -> list[tuple[float, bool, bool]]:
         settings = PAPER.of(fewshot_program.METHOD)
         share = settings.weights_until_epoch / settings.epochs
         return [(share, False, True), (1.0 - share, False, False)]
-    stages = (multistage if method == "multi-stage" else baseline).SETTINGS.stages
+    stages = PAPER.of(method).stages
     ends = [0, *(s.until_epoch for s in stages)]
     return [
         ((b - a) / ends[-1], s.layers == "last", s.rate_weights > 0.0)
@@ -204,7 +204,7 @@ class Batch:
 
     def __init__(self, method: str, problem: SegmentProblem, maps: Any, lanes: int) -> None:
         self.method, self.count = method, lanes
-        settings: Any = PAPER.of(fewshot_program.METHOD) if method == "few-shot" else baseline.SETTINGS
+        settings: Any = PAPER.of(fewshot_program.METHOD if method == "few-shot" else baseline.METHOD)
         self.lanes, self.program = program_of(problem, maps, settings, lanes, None)
         self.problem, self.settings = problem, settings
         self.sigma = np.stack([problem.sigma[:5]] * lanes)
@@ -223,9 +223,10 @@ class Batch:
         else:
             networks = StateNetworks(self.problem.time_s)
             values = pinn_training.start_values(self.lanes, self.program, networks, self.settings)
-            stage = pinn_training.Stage(
-                2 * epochs, "last" if last else "all", *RATES[:2], RATES[2] if adaptive else 0.0
-            )
+            stage = Stage(
+                until_epoch=2 * epochs, layers="last" if last else "all", rate_networks=RATES[0],
+                rate_unknowns=RATES[1], rate_weights=RATES[2] if adaptive else 0.0,
+            )  # fmt: skip
             pinn_training.train(self.program, networks, values, (stage,), self.sigma, mark, compiled=True)
         return 1e3 * (marks[-1] - marks[0])
 

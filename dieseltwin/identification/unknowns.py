@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 
-__all__ = ["HEALTH", "SCALES", "START_SIGMA", "UNITS", "health_of", "physical_columns", "start_centre",
+__all__ = ["HEALTH", "SCALES", "UNITS", "health_of", "physical_columns", "start_centre",
            "starts", "to_masked", "to_physical"]  # fmt: skip
 
 UNITS: dict[str, str] = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
@@ -20,9 +20,6 @@ UNITS: dict[str, str] = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_t
 
 SCALES: NDArray[np.float64] = np.array([1e-4, 1e-4, 1.0, 10.0])
 """Scaling that follows the mask: exp, exp, softplus, exp (paper, table of true values of parameters)."""
-
-START_SIGMA = 0.2
-"""Standard deviation of the starting values across members, in masked space (paper, few-shot section)."""
 
 _SOFTPLUS = 2
 """Index of eta_sc, the only unknown with the softplus mask."""
@@ -99,7 +96,7 @@ def start_centre(parameters: EngineParameters, truth: Mapping[str, float] | None
     return health_of(truth if start_at == "truth" and truth is not None else parameters)
 
 
-def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float = START_SIGMA) -> NDArray[np.float64]:
+def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float) -> NDArray[np.float64]:
     """Draw starting values of the unknowns: Gaussian in masked space around a centre.
 
     The centre is the laboratory set: nobody knows the truth. Only the extra set of runs that repeats the paper's "near

@@ -81,10 +81,10 @@ class AdamConfig(MethodSettings):
         return self.epochs
 
 
-class PinnStageConfig(StrictModel):
+class Stage(StrictModel):
     """A piece of the PINN's schedule with constant learning rates; a rate of 0 freezes."""
 
-    until_epoch: PositiveInt
+    until_epoch: PositiveInt = Field(description="first epoch of the next stage")
     layers: Literal["all", "last"] = Field(description="which layers of the networks are trained")
     rate_networks: NonNegativeFloat
     rate_unknowns: NonNegativeFloat
@@ -94,7 +94,7 @@ class PinnStageConfig(StrictModel):
 class PinnConfig(MethodSettings):
     """The paper's hybrid PINN: all layers from scratch, or from a source model in stages."""
 
-    stages: tuple[PinnStageConfig, ...] = Field(min_length=1)
+    stages: tuple[Stage, ...] = Field(min_length=1)
     first_layer_slopes: tuple[float, float] | None = Field(
         description="start of the first layer on time scaled to [-1, 1]"
     )
@@ -103,7 +103,12 @@ class PinnConfig(MethodSettings):
     scale_x_r: PositiveFloat = Field(description="unit of the residual of x_r")
     fresh_dropout: bool = Field(description="the maps lose other neurons in every epoch; else one realisation a run")
     average_share: NonNegativeFloat = Field(le=1.0, description="of the epochs, at the end, whose mean is the estimate")
-    weight_start: dict[str, PositiveFloat]
+    weight_start: dict[str, PositiveFloat] = Field(description="alpha of the weights by channel")
+
+    @property
+    def scales(self) -> Scales:
+        """Units of the residuals."""
+        return Scales(self.scale_t_em_k, self.scale_rates, self.scale_x_r)
 
     @property
     def trained_epochs(self) -> int:

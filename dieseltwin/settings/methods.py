@@ -54,7 +54,7 @@ class Method:
     Attributes:
         name: as `--method` takes it; the file's name with hyphens.
         estimate: `estimate(problems, runs, seed, *, bodies, operators, maps, config)`, one `SegmentEstimate` a segment;
-            `config` is `IdentifyConfig` or None.
+            `config` is `IdentifyConfig`.
         settings: model of its section in params.yaml.
         style: how it is drawn.
         learned: in words, what of it is learned.

@@ -24,7 +24,7 @@ from dieseltwin.identification.few_shot.residuals import (
 from dieseltwin.identification.few_shot.term_model import TermModel
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.unknowns import health_of, start_centre, starts, to_masked, to_physical
-from dieseltwin.paper.loop_settings import AdamConfig
+from dieseltwin.paper.loop_settings import AdamConfig, PinnConfig
 from dieseltwin.paper.loops.fused_maps import Dropout, fused_replacements
 from dieseltwin.paper.loops.losses import (
     Loss,
@@ -179,7 +179,7 @@ def make_program(
     bodies: Bodies | None,
     operators: ActuatorOperators | None,
     maps: EmpiricalMaps | None,
-    settings: AdamConfig,
+    settings: AdamConfig | PinnConfig,
     dtype: torch.dtype = torch.float32,
 ) -> Program:
     time_s = lanes[0].problem.time_s

@@ -36,10 +36,6 @@ WEIGHT_SIGMA = 0.1
 POINTWISE = ("p_im", "p_em", "omega_t", "W_egr")
 """Channels with one self-adaptive weight for each sample; T_em and T_1 have a single one each."""
 SCALAR = ("T_em", "T_1")
-PAPER_WEIGHTS: Mapping[str, float] = {
-    "p_im": 1e3, "p_em": 1e3, "omega_t": 1e3, "W_egr": 2e3, "T_em": 20.0, "T_1": 20.0
-}  # fmt: skip
-"""Starting multipliers alpha of the pointwise weights, and means of the two single ones (paper)."""
 
 
 class Weights(NamedTuple):
@@ -49,9 +45,7 @@ class Weights(NamedTuple):
     single: Tensor
 
 
-def starting_weights(
-    readings: Tensor, generator: torch.Generator, alpha: Mapping[str, float]
-) -> Weights:
+def starting_weights(readings: Tensor, generator: torch.Generator, alpha: Mapping[str, float]) -> Weights:
     """Draw the weights: N(alpha X / max X, 0.1) at each sample, N(20, 0.1) for T_em and T_1 (paper).
 
     Args:
