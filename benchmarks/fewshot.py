@@ -25,7 +25,7 @@ from dieseltwin.engine import HEALTH, actuate, we2011
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.paper.loops.few_shot_adam import train
 from dieseltwin.paper.loops.few_shot_program import METHOD, draw_lane, make_program
-from dieseltwin.settings.params import StartConfig, default_identify
+from dieseltwin.settings.params import StartConfig, load_params
 
 PAPER_NOISY = (
     ((0.9699, 0.0653), (1.0190, 0.0056), (0.9913, 0.0094), (0.9568, 0.0379)),
@@ -47,7 +47,7 @@ def networks(models: Path | None, maps: str) -> dict[str, Any]:
 
 def accuracy(arguments: argparse.Namespace) -> None:
     """Print estimate over truth and its ratio to the bound, segment by segment."""
-    config = default_identify()
+    config = load_params(None, "paper").identify
     start = StartConfig(at=arguments.start, sd_masked=config.start.sd_masked)
     config = config.changed(METHOD, epochs=arguments.epochs, weights_until_epoch=arguments.epochs * 2 // 3)
     config = config.model_copy(update={"start": start})
@@ -85,7 +85,7 @@ def gain(arguments: argparse.Namespace) -> None:
     """Print seconds per epoch of one run alone and of a batch, exact and learned formulae."""
     problems, _ = benchmark_problems(1, arguments.seed)
     actuations = {i: actuate(p.inputs, p.parameters) for i, p in enumerate(problems)}
-    config = default_identify()
+    config = load_params(None, "paper").identify
     settings = config.of(METHOD)
     kinds = ["exact"] + ([arguments.maps] if arguments.models is not None else [])
     for kind in kinds:

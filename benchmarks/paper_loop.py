@@ -46,7 +46,7 @@ from dieseltwin.paper.loops import few_shot_adam as fewshot_adam
 from dieseltwin.paper.loops import few_shot_program as fewshot_program
 from dieseltwin.paper.loops.losses import Weights, total_loss
 from dieseltwin.paper.loops.pinn_networks import N_STATES, StateNetworks
-from dieseltwin.settings.params import default_identify, load_params
+from dieseltwin.settings.params import load_params
 
 PAPER_MS = {"few-shot": 4.3, "multi-stage": 6.7, "baseline": 6.6}
 """Milliseconds an epoch of the paper, from its table of computational times (clean data)."""
@@ -57,7 +57,7 @@ LEAST_EPOCHS = 100
 SEED = 1
 RATES = (1e-3, 1e-3, 1e-2)
 """Learning rates of networks, unknowns, weights; without influence on the time."""
-PAPER = default_identify()
+PAPER = load_params(None, "paper").identify
 
 
 @dataclass

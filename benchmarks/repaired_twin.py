@@ -25,7 +25,7 @@ from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
 from dieseltwin.paper.loops import baseline
 from dieseltwin.paper.loops import multi_stage as multistage
 from dieseltwin.paper.loops.few_shot_program import METHOD as FEW_SHOT
-from dieseltwin.settings.params import IdentifyConfig, default_identify
+from dieseltwin.settings.params import IdentifyConfig, load_params
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
 EFFECTS = {"boost_leak": 3e-5, "back_pressure": 1e5, "bearing_friction": 5e-6}
@@ -55,7 +55,7 @@ def problems_of(plant: EngineParameters, known: EngineParameters, minutes: int, 
 
 def shortened(share: float) -> IdentifyConfig:
     """The paper's settings with a share of the epochs of every training."""
-    config = default_identify()
+    config = load_params(None, "paper").identify
 
     def part(epochs: int) -> int:
         return max(1, round(epochs * share))

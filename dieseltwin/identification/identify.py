@@ -11,7 +11,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification
 from dieseltwin.settings.methods import find
-from dieseltwin.settings.params import IdentifyConfig, default_identify
+from dieseltwin.settings.params import IdentifyConfig
 
 if TYPE_CHECKING:
     from dieseltwin.surrogates.bodies import Bodies
@@ -28,7 +28,7 @@ def identify_segments(
     maps: EmpiricalMaps | None = None,
     bodies: Bodies | None = None,
     operators: ActuatorOperators | None = None,
-    config: IdentifyConfig | None = None,
+    config: IdentifyConfig,
 ) -> Identification:
     """Identify the health parameters of every segment with one method.
 
@@ -41,7 +41,7 @@ def identify_segments(
         bodies: trained multi-head bodies (few-shot methods).
         operators: trained actuator operators, or None for the exact actuators.
         config: `identify` of params.yaml, which also says from which relative bound on a parameter counts as
-            identifiable; None for `default_identify`.
+            identifiable.
 
     Returns:
         Estimates of every segment and run, with their pooling.
@@ -55,12 +55,10 @@ def identify_segments(
         raise InputError("runs", runs, "1 or more", "ask for at least one run")
     chosen = find(method)
     chosen.check_installed()
-    config = default_identify() if config is None else config
-    threshold = config.identifiable_bound_rel
     began = time.perf_counter()
     estimates = chosen.estimate(
         list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config
     )
     seconds = time.perf_counter() - began
-    segments = [replace(e, identifiable=e.bound <= threshold * e.centre) for e in estimates]
-    return Identification(method, tuple(segments), tuple(problems), seed, seconds, threshold)
+    segments = [replace(e, identifiable=e.bound <= config.identifiable_bound_rel * e.centre) for e in estimates]
+    return Identification(method, tuple(segments), tuple(problems), seed, seconds, config.identifiable_bound_rel)

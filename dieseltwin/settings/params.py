@@ -320,11 +320,6 @@ def _validated(path: Path, content: bytes, profile: str) -> Params:
     return validate(Params, {**settings, "profile": profile}, f"{path}: profile {profile}")
 
 
-def default_identify() -> IdentifyConfig:
-    """What the estimators do where no settings are given: as in the paper, by `default_params_path()`."""
-    return load_params(None, "paper").identify
-
-
 def default_search() -> SearchConfig:
     """What a search decides by where no settings are given: those of `default_params_path()`."""
     return load_params().discover.search

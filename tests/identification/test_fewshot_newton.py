@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.errors import InputError
@@ -19,11 +20,11 @@ from dieseltwin.identification.few_shot.process_noise import calibrate, laborato
 from dieseltwin.identification.few_shot.residuals import PointModel
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.settings.params import StartConfig, default_identify
+from dieseltwin.settings.params import StartConfig
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
-QUICK = default_identify().model_copy(update={"start": StartConfig(at="lab", sd_masked=0.1)})
+QUICK = PAPER.model_copy(update={"start": StartConfig(at="lab", sd_masked=0.1)})
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +207,7 @@ def test_idle_runs_leave_their_start(drive: Drive, simulated: Make) -> None:
     )  # fmt: skip
     clean = simulated(inputs, we2011.FIELD, noise_seed=None)
     noisy = clean.with_noise_draws(6, np.random.default_rng(4))
-    found = identify_segments([noisy], "few-shot-newton", 6, 2).segments[0]
+    found = identify_segments([noisy], "few-shot-newton", 6, 2, config=PAPER).segments[0]
     relative = cramer_rao([clean], _truth(clean), clean.true_initial[:3])[0].relative
     error = found.parameters / _truth(clean) - 1.0
     vgt = HEALTH.index("A_vgtmax")

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.engine.terms import Term
@@ -18,14 +19,13 @@ from dieseltwin.identification.learned import LearnedSimulator
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.shooting import Shooting
 from dieseltwin.paper.loops.few_shot_program import METHOD, draw_lane, make_program
-from dieseltwin.settings.params import default_identify
 
 TERMS = (Term(effect="boost_leak", magnitude=3e-5), Term(effect="bearing_friction", magnitude=5e-6))
 
 
 def _errors(problem: SegmentProblem, method: str, terms: tuple) -> np.ndarray:
     known = replace(problem, parameters=problem.parameters.replace(terms=terms))
-    segment = identify_segments([known], method, 1, 0).segments[0]
+    segment = identify_segments([known], method, 1, 0, config=PAPER).segments[0]
     return np.abs(segment.centre / [getattr(we2011.FIELD, name) for name in HEALTH] - 1.0)
 
 
@@ -44,13 +44,12 @@ def test_terms_take_the_bias_away(hurt: SegmentProblem, method: str) -> None:
 
 def test_the_networks_program_holds_the_terms(hurt: SegmentProblem) -> None:
     """Rates of few-shot Adam's program (and so the PINN's) at the same states, with and without the terms."""
-    config = default_identify()
     rates = []
     for terms in ((), TERMS):
         problem = replace(hurt, parameters=hurt.parameters.replace(terms=terms))
-        lanes = [draw_lane(problem, 0, run, 0, config.start) for run in range(2)]
+        lanes = [draw_lane(problem, 0, run, 0, PAPER.start) for run in range(2)]
         actuations = {0: actuate(problem.inputs, problem.parameters)}
-        program = make_program(lanes, actuations, None, None, None, config.of(METHOD))
+        program = make_program(lanes, actuations, None, None, None, PAPER.of(METHOD))
         assert isinstance(program.model, TermModel) == bool(terms)
         states = [torch.tensor(s, dtype=program.dtype).expand(2, -1) for s in _states(problem)]
         q = program.model.quantities(*states, *program.inputs, program.c)

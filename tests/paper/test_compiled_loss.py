@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -20,11 +21,10 @@ from dieseltwin.paper.loops import c_library, compiled_loss, point_loops
 from dieseltwin.paper.loops import few_shot_adam as fewshot_adam
 from dieseltwin.paper.loops.compiled_loss import CompiledLoss, EagerLoss, Place, gradient_function
 from dieseltwin.paper.loops.few_shot_program import METHOD, Lane, Program, draw_lane, make_program, start_values
-from dieseltwin.settings.params import default_identify
 from dieseltwin.surrogates.empirical import EmpiricalMaps, MapNetwork
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
-CONFIG = default_identify().changed(METHOD, epochs=20, weights_until_epoch=10)
+CONFIG = PAPER.changed(METHOD, epochs=20, weights_until_epoch=10)
 SETTINGS = CONFIG.of(METHOD)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
@@ -31,11 +32,10 @@ from dieseltwin.paper.evaluation.ensembles import (
 )
 from dieseltwin.paper.loops.few_shot_adam import estimate
 from dieseltwin.settings.methods import names
-from dieseltwin.settings.params import default_identify
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
-SHORT = default_identify().changed("few-shot-adam", epochs=30, weights_until_epoch=20)
+SHORT = PAPER.changed("few-shot-adam", epochs=30, weights_until_epoch=20)
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.identification.few_shot.residuals import PhysicsResiduals
@@ -26,11 +27,10 @@ from dieseltwin.paper.loops.losses import (
     total_loss,
     weights_gradient,
 )
-from dieseltwin.settings.params import StartConfig, default_identify
+from dieseltwin.settings.params import StartConfig
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
-PAPER = default_identify()
 SHORT = PAPER.changed(METHOD, epochs=30, weights_until_epoch=20)
 
 

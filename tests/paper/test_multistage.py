@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from segments import PAPER
 from torch import Tensor
 
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, actuate, simulate, we2011
@@ -22,11 +23,10 @@ from dieseltwin.paper.loops import multi_stage as multistage
 from dieseltwin.paper.loops import pinn_training as pinn
 from dieseltwin.paper.loops.few_shot_program import make_program
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
-from dieseltwin.settings.params import IdentifyConfig, StartConfig, default_identify
+from dieseltwin.settings.params import IdentifyConfig, StartConfig
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 RATES = (1e-2, 1e-2, 1e-2)
-PAPER = default_identify()
 
 
 def make_problem(first: int, rows: int = 61) -> SegmentProblem:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 from torch import Tensor
 
 from dieseltwin.engine import actuate, we2011
@@ -19,7 +20,6 @@ from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_program import make_program
 from dieseltwin.paper.loops.network_loops import epoch_function
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
-from dieseltwin.settings.params import default_identify
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
 STAGES = (
@@ -34,9 +34,8 @@ def problem(request: pytest.FixtureRequest, simulated: Callable[..., SegmentProb
 
 
 def made(problem: SegmentProblem, dtype: torch.dtype) -> tuple[Any, StateNetworks, Tensor]:
-    config = default_identify()
-    settings = pinn.settings_of(config, "baseline")
-    lanes = pinn.make_lanes([problem], [0], 3, 5, config.start)
+    settings = pinn.settings_of(PAPER, "baseline")
+    lanes = pinn.make_lanes([problem], [0], 3, 5, PAPER.start)
     actuations = {0: actuate(problem.inputs, problem.parameters)}
     program = make_program(lanes, actuations, None, None, None, settings, dtype)
     networks = StateNetworks(problem.time_s, dtype=dtype)
