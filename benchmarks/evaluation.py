@@ -100,8 +100,9 @@ def main() -> None:
         changed["scale_x_r"] = arguments.scale_x_r
     if arguments.average_share is not None:
         changed["average_share"] = arguments.average_share
-    sections = {name: params.identify.of(name).model_copy(update=changed) for name in LEARNED}
-    config = params.identify.model_copy(update={"methods": {**params.identify.methods, **sections}})
+    config = params.identify
+    for name in LEARNED:
+        config = config.changed(name, **changed)
     given = networks(arguments.models, arguments.leave_out)
     with tempfile.TemporaryDirectory() as temporary:
         for case in arguments.cases:

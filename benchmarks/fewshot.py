@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,8 @@ from identification import benchmark_problems
 from dieseltwin.engine import HEALTH, actuate, we2011
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.paper.loops.few_shot_adam import train
-from dieseltwin.paper.loops.few_shot_program import AdamSettings, draw_lane
-from dieseltwin.settings.params import load_params
+from dieseltwin.paper.loops.few_shot_program import METHOD, draw_lane, make_program
+from dieseltwin.settings.params import StartConfig, load_params
 
 PAPER_NOISY = (
     ((0.9699, 0.0653), (1.0190, 0.0056), (0.9913, 0.0094), (0.9568, 0.0379)),
@@ -43,22 +42,19 @@ def networks(models: Path | None, maps: str) -> dict[str, Any]:
     from dieseltwin.settings.methods import find
     from dieseltwin.surrogates.files import networks_for
 
-    return networks_for(find("few-shot-adam"), models, maps) if models is not None else {}
+    return networks_for(find(METHOD), models, maps) if models is not None else {}
 
 
 def accuracy(arguments: argparse.Namespace) -> None:
     """Print estimate over truth and its ratio to the bound, segment by segment."""
-    settings = AdamSettings.from_config(load_params(None, "paper").identify)
-    settings = replace(
-        settings,
-        epochs=arguments.epochs,
-        weights_until_epoch=arguments.epochs * 2 // 3,
-        start_at=arguments.start,
-    )
+    config = load_params(None, "paper").identify
+    start = StartConfig(at=arguments.start, sd_masked=config.start.sd_masked)
+    config = config.changed(METHOD, epochs=arguments.epochs, weights_until_epoch=arguments.epochs * 2 // 3)
+    config = config.model_copy(update={"start": start})
     problems, bounds = benchmark_problems(arguments.runs, arguments.seed)
     given = networks(arguments.models, arguments.maps)
     began = time.process_time()
-    found = identify_segments(problems, "few-shot-adam", arguments.runs, arguments.seed, config=settings, **given)
+    found = identify_segments(problems, METHOD, arguments.runs, arguments.seed, config=config, **given)
     cpu = time.process_time() - began
     truth = we2011.FIELD.health()
     print(f"{arguments.epochs} epochs, start at {arguments.start}, {arguments.maps} maps; estimate / truth")
@@ -89,22 +85,23 @@ def gain(arguments: argparse.Namespace) -> None:
     """Print seconds per epoch of one run alone and of a batch, exact and learned formulae."""
     problems, _ = benchmark_problems(1, arguments.seed)
     actuations = {i: actuate(p.inputs, p.parameters) for i, p in enumerate(problems)}
+    config = load_params(None, "paper").identify
+    settings = config.of(METHOD)
     kinds = ["exact"] + ([arguments.maps] if arguments.models is not None else [])
     for kind in kinds:
         given = networks(arguments.models, kind)
         per_run = {}
         for count in (1, arguments.runs):
-            settings = AdamSettings(epochs=arguments.epochs, weights_until_epoch=arguments.epochs)
-            lanes = [draw_lane(problems[r % 5], r % 5, r, 1, settings) for r in range(count)]
+            lanes = [draw_lane(problems[r % 5], r % 5, r, 1, config.start) for r in range(count)]
             extra = [given.get(name) for name in ("bodies", "operators", "maps")]
             repeats = max(1, arguments.epochs * (10 if count == 1 else 1))
-            cold = replace(settings, epochs=1)
-            longer = replace(settings, epochs=repeats, weights_until_epoch=repeats)
-            train(lanes, actuations, *extra, cold)
+            cold = settings.model_copy(update={"epochs": 1})
+            longer = settings.model_copy(update={"epochs": repeats, "weights_until_epoch": repeats})
+            train(lanes, make_program(lanes, actuations, *extra, cold), cold)
             began = time.perf_counter(), time.process_time()
-            train(lanes, actuations, *extra, cold)
+            train(lanes, make_program(lanes, actuations, *extra, cold), cold)
             between = time.perf_counter(), time.process_time()
-            train(lanes, actuations, *extra, longer)
+            train(lanes, make_program(lanes, actuations, *extra, longer), longer)
             ended = time.perf_counter(), time.process_time()
             seconds = [(c - b) - (b - a) for a, b, c in zip(began, between, ended, strict=True)]
             per_run[count] = seconds[1] / (repeats - 1) / count

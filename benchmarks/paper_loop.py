@@ -40,10 +40,10 @@ from dieseltwin.identification.few_shot.residuals import HEALTH, physics_residua
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.paper.loop_settings import Stage
 from dieseltwin.paper.loops import baseline, pinn_training
 from dieseltwin.paper.loops import few_shot_adam as fewshot_adam
 from dieseltwin.paper.loops import few_shot_program as fewshot_program
-from dieseltwin.paper.loops import multi_stage as multistage
 from dieseltwin.paper.loops.losses import Weights, total_loss
 from dieseltwin.paper.loops.pinn_networks import N_STATES, StateNetworks
 from dieseltwin.settings.params import load_params
@@ -57,6 +57,7 @@ LEAST_EPOCHS = 100
 SEED = 1
 RATES = (1e-3, 1e-3, 1e-2)
 """Learning rates of networks, unknowns, weights; without influence on the time."""
+PAPER = load_params(None, "paper").identify
 
 
 @dataclass
@@ -105,12 +106,12 @@ class Loop:
 
 def program_of(problem: SegmentProblem, maps: Any, settings: Any, runs: int, fresh: bool | None) -> tuple[Any, Any]:
     """Lanes and tensor program of one segment; `fresh` None leaves the maps as the batched program has them."""
-    lanes = [fewshot_program.draw_lane(problem, 0, run, SEED, settings) for run in range(runs)]
+    lanes = [fewshot_program.draw_lane(problem, 0, run, SEED, PAPER.start) for run in range(runs)]
     actuations = {0: actuate(problem.inputs, problem.parameters)}
     program = fewshot_program.make_program(lanes, actuations, None, None, maps, settings)
     if maps is not None and fresh is not None:
         told = {"generator": torch.Generator().manual_seed(SEED)} if fresh else {"member": 1, "slopes": True}
-        functions = maps.replacements("torch", dtype=settings.dtype, **told)
+        functions = maps.replacements("torch", dtype=program.dtype, **told)
         if not fresh:  # the valve's position is known before the loop
             opening = functions["f_egr"](program.inputs.u_egr, program.c).detach()
             functions["f_egr"] = lambda u, c: opening
@@ -120,7 +121,7 @@ def program_of(problem: SegmentProblem, maps: Any, settings: Any, runs: int, fre
 
 def few_shot_loop(problem: SegmentProblem, maps: Any, fresh: bool) -> Loop:
     """Few-shot: heads on bodies of the paper's widths."""
-    settings = fewshot_program.AdamSettings()
+    settings = PAPER.of(fewshot_program.METHOD)
     lanes, program = program_of(problem, maps, settings, 1, fresh)
     values, _ = fewshot_program.start_values(lanes, program, settings)
     widths = program.widths()
@@ -135,7 +136,7 @@ def few_shot_loop(problem: SegmentProblem, maps: Any, fresh: bool) -> Loop:
 
 def network_loop(problem: SegmentProblem, maps: Any, fresh: bool, last_only: bool = False) -> Loop:
     """Networks differentiated by time in every epoch; `last_only` trains the last layers (Stages II and III)."""
-    settings = baseline.SETTINGS
+    settings = PAPER.of(baseline.METHOD)
     lanes, program = program_of(problem, maps, settings, 1, fresh)
     networks = StateNetworks(problem.time_s)
     values = pinn_training.start_values(lanes, program, networks, settings)
@@ -179,10 +180,10 @@ def loop_ms(loop: Loop, adaptive: bool, epochs: int) -> float:
 def pieces(method: str) -> list[tuple[float, bool, bool]]:
     """Share of the epochs, whether only last layers are trained, whether the weights are: as the paper has them."""
     if method == "few-shot":
-        settings = fewshot_program.AdamSettings()
+        settings = PAPER.of(fewshot_program.METHOD)
         share = settings.weights_until_epoch / settings.epochs
         return [(share, False, True), (1.0 - share, False, False)]
-    stages = (multistage if method == "multi-stage" else baseline).SETTINGS.stages
+    stages = PAPER.of(method).stages
     ends = [0, *(s.until_epoch for s in stages)]
     return [
         ((b - a) / ends[-1], s.layers == "last", s.rate_weights > 0.0)
@@ -203,10 +204,9 @@ class Batch:
 
     def __init__(self, method: str, problem: SegmentProblem, maps: Any, lanes: int) -> None:
         self.method, self.count = method, lanes
-        settings: Any = fewshot_program.AdamSettings() if method == "few-shot" else baseline.SETTINGS
+        settings: Any = PAPER.of(fewshot_program.METHOD if method == "few-shot" else baseline.METHOD)
         self.lanes, self.program = program_of(problem, maps, settings, lanes, None)
-        self.problem, self.maps, self.settings = problem, maps, settings
-        self.actuations = {0: actuate(problem.inputs, problem.parameters)}
+        self.problem, self.settings = problem, settings
         self.sigma = np.stack([problem.sigma[:5]] * lanes)
 
     def ms(self, last: bool, adaptive: bool, epochs: int) -> float:
@@ -218,14 +218,15 @@ class Batch:
 
         if self.method == "few-shot":
             until = epochs if adaptive else 0
-            settings = replace(self.settings, epochs=epochs, weights_until_epoch=until, compiled=True)
-            fewshot_adam.train(self.lanes, self.actuations, None, None, self.maps, settings, mark)
+            settings = self.settings.model_copy(update={"epochs": epochs, "weights_until_epoch": until})
+            fewshot_adam.train(self.lanes, self.program, settings, mark, compiled=True)
         else:
             networks = StateNetworks(self.problem.time_s)
             values = pinn_training.start_values(self.lanes, self.program, networks, self.settings)
-            stage = pinn_training.Stage(
-                2 * epochs, "last" if last else "all", *RATES[:2], RATES[2] if adaptive else 0.0
-            )
+            stage = Stage(
+                until_epoch=2 * epochs, layers="last" if last else "all", rate_networks=RATES[0],
+                rate_unknowns=RATES[1], rate_weights=RATES[2] if adaptive else 0.0,
+            )  # fmt: skip
             pinn_training.train(self.program, networks, values, (stage,), self.sigma, mark, compiled=True)
         return 1e3 * (marks[-1] - marks[0])
 

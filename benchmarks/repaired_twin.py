@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -26,8 +24,8 @@ from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
 from dieseltwin.paper.loops import baseline
 from dieseltwin.paper.loops import multi_stage as multistage
-from dieseltwin.paper.loops.few_shot_program import AdamSettings
-from dieseltwin.paper.loops.pinn_training import PinnSettings
+from dieseltwin.paper.loops.few_shot_program import METHOD as FEW_SHOT
+from dieseltwin.settings.params import IdentifyConfig, load_params
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "field_random_300s.csv"
 EFFECTS = {"boost_leak": 3e-5, "back_pressure": 1e5, "bearing_friction": 5e-6}
@@ -55,24 +53,26 @@ def problems_of(plant: EngineParameters, known: EngineParameters, minutes: int, 
     return found
 
 
-def shortened(settings: PinnSettings, share: float) -> PinnSettings:
-    """The same stages over a share of their epochs."""
-    stages = (replace(stage, until_epoch=max(1, round(stage.until_epoch * share))) for stage in settings.stages)
-    return replace(settings, stages=tuple(stages))
+def shortened(share: float) -> IdentifyConfig:
+    """The paper's settings with a share of the epochs of every training."""
+    config = load_params(None, "paper").identify
+
+    def part(epochs: int) -> int:
+        return max(1, round(epochs * share))
+
+    config = config.changed(FEW_SHOT, epochs=part(config.of(FEW_SHOT).epochs))
+    for method in (baseline.METHOD, multistage.METHOD):
+        stages = [s.model_copy(update={"until_epoch": part(s.until_epoch)}) for s in config.of(method).stages]
+        config = config.changed(method, stages=stages)
+    return config
 
 
 def errors(problems: list[SegmentProblem], method: str, runs: int, share: float) -> np.ndarray:
     """Errors of the health parameters, (4,) in % of the truth."""
-    if method == "multi-stage":  # the first segment has settings of its own
-        settings = shortened(multistage.SETTINGS, share), shortened(baseline.SETTINGS, share)
-        centre = np.mean([s.centre for s in multistage.estimate_with(problems, runs, 0, *settings)], axis=0)
+    found = identify_segments(problems, method, runs, 0, config=shortened(share))
+    if method == multistage.METHOD:  # the mean over all segments, whatever they identify
+        centre = np.mean([s.centre for s in found.segments], axis=0)
         return 100.0 * (centre / we2011.FIELD.health() - 1.0)
-    config: Any = None
-    if method == "baseline":
-        config = shortened(baseline.SETTINGS, share)
-    elif method == "few-shot-adam":
-        config = replace(AdamSettings(), epochs=max(1, round(AdamSettings().epochs * share)))
-    found = identify_segments(problems, method, runs, 0, config=config)
     pooled = found.pooled()
     centre = np.mean([segment.centre for segment in found.segments], axis=0)  # where no segment may be trusted
     values = [centre[i] if pooled[name].mean is None else pooled[name].mean for i, name in enumerate(HEALTH)]

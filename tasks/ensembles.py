@@ -63,8 +63,7 @@ def _config(settings: dict[str, Any], method: str, what: dict[str, Any]) -> Any:
     start = StartConfig(**{**config.start.model_dump(), "at": what["start"]})
     named = [name for name in NOT_READ_BY_ALL if name != "start" and name in find(method).varied]
     changed = {name: what[name] for name in named if what[name] is not None}
-    section = config.of(method).model_copy(update=changed)
-    return config.model_copy(update={"start": start, "methods": {method: section}})
+    return config.model_copy(update={"start": start}).changed(method, **changed)
 
 
 def _write(out: Path, estimates: list[Any], seconds: float) -> None:
@@ -100,15 +99,16 @@ def baseline(
 
     import numpy as np
 
-    from dieseltwin.paper.loops.baseline import METHOD, SETTINGS
-    from dieseltwin.paper.loops.pinn_training import estimates_of, make_lanes, settings_from, train_lanes
+    from dieseltwin.paper.loops.baseline import METHOD
+    from dieseltwin.paper.loops.pinn_training import estimates_of, make_lanes, settings_of, train_lanes
     from dieseltwin.surrogates.files import load_networks
 
     problems = problems_for(field, settings, what, what["members"])
-    chosen = settings_from(_config(settings, METHOD, what), METHOD, SETTINGS)
+    config = _config(settings, METHOD, what)
+    chosen = settings_of(config, METHOD)
     given = load_networks({"maps": maps, "operators": operators})
     began = time.perf_counter()
-    lanes = make_lanes(problems, [0], what["runs"], what["seed"], chosen, what["first"])
+    lanes = make_lanes(problems, [0], what["runs"], what["seed"], config.start, what["first"])
     found = train_lanes(lanes, given["operators"], given["maps"], chosen)
     estimates = estimates_of(problems[:1], found, what["runs"], began, METHOD, chosen.average_share)
     _write(out, estimates, time.perf_counter() - began)
@@ -144,12 +144,11 @@ def multi_stage(
     import numpy as np
     import torch
 
-    from dieseltwin.paper.loops.multi_stage import METHOD, SETTINGS, later_segments, source_models
-    from dieseltwin.paper.loops.pinn_training import settings_from
+    from dieseltwin.paper.loops.multi_stage import METHOD, later_segments, source_models
     from dieseltwin.surrogates.files import load_networks
 
     problems = problems_for(field, settings, what, what["members"])
-    chosen = settings_from(_config(settings, METHOD, what), METHOD, SETTINGS)
+    config = _config(settings, METHOD, what)
     given = load_networks({"maps": maps, "operators": operators})
     with np.load(source / SOURCES) as stored:
         found: Any = SimpleNamespace(
@@ -159,7 +158,7 @@ def multi_stage(
         )
     began = time.perf_counter()
     estimates = later_segments(
-        problems, source_models(found, what["runs"]), what["runs"], what["seed"], chosen, given["operators"],
+        problems, source_models(found, what["runs"]), what["runs"], what["seed"], config, given["operators"],
         given["maps"], what["first"],
     )  # fmt: skip
     _write(out, estimates, time.perf_counter() - began)

@@ -33,7 +33,9 @@ from tasks.store import content_hash
 LIBRARY = "dieseltwin"
 
 # Modules of declarations: of these only the imported names and what they use count.
-_DECLARATIONS = frozenset({"settings.params", "settings.discovery", "symbols"})
+_DECLARATIONS = frozenset(
+    {"settings.params", "settings.discovery", "symbols", "identification.settings", "paper.loop_settings"}
+)
 
 _WHOLE = "*"
 

@@ -11,9 +11,12 @@ import pytest
 
 from dieseltwin.engine import HEALTH, MEASURED, EngineParameters, Inputs, simulate, we2011
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
+from dieseltwin.settings.params import load_params
 
 REFERENCE = Path(__file__).parent / "reference" / "field_random_300s.csv"
 INPUTS = ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+PAPER = load_params(None, "paper").identify
+"""Settings of the estimators as in the paper."""
 STATES = ["p_im_pa", "p_em_pa", "omega_t_rad_s", "x_r", "t_1_k"]
 
 

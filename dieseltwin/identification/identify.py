@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dieseltwin.errors import InputError
-from dieseltwin.identification.bound import IDENTIFIABLE_BELOW
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import Identification
 from dieseltwin.settings.methods import find
@@ -29,7 +28,7 @@ def identify_segments(
     maps: EmpiricalMaps | None = None,
     bodies: Bodies | None = None,
     operators: ActuatorOperators | None = None,
-    config: object = None,
+    config: IdentifyConfig,
 ) -> Identification:
     """Identify the health parameters of every segment with one method.
 
@@ -41,8 +40,8 @@ def identify_segments(
         maps: learned empirical maps, or None for the exact formulae.
         bodies: trained multi-head bodies (few-shot methods).
         operators: trained actuator operators, or None for the exact actuators.
-        config: `IdentifyConfig` (`identify` of params.yaml, which also says from which relative bound on a parameter
-            counts as identifiable), the method's own settings, or None for its defaults.
+        config: `identify` of params.yaml, which also says from which relative bound on a parameter counts as
+            identifiable.
 
     Returns:
         Estimates of every segment and run, with their pooling.
@@ -56,9 +55,8 @@ def identify_segments(
         raise InputError("runs", runs, "1 or more", "ask for at least one run")
     chosen = find(method)
     chosen.check_installed()
-    threshold = config.identifiable_bound_rel if isinstance(config, IdentifyConfig) else IDENTIFIABLE_BELOW
     began = time.perf_counter()
     estimates = chosen.run(list(problems), runs, seed, bodies=bodies, operators=operators, maps=maps, config=config)
     seconds = time.perf_counter() - began
-    segments = [replace(e, identifiable=e.bound <= threshold * e.centre) for e in estimates]
-    return Identification(method, tuple(segments), tuple(problems), seed, seconds, threshold)
+    segments = [replace(e, identifiable=e.bound <= config.identifiable_bound_rel * e.centre) for e in estimates]
+    return Identification(method, tuple(segments), tuple(problems), seed, seconds, config.identifiable_bound_rel)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ from dieseltwin.identification.bound import cautious_bound
 from dieseltwin.identification.input_errors import input_errors
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
+from dieseltwin.identification.result import STATE_SAMPLES, SegmentEstimate, intervals_from_log_std
+from dieseltwin.identification.settings import ClassicalConfig
 from dieseltwin.identification.shooting import (
     N_HEALTH,
     N_UNKNOWNS,
@@ -28,7 +29,7 @@ from dieseltwin.identification.shooting import (
     learned_errors,
     sample_states,
 )
-from dieseltwin.identification.unknowns import StartSettings, health_of, start_centre, starts
+from dieseltwin.identification.unknowns import health_of, start_centre, starts
 from dieseltwin.least_squares import (
     Box,
     Fit,
@@ -40,7 +41,7 @@ from dieseltwin.least_squares import (
 )
 
 if TYPE_CHECKING:
-    from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.settings.params import IdentifyConfig, StartConfig
     from dieseltwin.surrogates.empirical import EmpiricalMaps
 
 Array = NDArray[np.float64]
@@ -63,24 +64,6 @@ NOTHING = np.array([], dtype=np.int64)
 START_PRESSURES = np.array([UNKNOWNS.index("p_im"), UNKNOWNS.index("p_em")])
 
 
-@dataclass(frozen=True)
-class ClassicalSettings(StartSettings):
-    """Settings of the estimator; `from_config` takes them from params.yaml.
-
-    Attributes:
-        iterations_max: most evaluations of a run.
-        tolerance: Newton decrement at which a run stops [standard deviations].
-        damping_start: first Levenberg-Marquardt factor [-].
-        samples: draws from the uncertainty of each segment that are simulated for the bands of the states.
-    """
-
-    method = METHOD
-    iterations_max: int = 60
-    tolerance: float = 0.02
-    damping_start: float = 1e-2
-    samples: int = 24
-
-
 def estimate(
     problems: Sequence[SegmentProblem],
     runs: int,
@@ -89,7 +72,7 @@ def estimate(
     bodies: object = None,
     operators: object = None,
     maps: EmpiricalMaps | None = None,
-    config: IdentifyConfig | ClassicalSettings | None = None,
+    config: IdentifyConfig,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment by maximum likelihood.
 
@@ -104,17 +87,17 @@ def estimate(
         bodies, operators: not used by this method.
         maps: learned empirical maps (improved kind) in place of the formulae; None = exact. The spread of their members
             is taken as uncertainty of the model: it weighs the readings and widens the intervals.
-        config: `identify` of params.yaml, the settings themselves, or None for the defaults.
+        config: `identify` of params.yaml.
 
     Returns:
         One estimate for each segment, in order.
     """
-    settings = ClassicalSettings.from_config(config)
+    settings = cast(ClassicalConfig, config.of(METHOD))
     learned = None if maps is None else LearnedSimulator(maps)
     simulator: Simulator = exact_engine if learned is None else learned
     rng = np.random.default_rng(seed)
-    begin = [_starts(problem, runs, settings, rng) for problem in problems]
-    normal = [rng.standard_normal((settings.samples, N_UNKNOWNS)) for _ in problems]
+    begin = [_starts(problem, runs, config.start, rng) for problem in problems]
+    normal = [rng.standard_normal((STATE_SAMPLES, N_UNKNOWNS)) for _ in problems]
     result: dict[int, SegmentEstimate] = {}
     for group in by_grid(problems):
         shooting = Shooting(tuple(problems[i] for i in group), simulator)
@@ -154,7 +137,7 @@ def _errors(shooting: Shooting, learned: LearnedSimulator | None, unknowns: Arra
 
 
 def _by_ambient(
-    shooting: Shooting, fit: Fit, settings: ClassicalSettings, errors: Sequence[ErrorDirections] | None
+    shooting: Shooting, fit: Fit, settings: ClassicalConfig, errors: Sequence[ErrorDirections] | None
 ) -> Array:
     """Changes (S, 4) of the logarithms of the health parameters by one standard deviation of the ambient pressure.
 
@@ -173,7 +156,7 @@ def _by_ambient(
 
 
 def fit_runs(
-    shooting: Shooting, begin: Array, settings: ClassicalSettings, errors: Sequence[ErrorDirections] | None = None
+    shooting: Shooting, begin: Array, settings: ClassicalConfig, errors: Sequence[ErrorDirections] | None = None
 ) -> Fit:
     """Fit every run of every segment.
 
@@ -230,9 +213,9 @@ def fit_runs(
     return concatenated(parts)
 
 
-def _starts(problem: SegmentProblem, runs: int, settings: ClassicalSettings, rng: np.random.Generator) -> Array:
-    centre = start_centre(problem.parameters, problem.truth, settings.start_at)
-    health = starts(centre, runs, rng, settings.start_sigma)
+def _starts(problem: SegmentProblem, runs: int, start: StartConfig, rng: np.random.Generator) -> Array:
+    centre = start_centre(problem.parameters, problem.truth, start.at)
+    health = starts(centre, runs, rng, start.sd_masked)
     at = problem.inputs.n_history
     inputs = problem.inputs
     rest = settle(

@@ -29,6 +29,8 @@ Z_90 = float(ndtri(0.5 + INTERVAL / 2.0))
 """Half width of the 90 % interval in standard deviations."""
 MEMBERS_FOR_QUANTILES = 20
 """From this many members on, the spread is read as quantiles; below, a Student interval is used."""
+STATE_SAMPLES = 24
+"""Draws from the uncertainty of a segment that are simulated for the bands of its states."""
 
 
 @dataclass(frozen=True)

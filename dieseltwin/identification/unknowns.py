@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from dieseltwin.engine import HEALTH, EngineParameters
 from dieseltwin.errors import InputError
 
-if TYPE_CHECKING:
-    from dieseltwin.settings.params import IdentifyConfig
-
-__all__ = ["HEALTH", "SCALES", "START_SIGMA", "StartSettings", "UNITS", "health_of", "physical_columns", "start_centre",
+__all__ = ["HEALTH", "SCALES", "UNITS", "health_of", "physical_columns", "start_centre",
            "starts", "to_masked", "to_physical"]  # fmt: skip
 
 UNITS: dict[str, str] = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_tot": "W/(m2 K)"}
@@ -25,41 +21,8 @@ UNITS: dict[str, str] = {"A_egrmax": "m2", "A_vgtmax": "m2", "eta_sc": "-", "h_t
 SCALES: NDArray[np.float64] = np.array([1e-4, 1e-4, 1.0, 10.0])
 """Scaling that follows the mask: exp, exp, softplus, exp (paper, table of true values of parameters)."""
 
-START_SIGMA = 0.2
-"""Standard deviation of the starting values across members, in masked space (paper, few-shot section)."""
-
 _SOFTPLUS = 2
 """Index of eta_sc, the only unknown with the softplus mask."""
-
-
-@dataclass(frozen=True)
-class StartSettings:
-    """What the settings of all estimators have in common; each adds its own.
-
-    Attributes:
-        method: name of the estimator, whose section of params.yaml it is.
-        start_at: "lab" (nominal values of the problem) or "truth" (only to show how much that flatters).
-        start_sigma: spread of the starts in masked space [-] (paper: 0.2).
-    """
-
-    method: ClassVar[str]
-    start_at: str = "lab"
-    start_sigma: float = START_SIGMA
-
-    @classmethod
-    def from_config(cls, config: IdentifyConfig | Self | None) -> Self:
-        """Take the settings from `identify` of params.yaml; they may also be given themselves, or None."""
-        if isinstance(config, StartSettings):
-            return config
-        if config is None:
-            return cls()
-        own = cls.of_section(config.of(cls.method).model_dump(exclude={"members"}))
-        return cls(start_at=config.start.at, start_sigma=config.start.sd_masked, **own)
-
-    @classmethod
-    def of_section(cls, section: dict[str, Any]) -> dict[str, Any]:
-        """Fields by the names and values of the section of params.yaml; the same where nothing else is said."""
-        return section
 
 
 def to_physical(masked: Any, xp: ModuleType = np) -> Any:
@@ -133,7 +96,7 @@ def start_centre(parameters: EngineParameters, truth: Mapping[str, float] | None
     return health_of(truth if start_at == "truth" and truth is not None else parameters)
 
 
-def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float = START_SIGMA) -> NDArray[np.float64]:
+def starts(centre: ArrayLike, runs: int, rng: np.random.Generator, sigma: float) -> NDArray[np.float64]:
     """Draw starting values of the unknowns: Gaussian in masked space around a centre.
 
     The centre is the laboratory set: nobody knows the truth. Only the extra set of runs that repeats the paper's "near

@@ -54,8 +54,8 @@ class Method:
     Attributes:
         name: as `--method` takes it; the file's name with hyphens.
         estimate: `estimate(problems, runs, seed, *, bodies, operators, maps, config)`, one `SegmentEstimate` a segment;
-            `config` is `IdentifyConfig` or None. Or the name of the module that holds this function, which is
-            imported when the method is run.
+            `config` is `IdentifyConfig`. Or the name of the module that holds this function, which is imported when the
+            method is run.
         settings: model of its section in params.yaml.
         style: how it is drawn.
         learned: in words, what of it is learned.

@@ -245,6 +245,12 @@ class IdentifyConfig(StrictModel):
             return self.methods[method]
         return validate(find(method).settings, {}, f"identify.methods.{method}")
 
+    def changed(self, method: str, **settings: object) -> IdentifyConfig:
+        """The same with some settings of one method changed; refused like what stands in the file."""
+        own = self.of(method)
+        section = validate(type(own), {**own.model_dump(), **settings}, f"identify.methods.{method}")
+        return self.model_copy(update={"methods": {**self.methods, method: section}})
+
     def runs_of(self, method: str) -> int:
         """Runs a segment: the method's own number where it has one."""
         return self.of(method).members or self.runs

@@ -143,19 +143,16 @@ def test_what_is_already_computed_is_said_once(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize("unit", [None, 0.5])
 def test_the_unit_of_x_r_is_changed_where_an_ensemble_names_one(unit: float | None) -> None:
-    from dieseltwin.paper.loops import baseline
-    from dieseltwin.paper.loops.few_shot_program import AdamSettings
-    from dieseltwin.paper.loops.pinn_training import settings_from
     from dieseltwin.settings.params import load_params
     from tasks.ensembles import _config
     from tasks.settings import own_settings
 
     settings = load_params(PROJECT / "params.yaml", "paper").model_dump(mode="json")
     what = {"start": "truth", "scale_x_r": unit, "held_out_share": 0.0, "weight_share": 1.0}
-    adam = AdamSettings.from_config(_config(own_settings(settings, "few-shot-adam"), "few-shot-adam", what))
-    first = settings_from(_config(own_settings(settings, "baseline"), "baseline", what), "baseline", baseline.SETTINGS)
-    assert adam.scales.x_r == first.scales.x_r == (unit or 0.1)
-    assert adam.start_at == first.start_at == "truth"
+    for method in ("few-shot-adam", "baseline"):
+        config = _config(own_settings(settings, method), method, what)
+        assert config.of(method).scales.x_r == (unit or 0.1)
+        assert config.start.at == "truth"
 
 
 def test_a_variant_starts_where_its_method_starts() -> None:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
 from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.identify import identify_segments
-from dieseltwin.identification.maximum_likelihood import ClassicalSettings
 from dieseltwin.identification.problem import SegmentProblem
 
 Make = Callable[..., SegmentProblem]
@@ -32,7 +32,7 @@ def test_planted_parameters_are_recovered_from_clean_readings(
     values = we2011.PARAMETERS.health() * np.array(factor)
     truth = we2011.PARAMETERS.replace(**dict(zip(HEALTH, values.tolist(), strict=True)))
     planted = simulated(drive(300, 101), truth, noise_seed=None)
-    found = identify_segments([planted], "classical", 2, 0)
+    found = identify_segments([planted], "classical", 2, 0, config=PAPER)
     relative = cramer_rao([planted], values, planted.true_initial[:3])[0].relative
     assert found.segments[0].converged.all()
     # The tolerance of the iteration is a fiftieth of a standard deviation.
@@ -42,7 +42,7 @@ def test_planted_parameters_are_recovered_from_clean_readings(
 def test_noisy_estimates_scatter_as_the_bound_says(simulated: Make, drive: Drive) -> None:
     clean = simulated(drive(600, 101), we2011.FIELD, noise_seed=None)
     noisy = clean.with_noise_draws(60, np.random.default_rng(4))
-    found = identify_segments([noisy], "classical", 60, 1).segments[0]
+    found = identify_segments([noisy], "classical", 60, 1, config=PAPER).segments[0]
     truth = we2011.FIELD.health()
     relative = cramer_rao([clean], truth, clean.true_initial[:3])[0].relative
     error = np.log(found.parameters / truth)
@@ -54,9 +54,9 @@ def test_noisy_estimates_scatter_as_the_bound_says(simulated: Make, drive: Drive
 
 
 def test_the_same_seed_gives_the_same_document(problem: SegmentProblem) -> None:
-    first, second = (identify_segments([problem], "classical", 2, 5) for _ in range(2))
+    first, second = (identify_segments([problem], "classical", 2, 5, config=PAPER) for _ in range(2))
     assert json.dumps(first.to_json()) == json.dumps(second.to_json())
-    other = identify_segments([problem], "classical", 2, 6)
+    other = identify_segments([problem], "classical", 2, 6, config=PAPER)
     assert not np.array_equal(other.segments[0].parameters, first.segments[0].parameters)
     np.testing.assert_allclose(other.segments[0].parameters, first.segments[0].parameters, rtol=1e-3)
 
@@ -64,7 +64,7 @@ def test_the_same_seed_gives_the_same_document(problem: SegmentProblem) -> None:
 def test_a_time_shift_changes_nothing(simulated: Make, drive: Drive) -> None:
     here = simulated(drive(300, 101), we2011.FIELD)
     there = replace(here, inputs=drive(300, 101, shift_s=4096.0))
-    one, two = (identify_segments([p], "classical", 1, 0).segments[0] for p in (here, there))
+    one, two = (identify_segments([p], "classical", 1, 0, config=PAPER).segments[0] for p in (here, there))
     np.testing.assert_allclose(two.parameters, one.parameters, rtol=1e-6)
 
 
@@ -72,9 +72,9 @@ def test_short_gaps_are_masked_not_refused(problem: SegmentProblem) -> None:
     measured = problem.measured.copy()
     measured[40:50, 0] = np.nan
     measured[90:, 4] = np.nan
-    found = identify_segments([replace(problem, measured=measured)], "classical", 1, 0).segments[0]
+    found = identify_segments([replace(problem, measured=measured)], "classical", 1, 0, config=PAPER).segments[0]
     np.testing.assert_allclose(found.parameters[0], we2011.FIELD.health(), rtol=0.1)
-    full = identify_segments([problem], "classical", 1, 0).segments[0]
+    full = identify_segments([problem], "classical", 1, 0, config=PAPER).segments[0]
     assert (found.std[0] > full.std[0]).all()
 
 
@@ -83,7 +83,8 @@ def test_a_missing_sensor_costs_certainty_only(simulated: Make, drive: Drive) ->
     measured = whole.measured.copy()
     measured[:, 2] = np.nan  # no turbo speed
     blind, full = (
-        identify_segments([p], "classical", 2, 0).segments[0] for p in (replace(whole, measured=measured), whole)
+        identify_segments([p], "classical", 2, 0, config=PAPER).segments[0]
+        for p in (replace(whole, measured=measured), whole)
     )
     assert blind.converged.all()
     error = np.abs(np.log(blind.centre / we2011.FIELD.health()))
@@ -92,7 +93,7 @@ def test_a_missing_sensor_costs_certainty_only(simulated: Make, drive: Drive) ->
 
 
 def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None:
-    found = identify_segments([idle_problem], "classical", 2, 0)
+    found = identify_segments([idle_problem], "classical", 2, 0, config=PAPER)
     area = HEALTH.index("A_egrmax")
     assert not found.segments[0].identifiable[area]
     assert found.pooled()["A_egrmax"].mean is None
@@ -100,9 +101,8 @@ def test_idle_with_a_shut_valve_is_flagged(idle_problem: SegmentProblem) -> None
 
 
 def test_an_unconverged_run_is_reported_not_dropped(problem: SegmentProblem) -> None:
-    from dieseltwin.identification.maximum_likelihood import estimate
-
-    found = estimate([problem], 3, 0, config=ClassicalSettings(iterations_max=1))[0]
+    short = PAPER.changed("classical", iterations_max=1)
+    found = identify_segments([problem], "classical", 3, 0, config=short).segments[0]
     assert not found.converged.any()
     assert found.parameters.shape == (3, 4)
 
@@ -111,7 +111,7 @@ def test_segments_of_different_sampling_are_estimated_together(
     simulated: Make, drive: Drive, problem: SegmentProblem
 ) -> None:
     shorter = simulated(drive(900, 101), we2011.FIELD)
-    both = identify_segments([problem, shorter], "classical", 1, 0)
+    both = identify_segments([problem, shorter], "classical", 1, 0, config=PAPER)
     assert [len(s.time_s) for s in both.segments] == [151, 101]
     for segment in both.segments:
         np.testing.assert_allclose(segment.parameters[0], we2011.FIELD.health(), rtol=0.15)
@@ -120,6 +120,6 @@ def test_segments_of_different_sampling_are_estimated_together(
 @pytest.mark.parametrize(("method", "runs"), [("clasical", 1), ("classical", 0)])
 def test_bad_requests_are_refused(problem: SegmentProblem, method: str, runs: int) -> None:
     with pytest.raises(InputError):
-        identify_segments([problem], method, runs, 0)
+        identify_segments([problem], method, runs, 0, config=PAPER)
     with pytest.raises(InputError):
-        identify_segments([], "classical", 1, 0)
+        identify_segments([], "classical", 1, 0, config=PAPER)

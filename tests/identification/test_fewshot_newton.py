@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.errors import InputError
@@ -14,15 +15,16 @@ from dieseltwin.identification.bound import cramer_rao
 from dieseltwin.identification.few_shot.collocation import Collocation, Data
 from dieseltwin.identification.few_shot.defects import defects, windows_for
 from dieseltwin.identification.few_shot.heads import heads_for, inverse_transform
-from dieseltwin.identification.few_shot.newton import NewtonSettings, prepare
+from dieseltwin.identification.few_shot.newton import prepare
 from dieseltwin.identification.few_shot.process_noise import calibrate, laboratory_states
 from dieseltwin.identification.few_shot.residuals import PointModel
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.settings.params import StartConfig
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
-QUICK = NewtonSettings(start_sigma=0.1)
+QUICK = PAPER.model_copy(update={"start": StartConfig(at="lab", sd_masked=0.1)})
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +128,8 @@ def test_process_noise_knows_bad_maps(planted: SegmentProblem) -> None:
     setting = prepare(planted)
     formula = setting.exact.model.eta_vol
     bad = PointModel(planted.parameters, {"eta_vol": lambda p_im, n_e, c: 1.05 * formula(p_im, n_e, c)})
-    levels = [calibrate(setting, model, NewtonSettings()).floor for model in (setting.exact, bad)]
+    settings = QUICK.of("few-shot-newton")
+    levels = [calibrate(setting, model, settings).floor for model in (setting.exact, bad)]
     assert levels[1][0] > 3.0 * levels[0][0]  # the flow into the cylinders leaves the intake manifold
     assert levels[1][2] < 2.0 * levels[0][2]  # the shaft only hears of it through T_em
 
@@ -204,7 +207,7 @@ def test_idle_runs_leave_their_start(drive: Drive, simulated: Make) -> None:
     )  # fmt: skip
     clean = simulated(inputs, we2011.FIELD, noise_seed=None)
     noisy = clean.with_noise_draws(6, np.random.default_rng(4))
-    found = identify_segments([noisy], "few-shot-newton", 6, 2).segments[0]
+    found = identify_segments([noisy], "few-shot-newton", 6, 2, config=PAPER).segments[0]
     relative = cramer_rao([clean], _truth(clean), clean.true_initial[:3])[0].relative
     error = found.parameters / _truth(clean) - 1.0
     vgt = HEALTH.index("A_vgtmax")

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.identification.identify import identify_segments
@@ -34,7 +35,7 @@ def test_fast_rows_leave_nothing_open_and_slow_ones_widen_the_intervals(simulate
     second = slow(fast, 5)
     moved = input_errors(second, exact_engine, about)
     assert moved.shape == (4 * 2 * 60, 61, 6) and not moved[0, 0].any() and moved[0, 1:21].any()
-    found = identify_segments([second], "classical", 1, 0).segments[0]
+    found = identify_segments([second], "classical", 1, 0, config=PAPER).segments[0]
     assert (found.std[0] > 1.1 * found.bound).all()
     assert (np.abs(found.parameters[0] - we2011.FIELD.health()) < 2.5 * found.std[0]).all()
 
@@ -56,9 +57,9 @@ def test_steps_of_the_ambient_pressure_are_read_from_its_numbers(
 def test_a_coarse_ambient_widens_the_pooled_interval_and_moves_nothing(simulated: Make, drive: Drive) -> None:
     exact = [simulated(drive(first, 151), we2011.FIELD, noise_seed=first) for first in (300, 600)]
     off = [replace(p, parameters=p.parameters.replace(p_amb=p.parameters.p_amb - 111.0)) for p in exact]
-    before = identify_segments(off, "classical", 1, 0)
-    after = identify_segments([replace(p, p_amb_std_pa=144.0) for p in off], "classical", 1, 0)
-    right = identify_segments(exact, "classical", 1, 0).pooled()
+    before = identify_segments(off, "classical", 1, 0, config=PAPER)
+    after = identify_segments([replace(p, p_amb_std_pa=144.0) for p in off], "classical", 1, 0, config=PAPER)
+    right = identify_segments(exact, "classical", 1, 0, config=PAPER).pooled()
     for name in HEALTH:
         one, other = before.pooled()[name], after.pooled()[name]
         assert other.mean == pytest.approx(one.mean, rel=1e-9) and other.std >= one.std

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from segments import PAPER
 
 from dieseltwin.engine import MEASURED, Observations, actuate, parameter_batch, simulate_states, we2011
 from dieseltwin.identification.bound import cramer_rao
@@ -76,9 +77,9 @@ def test_uncertainty_of_the_maps_widens_the_interval_and_takes_out_the_bias(
     maps: SimpleNamespace, problem: SegmentProblem
 ) -> None:
     single = SimpleNamespace(members=0, maps=maps.maps)  # nothing known about the maps' errors
-    sure = identify_segments([problem], "classical", 2, 0, maps=single).segments[0]
-    aware = identify_segments([problem], "classical", 2, 0, maps=maps).segments[0]
-    exact = identify_segments([problem], "classical", 2, 0).segments[0]
+    sure = identify_segments([problem], "classical", 2, 0, maps=single, config=PAPER).segments[0]
+    aware = identify_segments([problem], "classical", 2, 0, maps=maps, config=PAPER).segments[0]
+    exact = identify_segments([problem], "classical", 2, 0, config=PAPER).segments[0]
     assert sure.converged.all() and aware.converged.all()
     assert (aware.std[0] >= sure.std[0] * (1.0 - 1e-6)).all()
     z_sure = np.abs(np.log(sure.centre / exact.centre)) / (exact.std[0] / exact.centre)

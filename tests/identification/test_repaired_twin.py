@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.engine.terms import Term
@@ -17,15 +18,14 @@ from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.learned import LearnedSimulator
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.shooting import Shooting
-from dieseltwin.paper.loops.few_shot_adam import AdamSettings
-from dieseltwin.paper.loops.few_shot_program import draw_lane, make_program
+from dieseltwin.paper.loops.few_shot_program import METHOD, draw_lane, make_program
 
 TERMS = (Term(effect="boost_leak", magnitude=3e-5), Term(effect="bearing_friction", magnitude=5e-6))
 
 
 def _errors(problem: SegmentProblem, method: str, terms: tuple) -> np.ndarray:
     known = replace(problem, parameters=problem.parameters.replace(terms=terms))
-    segment = identify_segments([known], method, 1, 0).segments[0]
+    segment = identify_segments([known], method, 1, 0, config=PAPER).segments[0]
     return np.abs(segment.centre / [getattr(we2011.FIELD, name) for name in HEALTH] - 1.0)
 
 
@@ -44,15 +44,14 @@ def test_terms_take_the_bias_away(hurt: SegmentProblem, method: str) -> None:
 
 def test_the_networks_program_holds_the_terms(hurt: SegmentProblem) -> None:
     """Rates of few-shot Adam's program (and so the PINN's) at the same states, with and without the terms."""
-    settings = AdamSettings()
     rates = []
     for terms in ((), TERMS):
         problem = replace(hurt, parameters=hurt.parameters.replace(terms=terms))
-        lanes = [draw_lane(problem, 0, run, 0, settings) for run in range(2)]
+        lanes = [draw_lane(problem, 0, run, 0, PAPER.start) for run in range(2)]
         actuations = {0: actuate(problem.inputs, problem.parameters)}
-        program = make_program(lanes, actuations, None, None, None, settings)
+        program = make_program(lanes, actuations, None, None, None, PAPER.of(METHOD))
         assert isinstance(program.model, TermModel) == bool(terms)
-        states = [torch.tensor(s, dtype=settings.dtype).expand(2, -1) for s in _states(problem)]
+        states = [torch.tensor(s, dtype=program.dtype).expand(2, -1) for s in _states(problem)]
         q = program.model.quantities(*states, *program.inputs, program.c)
         rates.append(torch.stack([q.dp_im, q.domega_t]))
     assert (rates[1][0] < rates[0][0]).all() and (rates[1][1] < rates[0][1]).all()

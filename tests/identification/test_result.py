@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH
 from dieseltwin.identification.identify import identify_segments
@@ -86,7 +87,7 @@ def test_a_run_that_has_not_converged_is_listed_but_not_averaged() -> None:
 
 
 def test_document_follows_the_schema(problem: SegmentProblem) -> None:
-    found = identify_segments([problem], "classical", 2, 0)
+    found = identify_segments([problem], "classical", 2, 0, config=PAPER)
     document = json.loads(json.dumps(found.to_json(), allow_nan=False))
     assert set(document) == {"schema", "method", "parameters", "segments", "runs"}
     assert document["schema"] == 1 and document["method"] == "classical"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from segments import PAPER
 
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
 
 
 def test_states_table_holds_states_flows_and_bands(problem: SegmentProblem) -> None:
-    table = identify_segments([problem], "classical", 2, 0).states
+    table = identify_segments([problem], "classical", 2, 0, config=PAPER).states
     assert len(table) == len(problem.time_s)
     np.testing.assert_array_equal(table["time_s"], problem.time_s)
     for name in ("p_im_pa", "omega_t_rad_s", "x_r", "w_egr_kg_s", "t_em_k", "eta_c"):

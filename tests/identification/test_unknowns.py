@@ -38,7 +38,7 @@ def test_masks_are_those_of_the_paper() -> None:
 
 def test_starts_spread_around_their_centre_in_masked_space() -> None:
     centre = we2011.PARAMETERS.health()
-    masked = to_masked(starts(centre, 4000, np.random.default_rng(1)))
+    masked = to_masked(starts(centre, 4000, np.random.default_rng(1), 0.2))
     np.testing.assert_allclose(masked.mean(axis=0), to_masked(centre), atol=0.02)
     np.testing.assert_allclose(masked.std(axis=0), 0.2, rtol=0.05)
 
@@ -46,7 +46,7 @@ def test_starts_spread_around_their_centre_in_masked_space() -> None:
 def test_starts_repeat_with_their_seed_and_stay_at_the_centre_without_spread() -> None:
     centre = health_of(we2011.FIELD)
     np.testing.assert_array_equal(
-        starts(centre, 3, np.random.default_rng(2)), starts(centre, 3, np.random.default_rng(2))
+        starts(centre, 3, np.random.default_rng(2), 0.2), starts(centre, 3, np.random.default_rng(2), 0.2)
     )
     np.testing.assert_allclose(starts(centre, 2, np.random.default_rng(0), sigma=0.0), [centre, centre], rtol=1e-12)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -20,17 +20,18 @@ from dieseltwin.networks import MLP
 from dieseltwin.paper.loops import c_library, compiled_loss, point_loops
 from dieseltwin.paper.loops import few_shot_adam as fewshot_adam
 from dieseltwin.paper.loops.compiled_loss import CompiledLoss, EagerLoss, Place, gradient_function
-from dieseltwin.paper.loops.few_shot_program import AdamSettings, Lane, Program, draw_lane, make_program, start_values
+from dieseltwin.paper.loops.few_shot_program import METHOD, Lane, Program, draw_lane, make_program, start_values
 from dieseltwin.surrogates.empirical import EmpiricalMaps, MapNetwork
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
-SETTINGS = AdamSettings(epochs=20, weights_until_epoch=10, held_out_share=0.1)
+CONFIG = PAPER.changed(METHOD, epochs=20, weights_until_epoch=10)
+SETTINGS = CONFIG.of(METHOD)
 
 
 @pytest.fixture(scope="module")
 def lanes(simulated: Callable[..., SegmentProblem], drive: Callable[..., Any]) -> list[Lane]:
     problem = simulated(drive(300, 151), we2011.FIELD, noise_seed=1)
-    return [draw_lane(problem, 0, run, 3, SETTINGS) for run in range(3)]
+    return [draw_lane(problem, 0, run, 3, CONFIG.start, 0.1) for run in range(3)]
 
 
 CENTRES = {
@@ -56,10 +57,16 @@ def maps() -> EmpiricalMaps:
     return EmpiricalMaps("paper", made)
 
 
-def _case(lanes: list[Lane], settings: AdamSettings, maps: EmpiricalMaps | None = None) -> tuple[Program, Place]:
-    problem = lanes[0].problem
-    program = make_program(lanes, {0: actuate(problem.inputs, problem.parameters)}, None, None, maps, settings)
-    values, _ = start_values(lanes, program, settings)
+def _program(lanes: list[Lane], maps: EmpiricalMaps | None = None, dtype: torch.dtype = torch.float32) -> Program:
+    actuations = {0: actuate(lanes[0].problem.inputs, lanes[0].problem.parameters)}
+    return make_program(lanes, actuations, None, None, maps, SETTINGS, dtype)
+
+
+def _case(
+    lanes: list[Lane], maps: EmpiricalMaps | None = None, dtype: torch.dtype = torch.float32
+) -> tuple[Program, Place]:
+    program = _program(lanes, maps, dtype)
+    values, _ = start_values(lanes, program, SETTINGS)
     heads = torch.split(values, [*program.widths(), values.shape[1] - sum(program.widths())], 1)
     place = Place.within(values, torch.zeros_like(values), sum(program.widths()), program)
     for target, h, columns in zip(place.z, heads, program.columns, strict=False):
@@ -78,7 +85,7 @@ def _gradients(program: Program, place: Place, compiled: bool) -> list[Tensor]:
 def test_compiled_equals_eager_and_32_bits_are_safe(lanes: list[Lane], maps: EmpiricalMaps, learned: bool) -> None:
     """To rounding; torch's softplus is the identity above 20, where e**-20 = 2e-9 is left out."""
     single, double, eager = (
-        _gradients(*_case(lanes, replace(SETTINGS, dtype=dtype), maps if learned else None), compiled)
+        _gradients(*_case(lanes, maps if learned else None, dtype), compiled)
         for dtype, compiled in ((torch.float32, True), (torch.float64, True), (torch.float64, False))
     )
     for short, long, expected in zip(single, double, eager, strict=True):
@@ -88,9 +95,8 @@ def test_compiled_equals_eager_and_32_bits_are_safe(lanes: list[Lane], maps: Emp
 
 @needs_compiler
 def test_compiled_runs_are_the_eager_ones_and_repeat(lanes: list[Lane], caplog: pytest.LogCaptureFixture) -> None:
-    actuations = {0: actuate(lanes[0].problem.inputs, lanes[0].problem.parameters)}
     runs = [
-        fewshot_adam.train(lanes, actuations, None, None, None, replace(SETTINGS, compiled=compiled)).health
+        fewshot_adam.train(lanes, _program(lanes), SETTINGS, compiled=compiled).health
         for compiled in (True, True, False)
     ]
     assert not caplog.records
@@ -101,8 +107,7 @@ def test_compiled_runs_are_the_eager_ones_and_repeat(lanes: list[Lane], caplog: 
 @needs_compiler
 def test_a_loaded_loop_leaves_subnormal_numbers_alone(lanes: list[Lane]) -> None:
     """Fast mathematics in the linker would flush them to zero in the whole process."""
-    fewshot_adam.train(lanes, {0: actuate(lanes[0].problem.inputs, lanes[0].problem.parameters)}, None, None, None,
-                       replace(SETTINGS, compiled=True))  # fmt: skip
+    fewshot_adam.train(lanes, _program(lanes), SETTINGS, compiled=True)
     assert (np.array([1e-310]) * 0.5)[0] > 0.0
 
 
@@ -111,7 +116,7 @@ def test_without_a_compiler_it_stays_eager_and_says_so_once(
 ) -> None:
     monkeypatch.setattr(c_library.shutil, "which", lambda _: None)
     monkeypatch.setattr(compiled_loss, "_TOLD", set())
-    program, place = _case(lanes, SETTINGS)
+    program, place = _case(lanes)
     with caplog.at_level(logging.WARNING):
         found = [_gradients(program, place, compiled) for compiled in (True, True, False)]
     assert [record.message for record in caplog.records] == ["the loop runs uncompiled: no C compiler found"]
@@ -121,7 +126,7 @@ def test_without_a_compiler_it_stays_eager_and_says_so_once(
 
 @needs_compiler
 def test_small_jobs_are_not_compiled(lanes: list[Lane]) -> None:
-    program, place = _case(lanes, SETTINGS)
+    program, place = _case(lanes)
     assert isinstance(gradient_function(program, place, compiled_loss.WORTHWHILE - 1), EagerLoss)
     assert isinstance(gradient_function(program, place, compiled_loss.WORTHWHILE), CompiledLoss)
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, we2011
 from dieseltwin.errors import InputError
@@ -30,12 +31,11 @@ from dieseltwin.paper.evaluation.ensembles import (
     without_diverged,
 )
 from dieseltwin.paper.loops.few_shot_adam import estimate
-from dieseltwin.paper.loops.few_shot_program import AdamSettings
 from dieseltwin.settings.methods import names
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
-SHORT = AdamSettings(epochs=30, weights_until_epoch=20)
+SHORT = PAPER.changed("few-shot-adam", epochs=30, weights_until_epoch=20)
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +179,7 @@ def test_diverged_members_are_kept_in_the_table_and_left_out_of_the_bands(clean:
 
 def test_early_stopping_takes_the_epoch_that_predicts_unseen_readings_best(clean: list[SegmentProblem]) -> None:
     noisy = case_problems(clean[:1], "noisy-301", 2, 7)
-    made = estimate(noisy, 2, 3, config=replace(SHORT, held_out_share=0.2))[0]
+    made = estimate(noisy, 2, 3, config=SHORT.changed("few-shot-adam", held_out_share=0.2))[0]
     misfit = made.curves["held_out_misfit"]
     assert misfit.shape == made.curves["loss"].shape and (misfit > 0.0).all()
     for run, best in enumerate(np.argmin(misfit, axis=0)):
@@ -190,7 +190,7 @@ def test_early_stopping_takes_the_epoch_that_predicts_unseen_readings_best(clean
 def test_the_unit_of_x_r_changes_only_its_own_term(clean: list[SegmentProblem]) -> None:
     problems = case_problems(clean[:1], "clean-301", 1, 7)
     printed = estimate(problems, 1, 3, config=SHORT)[0]
-    held = estimate(problems, 1, 3, config=replace(SHORT, scales=replace(SHORT.scales, x_r=0.03)))[0]
+    held = estimate(problems, 1, 3, config=SHORT.changed("few-shot-adam", scale_x_r=0.03))[0]
     assert held.curves["loss"][0] > printed.curves["loss"][0]  # the same start, a dearer residual
     np.testing.assert_array_equal(held.curves["A_egrmax"][0], printed.curves["A_egrmax"][0])
 

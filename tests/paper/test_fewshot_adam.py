@@ -3,33 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 
 from dieseltwin.engine import HEALTH, Inputs, actuate, we2011
 from dieseltwin.identification.few_shot.residuals import PhysicsResiduals
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.unknowns import to_masked, to_physical
+from dieseltwin.paper.loop_settings import Scales
+from dieseltwin.paper.loops import few_shot_adam
 from dieseltwin.paper.loops.few_shot_adam import Trained, estimate_of, train
-from dieseltwin.paper.loops.few_shot_program import AdamSettings, draw_lane, make_program, start_values
+from dieseltwin.paper.loops.few_shot_program import METHOD, Lane, Program, draw_lane, make_program, start_values
 from dieseltwin.paper.loops.fused_maps import BANK, Dropout
 from dieseltwin.paper.loops.losses import (
     INITIAL_WEIGHTS,
     Observed,
-    Scales,
     Weights,
     starting_weights,
     total_loss,
     weights_gradient,
 )
+from dieseltwin.settings.params import StartConfig
 
 Make = Callable[..., SegmentProblem]
 Drive = Callable[..., Inputs]
-SHORT = AdamSettings(epochs=30, weights_until_epoch=20)
+SHORT = PAPER.changed(METHOD, epochs=30, weights_until_epoch=20)
+
+
+def program_of(lanes: list[Lane], dtype: torch.dtype = torch.float32) -> Program:
+    """Of lanes without anything learned."""
+    actuations = {lane.index: actuate(lane.problem.inputs, lane.problem.parameters) for lane in lanes}
+    return make_program(lanes, actuations, None, None, None, PAPER.of(METHOD), dtype)
 
 
 def _case(lanes: int = 2, n: int = 7) -> tuple[PhysicsResiduals, tuple[torch.Tensor, ...], Weights, Observed]:
@@ -43,7 +51,7 @@ def _case(lanes: int = 2, n: int = 7) -> tuple[PhysicsResiduals, tuple[torch.Ten
     weights = Weights(3.0 * draw(lanes, 4, n), 3.0 * draw(lanes, 2))
     present = torch.ones(lanes, n, 5, dtype=torch.float64)
     present[0, 2:4, 0] = 0.0
-    observed = Observed(draw(lanes, n, 5), present, draw(lanes, 5), Scales(2.0, 3.0, 5.0, 7.0, 11.0, 0.5, 1.0))
+    observed = Observed(draw(lanes, n, 5), present, draw(lanes, 5), Scales(7.0, 0.5, 1.0, 5.0, 2.0, 3.0, 11.0))
     return residuals, states, weights, observed
 
 
@@ -87,7 +95,7 @@ def test_weights_ascend_through_their_softplus() -> None:
 
 def test_starting_weights_follow_the_readings() -> None:
     readings = torch.rand(3, 500, 5, dtype=torch.float64) + 0.5
-    weights = starting_weights(readings, torch.Generator().manual_seed(0))
+    weights = starting_weights(readings, torch.Generator().manual_seed(0), PAPER.of(METHOD).weight_start)
     share = (readings / readings.amax(1, keepdim=True)).transpose(1, 2)[:, :4]
     alpha = torch.tensor([1e3, 1e3, 1e3, 2e3], dtype=torch.float64)[:, None]
     noise = weights.pointwise - alpha * share
@@ -102,10 +110,9 @@ def pair(simulated: Make, drive: Drive) -> list[SegmentProblem]:
 
 
 def test_starts_are_drawn_as_printed(pair: list[SegmentProblem]) -> None:
-    settings = AdamSettings()
-    lanes = [draw_lane(pair[0], 0, run, 3, settings) for run in range(3)]
-    program = make_program(lanes, {0: actuate(pair[0].inputs, pair[0].parameters)}, None, None, None, settings)
-    values, rates = start_values(lanes, program, settings)
+    lanes = [draw_lane(pair[0], 0, run, 3, PAPER.start) for run in range(3)]
+    program = program_of(lanes)
+    values, rates = start_values(lanes, program, PAPER.of(METHOD))
     at = 0
     for width in program.widths():
         heads = values[:, at : at + width]
@@ -118,10 +125,9 @@ def test_starts_are_drawn_as_printed(pair: list[SegmentProblem]) -> None:
 
 
 def test_first_step_is_adam_on_the_autograd_gradient(pair: list[SegmentProblem]) -> None:
-    settings = replace(SHORT, epochs=1, weights_until_epoch=1, dtype=torch.float64)
-    lanes = [draw_lane(pair[0], 0, 0, 3, settings)]
-    actuations = {0: actuate(pair[0].inputs, pair[0].parameters)}
-    program = make_program(lanes, actuations, None, None, None, settings)
+    settings = PAPER.changed(METHOD, epochs=1, weights_until_epoch=1).of(METHOD)
+    lanes = [draw_lane(pair[0], 0, 0, 3, PAPER.start)]
+    program = program_of(lanes, torch.float64)
     values, rates = start_values(lanes, program, settings)
     leaf = values.clone().requires_grad_()
     parts = torch.split(leaf, [*program.widths(), 4, leaf.shape[1] - sum(program.widths()) - 4], 1)
@@ -131,33 +137,44 @@ def test_first_step_is_adam_on_the_autograd_gradient(pair: list[SegmentProblem])
     (gradient,) = torch.autograd.grad(loss.total.sum(), leaf)
     at = sum(program.widths())
     moved = values - rates * gradient / (gradient.abs() + 1e-8)  # the first Adam step is the sign of the gradient
-    found = train(lanes, actuations, None, None, None, settings)
+    found = train(lanes, program, settings)
     expected = to_physical(moved[:, at : at + 4].detach(), torch)
     np.testing.assert_allclose(found.health[:, -1], expected.numpy(), rtol=1e-9)
 
 
 def test_rates_fall_at_the_end(pair: list[SegmentProblem]) -> None:
-    settings = AdamSettings(epochs=8, weights_until_epoch=4, late_from_epoch=5, late_rates=1e-6)
-    found = identify_segments(pair[:1], "few-shot-adam", 2, 4, config=settings).segments[0]
+    config = PAPER.changed(METHOD, epochs=8, weights_until_epoch=4, late_from_epoch=5, late_rates=1e-6)
+    found = identify_segments(pair[:1], METHOD, 2, 4, config=config).segments[0]
     moved = np.abs(np.diff(np.stack([found.curves[name] for name in HEALTH], -1), axis=0)).max(axis=(1, 2))
     assert (moved[:5] > 1e3 * moved[5:].max()).all()
 
 
 def test_a_batch_equals_its_runs_alone_to_rounding(pair: list[SegmentProblem]) -> None:
-    settings = replace(SHORT, dtype=torch.float64)
-    together = identify_segments(pair, "few-shot-adam", 3, 4, config=settings)
-    again = identify_segments(pair, "few-shot-adam", 3, 4, config=settings)
-    one_by_one = identify_segments(pair, "few-shot-adam", 3, 4, config=replace(settings, lanes=1))
-    for a, b, c in zip(together.segments, again.segments, one_by_one.segments, strict=True):
-        np.testing.assert_array_equal(a.parameters, b.parameters)
-        np.testing.assert_allclose(a.parameters, c.parameters, rtol=1e-6)
+    lanes = [draw_lane(problem, i, run, 4, SHORT.start) for i, problem in enumerate(pair) for run in range(3)]
+
+    def trained(part: list[Lane]) -> Trained:
+        return train(part, program_of(part, torch.float64), SHORT.of(METHOD))
+
+    together, again = trained(lanes), trained(lanes)
+    one_by_one = Trained.joined([trained([lane]) for lane in lanes])
+    np.testing.assert_array_equal(together.final, again.final)
+    np.testing.assert_allclose(together.final, one_by_one.final, rtol=1e-6)
+    assert not np.allclose(together.final[0], together.final[1], rtol=1e-3)
+
+
+def test_an_estimate_is_the_same_in_small_programs(
+    pair: list[SegmentProblem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = identify_segments(pair, METHOD, 3, 4, config=SHORT)
+    monkeypatch.setattr(few_shot_adam, "LANES", 2)
+    for a, b in zip(whole.segments, identify_segments(pair, METHOD, 3, 4, config=SHORT).segments, strict=True):
+        np.testing.assert_allclose(a.parameters, b.parameters, rtol=1e-4)
         assert np.isnan(a.std).all()
-    assert not np.allclose(together.segments[0].parameters[0], together.segments[0].parameters[1], rtol=1e-3)
 
 
 def test_the_estimate_is_the_mean_of_the_last_epochs(pair: list[SegmentProblem]) -> None:
     last, mean, unseen = (
-        identify_segments(pair[:1], "few-shot-adam", 2, 4, config=replace(SHORT, **changed)).segments[0]
+        identify_segments(pair[:1], METHOD, 2, 4, config=SHORT.changed(METHOD, **changed)).segments[0]
         for changed in ({"average_share": 0.0}, {"average_share": 0.2}, {"average_share": 0.2, "held_out_share": 0.1})
     )
     curves = np.stack([mean.curves[name] for name in HEALTH], -1)  # every one of so few epochs is kept
@@ -187,8 +204,9 @@ def test_converged_is_an_estimate_that_stands_still(pair: list[SegmentProblem], 
 def test_it_comes_near_a_planted_area(simulated: Make, drive: Drive) -> None:
     """A thousand epochs of the printed loop bring the turbine area within 3 % from 17 % away."""
     clean = simulated(drive(300, 151), we2011.FIELD, noise_seed=None)
-    settings = AdamSettings(epochs=1000, weights_until_epoch=700, start_sigma=0.0)
-    found = identify_segments([clean], "few-shot-adam", 1, 0, config=settings).segments[0]
+    config = PAPER.changed(METHOD, epochs=1000, weights_until_epoch=700)
+    config = config.model_copy(update={"start": StartConfig(at="lab", sd_masked=0.0)})
+    found = identify_segments([clean], METHOD, 1, 0, config=config).segments[0]
     area = HEALTH.index("A_vgtmax")
     assert abs(found.parameters[0, area] / we2011.FIELD.A_vgtmax - 1.0) < 0.03
     assert found.curves["loss"][-1] < 1e-2 * found.curves["loss"][0]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
+from segments import PAPER
 from torch import Tensor
 
 from dieseltwin.engine import HEALTH, MEASURED, Inputs, actuate, simulate, we2011
@@ -16,12 +17,13 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem
 from dieseltwin.identification.unknowns import to_masked, to_physical
+from dieseltwin.paper.loop_settings import PinnConfig, Stage
 from dieseltwin.paper.loops import baseline
 from dieseltwin.paper.loops import multi_stage as multistage
 from dieseltwin.paper.loops import pinn_training as pinn
 from dieseltwin.paper.loops.few_shot_program import make_program
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
-from dieseltwin.settings.params import load_params
+from dieseltwin.settings.params import IdentifyConfig, StartConfig
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
 RATES = (1e-2, 1e-2, 1e-2)
@@ -46,14 +48,25 @@ def problems() -> list[SegmentProblem]:
     return [make_problem(300), make_problem(360)]
 
 
-def settings_of(*stages: pinn.Stage, **other: object) -> pinn.PinnSettings:
-    return pinn.PinnSettings(stages, **other)  # type: ignore[arg-type]
+def stage(until_epoch: int, layers: str, networks: float, unknowns: float, weights: float) -> Stage:
+    rates = {"rate_networks": networks, "rate_unknowns": unknowns, "rate_weights": weights}
+    return Stage.model_validate({"until_epoch": until_epoch, "layers": layers, **rates})
 
 
-def values_after(problem: SegmentProblem, *stages: pinn.Stage) -> tuple[StateNetworks, Tensor]:
+def config_of(*of_first: Stage, later: Sequence[Stage] = (), **other: object) -> IdentifyConfig:
+    """The paper's settings with other stages, those of the first segment for all where no others are given."""
+    config = PAPER.changed("baseline", stages=of_first, **other)
+    return config.changed("multi-stage", stages=later or of_first, **other)
+
+
+def settings_of(*stages: Stage, **other: object) -> PinnConfig:
+    return pinn.settings_of(config_of(*stages, **other), "baseline")
+
+
+def values_after(problem: SegmentProblem, *stages: Stage) -> tuple[StateNetworks, Tensor]:
     """All columns of one lane after some stages."""
     settings = settings_of(*stages)
-    lanes = pinn.make_lanes([problem], [0], 1, 5, settings)
+    lanes = pinn.make_lanes([problem], [0], 1, 5, PAPER.start)
     program = make_program(lanes, {0: actuate(problem.inputs, problem.parameters)}, None, None, None, settings)
     networks = StateNetworks(problem.time_s)
     values = pinn.start_values(lanes, program, networks, settings)
@@ -63,7 +76,7 @@ def values_after(problem: SegmentProblem, *stages: pinn.Stage) -> tuple[StateNet
 
 def test_stages_freeze_what_they_should(problems: list[SegmentProblem]) -> None:
     stages = (
-        pinn.Stage(4, "all", *RATES), pinn.Stage(8, "last", *RATES), pinn.Stage(12, "last", 1e-2, 1e-2, 0.0)
+        stage(4, "all", *RATES), stage(8, "last", *RATES), stage(12, "last", 1e-2, 1e-2, 0.0)
     )  # fmt: skip
     networks, one = values_after(problems[0], *stages[:1])
     _, two = values_after(problems[0], *stages[:2])
@@ -78,16 +91,16 @@ def test_stages_freeze_what_they_should(problems: list[SegmentProblem]) -> None:
 
 
 def test_frozen_hidden_layers_give_the_loss_of_fresh_ones(problems: list[SegmentProblem]) -> None:
-    once = (pinn.Stage(3, "all", *RATES), pinn.Stage(9, "last", *RATES))
-    pieces = (once[0], *(pinn.Stage(e, "last", *RATES) for e in range(4, 10)))
+    once = (stage(3, "all", *RATES), stage(9, "last", *RATES))
+    pieces = (once[0], *(stage(e, "last", *RATES) for e in range(4, 10)))
     _, a = values_after(problems[0], *once)
     _, b = values_after(problems[0], *pieces)
     assert torch.equal(a, b)
 
 
 def test_weights_start_as_printed(problems: list[SegmentProblem]) -> None:
-    settings = settings_of(pinn.Stage(1, "all", *RATES))
-    lanes = pinn.make_lanes(problems, [0], 1, 5, settings)
+    settings = settings_of(stage(1, "all", *RATES))
+    lanes = pinn.make_lanes(problems, [0], 1, 5, PAPER.start)
     program = make_program(lanes, {0: actuate(problems[0].inputs, problems[0].parameters)}, None, None, None, settings)
     networks = StateNetworks(problems[0].time_s)
     values = pinn.start_values(lanes, program, networks, settings)[0]
@@ -99,10 +112,9 @@ def test_weights_start_as_printed(problems: list[SegmentProblem]) -> None:
 
 
 def test_unknowns_move_towards_the_truth(problems: list[SegmentProblem]) -> None:
-    settings = settings_of(
-        pinn.Stage(250, "all", 2e-2, 2e-2, 1e-2), pinn.Stage(350, "all", 4e-3, 4e-3, 0.0), start_sigma=0.0
-    )
-    (found,) = baseline.estimate(problems[:1], 1, 2, config=settings)
+    config = config_of(stage(250, "all", 2e-2, 2e-2, 1e-2), stage(350, "all", 4e-3, 4e-3, 0.0))
+    config = config.model_copy(update={"start": StartConfig(at="lab", sd_masked=0.0)})
+    (found,) = baseline.estimate(problems[:1], 1, 2, config=config)
     truth, start = we2011.FIELD.health(), we2011.PARAMETERS.health()
     off = np.abs(found.parameters[0] / truth - 1.0)
     before = np.abs(start / truth - 1.0)
@@ -113,32 +125,37 @@ def test_unknowns_move_towards_the_truth(problems: list[SegmentProblem]) -> None
     assert found.curves["loss"][-1, 0] < 0.02 * found.curves["loss"][0, 0]
 
 
-def test_runs_do_not_depend_on_their_batch(problems: list[SegmentProblem]) -> None:
-    settings = settings_of(pinn.Stage(15, "all", *RATES), pinn.Stage(25, "last", *RATES), dtype=torch.float64)
-    whole = baseline.estimate(problems, 2, 3, config=settings)
-    alone = baseline.estimate(problems, 2, 3, config=replace(settings, lanes=1))
-    for a, b in zip(whole, alone, strict=True):
-        np.testing.assert_allclose(a.parameters, b.parameters, rtol=1e-7)
-    again = baseline.estimate(problems, 3, 3, config=settings)
-    np.testing.assert_allclose(again[1].parameters[:2], whole[1].parameters, rtol=1e-7)
-    assert not np.allclose(whole[0].parameters[0], whole[0].parameters[1], rtol=1e-3)
+def test_runs_do_not_depend_on_their_batch(
+    problems: list[SegmentProblem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = settings_of(stage(15, "all", *RATES), stage(25, "last", *RATES))
+
+    def found(runs: int) -> np.ndarray:
+        """(2, runs, 4) parameters of both segments."""
+        lanes = pinn.make_lanes(problems, [0, 1], runs, 3, PAPER.start)
+        trained = pinn.train_lanes(lanes, None, None, settings, dtype=torch.float64).trained
+        return trained.final.reshape(2, runs, 4)
+
+    whole, more = found(2), found(3)
+    monkeypatch.setattr(pinn, "LANES", 1)
+    np.testing.assert_allclose(whole, found(2), rtol=1e-7)
+    np.testing.assert_allclose(more[:, :2], whole, rtol=1e-7)
+    assert not np.allclose(whole[0, 0], whole[0, 1], rtol=1e-3)
 
 
 def test_same_seed_same_result(problems: list[SegmentProblem]) -> None:
-    stages = (pinn.Stage(10, "all", *RATES), pinn.Stage(15, "last", 1e-2, 1e-2, 0.0))
-    settings = settings_of(*stages)
-    first, second = (multistage.estimate_with(problems, 2, 9, settings, settings) for _ in range(2))
-    other = multistage.estimate_with(problems, 2, 10, settings, settings)
+    config = config_of(stage(10, "all", *RATES), stage(15, "last", 1e-2, 1e-2, 0.0))
+    first, second = (multistage.estimate(problems, 2, 9, config=config) for _ in range(2))
+    other = multistage.estimate(problems, 2, 10, config=config)
     for a, b, c in zip(first, second, other, strict=True):
         assert np.array_equal(a.parameters, b.parameters) and np.array_equal(a.states, b.states)
         assert not np.array_equal(a.parameters, c.parameters)
 
 
 def test_later_segments_start_from_the_source_models(problems: list[SegmentProblem]) -> None:
-    of_first = settings_of(pinn.Stage(12, "all", *RATES))
-    later = settings_of(pinn.Stage(6, "all", *RATES))
-    found = multistage.estimate_with(problems, 2, 3, later, of_first)
-    source = baseline.estimate(problems[:1], 2, 3, config=of_first)[0]
+    config = config_of(stage(12, "all", *RATES), later=[stage(6, "all", *RATES)])
+    found = multistage.estimate(problems, 2, 3, config=config)
+    source = baseline.estimate(problems[:1], 2, 3, config=config)[0]
     assert np.array_equal(found[0].parameters, source.parameters)
     begin = np.stack([found[1].curves[name][0] for name in HEALTH], -1)
     np.testing.assert_allclose(begin, source.parameters, rtol=1e-6)
@@ -147,8 +164,8 @@ def test_later_segments_start_from_the_source_models(problems: list[SegmentProbl
 
 
 def test_a_diverged_source_is_replaced_by_another(problems: list[SegmentProblem]) -> None:
-    settings = settings_of(pinn.Stage(2, "all", *RATES))
-    lanes = pinn.make_lanes(problems, [0], 3, 1, settings)
+    settings = settings_of(stage(2, "all", *RATES))
+    lanes = pinn.make_lanes(problems, [0], 3, 1, PAPER.start)
     source = pinn.train_lanes(lanes, None, None, settings)
     source.weights[1, 4] = float("nan")
     weights, masked = multistage.source_models(source, 5)
@@ -158,8 +175,8 @@ def test_a_diverged_source_is_replaced_by_another(problems: list[SegmentProblem]
 
 
 def test_a_diverged_run_is_reported_and_leaves_the_others_alone(problems: list[SegmentProblem]) -> None:
-    settings = settings_of(pinn.Stage(6, "all", *RATES))
-    lanes = pinn.make_lanes(problems, [0], 2, 1, settings)
+    settings = settings_of(stage(6, "all", *RATES))
+    lanes = pinn.make_lanes(problems, [0], 2, 1, PAPER.start)
     source = pinn.train_lanes(lanes, None, None, settings)
     good = pinn.train_lanes(lanes, None, None, settings, (source.weights, source.masked))
     source.weights[0] = float("nan")
@@ -172,12 +189,9 @@ def test_a_diverged_run_is_reported_and_leaves_the_others_alone(problems: list[S
 
 @pytest.mark.parametrize("method", ["baseline", "multi-stage"])
 def test_methods_stand_in_the_registry(problems: list[SegmentProblem], method: str) -> None:
-    identify = load_params().identify
-    stages = identify.of("multi-stage").stages
-    short = [{**stage.model_dump(), "until_epoch": 3 * (k + 1)} for k, stage in enumerate(stages)]
-    sections = {name: {**identify.of(name).model_dump(), "stages": short} for name in ("baseline", "multi-stage")}
-    config = type(identify).model_validate({**identify.model_dump(), "methods": sections})
-    found = identify_segments(problems, method, 2, 1, config=config)
+    stages = PAPER.of("multi-stage").stages
+    short = [stage.model_copy(update={"until_epoch": 3 * (k + 1)}) for k, stage in enumerate(stages)]
+    found = identify_segments(problems, method, 2, 1, config=config_of(*short))
     assert found.method == method and [s.runs for s in found.segments] == [2, 2]
     assert found.to_json()["segments"][1]["t0_s"] == problems[1].t0_s
     curves = found.segments[1].curves
@@ -185,11 +199,11 @@ def test_methods_stand_in_the_registry(problems: list[SegmentProblem], method: s
 
 
 def test_the_estimate_is_the_mean_of_the_last_epochs(problems: list[SegmentProblem]) -> None:
-    stages = (pinn.Stage(10, "all", *RATES),)
+    stages = (stage(10, "all", *RATES),)
     found = {}
     for share in (0.0, 0.4):
         settings = settings_of(*stages, average_share=share)
-        lanes = pinn.make_lanes(problems, [0], 2, 1, settings)
+        lanes = pinn.make_lanes(problems, [0], 2, 1, PAPER.start)
         found[share] = pinn.train_lanes(lanes, None, None, settings).trained
     np.testing.assert_allclose(found[0.0].final, found[0.0].health[:, -1], rtol=1e-6)
     masked = to_masked(found[0.4].health[:, -4:]).mean(axis=1)  # every one of so few epochs is kept
@@ -198,19 +212,15 @@ def test_the_estimate_is_the_mean_of_the_last_epochs(problems: list[SegmentProbl
 
 
 def test_paper_profile_has_the_printed_epochs() -> None:
-    identify = load_params(None, "paper").identify
-    stages = identify.of("multi-stage").stages
-    assert identify.of("baseline").stages[-1].until_epoch == 80000
+    stages = PAPER.of("multi-stage").stages
+    assert PAPER.of("baseline").stages[-1].until_epoch == 80000
     assert max(s.until_epoch for s in stages if s.layers == "all") == 20000
     assert max(s.until_epoch for s in stages if s.rate_weights > 0.0) == 30000
     assert stages[-1].until_epoch == 35000
-    for own, module in ((identify.of("baseline"), baseline), (identify.of("multi-stage"), multistage)):
-        assert [pinn.Stage(**s.model_dump()) for s in own.stages] == list(module.SETTINGS.stages)
-        assert dict(own.weight_start) == dict(pinn.PINN_WEIGHTS)
 
 
 def test_stages_out_of_order_are_refused() -> None:
     with pytest.raises(InputError, match="rising"):
-        settings_of(pinn.Stage(5, "all", *RATES), pinn.Stage(5, "all", *RATES))
+        settings_of(stage(5, "all", *RATES), stage(5, "all", *RATES))
     with pytest.raises(InputError, match="all first"):
-        settings_of(pinn.Stage(5, "last", *RATES), pinn.Stage(6, "all", *RATES))
+        settings_of(stage(5, "last", *RATES), stage(6, "all", *RATES))

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from segments import PAPER
 from torch import Tensor
 
 from dieseltwin.engine import actuate, we2011
 from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.paper.loop_settings import Stage
 from dieseltwin.paper.loops import pinn_training as pinn
 from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_program import make_program
@@ -20,7 +22,10 @@ from dieseltwin.paper.loops.network_loops import epoch_function
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
-STAGES = (pinn.Stage(6, "all", 1e-2, 1e-2, 1e-2), pinn.Stage(12, "last", 1e-2, 1e-2, 0.0))
+STAGES = (
+    Stage(until_epoch=6, layers="all", rate_networks=1e-2, rate_unknowns=1e-2, rate_weights=1e-2),
+    Stage(until_epoch=12, layers="last", rate_networks=1e-2, rate_unknowns=1e-2, rate_weights=0.0),
+)
 
 
 @pytest.fixture(scope="module", params=[31, 151], ids=["less than a block", "two blocks that overlap"])
@@ -29,9 +34,10 @@ def problem(request: pytest.FixtureRequest, simulated: Callable[..., SegmentProb
 
 
 def made(problem: SegmentProblem, dtype: torch.dtype) -> tuple[Any, StateNetworks, Tensor]:
-    settings = pinn.PinnSettings(STAGES, dtype=dtype)
-    lanes = pinn.make_lanes([problem], [0], 3, 5, settings)
-    program = make_program(lanes, {0: actuate(problem.inputs, problem.parameters)}, None, None, None, settings)
+    settings = pinn.settings_of(PAPER, "baseline")
+    lanes = pinn.make_lanes([problem], [0], 3, 5, PAPER.start)
+    actuations = {0: actuate(problem.inputs, problem.parameters)}
+    program = make_program(lanes, actuations, None, None, None, settings, dtype)
     networks = StateNetworks(problem.time_s, dtype=dtype)
     return program, networks, pinn.start_values(lanes, program, networks, settings)
 

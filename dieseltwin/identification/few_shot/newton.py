@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
@@ -32,9 +32,9 @@ from dieseltwin.identification.few_shot.residuals import (
     driven_inputs,
     told_inputs,
 )
-from dieseltwin.identification.few_shot.settings import METHOD, NewtonSettings
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.result import SegmentEstimate, intervals_from_log_std
+from dieseltwin.identification.result import STATE_SAMPLES, SegmentEstimate, intervals_from_log_std
+from dieseltwin.identification.settings import NewtonConfig
 from dieseltwin.identification.unknowns import health_of, start_centre, starts
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from dieseltwin.surrogates.empirical import EmpiricalMaps
     from dieseltwin.surrogates.operators import ActuatorOperators
 
+METHOD = "few-shot-newton"
 BLOCK = 10
 """Runs that are iterated together: the batched products of ten runs stay within the cache."""
 LEAST_STATE = (5e4, 5e4, 200.0)
@@ -68,7 +69,7 @@ def estimate(
     bodies: Bodies | None = None,
     operators: ActuatorOperators | None = None,
     maps: EmpiricalMaps | None = None,
-    config: IdentifyConfig | NewtonSettings | None = None,
+    config: IdentifyConfig,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with second-order few-shot steps.
 
@@ -79,19 +80,19 @@ def estimate(
         bodies: trained bodies (`conditioned`), or None for B-splines of the paper's widths.
         operators: trained actuator operators, or None for the exact actuators.
         maps: learned empirical maps, one member (or dropout realisation) a run, or None for the exact formulae.
-        config: `identify` of params.yaml, the settings themselves, or None for the defaults.
+        config: `identify` of params.yaml.
 
     Returns:
         One estimate for each segment, in order. Standard deviations and 90 % intervals of the logarithms come from the
         inverse Hessian and are never below the Cramér-Rao bound.
     """
-    settings = NewtonSettings.from_config(config)
+    settings, start = cast(NewtonConfig, config.of(METHOD)), config.start
     rng = np.random.default_rng(seed)
     results = []
     for problem in problems:
         began = time.perf_counter()
-        centre = start_centre(problem.parameters, problem.truth, settings.start_at)
-        begin = np.log(starts(centre, runs, rng, settings.start_sigma))
+        centre = start_centre(problem.parameters, problem.truth, start.at)
+        begin = np.log(starts(centre, runs, rng, start.sd_masked))
         results.append(_segment(problem, begin, bodies, operators, maps, settings, began))
     return results
 
@@ -142,7 +143,7 @@ class Solution:
     log_std: Tensor
 
 
-def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, settings: NewtonSettings) -> Solution:
+def solve(setting: Setting, model: PointModel, readings: Tensor, begin: Tensor, settings: NewtonConfig) -> Solution:
     """Minimise R runs of one segment through all stages.
 
     Args:
@@ -249,7 +250,7 @@ def _log_std(collocation: Collocation, state: Runs) -> Tensor:
 def _segment(
     problem: SegmentProblem, begin: NDArray[np.float64], bodies: Bodies | None, operators: ActuatorOperators | None,
     maps: EmpiricalMaps | None,
-    settings: NewtonSettings, began: float,
+    settings: NewtonConfig, began: float,
 ) -> SegmentEstimate:  # fmt: skip
     setting = prepare(problem, bodies, operators)
     readings = torch.tensor(problem.readings(len(begin)))
@@ -276,7 +277,7 @@ def _segment(
     pooled = np.exp(np.log(health[used]).mean(axis=0))
     bound = cautious_bound([problem], pooled, pooled_states[0, :3])[0]
     std, interval = intervals_from_log_std(health, np.maximum(log_std, bound.relative))
-    normal = np.random.default_rng(0).standard_normal((settings.samples, N_HEALTH + 3))
+    normal = np.random.default_rng(0).standard_normal((STATE_SAMPLES, N_HEALTH + 3))
     bands = (None, None) if maps is not None else states_within(problem, pooled, pooled_states[0, :3], bound, normal)
     misfit /= max(int(problem.observed.sum()) - N_HEALTH - 3, 1)
     return SegmentEstimate(
@@ -293,7 +294,7 @@ def _solved(
     readings: Tensor,
     begin: Tensor,
     members: list[int],
-    settings: NewtonSettings,
+    settings: NewtonConfig,
 ) -> tuple[Solution, Tensor]:
     model = point_model(setting.problem.parameters, maps, members, setting.actuation)
     found = solve(setting, model, readings, begin, settings)

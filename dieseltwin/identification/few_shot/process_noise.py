@@ -17,8 +17,8 @@ from dieseltwin.engine import HEALTH, Actuation, EngineParameters, parameter_bat
 from dieseltwin.identification.few_shot.defects import Defects, Windows, defects_of, simulate_windows
 from dieseltwin.identification.few_shot.heads import Heads, Trajectory
 from dieseltwin.identification.few_shot.residuals import DrivenInputs, PointModel
-from dieseltwin.identification.few_shot.settings import NewtonSettings
 from dieseltwin.identification.problem import SegmentProblem
+from dieseltwin.identification.settings import NewtonConfig
 
 MAD_TO_SIGMA = 1.4826
 """Median absolute deviation to standard deviation of a Gaussian: transients must not set the level of all points."""
@@ -79,7 +79,7 @@ def laboratory_states(actuation: Actuation, parameters: EngineParameters) -> Ten
     return torch.from_numpy(np.ascontiguousarray(states))
 
 
-def calibrate(setting: Setting, model: PointModel, settings: NewtonSettings) -> ProcessNoise:
+def calibrate(setting: Setting, model: PointModel, settings: NewtonConfig) -> ProcessNoise:
     """Calibrate the process noise of one segment on the laboratory twin.
 
     Args:

@@ -2,19 +2,8 @@
 
 from __future__ import annotations
 
-from pydantic import PositiveFloat, PositiveInt
-
-from dieseltwin.settings.method_settings import MethodSettings
+from dieseltwin.identification.settings import ClassicalConfig
 from dieseltwin.settings.methods import Method, MethodStyle
-
-
-class ClassicalConfig(MethodSettings):
-    """Maximum likelihood by shooting with sensitivities."""
-
-    iterations_max: PositiveInt
-    tolerance: PositiveFloat
-    damping_start: PositiveFloat
-
 
 METHOD = Method(
     name="classical",

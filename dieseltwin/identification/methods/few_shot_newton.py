@@ -2,24 +2,8 @@
 
 from __future__ import annotations
 
-from pydantic import Field, PositiveFloat, PositiveInt
-
-from dieseltwin.settings.method_settings import MethodSettings
+from dieseltwin.identification.settings import NewtonConfig
 from dieseltwin.settings.methods import Method, MethodStyle, Needs
-
-
-class NewtonConfig(MethodSettings):
-    """Gauss-Newton / Levenberg-Marquardt on heads and parameters."""
-
-    stages: tuple[PositiveFloat, ...] = Field(min_length=1, description="multiples of the process noise, the last 1")
-    iterations_early: PositiveInt
-    iterations_max: PositiveInt
-    tolerance: PositiveFloat
-    damping_start: PositiveFloat
-    student_dof: PositiveFloat
-    defect_share: PositiveFloat = Field(description="of the basis's local defect that is left after its correction")
-    floor_share: PositiveFloat = Field(description="of the median defect that the process noise doesn't fall below")
-
 
 METHOD = Method(
     name="few-shot-newton",

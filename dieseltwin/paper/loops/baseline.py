@@ -16,14 +16,7 @@ from typing import TYPE_CHECKING
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.shooting import by_grid
-from dieseltwin.paper.loops.pinn_training import (
-    PinnSettings,
-    Stage,
-    estimates_of,
-    make_lanes,
-    settings_from,
-    train_lanes,
-)
+from dieseltwin.paper.loops.pinn_training import estimates_of, make_lanes, settings_of, train_lanes
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -32,14 +25,6 @@ if TYPE_CHECKING:
     from dieseltwin.surrogates.operators import ActuatorOperators
 
 METHOD = "baseline"
-SETTINGS = PinnSettings(
-    stages=(
-        Stage(40000, "all", 2e-2, 2e-2, 1e-2),
-        Stage(60000, "all", 4e-3, 4e-3, 1e-2),
-        Stage(80000, "all", 8e-4, 8e-4, 0.0),
-    )
-)
-"""The paper's 80,000 epochs; what is not printed as in `params.yaml`, where the reasons stand."""
 
 
 def estimate(
@@ -50,7 +35,7 @@ def estimate(
     bodies: Bodies | None = None,
     operators: ActuatorOperators | None = None,
     maps: EmpiricalMaps | None = None,
-    config: IdentifyConfig | PinnSettings | None = None,
+    config: IdentifyConfig,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with the hybrid PINN.
 
@@ -61,16 +46,16 @@ def estimate(
         bodies: not used; every layer is trained.
         operators: trained actuator operators, or None for the exact actuators.
         maps: learned empirical maps, dropout on, or None for the exact formulae.
-        config: `identify` of params.yaml, the settings themselves, or None for the defaults.
+        config: `identify` of params.yaml.
 
     Returns:
         One estimate for each segment, in order; standard deviations are left to the spread of the members.
     """
-    settings = settings_from(config, METHOD, SETTINGS)
+    settings = settings_of(config, METHOD)
     results: dict[int, SegmentEstimate] = {}
     for group in by_grid(problems):
         began = time.perf_counter()
-        lanes = make_lanes(problems, group, runs, seed, settings)
+        lanes = make_lanes(problems, group, runs, seed, config.start)
         found = train_lanes(lanes, operators, maps, settings)
         made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, settings.average_share)
         results |= dict(zip(group, made, strict=True))

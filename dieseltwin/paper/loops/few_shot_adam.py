@@ -20,21 +20,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dieseltwin.engine import HEALTH, Actuation, actuate
+from dieseltwin.engine import HEALTH, actuate
 from dieseltwin.identification.bound import nominal_bound
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.shooting import by_grid
 from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.paper.loop_settings import AdamConfig
 from dieseltwin.paper.loops.averaging import TailMean
 from dieseltwin.paper.loops.compiled_loss import Place, gradient_function
-from dieseltwin.paper.loops.few_shot_program import METHOD, AdamSettings, Lane, draw_lane, make_program, start_values
+from dieseltwin.paper.loops.few_shot_program import LANES, METHOD, Lane, Program, draw_lane, make_program, start_values
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -58,7 +59,7 @@ def estimate(
     bodies: Bodies | None = None,
     operators: ActuatorOperators | None = None,
     maps: EmpiricalMaps | None = None,
-    config: IdentifyConfig | AdamSettings | None = None,
+    config: IdentifyConfig,
     first_run: int = 0,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment with the paper's loop.
@@ -70,22 +71,26 @@ def estimate(
         bodies: trained bodies, or None for B-splines of the paper's widths.
         operators: trained actuator operators, or None for the exact actuators.
         maps: learned empirical maps, dropout on, or None for the exact formulae.
-        config: `identify` of params.yaml, the settings themselves, or None for the defaults.
+        config: `identify` of params.yaml.
         first_run: number of the first run: runs 10-19 alone are those of a batch of 30.
 
     Returns:
         One estimate for each segment, in order; standard deviations are left to the spread of the members.
     """
-    settings = AdamSettings.from_config(config)
+    settings = cast(AdamConfig, config.of(METHOD))
     results: dict[int, SegmentEstimate] = {}
     for group in by_grid(problems):
         began = time.perf_counter()
         numbers = range(first_run, first_run + runs)
-        lanes = [draw_lane(problems[i], i, run, seed, settings) for i in group for run in numbers]
+        lanes = [
+            draw_lane(problems[i], i, run, seed, config.start, settings.held_out_share)
+            for i in group
+            for run in numbers
+        ]
         actuations = {i: actuate(problems[i].inputs, problems[i].parameters) for i in group}
+        parts = [lanes[a : a + LANES] for a in range(0, len(lanes), LANES)]
         found = [
-            train(lanes[a : a + settings.lanes], actuations, bodies, operators, maps, settings)
-            for a in range(0, len(lanes), settings.lanes)
+            train(part, make_program(part, actuations, bodies, operators, maps, settings), settings) for part in parts
         ]
         whole = Trained.joined(found)
         seconds = (time.perf_counter() - began) / len(lanes)
@@ -134,26 +139,23 @@ class Trained:
 
 def train(
     lanes: Sequence[Lane],
-    actuations: dict[int, Actuation],
-    bodies: Bodies | None,
-    operators: ActuatorOperators | None,
-    maps: EmpiricalMaps | None,
-    settings: AdamSettings,
+    program: Program,
+    settings: AdamConfig,
     progress: Callable[[int], None] | None = None,
+    compiled: bool | None = None,
 ) -> Trained:
     """Run the loop over L lanes of one sample grid.
 
     Args:
         lanes: the runs.
-        actuations: of the segments, by their index.
-        bodies, operators, maps: as `estimate`.
+        program: their loss.
         settings: settings.
         progress: called with the epoch now and then.
+        compiled: whether loss and gradient are compiled (`compiled_loss`); None: where it pays.
 
     Returns:
         Parameters, states and loss of each lane.
     """
-    program = make_program(lanes, actuations, bodies, operators, maps, settings)
     values, rates = start_values(lanes, program, settings)
     count = len(lanes)
     at = np.cumsum([0, *program.widths()])
@@ -167,7 +169,7 @@ def train(
     best, least = values.clone(), torch.full((count,), float("inf"), dtype=values.dtype)
 
     place = Place.within(values, gradient, n_heads, program)
-    loss_and_gradient = gradient_function(program, place, count * settings.epochs, settings.compiled)
+    loss_and_gradient = gradient_function(program, place, count * settings.epochs, compiled)
     z, masked, weights = place.z, place.masked, place.weights
 
     for epoch in range(settings.epochs + 1):

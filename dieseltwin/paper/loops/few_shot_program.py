@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,13 +23,12 @@ from dieseltwin.identification.few_shot.residuals import (
 )
 from dieseltwin.identification.few_shot.term_model import TermModel
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.identification.unknowns import StartSettings, health_of, start_centre, starts, to_masked, to_physical
+from dieseltwin.identification.unknowns import health_of, start_centre, starts, to_masked, to_physical
+from dieseltwin.paper.loop_settings import AdamConfig, PinnConfig
 from dieseltwin.paper.loops.fused_maps import Dropout, fused_replacements
 from dieseltwin.paper.loops.losses import (
-    PAPER_WEIGHTS,
     Loss,
     Observed,
-    Scales,
     Weights,
     starting_weights,
     total_loss,
@@ -37,60 +36,17 @@ from dieseltwin.paper.loops.losses import (
 from dieseltwin.surrogates.output_transforms import TRANSFORMS
 
 if TYPE_CHECKING:
+    from dieseltwin.settings.params import StartConfig
     from dieseltwin.surrogates.bodies import Bodies
     from dieseltwin.surrogates.empirical import EmpiricalMaps
     from dieseltwin.surrogates.operators import ActuatorOperators
 
 METHOD = "few-shot-adam"
+LANES = 150
+"""Runs in one tensor program: more make longer vectors until they leave the cache."""
 BODIES = ("pressures", "pressures", "omega_t", "x_r", "T_1")
 """Body of p_im, p_em, omega_t, x_r, T_1; the first three are also differentiated."""
 _T_1 = TRANSFORMS["t_1_k"]
-
-
-@dataclass(frozen=True)
-class AdamSettings(StartSettings):
-    """Settings; `from_config` takes them from params.yaml.
-
-    Attributes:
-        epochs: epochs (paper: 30,000).
-        weights_until_epoch: the self-adaptive weights rest from here on (paper: 20,000).
-        rate_heads, rate_unknowns, rate_weights: learning rates (not printed).
-        late_rates: factor on the learning rates from `late_from_epoch` on; 1 keeps them.
-        weight_start: alpha of the weights by channel (paper).
-        scales: units of the residuals (not printed).
-        lanes: runs in one tensor program; more lanes make longer vectors until they leave the cache.
-        held_out_share: share of the readings that no loss sees; a run's result is then the epoch that predicts them
-            best (early stopping). 0 is the paper's loop.
-        weight_share: factor on `weight_start`; below 1 the data count less against the equations. 1 is the paper's.
-        fresh_dropout: the learned maps lose other neurons in every epoch; False: one realisation a run.
-        average_share: share of the epochs, at the end, whose mean is the estimate; 0 is the last epoch (`averaging`).
-        dtype: float32 or float64.
-        compiled: whether loss and gradient are compiled (`compiled_loss`); None: where it pays.
-    """
-
-    method = METHOD
-    epochs: int = 30000
-    weights_until_epoch: int = 20000
-    rate_heads: float = 1e-2
-    rate_unknowns: float = 3e-3
-    rate_weights: float = 1e-2
-    late_rates: float = 0.2
-    late_from_epoch: int = 25000
-    weight_start: dict[str, float] = field(default_factory=lambda: dict(PAPER_WEIGHTS))
-    scales: Scales = field(default_factory=lambda: Scales(T_1=30.0, T_em=30.0))
-    lanes: int = 150
-    held_out_share: float = 0.0
-    weight_share: float = 1.0
-    fresh_dropout: bool = True
-    average_share: float = 0.1
-    dtype: torch.dtype = torch.float32
-    compiled: bool | None = None
-
-    @classmethod
-    def of_section(cls, section: dict[str, Any]) -> dict[str, Any]:
-        units = {"T_1": "scale_t_1_k", "T_em": "scale_t_em_k", "rate": "scale_rates", "x_r": "scale_x_r"}
-        scales = Scales(**{name: section.pop(key) for name, key in units.items()})
-        return {**section, "scales": scales}
 
 
 @dataclass(frozen=True)
@@ -114,15 +70,17 @@ class Lane:
     held_out: NDArray[np.bool_] | None = None
 
 
-def draw_lane(problem: SegmentProblem, index: int, run: int, seed: int, settings: AdamSettings) -> Lane:
+def draw_lane(
+    problem: SegmentProblem, index: int, run: int, seed: int, start: StartConfig, held_out_share: float = 0.0
+) -> Lane:
+    """Draw what run `run` of the segment `index` needs; no loss sees `held_out_share` of its readings."""
     rng = np.random.default_rng([seed, index, run])
-    centre = start_centre(problem.parameters, problem.truth, settings.start_at)
-    masked = to_masked(starts(centre, 1, rng, settings.start_sigma))[0]
+    centre = start_centre(problem.parameters, problem.truth, start.at)
+    masked = to_masked(starts(centre, 1, rng, start.sd_masked))[0]
     draws = problem.noise_draws
     readings = problem.measured if draws is None else draws[run % len(draws)]
     lane = Lane(problem, index, run, readings[:, :5], masked, int(rng.integers(2**62)))
-    share = getattr(settings, "held_out_share", 0.0)
-    return lane if share <= 0.0 else replace(lane, held_out=rng.random(lane.readings.shape) < share)
+    return lane if held_out_share <= 0.0 else replace(lane, held_out=rng.random(lane.readings.shape) < held_out_share)
 
 
 @dataclass(frozen=True)
@@ -148,6 +106,11 @@ class Program:
     n: int
     held_out: Tensor | None = None
     dropout: Dropout | None = None
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """float32 or float64."""
+        return self.observed.readings.dtype
 
     def renew(self) -> None:
         """Draw the dropout of the next epoch."""
@@ -216,9 +179,9 @@ def make_program(
     bodies: Bodies | None,
     operators: ActuatorOperators | None,
     maps: EmpiricalMaps | None,
-    settings: AdamSettings,
+    settings: AdamConfig | PinnConfig,
+    dtype: torch.dtype = torch.float32,
 ) -> Program:
-    dtype = settings.dtype
     time_s = lanes[0].problem.time_s
     columns = []
     for j, name in enumerate(BODIES):
@@ -282,7 +245,7 @@ def _initial(problem: SegmentProblem, inputs: DrivenInputs, actuation: Actuation
     return np.array([*states.numpy(), float(cylinder.x_r), float(cylinder.T_1)])
 
 
-def start_values(lanes: Sequence[Lane], program: Program, settings: AdamSettings) -> tuple[Tensor, Tensor]:
+def start_values(lanes: Sequence[Lane], program: Program, settings: AdamConfig) -> tuple[Tensor, Tensor]:
     """Draw heads, unknowns and weights, (L, M), and the signed learning rate of each column, (M,).
 
     Heads are N(0, 2 / (in + out)) and sorted, biases zero (paper).
@@ -300,9 +263,9 @@ def start_values(lanes: Sequence[Lane], program: Program, settings: AdamSettings
         weights = starting_weights(readings, generator, alpha)
         parts += [weights.pointwise.flatten(), weights.single.flatten()]
         rows.append(torch.cat(parts))
-    values = torch.stack(rows).to(settings.dtype)
+    values = torch.stack(rows).to(program.dtype)
     n_heads = sum(program.widths())
-    rates = torch.full((values.shape[1],), -settings.rate_weights, dtype=settings.dtype)
+    rates = torch.full((values.shape[1],), -settings.rate_weights, dtype=program.dtype)
     rates[:n_heads] = settings.rate_heads
     rates[n_heads : n_heads + len(HEALTH)] = settings.rate_unknowns
     return values, rates

@@ -4,7 +4,7 @@ Source: paper, appendix "Detailed loss function": physics losses, data losses wi
 square, initial-condition losses, x_r and the initial x_r and T_1 weighted by 100; section "Few-shot transfer learning"
 for the start of the weights and their softplus mask.
 
-Not printed, so chosen in `params.yaml` (identify.adam): the units that the residuals are squared in (`Scales`). The
+Not printed, so chosen in `params.yaml` (identify.methods): the units that the residuals are squared in (`Scales`). The
 paper's networks give states over 1e5 Pa, 5e3 rad/s and 300 K, and its printed weights (1e3, 2e3, 20) only balance for
 residuals of that order, so by default a state and its rate use the output scaling of the table of networks, W_egr kg/s,
 T_em that of T_1. x_r is of the order of 0.05 and is counted in tenths.
@@ -13,7 +13,7 @@ T_em that of T_1. x_r is of the order of 0.05 and is counted in tenths.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from dieseltwin.identification.few_shot.residuals import PhysicsResiduals
+from dieseltwin.paper.loop_settings import Scales
 
 X_R_WEIGHT = 100.0
 """Weight of the residual of x_r (paper, total loss).
@@ -35,45 +36,6 @@ WEIGHT_SIGMA = 0.1
 POINTWISE = ("p_im", "p_em", "omega_t", "W_egr")
 """Channels with one self-adaptive weight for each sample; T_em and T_1 have a single one each."""
 SCALAR = ("T_em", "T_1")
-PAPER_WEIGHTS: Mapping[str, float] = {
-    "p_im": 1e3, "p_em": 1e3, "omega_t": 1e3, "W_egr": 2e3, "T_em": 20.0, "T_1": 20.0
-}  # fmt: skip
-"""Starting multipliers alpha of the pointwise weights, and means of the two single ones (paper)."""
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Units that residuals are divided by before they are squared.
-
-    Attributes:
-        p: pressures [Pa], and their rates [Pa/s]; omega: turbo speed [rad/s], and its rate [rad/s2].
-        T_1, T_em: temperatures [K]; w_egr: EGR flow [kg/s].
-        rate: further divisor of the three rates [-]: below 1 the differential equations count more against the data.
-        x_r: residual gas [-], which is of the order of 0.05.
-    """
-
-    p: float = 1e5
-    omega: float = 5e3
-    T_1: float = 300.0
-    T_em: float = 300.0
-    w_egr: float = 1.0
-    rate: float = 1.0
-    x_r: float = 0.1
-
-    @property
-    def physics(self) -> tuple[float, ...]:
-        """Scales of the five physics residuals."""
-        return (self.p * self.rate, self.p * self.rate, self.omega * self.rate, self.x_r, self.T_1)
-
-    @property
-    def states(self) -> tuple[float, ...]:
-        """Scales of p_im, p_em, omega_t, x_r, T_1."""
-        return (self.p, self.p, self.omega, self.x_r, self.T_1)
-
-    @property
-    def channels(self) -> tuple[float, ...]:
-        """Scales of the readings p_im, p_em, omega_t, W_egr, T_em."""
-        return (self.p, self.p, self.omega, self.w_egr, self.T_em)
 
 
 class Weights(NamedTuple):
@@ -83,15 +45,13 @@ class Weights(NamedTuple):
     single: Tensor
 
 
-def starting_weights(
-    readings: Tensor, generator: torch.Generator, alpha: Mapping[str, float] = PAPER_WEIGHTS
-) -> Weights:
+def starting_weights(readings: Tensor, generator: torch.Generator, alpha: Mapping[str, float]) -> Weights:
     """Draw the weights: N(alpha X / max X, 0.1) at each sample, N(20, 0.1) for T_em and T_1 (paper).
 
     Args:
         readings: (L, n, 4) or more channels p_im, p_em, omega_t, W_egr; masked samples take 0 and never count.
         generator: source of the draws.
-        alpha: multipliers by channel, as printed where not given.
+        alpha: multipliers by channel.
 
     Returns:
         Weights of L lanes.
@@ -122,7 +82,7 @@ class Observed:
     readings: Tensor
     present: Tensor
     initial: Tensor
-    scales: Scales = field(default_factory=Scales)
+    scales: Scales
 
     @cached_property
     def gains(self) -> Tensor:

@@ -22,15 +22,7 @@ from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
 from dieseltwin.identification.shooting import by_grid
 from dieseltwin.paper.loops import baseline
-from dieseltwin.paper.loops.pinn_training import (
-    PinnSettings,
-    PinnTrained,
-    Stage,
-    estimates_of,
-    make_lanes,
-    settings_from,
-    train_lanes,
-)
+from dieseltwin.paper.loops.pinn_training import PinnTrained, estimates_of, make_lanes, settings_of, train_lanes
 
 if TYPE_CHECKING:
     from dieseltwin.settings.params import IdentifyConfig
@@ -39,15 +31,6 @@ if TYPE_CHECKING:
     from dieseltwin.surrogates.operators import ActuatorOperators
 
 METHOD = "multi-stage"
-SETTINGS = PinnSettings(
-    stages=(
-        Stage(10000, "all", 2e-2, 2e-2, 1e-2),
-        Stage(20000, "all", 4e-3, 4e-3, 1e-2),
-        Stage(30000, "last", 4e-3, 4e-3, 1e-2),
-        Stage(35000, "last", 8e-4, 8e-4, 0.0),
-    )
-)
-"""The paper's stages; what is not printed as in `params.yaml`, where the reasons stand."""
 
 
 def estimate(
@@ -58,7 +41,7 @@ def estimate(
     bodies: Bodies | None = None,
     operators: ActuatorOperators | None = None,
     maps: EmpiricalMaps | None = None,
-    config: IdentifyConfig | PinnSettings | None = None,
+    config: IdentifyConfig,
 ) -> list[SegmentEstimate]:
     """Estimate the health parameters of each segment, the first from scratch, the others from its models.
 
@@ -69,31 +52,17 @@ def estimate(
         bodies: not used.
         operators: trained actuator operators, or None for the exact actuators.
         maps: learned empirical maps, dropout on, or None for the exact formulae.
-        config: `identify` of params.yaml, whose settings of `baseline` rule the first segment; None for the defaults;
-            or `PinnSettings` for the segments behind the first, which is then trained with the defaults of `baseline`.
+        config: `identify` of params.yaml, whose settings of `baseline` rule the first segment.
 
     Returns:
         One estimate for each segment, in order; standard deviations are left to the spread of the members.
     """
-    settings = settings_from(config, METHOD, SETTINGS)
-    of_first = settings_from(None if isinstance(config, PinnSettings) else config, baseline.METHOD, baseline.SETTINGS)
-    return estimate_with(problems, runs, seed, settings, of_first, operators, maps)
-
-
-def estimate_with(
-    problems: Sequence[SegmentProblem],
-    runs: int,
-    seed: int,
-    settings: PinnSettings,
-    of_first: PinnSettings,
-    operators: ActuatorOperators | None = None,
-    maps: EmpiricalMaps | None = None,
-) -> list[SegmentEstimate]:
-    """`estimate` with the settings of the first segment and of the others given apart."""
+    settings_of(config, METHOD)  # what is wrong is said before the first segment is trained
+    of_first = settings_of(config, baseline.METHOD)
     began = time.perf_counter()
-    source = train_lanes(make_lanes(problems, [0], runs, seed, of_first), operators, maps, of_first)
+    source = train_lanes(make_lanes(problems, [0], runs, seed, config.start), operators, maps, of_first)
     first = estimates_of(problems[:1], source, runs, began, METHOD, of_first.average_share)
-    return first + later_segments(problems, source_models(source, runs), runs, seed, settings, operators, maps)
+    return first + later_segments(problems, source_models(source, runs), runs, seed, config, operators, maps)
 
 
 def later_segments(
@@ -101,7 +70,7 @@ def later_segments(
     taken: tuple[Tensor, Tensor],
     runs: int,
     seed: int,
-    settings: PinnSettings,
+    config: IdentifyConfig,
     operators: ActuatorOperators | None = None,
     maps: EmpiricalMaps | None = None,
     first_run: int = 0,
@@ -111,20 +80,20 @@ def later_segments(
     Args:
         problems: all segments of the recording.
         taken: network weights (R, size) and masked unknowns (R, 4) of `source_models`.
-        runs, seed, operators, maps: as `estimate`.
-        settings: of the segments behind the first.
+        runs, seed, config, operators, maps: as `estimate`.
         first_run: number of the first run, as `fewshot_adam.estimate`.
 
     Returns:
         One estimate for each segment but the first, in order.
     """
+    settings = settings_of(config, METHOD)
     results: dict[int, SegmentEstimate] = {}
     for whole in by_grid(problems):
         group = [i for i in whole if i > 0]
         if not group:
             continue
         began = time.perf_counter()
-        lanes = make_lanes(problems, group, runs, seed, settings, first_run)
+        lanes = make_lanes(problems, group, runs, seed, config.start, first_run)
         sources = (taken[0].repeat(len(group), 1), taken[1].repeat(len(group), 1))
         found = train_lanes(lanes, operators, maps, settings, sources)
         made = estimates_of([problems[i] for i in group], found, runs, began, METHOD, settings.average_share)

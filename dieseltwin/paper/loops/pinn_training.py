@@ -12,9 +12,9 @@ As in `fewshot_adam`, several Adam optimisers with rates of their own are one up
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -26,112 +26,39 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.few_shot.residuals import HEALTH, physics_residuals
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.result import SegmentEstimate
-from dieseltwin.identification.unknowns import START_SIGMA, to_physical
+from dieseltwin.identification.unknowns import to_physical
+from dieseltwin.paper.loop_settings import PinnConfig, Stage
 from dieseltwin.paper.loops.averaging import TailMean
 from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_adam import BETA_1, BETA_2, CURVE_POINTS, EPSILON, Trained, estimate_of
-from dieseltwin.paper.loops.few_shot_program import Lane, Program, draw_lane, make_program
-from dieseltwin.paper.loops.losses import PAPER_WEIGHTS, Scales, starting_weights
+from dieseltwin.paper.loops.few_shot_program import LANES, Lane, Program, draw_lane, make_program
+from dieseltwin.paper.loops.losses import starting_weights
 from dieseltwin.paper.loops.network_loops import epoch_function
 from dieseltwin.paper.loops.pinn_networks import StateNetworks
 
 if TYPE_CHECKING:
-    from dieseltwin.settings.params import IdentifyConfig
+    from dieseltwin.settings.params import IdentifyConfig, StartConfig
     from dieseltwin.surrogates.empirical import EmpiricalMaps
     from dieseltwin.surrogates.operators import ActuatorOperators
 
-T_WEIGHT_START = 1500.0
-"""Start of the weights of T_em and T_1 here (paper; in few-shot learning it is 20)."""
-PINN_WEIGHTS: Mapping[str, float] = {**PAPER_WEIGHTS, "T_em": T_WEIGHT_START, "T_1": T_WEIGHT_START}
-FIRST_LAYER_SLOPES = (2.0, 12.0)
-"""Slopes of the first layer at the start on time scaled to [-1, 1] (not printed)."""
 PHYSICS = ("p_im", "p_em", "omega_t", "x_r", "T_1")
 DATA = ("p_im", "p_em", "omega_t", "W_egr", "T_em")
 
 
-@dataclass(frozen=True)
-class Stage:
-    """A piece of the schedule with constant learning rates.
+def settings_of(config: IdentifyConfig, method: str) -> PinnConfig:
+    """Settings of "baseline" or "multi-stage".
 
-    Attributes:
-        until_epoch: first epoch of the next stage.
-        layers: "all" or "last": which layers of the networks are trained.
-        rate_networks, rate_unknowns: learning rates; 0 freezes.
-        rate_weights: learning rate of the self-adaptive weights; 0 freezes them.
+    Raises:
+        InputError: its stages are out of order.
     """
-
-    until_epoch: int
-    layers: str
-    rate_networks: float
-    rate_unknowns: float
-    rate_weights: float
-
-
-@dataclass(frozen=True)
-class PinnSettings:
-    """Settings that `baseline` and `multistage` share.
-
-    Attributes:
-        stages: the schedule (learning rates are not printed).
-        start_at: "lab" or "truth" (only to show how much that flatters).
-        start_sigma: spread of the starts in masked space [-] (paper: 0.2).
-        first_layer_slopes: start of the first layer, None for the plain start (neither is printed).
-        weight_start: alpha of the weights by channel (paper).
-        scales: units of the residuals (not printed).
-        fresh_dropout, average_share: as `AdamSettings`.
-        lanes: runs in one tensor program.
-        dtype: float32 or float64.
-        compiled: as `AdamSettings`.
-    """
-
-    stages: tuple[Stage, ...]
-    start_at: str = "lab"
-    start_sigma: float = START_SIGMA
-    first_layer_slopes: tuple[float, float] | None = FIRST_LAYER_SLOPES
-    weight_start: Mapping[str, float] = field(default_factory=lambda: dict(PINN_WEIGHTS))
-    scales: Scales = field(default_factory=Scales)
-    fresh_dropout: bool = True
-    average_share: float = 0.1
-    lanes: int = 150
-    dtype: torch.dtype = torch.float32
-    compiled: bool | None = None
-
-    def __post_init__(self) -> None:
-        ends = [stage.until_epoch for stage in self.stages]
-        if not ends or sorted(set(ends)) != ends or ends[0] < 1:
-            raise InputError("stages", f"until_epoch {ends}", "rising numbers", "mend identify.*.stages")
-        layers = [stage.layers for stage in self.stages]
-        if sorted(layers) != layers or not set(layers) <= {"all", "last"}:
-            raise InputError("stages", f"layers {layers}", "all first, then last", "mend identify.*.stages")
-
-    @property
-    def epochs(self) -> int:
-        """Epochs of all stages."""
-        return self.stages[-1].until_epoch
-
-
-def settings_from(config: IdentifyConfig | PinnSettings | None, method: str, default: PinnSettings) -> PinnSettings:
-    """Settings of one method from `identify` of params.yaml.
-
-    Args:
-        config: `IdentifyConfig`, the settings themselves, or None.
-        method: "baseline" or "multi-stage".
-        default: for None.
-
-    Returns:
-        The settings.
-    """
-    if isinstance(config, PinnSettings):
-        return config
-    if config is None:
-        return default
-    own = config.of(method).model_dump(exclude={"members"})
-    units = {"T_em": "scale_t_em_k", "rate": "scale_rates", "x_r": "scale_x_r"}
-    scales = Scales(**{name: own.pop(key) for name, key in units.items()})
-    stages = tuple(Stage(**stage) for stage in own.pop("stages"))
-    return PinnSettings(
-        stages=stages, start_at=config.start.at, start_sigma=config.start.sd_masked, scales=scales, **own
-    )
+    settings = cast(PinnConfig, config.of(method))
+    ends = [stage.until_epoch for stage in settings.stages]
+    if sorted(set(ends)) != ends:
+        raise InputError("stages", f"until_epoch {ends}", "rising numbers", "mend identify.*.stages")
+    layers = [stage.layers for stage in settings.stages]
+    if sorted(layers) != layers:
+        raise InputError("stages", f"layers {layers}", "all first, then last", "mend identify.*.stages")
+    return settings
 
 
 @dataclass(frozen=True)
@@ -176,7 +103,7 @@ class _Columns:
 
 
 def start_values(
-    lanes: Sequence[Lane], program: Program, networks: StateNetworks, settings: PinnSettings,
+    lanes: Sequence[Lane], program: Program, networks: StateNetworks, settings: PinnConfig,
     sources: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:  # fmt: skip
     """Starting columns of the lanes.
@@ -201,7 +128,7 @@ def start_values(
         readings = program.observed.readings[number : number + 1].double()
         weights = starting_weights(readings, generator, settings.weight_start)
         rows.append(torch.cat([own, masked, weights.pointwise.flatten(), weights.single.flatten()]))
-    return torch.stack(rows).to(settings.dtype)
+    return torch.stack(rows).to(program.dtype)
 
 
 def train(
@@ -217,7 +144,8 @@ def train(
         stages: the schedule.
         sigma: (L, 5) noise of the five channels [SI], for the misfit.
         progress: called with the epoch now and then.
-        average_share, compiled: as `PinnSettings`.
+        average_share: of the epochs, at the end, whose mean is the estimate; 0 is the last epoch (`averaging`).
+        compiled: whether an epoch is compiled (`network_loops`); None: where it pays.
 
     Returns:
         Parameters, states, losses and the networks at the end.
@@ -301,22 +229,23 @@ def _misfit(program: Program, loss: Any, sigma: Tensor) -> Tensor:
 
 
 def make_lanes(
-    problems: Sequence[SegmentProblem], group: Sequence[int], runs: int, seed: int, settings: PinnSettings,
+    problems: Sequence[SegmentProblem], group: Sequence[int], runs: int, seed: int, start: StartConfig,
     first_run: int = 0,
 ) -> list[Lane]:  # fmt: skip
     """Lanes of some segments, run by run from `first_run` on; a run's draws depend on (seed, segment, run) alone."""
     numbers = range(first_run, first_run + runs)
-    return [draw_lane(problems[i], i, run, seed, settings) for i in group for run in numbers]  # type: ignore[arg-type]
+    return [draw_lane(problems[i], i, run, seed, start) for i in group for run in numbers]
 
 
 def train_lanes(
     lanes: Sequence[Lane],
     operators: ActuatorOperators | None,
     maps: EmpiricalMaps | None,
-    settings: PinnSettings,
+    settings: PinnConfig,
     sources: tuple[Tensor, Tensor] | None = None,
+    dtype: torch.dtype = torch.float32,
 ) -> PinnTrained:
-    """Train lanes of one sample grid, `settings.lanes` at a time.
+    """Train lanes of one sample grid, `LANES` at a time.
 
     Args:
         lanes: the runs.
@@ -324,25 +253,21 @@ def train_lanes(
         maps: learned empirical maps, dropout on, or None for the exact formulae.
         settings: settings.
         sources: network weights (L, size) and masked unknowns (L, 4) to start from; None draws them.
+        dtype: float32 or float64.
 
     Returns:
         What was found for all lanes.
     """
     found = []
-    for a in range(0, len(lanes), settings.lanes):
-        part = lanes[a : a + settings.lanes]
+    for a in range(0, len(lanes), LANES):
+        part = lanes[a : a + LANES]
         actuations = {lane.index: actuate(lane.problem.inputs, lane.problem.parameters) for lane in part}
-        program = make_program(part, actuations, None, operators, maps, settings)  # type: ignore[arg-type]
-        networks = StateNetworks(part[0].problem.time_s, dtype=settings.dtype)
+        program = make_program(part, actuations, None, operators, maps, settings, dtype)
+        networks = StateNetworks(part[0].problem.time_s, dtype=dtype)
         taken = None if sources is None else (sources[0][a : a + len(part)], sources[1][a : a + len(part)])
         values = start_values(part, program, networks, settings, taken)
         sigma = np.stack([lane.problem.sigma[:5] for lane in part])
-        found.append(
-            train(
-                program, networks, values, settings.stages, sigma,
-                average_share=settings.average_share, compiled=settings.compiled,
-            )
-        )  # fmt: skip
+        found.append(train(program, networks, values, settings.stages, sigma, average_share=settings.average_share))
     whole = Trained.joined([f.trained for f in found])
     terms = {name: np.concatenate([f.terms[name] for f in found]) for name in found[0].terms}
     weights, masked = torch.cat([f.weights for f in found]), torch.cat([f.masked for f in found])

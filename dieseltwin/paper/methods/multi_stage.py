@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dieseltwin.paper.pinn_config import PinnConfig
+from dieseltwin.paper.loop_settings import PinnConfig
 from dieseltwin.settings.methods import Method, MethodStyle, Needs
 
 METHOD = Method(
