@@ -178,7 +178,7 @@ class DrivingQuestion(Question):
     def preview(self) -> Iterator[str]:
         self._check_sensitivity()
         yield from self.notes
-        yield from visible_table(self.smallest)
+        yield from visible_table(self.smallest, len(self.days))
 
     @property
     def catalogue(self) -> Mapping[str, Known]:
@@ -248,6 +248,7 @@ def ask(
         used, own = check_recording(source, parameters, asked["sensors"])
         where = f"{source.path or 'recording'}: " if days else ""
         notes += [Note(f"{where}{note}", "reading") for note in source.notes]
+        own = [note for note in own if not (days and note.code == "short")]  # together they are longer
         notes += [Note(f"{where}{note.removeprefix('note: ')}", note.code, note.affects) for note in own]
         notes += _length_notes(where, source, whole)
         sensors.append(used)

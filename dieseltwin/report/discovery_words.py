@@ -325,11 +325,15 @@ def _healthy(document: Discrepancy) -> str:
         text = ("Nothing as large as a fault was found: simulation and recording differ by more than chance "
                 f"({p_value}), but by less than what is believed of a healthy engine of this kind")
     else:
-        text = (f"Nothing is missing that this recording could show ({p_value}): noise, the four health parameters and "
-                "the tolerances of the maps explain it")
+        text = (f"Nothing is missing that {_these(len(document.recordings))} could show ({p_value}): noise, the four "
+                "health parameters and the tolerances of the maps explain it")
     if shown:
         text += f"; {listing(shown)} would have been seen, smaller ones cannot be ruled out"
     return "; ".join([text, *recorded_words(document), *_time_words(document), *_doubt_words(document)]) + "."
+
+
+def _these(recordings: int) -> str:
+    return "these recordings" if recordings > 1 else "this recording"
 
 
 def sentence(document: Discrepancy) -> str:
@@ -351,8 +355,8 @@ def sentence(document: Discrepancy) -> str:
     ) + "."
 
 
-def visible_table(smallest: Mapping[str, float]) -> list[str]:
-    """What the recording could show, as lines of text: smallest visible size, tolerance, place."""
+def visible_table(smallest: Mapping[str, float], recordings: int = 1) -> list[str]:
+    """What so many recordings could show, as lines of text: smallest visible size, tolerance, place."""
     rows = []
     for name, size in smallest.items():
         effect = EFFECTS[name]
@@ -360,5 +364,5 @@ def visible_table(smallest: Mapping[str, float]) -> list[str]:
         shown = magnitude_words(name, size, None, effect.unit, extra=False, digits=2)
         least = magnitude_words(name, effect.tolerance, None, effect.unit, extra=False, digits=2)
         rows.append((size / effect.tolerance, f"{name:<31}{shown:>18}{least:>18}   {effect.site}{mark}"))
-    head = f"{'this recording could show':<31}{'from':>18}{'of interest from':>18}   in"
+    head = f"{_these(recordings) + ' could show':<31}{'from':>18}{'of interest from':>18}   in"
     return [head, *(line for _, line in sorted(rows))]
