@@ -45,6 +45,6 @@ def without_pictures() -> Iterator[None]:
     """Figures are made and captioned as ever, and none is laid out and drawn, which is most of a command's page."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dieseltwin.report.page.encode_all", lambda figures, *_: {f.name: b"no picture" for f in figures})
-        for page in ("discovery_page", "identification"):
-            patch.setattr(f"dieseltwin.report.{page}.drawn_in_two", drawn_here)
+        for module in ("discovery_page", "encoding"):
+            patch.setattr(f"dieseltwin.report.{module}.drawn_in_two", drawn_here)
         yield

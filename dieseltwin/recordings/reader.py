@@ -56,6 +56,7 @@ MOST_ROWS = 6_000_000  # of a table; with more, memory for the columns and their
 HISTORY_S = 2.0  # of inputs kept before a segment: dead time and ten time constants of the slowest actuator are 1.4 s
 MINIMUM_ROWS = 10  # of a segment; fewer hold no information on four parameters and three states
 CSV_SUFFIXES, PARQUET_SUFFIXES = (".csv", ".txt"), (".parquet", ".pq")
+_KNOWN = (TIME, *INPUTS, *OPTIONAL_INPUTS, *MEASURED, *AMBIENT)
 
 
 @dataclass(frozen=True)
@@ -119,9 +120,8 @@ class Recording:
 
     @property
     def rows_sha256(self) -> str:
-        """Hash of the rows: the same for a copy with other line ends, in another format or with further columns."""
-        known = (TIME, *INPUTS, *OPTIONAL_INPUTS, *MEASURED, *AMBIENT)
-        return columns_sha256({name: self.columns[name] for name in known if name in self.columns})
+        """Hash of the rows, the same for a copy with other line ends, in another format or with further columns."""
+        return columns_sha256({name: self.columns[name] for name in _KNOWN if name in self.columns})
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -246,7 +246,7 @@ def recording(
             raise InputError(
                 f"{where}: column {name}", f"none ({listed(list(columns))})", "this column", foreign_hint(name, columns)
             )
-    needed = (TIME, *INPUTS, *OPTIONAL_INPUTS, *sensors, *MEASURED, *AMBIENT)
+    needed = (*_KNOWN, *sensors)
     columns = {name: numbers(name, values, where, name in needed) for name, values in columns.items()
                if name in needed or np.issubdtype(values.dtype, np.number)}
     time = columns[TIME]
@@ -257,7 +257,7 @@ def recording(
     check_time(time, where, any_rate)
     _check_running(columns["n_e_rpm"], where)
     infinite = [f"{count} infinite values of {name} count as missing" for name in needed if name in frame
-                and (count := _infinite(frame[name]))]  # fmt: skip
+                and (count := int(np.isinf(np.asarray(frame[name], dtype=np.float64)).sum()))]  # fmt: skip
     wild = mask_wild(columns)
     t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
     check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
@@ -275,11 +275,6 @@ def recording(
         sha256=columns_sha256(columns) if sha256 is None else sha256,
         notes=tuple(notes),
     )
-
-
-def _infinite(values: pd.Series | np.ndarray) -> int:
-    """How many values are infinite."""
-    return int(np.count_nonzero(np.isinf(np.asarray(values, dtype=np.float64))))
 
 
 def _held_unread(columns: dict[str, np.ndarray]) -> list[str]:
