@@ -53,12 +53,21 @@ LITRE = 1e-3  # m3
 
 WILD = 1e3  # times the highest median of any engine: a counter's overflow or a broken cell, no reading
 FEW_WILD = 0.01  # of the rows; more of them are another unit, which `check_plausible` tells
+ERROR_CODES = (-999.0, -9999.0, -99999.0, -32768.0)
+"""What loggers write where there is no reading; no quantity of an engine is one of them in SI units."""
+MOST_CODES = 0.5  # of the rows; a channel with more of them shows nothing
 
 
 def mask_wild(columns: dict[str, np.ndarray]) -> list[str]:
-    """Make single values missing that no engine has in any unit (1e300, an overflow); a sentence for each column."""
+    """Make values missing that are loggers' error codes, and single ones that no engine has in any unit (1e300, an
+    overflow); a sentence for each column."""
     notes = []
     for name in (name for name in CHECKED if name in columns):
+        coded = np.isin(columns[name], ERROR_CODES)
+        if 0 < np.count_nonzero(coded) <= MOST_CODES * coded.size:
+            code, count = columns[name][coded][0], np.count_nonzero(coded)
+            columns[name] = np.where(coded, np.nan, columns[name])
+            notes.append(f"{count} values of {name} are an error code ({code:g}) and count as missing")
         wild = np.abs(columns[name]) > WILD * symbol(name).high  # not so for NaN
         count = int(np.count_nonzero(wild))
         if 0 < count <= max(1.0, FEW_WILD * wild.size):
@@ -111,6 +120,10 @@ def _check_median(name: str, median: float, where: str) -> None:
     low = TINY_FUEL_MG if name == "u_delta_mg" else range_.low
     if low <= median <= range_.high:
         return
+    if name == "u_delta_mg" and 0.0 <= median < low:
+        raise InputError(f"{where}: column {name}", f"a median of {median:.6g}", f"{low:g} mg/cycle or more in half of "
+                         "the rows, of an engine under load", "cut motoring off, or give the unit in a channel map "
+                         "(--channels)")  # fmt: skip
     looks = next((s.unit for s in SLIPS.get(range_.unit, ()) if s.low <= median <= s.high), None)
     guess = f" (looks like {looks})" if looks else ""
     raise InputError(

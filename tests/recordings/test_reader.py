@@ -350,3 +350,14 @@ def test_three_hundred_rows_at_five_hertz_are_a_minute(drive):
     assert len(recording(drive.iloc[:300]).segments()) == 1
     with pytest.raises(InputError, match="at least 60 s"):
         recording(drive.iloc[:298]).segments()
+
+
+def test_error_codes_of_loggers_count_as_missing(drive: pd.DataFrame) -> None:
+    """-9999 in an exhaust temperature was said to look like degC."""
+    frame = drive.copy()
+    frame.loc[10:29, "t_em_k"] = -9999.0
+    read = recording(frame)
+    assert np.isnan(read.columns["t_em_k"][10:30]).all() and np.isfinite(read.columns["t_em_k"][30:]).all()
+    assert "20 values of t_em_k are an error code (-9999) and count as missing" in read.notes
+    with pytest.raises(InputError, match=r"a median of 0; allowed: 0\.1 mg/cycle or more in half of the rows"):
+        recording(frame.assign(u_delta_mg=0.0))
