@@ -18,7 +18,8 @@ class Note(str):
             replayed_channel, clipped_channel, spikes, short, wrong_engine, reading (what was done to the file),
             reference (about what was learned), dates (of several recordings), long (a part was
             judged), out_of_time, false_alarms (of a calibration on pieces without fault),
-            circumstances (what a recording doesn't say, found from the recording itself).
+            circumstances (what a recording doesn't say, found from the recording itself),
+            wrong_column (of the weather).
         affects: columns, or segments, that it is about; none: the whole answer.
     """
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -76,7 +76,9 @@ class DrivingDiscovered(Discovered):
         if document.out_of_time is not None:  # the search knows what was left for it
             told = document.out_of_time.model_copy(update={"limit_s": self.question.time_s})
             document = document.model_copy(update={"out_of_time": told})
-        return with_warnings(document, [*self.question.notes, *circumstance_notes(document), *_time_notes(document)])
+        read = self.question.recording.columns
+        found = [*circumstance_notes(document), *_column_notes(document, read), *_time_notes(document)]
+        return with_warnings(document, [*self.question.notes, *found])
 
     @property
     def engine(self) -> EngineParameters:
@@ -305,6 +307,15 @@ def circumstance_notes(document: Discrepancy) -> list[Note]:
     words = circumstances_words(document)
     notes = [Note(f"{words}; judged as such, no fault of the engine", "circumstances", off)] if off else []
     return [*notes, *(Note(text, "circumstances") for text in alike_words(document))]
+
+
+def _column_notes(document: Discrepancy, columns: Container[str]) -> list[Note]:
+    """That a column of the weather reads wrongly, where the recording shows another one."""
+    off = tuple(item.name for item in document.circumstances if item.off and item.name in columns)
+    if not off:
+        return []
+    return [Note(f"{listed(off)} may read wrongly, which bends all that is found: judge the recording again without it",
+                 "wrong_column", off)]  # fmt: skip
 
 
 def _asked(engine: Engine | str | Path | None, channels: Channels | None, question: Asked) -> dict[str, Any]:

@@ -64,10 +64,10 @@ def mask_wild(columns: dict[str, np.ndarray]) -> list[str]:
     notes = []
     for name in (name for name in CHECKED if name in columns):
         coded = np.isin(columns[name], ERROR_CODES)
-        if 0 < np.count_nonzero(coded) <= MOST_CODES * coded.size:
-            code, count = columns[name][coded][0], np.count_nonzero(coded)
+        if 0 < (codes := int(np.count_nonzero(coded))) <= MOST_CODES * coded.size:
+            code = columns[name][coded][0]
             columns[name] = np.where(coded, np.nan, columns[name])
-            notes.append(f"{count} values of {name} are an error code ({code:g}) and count as missing")
+            notes.append(f"{codes} values of {name} are an error code ({code:g}) and count as missing")
         wild = np.abs(columns[name]) > WILD * symbol(name).high  # not so for NaN
         count = int(np.count_nonzero(wild))
         if 0 < count <= max(1.0, FEW_WILD * wild.size):

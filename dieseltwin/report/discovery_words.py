@@ -276,8 +276,9 @@ def _left_words(document: Discrepancy) -> list[str]:
 
 
 def _doubt_words(document: Discrepancy) -> list[str]:
-    """That the engine file may be another engine's, where the recording looks like it."""
-    return [doubt.text for doubt in document.warnings if doubt.code == "wrong_engine"]
+    """That the engine file may be another engine's, or a column of the weather wrong, where the recording looks like
+    it."""
+    return [doubt.text for doubt in document.warnings if doubt.code in ("wrong_engine", "wrong_column")]
 
 
 def _what_words(document: Discrepancy) -> str:

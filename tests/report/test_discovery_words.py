@@ -5,8 +5,10 @@ from __future__ import annotations
 import pytest
 import synthetic_discovery as synthetic
 
-from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance
+from dieseltwin.api.driving import _column_notes
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance, with_warnings
 from dieseltwin.engine.effects import EFFECTS, SITES
+from dieseltwin.notes import Note
 from dieseltwin.report.circumstance_words import circumstance_words
 from dieseltwin.report.discovery_words import magnitude_words, sentence, site_words
 
@@ -97,6 +99,28 @@ def test_the_share_explained_and_what_is_left_are_said() -> None:
     assert "this explains 97 % of the misfit beyond noise and tolerances" in text
     assert text.endswith(f"{left} is left where noise leaves 1, as the maps' tolerances allow.")
     assert "but more is missing" in sentence(synthetic.document(fit=known, more_is_missing=True))
+
+
+def test_more_than_tolerances_allow_is_not_excused_by_them() -> None:
+    fit = {**synthetic.content()["fit"], "chi2_per_sample_after": 10.9, "share_explained": 0.83}
+    text = sentence(synthetic.document(fit=fit))
+    assert "10.90 of chi-square per sample is left where noise leaves 1, more than maps and sensors within" in text
+
+
+def test_doubts_of_the_engine_file_and_of_the_weathers_columns_are_in_the_sentence() -> None:
+    notes = [Note("check V_d", "wrong_engine"), Note("p_amb_pa may read wrongly", "wrong_column"), Note("b", "reading")]
+    for document in (synthetic.document(), Discrepancy.model_validate(synthetic.healthy_content())):
+        assert sentence(with_warnings(document, notes)).endswith("; check V_d; p_amb_pa may read wrongly.")
+
+
+def test_a_column_of_the_weather_that_the_recording_contradicts_is_doubted() -> None:
+    found = FoundCircumstance(
+        name="p_amb_pa", value=89_500.0, std=300.0, assumed=101_325.0, unit="Pa", off=True, equivalent_names=()
+    )
+    document = synthetic.document(circumstances=[found.model_dump()])
+    assert not _column_notes(document, ["t_amb_k"])
+    note, = _column_notes(document, ["p_amb_pa", "t_amb_k"])
+    assert note.code == "wrong_column" and note.affects == ("p_amb_pa",)
 
 
 def test_a_search_that_its_time_ended_says_so() -> None:
