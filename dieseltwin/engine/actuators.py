@@ -6,10 +6,9 @@ from dieseltwin.engine.array_namespace import Array, exp, maximum, minimum, wher
 
 
 def actuator_update(u_state: Array, u_start: Array, u_end: Array, step: Array, tau: Array) -> Array:
-    """State [%] of an actuator `step` [s] later, for a delayed input that runs linearly from u_start to u_end [%].
+    """State [%] of an actuator `step` [s] later (A.16, A.17, A.25), for an input linear from u_start to u_end [%].
 
-    Exact solution of du_state/dt = (u_delayed - u_state) / tau (A.16, A.17, A.25): EGR with tau_egr1 and tau_egr2, VGT
-    with tau_vgt.
+    Exact solution of du_state/dt = (u_delayed - u_state) / tau: EGR with tau_egr1 and tau_egr2, VGT with tau_vgt.
     """
     slope_lag = (u_end - u_start) / step * tau
     return u_end - slope_lag + (u_state - u_start + slope_lag) * exp(-step / tau)
