@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +106,7 @@ class Identified(Result):
         words = [", ".join(known) or "no parameter can be told"]
         words += [f"not identifiable here: {', '.join(unknown)}"] if unknown and known else []
         doubt = "The twin doesn't fit this recording (see `dieseltwin discover`). " if self._misfits else ""
-        if not doubt and any(note.code == "misfit" for note in misfits(self.found.to_json())):
+        if not doubt and any(note.code == "misfit" for note in self._left):
             doubt = "The fit leaves more than the noise, so that the intervals are too narrow. "
         return f"{doubt}{self.found.method}, {len(self.problems)} segments: {'; '.join(words)}."
 
@@ -149,7 +150,12 @@ class Identified(Result):
     @property
     def warnings(self) -> list[dict[str, Any]]:
         """All that is doubtful, as in identification.json: code, text, affects."""
-        return warnings_of([*self.notes, *misfits(self.found.to_json())])
+        return warnings_of([*self.notes, *self._left])
+
+    @cached_property
+    def _left(self) -> list[Note]:
+        """What the fits themselves show."""
+        return misfits(self.found.to_json())
 
     @property
     def _misfits(self) -> list[Note]:
@@ -157,9 +163,9 @@ class Identified(Result):
 
     def lines(self) -> list[str]:
         """That the twin doesn't fit, where it doesn't; the table as text, and the other notes."""
-        document = self.found.to_json()
         first = self._misfits
-        return [*first, *text_table(document), *(n for n in self.notes if n not in first), *misfits(document)]
+        table = text_table(self.found.to_json())
+        return [*first, *table, *(n for n in self.notes if n not in first), *self._left]
 
 
 def _load_page() -> None:

@@ -41,16 +41,19 @@ def readable(named: Named) -> Named:
     Raises:
         InputError: what can't be read, as `refuse_unreadable`.
     """
-    for path in named if isinstance(named, list) else (named,):
-        refuse_unreadable(path)
+    _refuse_unreadable_among(named, "a recording")
     return named
 
 
 def readable_engines(named: list[Path] | None) -> list[Path] | None:
     """The same of engine files."""
-    for path in named or ():
-        refuse_unreadable(path, "a learned engine")
+    _refuse_unreadable_among(named, "a learned engine")
     return named
+
+
+def _refuse_unreadable_among(named: Path | list[Path] | None, allowed: str) -> None:
+    for path in named if isinstance(named, list) else (named,):
+        refuse_unreadable(path, allowed)
 
 
 def progress(text: str) -> None:

@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -107,15 +107,21 @@ class History:
             raise InputError(str(self.folder), error.strerror or error, "a folder you may write to",
                              "choose another --history") from None
         made = self.path.with_name(f".{FILE_NAME}.{os.getpid()}.new")
+        made.unlink(missing_ok=True)  # of a process of the same number that was killed
         with self._opened(made) as connection:
             for table in _TABLES:
                 connection.execute(table)
             about = {"schema": str(SCHEMA), "engine_sha256": str(self._engine_sha256), "code_version": __version__}
             connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
             connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-        with suppress(FileExistsError):  # another process was first
+        try:
             os.link(made, self.path)  # whole or not at all: an empty history is a damaged one
-        made.unlink()
+        except FileExistsError:
+            pass  # another process was first
+        except OSError:  # a file system without links
+            if not self.path.exists():
+                made.rename(self.path)
+        made.unlink(missing_ok=True)
 
     @contextmanager
     def _opened(self, path: Path | None = None) -> Iterator[sqlite3.Connection]:

@@ -104,6 +104,15 @@ def test_a_file_that_was_emptied_is_refused_and_none_is_ever_begun_empty(tmp_pat
             History(tmp_path / "new", engine)
 
 
+def test_a_history_begins_where_the_file_system_knows_no_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def refused(*_: object) -> None:
+        raise OSError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refused)
+    assert History(tmp_path, ENGINE).add(entry(0)) and len(History(tmp_path).entries()) == 1
+    assert [item.name for item in tmp_path.iterdir()] == [FILE_NAME]
+
+
 def test_the_same_rows_in_another_file_are_the_same_recording(tmp_path: Path):
     store, rows = History(tmp_path, ENGINE), "a" * 64
     assert store.add(replace(entry(0), rows_sha256=rows)) and store.holds(rows)

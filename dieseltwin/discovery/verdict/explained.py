@@ -47,8 +47,8 @@ def disagreement(found: Search, at: Linearisation) -> Array:
         among = np.zeros(count) if found.law.disagreement is None else found.law.disagreement
     else:
         among = _among_explanations(found, lambda fits: np.array([fit.parameters[:count] for fit in fits]))
-    moved, coefficients = _terms_beyond(found, at)
-    return np.hypot(among, _mean_size(moved[:, :count] * coefficients[:, None]))
+    moved = [step[:count] for _, step in _terms_beyond(found, at)]
+    return np.hypot(among, _mean_size(moved, count))
 
 
 def disagreement_of_circumstances(found: Search, at: Linearisation) -> Array:
@@ -64,14 +64,10 @@ def disagreement_of_circumstances(found: Search, at: Linearisation) -> Array:
         among = np.zeros(len(items))
     else:
         among = _among_explanations(found, lambda fits: _circumstances_beside(found, fits))
-    taken_up = [np.zeros(len(items))]
-    if at.nuisance_response is not None:
-        moved, coefficients = _terms_beyond(found, at)
-        taken_up = [
-            at.metric.nuisance_estimate(size * (term.response + np.tensordot(step, at.jacobian, 1)))[-len(items) :]
-            for size, term, step in zip(coefficients, _beyond(found), moved, strict=True)
-        ] or taken_up
-    return np.hypot(among, _mean_size(np.array(taken_up)))
+    terms = [] if at.nuisance_response is None else _terms_beyond(found, at)
+    left = (term.coefficient * term.response + np.tensordot(step, at.jacobian, 1) for term, step in terms)
+    taken_up = [at.metric.nuisance_estimate(each)[-len(items) :] for each in left]
+    return np.hypot(among, _mean_size(taken_up, len(items)))
 
 
 def _circumstances_beside(found: Search, fits: Sequence[Fit]) -> Array:
@@ -96,22 +92,18 @@ def _among_explanations(found: Search, values: Callable[[Sequence[Fit]], Array])
     return scatter(said, said[0], np.array([fit.objective - fits[0].objective for fit in fits]))
 
 
-def _beyond(found: Search) -> list[Structure]:
-    """The strongest terms beyond the explanation: they say the same with other words."""
+def _terms_beyond(found: Search, at: Linearisation) -> list[tuple[Structure, Array]]:
+    """The strongest terms beyond the explanation, which say the same with other words, and how each of them moves what
+    the explanation has free (P,)."""
     left = sorted((*found.left, *found.left_local), key=lambda item: -item.held)
-    return [item for item in left if item.held > max(found.settings.chance_leaves, _AS_STRONG * left[0].held)]
-
-
-def _terms_beyond(found: Search, at: Linearisation) -> tuple[Array, Array]:
-    """How a unit of each of the strongest terms that are left moves what an explanation has free (F, P), and their
-    coefficients (F,)."""
-    kept = _beyond(found)
+    kept = [item for item in left if item.held > max(found.settings.chance_leaves, _AS_STRONG * left[0].held)]
     if not kept:
-        return np.zeros((0, len(at.jacobian))), np.zeros(0)
+        return []
     rows = at.metric.project(np.array([item.response for item in kept]))
-    return -(rows @ at.projected.T) @ at.covariance, np.array([item.coefficient for item in kept])
+    moved = -(rows @ at.projected.T) @ at.covariance
+    return [(item, item.coefficient * step) for item, step in zip(kept, moved, strict=True)]
 
 
-def _mean_size(changes: Array) -> Array:
-    """Root mean square (N,) over changes (F, N): one of them is made. 0 for none."""
-    return np.sqrt(np.mean(changes**2, axis=0)) if len(changes) else np.zeros(changes.shape[1])
+def _mean_size(changes: Sequence[Array], count: int) -> Array:
+    """Root mean square (N,) over changes (N,), of which one is made; 0 for none."""
+    return np.sqrt(np.mean(np.square(changes), axis=0)) if changes else np.zeros(count)
