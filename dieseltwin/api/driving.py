@@ -311,11 +311,11 @@ def circumstance_notes(document: Discrepancy) -> list[Note]:
 
 def _column_notes(document: Discrepancy, columns: Container[str]) -> list[Note]:
     """That a column of the weather reads wrongly, where the recording shows another one."""
-    off = tuple(item.name for item in document.circumstances if item.off and item.name in columns)
-    if not off:
-        return []
-    return [Note(f"{listed(off)} may read wrongly, which bends all that is found: judge the recording again without it",
-                 "wrong_column", off)]  # fmt: skip
+    off = [item for item in document.circumstances if item.off and item.name in columns]
+    bends = "may read wrongly, which bends all that is found: judge the recording again without it"
+    said = ((True, bends), (False, "reads wrongly and was left out, as if it weren't recorded"))
+    named = [(tuple(dict.fromkeys(item.name for item in off if item.read == read)), words) for read, words in said]
+    return [Note(f"{listed(names)} {words}", "wrong_column", names) for names, words in named if names]
 
 
 def _asked(engine: Engine | str | Path | None, channels: Channels | None, question: Asked) -> dict[str, Any]:

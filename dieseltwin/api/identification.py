@@ -309,9 +309,9 @@ def ask(
     networks = setup.networks(chosen)
     without = [Note(f"without {name}: {COSTS[name]}", "missing_sensor", (name,))
                for name in SENSORS if name not in used]
-    notes = (*_notes(source, parameters), *channel_notes(source, used), *without, *left_out)
-    seed = settings.seed if seed is None else seed
     fitted = tuple(used) if masked is not None else tuple(name for name in MEASURED if name in source.columns)
+    notes = (*_notes(source, parameters), *channel_notes(source, fitted), *without, *left_out)
+    seed = settings.seed if seed is None else seed
     fit_with = (with_charge(parameters, source), fitted) if setup.fit_test and chosen.needs.maps == EXACT else None
     return IdentificationQuestion(tuple(problems), method, runs, seed, settings, networks, notes, source,
                                   segment_s, masked, fit_with, source.path.name if source.path else "")  # fmt: skip

@@ -114,13 +114,14 @@ def test_doubts_of_the_engine_file_and_of_the_weathers_columns_are_in_the_senten
 
 
 def test_a_column_of_the_weather_that_the_recording_contradicts_is_doubted() -> None:
-    found = FoundCircumstance(
-        name="p_amb_pa", value=89_500.0, std=300.0, assumed=101_325.0, unit="Pa", off=True, equivalent_names=()
-    )
-    document = synthetic.document(circumstances=[found.model_dump()])
-    assert not _column_notes(document, ["t_amb_k"])
-    note, = _column_notes(document, ["p_amb_pa", "t_amb_k"])
-    assert note.code == "wrong_column" and note.affects == ("p_amb_pa",)
+    for read, words in ((True, "judge the recording again without it"), (False, "was left out")):
+        found = FoundCircumstance(
+            name="p_amb_pa", value=89_500.0, std=300.0, assumed=101_325.0, unit="Pa", off=True, read=read
+        )
+        document = synthetic.document(circumstances=[found.model_dump()])
+        assert not _column_notes(document, ["t_amb_k"])
+        note, = _column_notes(document, ["p_amb_pa", "t_amb_k"])
+        assert note.code == "wrong_column" and note.affects == ("p_amb_pa",) and words in note
 
 
 def test_a_search_that_its_time_ended_says_so() -> None:

@@ -70,6 +70,8 @@ def under_circumstances(found: Search, *, well: bool = False) -> Twin | None:
         return None
     rest = [item for item in twin.circumstances if not item.unknown and item.name not in twin.opened]
     off = _plainly_off(found, twin, rest, well) if rest else None
+    if off is None and not well:
+        off = _misread(found, twin)
     return off if off is not None or (well and weather_is_read(twin)) else _moved(found, twin)
 
 
@@ -87,7 +89,7 @@ def in_weather_of(found: Search, fit: Fit) -> Twin | None:
     twin = found.twin
     if not isinstance(twin, WithCircumstances):
         return None
-    items = [item for item in _movable(found) if not item.kind]
+    items = [item for item in _movable(twin) if not item.kind]
     if all(item.read for item in items if item.plain in AMBIENT):
         return None
     values = _settled(found, twin, fit, items, {}).values
@@ -113,7 +115,7 @@ def _moved(found: Search, twin: WithCircumstances) -> Twin | None:
     """
     lead = leading(found)
     held = belief_of(found.twin) is not None
-    movable = [item for item in _movable(found) if not (held and item.read)]
+    movable = [item for item in _movable(twin) if not (held and item.read)]
     moves = np.any(np.abs(_shares(found, found.null, movable)) >= [_bar(item) for item in movable])
     alone = _settled(found, twin, found.null.fit, movable, {}) if moves else None
     if alone and (lead is found.null or alone.evidence < _evidence(lead) + found.settings.alarm_gain):
@@ -144,9 +146,9 @@ def _bar_beside(item: Circumstance) -> float:
     return _BESIDE * (_MOVED_UNREAD if item.plain in AMBIENT and not item.read else _MOVED)
 
 
-def _movable(found: Search) -> list[Circumstance]:
+def _movable(twin: WithCircumstances) -> list[Circumstance]:
     """What is open and can be simulated elsewhere than where the twin has it."""
-    return [item for item in open_circumstances(found.twin) if item.kind not in (DRIFT, SCALE)]
+    return [item for item in open_circumstances(cast(Twin, twin)) if item.kind not in (DRIFT, SCALE)]
 
 
 def _shares(found: Search, at: Linearisation, items: Sequence[Circumstance]) -> Array:
@@ -210,7 +212,32 @@ def _plainly_off(
     if delay is None:
         return other
     near = {**settled.values, delay.name: settled.values[delay.name] - float(settled.at.fit.magnitudes[0])}
-    settled = _settled(found, twin, found.null.fit, [*_movable(found), *chosen], near)
+    settled = _settled(found, twin, found.null.fit, [*_movable(twin), *chosen], near)
+    return twin.under({**twin.values, **settled.values}, opened)
+
+
+def _misread(found: Search, twin: WithCircumstances) -> Twin | None:
+    """The twin with columns of the weather believed no more than none, where that adds more to the best single effect
+    than any other does; None where every column is near to what the recording shows.
+
+    A placeholder (101.3 kPa at 1500 m) that is believed as a barometer holds what is found away from the truth.
+    """
+    lead = leading(found)
+    read = [item for item in _movable(twin) if item.read and item.plain in AMBIENT]
+    far = [
+        item.name for item, share in zip(read, _shares(found, lead, read), strict=True)
+        if abs(share) * item.std > item.notable
+    ]  # fmt: skip
+    if not far:
+        return None
+    opened = twin.opened | frozenset(far)
+    other = cast(WithCircumstances, twin.under(twin.values, opened, like=True))
+    settled = _settled(found, other, lead.fit, _movable(other), {})
+    gain = _evidence(lead) - settled.evidence
+    beliefs = twin.beliefs
+    rival = _rival(found, lead, gain)
+    if gain < max(beliefs.evidence, rival + beliefs.ahead if rival > found.settings.alarm_gain else 0.0):
+        return None
     return twin.under({**twin.values, **settled.values}, opened)
 
 
@@ -231,7 +258,7 @@ def _chosen(
 
     Where it wants several clocks, none of the others is trusted to be in time either.
     """
-    unknown = _movable(found)
+    unknown = _movable(twin)
     everything = _settled(found, twin, start, [*unknown, *rest], {})
     chosen = _needed(everything, rest)
     if not chosen:

@@ -47,11 +47,18 @@ _ALIKE = {
 
 
 def circumstances_of(
-    recording: Recording, engine: EngineParameters, channels: Sequence[str], priors: CircumstanceSettings
-) -> tuple[Circumstance, ...]:
-    """What a recording doesn't say, or may say wrongly, and what is believed of it."""
+    recording: Recording, engine: EngineParameters, channels: Sequence[str], priors: CircumstanceSettings,
+    opened: frozenset[str] = frozenset(),
+) -> tuple[Circumstance, ...]:  # fmt: skip
+    """What a recording doesn't say, or may say wrongly, and what is believed of it.
+
+    Args:
+        recording: with or without columns of the weather; engine, channels, priors: what else is believed.
+        opened: names of those that were found to be off; a column of the weather that is among them is believed as
+            little as none.
+    """
     def read(name: str) -> bool:
-        return name in recording.columns and bool(np.isfinite(recording.columns[name]).any())
+        return name not in opened and name in recording.columns and bool(np.isfinite(recording.columns[name]).any())
 
     pressure, temperature, charge = read("p_amb_pa"), read("t_amb_k"), read("t_im_k")
     p_amb, t_amb = recording.p_amb_pa, recording.t_amb_k
@@ -112,7 +119,7 @@ class LoggedTwin(EngineTwin):
         self._read = recording, engine, sensors, map_tolerance, belief
         self.beliefs = beliefs or default_search().circumstances
         self.opened = opened
-        self.circumstances = circumstances_of(recording, engine, self.channels, self.beliefs)
+        self.circumstances = circumstances_of(recording, engine, self.channels, self.beliefs, opened)
         self._leave_delays_to_clocks()
         pressure = recording.columns.get("p_amb_pa")
         self._drift = _course(self.recording_time_s, None if pressure is None else pressure[self.rows])

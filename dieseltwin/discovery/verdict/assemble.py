@@ -150,7 +150,8 @@ def found_circumstance(estimate: Estimate) -> FoundCircumstance:
     item = estimate.circumstance
     return FoundCircumstance(
         name=item.plain, value=estimate.value, std=estimate.std, assumed=item.assumed, unit=item.unit, off=estimate.off,
-        equivalent_names=item.effects, recording=None if item.recording is None else 1 + item.recording,
+        read=item.read, equivalent_names=item.effects,
+        recording=None if item.recording is None else 1 + item.recording,
     )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import INPUTS, foreign_hint
+from dieseltwin.recordings.guess.physics import reversed_positions
 from dieseltwin.recordings.held import rows_between_readings
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.sensors import NEEDED
@@ -32,6 +33,9 @@ COMFORTABLE_S = 300.0
 
 MOST_ROWS = 150_000
 """Rows with the engine running: responses to all tolerances and effects take 50 kB a row while they are compared."""
+
+_MET = 100
+"""Rows with a reading of every channel, from which a direction is told."""
 
 LEAST_SENSORS = 3
 """As many readings as states; with fewer a state can't be told from a parameter."""
@@ -349,9 +353,17 @@ def check_fit(
     """
     problem = misfit_of(engine, repaired, chi2_per_sample)
     if problem is not None:
+        first = "".join(f"turn {name} round ({why}), or " for name, why in _turned(recording).items())
         raise InputError(f"{recording.path or 'recording'} with this engine file", *problem,
-                         "give the file of this engine with --engine (`dieseltwin learn` makes it from driving when the"
-                         " engine was well) or --reference, or check the channels and their units")
+                         f"{first}give the file of this engine with --engine (`dieseltwin learn` makes it from driving"
+                         " when the engine was well) or --reference, or check the channels and their units")
+
+
+def _turned(recording: Recording) -> dict[str, str]:
+    """Positions of a recording that seem to count the other way, with the reason."""
+    columns = {"p_amb_pa": np.full(recording.time_s.size, recording.p_amb_pa), **recording.columns}
+    met = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
+    return reversed_positions({name: values[met] for name, values in columns.items()}) if met.sum() > _MET else {}
 
 
 def misfit_of(

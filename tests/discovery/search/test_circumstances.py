@@ -93,6 +93,19 @@ def test_a_healthy_engine_on_a_hill_is_let_be() -> None:
     assert "the ambient pressure is 9" in sentence(document)
 
 
+@pytest.mark.parametrize("faults", [(), (Fault("boost_leak", 4e-5),)])
+def test_a_barometer_that_is_a_placeholder_is_not_believed(faults: tuple[Fault, ...]) -> None:
+    """101.3 kPa written by a logger on a hill of 84: what is found is held away from the truth by it."""
+    driving = draw_driving("random", 200.0, we2011.PARAMETERS.model_dump(), np.random.default_rng(3))
+    run = run_plant(driving, we2011.PARAMETERS.model_dump() | {"p_amb": 84_000.0}, faults=faults)
+    frame = read(run, driving, faults, SensorSet.perfect(), 6, np.random.default_rng(4))
+    document = _judged(frame.assign(p_amb_pa=101_325.0, t_amb_k=we2011.PARAMETERS.T_amb))
+    assert [effect.name for effect in document.effects] == [fault.effect for fault in faults]
+    (pressure,) = (item for item in document.circumstances if item.name == "p_amb_pa")
+    assert pressure.off and not pressure.read
+    assert pressure.value == pytest.approx(84_000.0, abs=3.0 * pressure.std)
+
+
 def test_a_cold_charge_that_no_column_gives_is_followed_by_simulation() -> None:
     """Taken linearly up to 6 K it left A_vgtmax 0.6 % off, three and a half stated deviations, ambient recorded."""
     cold = we2011.PARAMETERS.T_im - 7.0
