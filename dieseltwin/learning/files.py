@@ -38,6 +38,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief, rougher
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.derived import Made
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import share_known
 from dieseltwin.sealed import sealed_text
@@ -172,6 +173,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
             {
                 "sha256": item.sha256, "seconds": item.duration_s, "p_amb_pa": item.p_amb_pa, "t_amb_k": item.t_amb_k,
                 "began": None if item.began is None else item.began.isoformat(), "misfit": learned.misfits[item.sha256],
+                "made": [[column, dict(needs)] for column, needs in item.made.follows.items()],  # in their order
             }
             for item in learned.recordings
         ],
@@ -217,7 +219,8 @@ def _recording(row: dict[str, Any], data: bytes, base: EngineParameters) -> Reco
     frame = pd.read_parquet(io.BytesIO(base64.b64decode(data)), **WITHOUT_THREADS)
     columns = {name: frame[name].to_numpy() for name in frame}
     began = None if row.get("began") is None else datetime.fromisoformat(row["began"])
-    return Recording(columns["time_s"], columns, row["p_amb_pa"], row["t_amb_k"], None, row["sha256"], began=began)
+    return Recording(columns["time_s"], columns, row["p_amb_pa"], row["t_amb_k"], None, row["sha256"], began=began,
+                     made=Made(dict(row.get("made", ()))))
 
 
 def overlap(recordings: Sequence[Recording], other: Recording) -> float:

@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.derived import DERIVATIONS, DIESEL_KG_L, Constants, Derivation
+from dieseltwin.recordings.derived import DERIVATIONS, DIESEL_KG_L, Constants, Derivation, Made
 from dieseltwin.sensors import MEASURED, NEEDED
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
 
@@ -183,6 +183,13 @@ class ChannelMap:
             computed -= {entry.column for _, entry in ready}
             waiting = [item for item in waiting if item not in ready]
         return ordered
+
+    @property
+    def made(self) -> Made:
+        """What the entries compute, and the ambient pressure that they assume."""
+        computed = [entry for _, entry in self.in_order() if entry.derivation is not None]
+        assumed = [entry.ambient_pa for entry in computed if entry.ambient_pa is not None]
+        return Made({e.column: e.derivation.follows for e in computed if e.derivation}, assumed[0] if assumed else None)
 
     def refuse_unknown(self, names: Sequence[str], where: str) -> None:
         """Every foreign name must be in the file.

@@ -110,12 +110,16 @@ def put_right(
 ) -> tuple[Recording, EngineParameters]:
     """The recording as it would have been under known circumstances, and the engine with the charge's temperature.
 
+    Columns that a channel map computed (absolute from gauge pressure, fuel per stroke from fuel per hour) are worked
+    out again from what they follow.
+
     Args:
         recording: as it was read.
         engine: as it was given.
         values: name -> value; drifts are not applied.
     """
-    columns = dict(recording.columns)
+    before = recording.columns.get("p_amb_pa", recording.p_amb_pa)
+    columns = {**recording.columns, **recording.made.undone(recording.columns, before)}
     for name, value in values.items():
         kind, _, column = name.rpartition(":")
         if kind == SCALE:
@@ -126,6 +130,7 @@ def put_right(
             else:
                 columns[column] = _earlier_rows(recording.time_s, columns[column], value)
     p_amb, t_amb = float(values.get("p_amb_pa", recording.p_amb_pa)), float(values.get("t_amb_k", recording.t_amb_k))
+    columns |= recording.made.redone(columns, before + (p_amb - recording.p_amb_pa))
     if "t_im_k" in values:
         engine = engine.replace(T_im=float(values["t_im_k"]))
     return replace(recording, columns=columns, p_amb_pa=p_amb, t_amb_k=t_amb), engine

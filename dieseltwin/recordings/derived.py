@@ -9,8 +9,8 @@ A channel map names them with `via`::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +18,10 @@ DIESEL_KG_L = 0.835  # density of diesel at 15 degC [kg/L]: the middle of EN 590
 STOICHIOMETRIC = 14.57  # air to fuel by mass [-], the published engine's AF_s
 STROKES = 120.0  # s/min times revolutions a cycle: n_e/120 cycles a second of a four-stroke engine
 SLOWEST_RPM = 100.0  # below, fuel per stroke from fuel per hour means nothing: missing
+
+AMBIENT = "p_amb_pa"
+STAND_IN_PA = 101_325.0
+"""Ambient pressure that stands in a map where nobody knows it: the engine file's is taken."""
 
 Columns = Mapping[str, np.ndarray]
 _MASS_RATE = {
@@ -55,7 +59,7 @@ class Derivation:
     Attributes:
         name: as written in `via`.
         gives: our columns that it can give.
-        needs: our columns that it takes besides, at the same times.
+        follows: our columns that it takes besides, at the same times -> power with which they enter, 0 where added.
         units: foreign unit -> factor to the unit of `value`.
         cylinders: whether the number of cylinders must be given.
         formula: (value (n,), columns, constants) -> ours (n,).
@@ -64,11 +68,82 @@ class Derivation:
 
     name: str
     gives: tuple[str, ...]
-    needs: tuple[str, ...]
+    follows: Mapping[str, int]
     units: Mapping[str, float]
     cylinders: bool
     formula: Callable[[np.ndarray, Columns, Constants], np.ndarray]
     words: str
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Our columns that it takes besides."""
+        return tuple(self.follows)
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a channel map computed: columns that have to be worked out again where those that they follow are put right.
+
+    Attributes:
+        follows: column -> column that it follows -> power, 0 where added; each behind all that it follows.
+        ambient_pa: ambient pressure that lines of the map assume [Pa], None where columns give it or none is needed.
+    """
+
+    follows: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    ambient_pa: float | None = None
+
+    def among(self, columns: Collection[str]) -> Made:
+        """What can be worked out from some columns and the ambient pressure."""
+        there = {*columns, AMBIENT}
+        kept = {
+            name: {need: power for need, power in needs.items() if need in there}
+            for name, needs in self.follows.items() if name in columns
+        }  # fmt: skip
+        return Made({name: needs for name, needs in kept.items() if needs}, self.ambient_pa)
+
+    def of_recording(self, columns: dict[str, np.ndarray], p_amb_pa: float) -> tuple[Made, float]:
+        """What of a recording's columns (n,) can be worked out again, and its ambient pressure [Pa].
+
+        Args:
+            columns: of the recording; gauge pressures whose ambient nobody knows are put under `p_amb_pa`.
+            p_amb_pa: of the column, else the engine's [Pa].
+        """
+        there = self.among(columns)
+        if there.ambient_pa is None:
+            return there, p_amb_pa
+        if AMBIENT in columns:  # the map asks for an ambient of its own
+            needs = {name: {n: k for n, k in of.items() if n != AMBIENT} for name, of in there.follows.items()}
+            return Made({name: of for name, of in needs.items() if of}), p_amb_pa
+        if there.ambient_pa != STAND_IN_PA:
+            return there, there.ambient_pa
+        columns |= there.redone({**columns, **there.undone(columns, STAND_IN_PA)}, p_amb_pa)
+        return there, p_amb_pa
+
+    def undone(self, columns: Columns, ambient_pa: np.ndarray | float) -> dict[str, np.ndarray]:
+        """The computed columns (n,) as they were recorded, up to a factor."""
+        beside = {**columns, AMBIENT: ambient_pa}
+        return {name: _applied(columns[name], needs, beside, -1) for name, needs in self.follows.items()}
+
+    def redone(self, columns: Columns, ambient_pa: np.ndarray | float) -> dict[str, np.ndarray]:
+        """Computed columns (n,) from what `undone` gave, which stands in their places, and from what they follow."""
+        found = {**columns, AMBIENT: ambient_pa}
+        for name, needs in self.follows.items():
+            found[name] = _applied(found[name], needs, found, 1)
+        return {name: np.asarray(found[name]) for name in self.follows}
+
+
+NOTHING = Made()
+"""Of columns that were all recorded as they are."""
+
+
+def _applied(
+    values: np.ndarray, needs: Mapping[str, int], beside: Mapping[str, np.ndarray | float], sign: int
+) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):  # a standing engine: missing already
+        for need, power in needs.items():
+            other = beside[need]
+            values = values + sign * other if power == 0 else values * np.power(other, float(sign * power))
+    return values
 
 
 def _gauge(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
@@ -120,12 +195,18 @@ def _lambda(value: np.ndarray, columns: Columns, constants: Constants) -> np.nda
 
 _TABLE = (
     Derivation(
-        "gauge", ("p_im_pa", "p_em_pa"), ("p_amb_pa",), _PRESSURE, False, _gauge, "gauge pressure plus ambient pressure"
+        "gauge",
+        ("p_im_pa", "p_em_pa"),
+        {"p_amb_pa": 0},
+        _PRESSURE,
+        False,
+        _gauge,
+        "gauge pressure plus ambient pressure",
     ),
     Derivation(
         "pressure_ratio",
         ("p_im_pa", "p_em_pa"),
-        ("p_amb_pa",),
+        {"p_amb_pa": 1},
         {"1": 1.0},
         False,
         _pressure_ratio,
@@ -134,7 +215,7 @@ _TABLE = (
     Derivation(
         "above_intake",
         ("p_em_pa",),
-        ("p_im_pa",),
+        {"p_im_pa": 0},
         _PRESSURE,
         False,
         _above_intake,
@@ -143,7 +224,7 @@ _TABLE = (
     Derivation(
         "fuel_rate",
         ("u_delta_mg",),
-        ("n_e_rpm",),
+        {"n_e_rpm": -1},
         _MASS_RATE,
         True,
         _per_stroke,
@@ -152,19 +233,19 @@ _TABLE = (
     Derivation(
         "fuel_volume_rate",
         ("u_delta_mg",),
-        ("n_e_rpm",),
+        {"n_e_rpm": -1},
         _VOLUME_RATE,
         True,
         _fuel_volume_rate,
         "fuel volume flow times density over engine speed and cylinders",
     ),
     Derivation(
-        "fuel_volume", ("u_delta_mg",), (), {"mm3/cycle": 1.0}, False, _fuel_volume, "injected volume times density"
+        "fuel_volume", ("u_delta_mg",), {}, {"mm3/cycle": 1.0}, False, _fuel_volume, "injected volume times density"
     ),
     Derivation(
         "egr_rate",
         ("w_egr_kg_s",),
-        ("w_c_kg_s",),
+        {"w_c_kg_s": 1},
         _SHARE,
         False,
         _egr_rate,
@@ -173,7 +254,7 @@ _TABLE = (
     Derivation(
         "air_per_stroke",
         ("w_c_kg_s",),
-        ("n_e_rpm",),
+        {"n_e_rpm": 1},
         {"mg/cycle": 1e-6, "g/cycle": 1e-3, "kg/cycle": 1.0},
         True,
         _air_per_stroke,
@@ -182,7 +263,7 @@ _TABLE = (
     Derivation(
         "lambda",
         ("u_delta_mg",),
-        ("n_e_rpm", "w_c_kg_s"),
+        {"n_e_rpm": -1, "w_c_kg_s": 1},
         {"1": 1.0},
         True,
         _lambda,

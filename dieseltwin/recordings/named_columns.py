@@ -14,6 +14,7 @@ import pandas as pd
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import TIME, ChannelMap, channel_map, known_columns, read_channel_map
+from dieseltwin.recordings.derived import NOTHING, Made
 from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps, with_index
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
@@ -48,6 +49,7 @@ class Imported:
         notes: what was done to get there, one sentence each.
         began: date of the first row [UTC], where the file says it.
         path, sha256: of the file; None for a table.
+        made: which columns were computed from others.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -55,6 +57,7 @@ class Imported:
     began: datetime | None = None
     path: Path | None = None
     sha256: str | None = None
+    made: Made = NOTHING
 
     @property
     def timed(self) -> bool:
@@ -86,9 +89,9 @@ def import_columns(
     if isinstance(source, Imported):
         return source
     if isinstance(source, pd.DataFrame):
-        table = with_index(source)
+        table, mapping = with_index(source), _map(channels)
         in_seconds, _, notes = seconds_from_stamps(table, "table")
-        return Imported(renamed(in_seconds, channels), tuple(notes), first_stamp(table))
+        return Imported(renamed(in_seconds, channels), tuple(notes), first_stamp(table), made=mapping.made)
     path = Path(source)
     mapping = _map(channels)
     wanted = {*mapping.entries, *known_columns()} if mapping.entries else None
@@ -97,14 +100,14 @@ def import_columns(
         raw = read_raw(path, mapping.database)  # for the message: every name that the file has
     if raw.table is None:
         columns, notes = on_one_raster(quantities(raw, mapping), str(path))
-        return Imported(columns, (*raw.notes, *notes), raw.began, path, file_sha256(path))
+        return Imported(columns, (*raw.notes, *notes), raw.began, path, file_sha256(path), mapping.made)
     columns = {str(name): raw.table[name].to_numpy() for name in raw.table.columns}
     if mapping.entries:
         columns = mapping.apply({
             name: numbers(name, values, str(path), True) if name in mapping.entries else values
             for name, values in columns.items()
         }, str(path))  # fmt: skip
-    return Imported(columns, raw.notes, raw.began, path, file_sha256(path))
+    return Imported(columns, raw.notes, raw.began, path, file_sha256(path), mapping.made)
 
 
 def named_columns(

@@ -30,6 +30,7 @@ from dieseltwin.recordings.channels import (
     foreign_hint,
     optional_inputs,
 )
+from dieseltwin.recordings.derived import NOTHING, Made
 from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.named_columns import Imported, columns_sha256, import_columns, numbers
 from dieseltwin.recordings.plausibility import (
@@ -97,6 +98,7 @@ class Recording:
         sha256: of the file, or of the columns for one made in memory.
         notes: what reading did to the file and what it costs, one sentence each.
         began: date of the first row [UTC], where the file's stamps say it.
+        made: columns that a channel map computed from others.
     """
 
     time_s: np.ndarray
@@ -107,6 +109,7 @@ class Recording:
     sha256: str = ""
     notes: tuple[str, ...] = ()
     began: datetime | None = None
+    made: Made = NOTHING
 
     @property
     def duration_s(self) -> float:
@@ -212,9 +215,7 @@ class Recording:
 _ROUNDING_S = 1e-6  # time stamps are written with few digits
 
 def _median_or(values: np.ndarray | None, otherwise: float) -> float:
-    if values is None or not np.isfinite(values).any():
-        return otherwise
-    return float(np.nanmedian(values))
+    return otherwise if values is None or not np.isfinite(values).any() else float(np.nanmedian(values))
 
 
 def recording(
@@ -226,6 +227,7 @@ def recording(
     sha256: str | None = None,
     sensors: Sequence[str] = SENSORS,
     any_rate: bool = False,
+    made: Made = NOTHING
 ) -> Recording:
     """Validate columns with our names and units and make a Recording of them.
 
@@ -235,6 +237,7 @@ def recording(
         where: name for messages.
         sensors: columns that must be there besides time and inputs; () for inputs only.
         any_rate: accept any sampling rate (inputs of a simulation may be given at 1 s).
+        made: columns that a channel map computed from others.
 
     Raises:
         InputError: a missing column, time that does not increase, a wrong rate or unit, the engine never running.
@@ -249,6 +252,7 @@ def recording(
     needed = (*_KNOWN, *sensors)
     columns = {name: numbers(name, values, where, name in needed) for name, values in columns.items()
                if name in needed or np.issubdtype(values.dtype, np.number)}
+    made, p_amb = made.of_recording(columns, _median_or(columns.get("p_amb_pa"), engine.p_amb))
     time = columns[TIME]
     if time.size < 2:
         raise InputError(where, f"{time.size} rows", "at least 2 rows", "record longer")
@@ -269,11 +273,12 @@ def recording(
     return Recording(
         time_s=time,
         columns=MappingProxyType(columns),
-        p_amb_pa=_median_or(columns.get("p_amb_pa"), engine.p_amb),
+        p_amb_pa=p_amb,
         t_amb_k=t_amb,
         path=path,
         sha256=columns_sha256(columns) if sha256 is None else sha256,
         notes=tuple(notes),
+        made=made,
     )
 
 
@@ -353,7 +358,7 @@ def read_recording(
     """
     read = import_columns(source, channels)
     made = recording(read.columns, engine, where=str(read.path or "recording"), path=read.path, sha256=read.sha256,
-                     sensors=sensors, any_rate=any_rate)
+                     sensors=sensors, any_rate=any_rate, made=read.made)
     return replace(made, notes=(*read.notes, *made.notes), began=read.began)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import channel_map
+from dieseltwin.recordings.derived import DERIVATIONS
 
 OTHERS = {"n_e_rpm": np.array([1200.0]), "p_amb_pa": np.array([84e3]), "p_im_pa": np.array([130e3]),
           "w_c_kg_s": np.array([0.1])}  # fmt: skip
@@ -36,6 +37,24 @@ def test_formulas_by_hand(tmp_path, entry, value, expected):
     column = mapping.entries["x"].column
     columns = {"x": np.array([value]), **{name: values for name, values in OTHERS.items() if name != column}}
     assert mapping.apply(columns, "file")[column][0] == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", DERIVATIONS)
+def test_a_computed_column_is_worked_out_again_from_what_it_follows(name):
+    """As if the map had been applied to the columns that were put right."""
+    derivation = DERIVATIONS[name]
+    column = derivation.gives[-1]
+    cylinders = {"cylinders": 6} if derivation.cylinders else {}
+    mapping = channel_map({"x": {"column": column, "via": name, "unit": next(iter(derivation.units)), **cylinders}})
+    before = {key: values for key, values in OTHERS.items() if key != column}
+    after = {key: 1.1 * values for key, values in before.items()}
+    x = {"x": np.array([0.4])}
+    made = mapping.made.among({column, *before})
+    found = mapping.apply({**x, **before}, "file")
+    raw = made.undone(found, found["p_amb_pa"])
+    again = made.redone({**after, **raw}, after["p_amb_pa"])
+    assert {**found, **again}[column] == pytest.approx(mapping.apply({**x, **after}, "file")[column])
+    assert (column in again) == bool(derivation.follows)
 
 
 def test_formulas_wait_for_each_other():

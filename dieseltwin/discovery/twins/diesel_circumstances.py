@@ -35,6 +35,9 @@ back through the EGR valve, and two rows at which the charge's difference reache
 three quarters of all that a recording said of the charge, wrongly. That of shifts is a good part of a row, as signals
 have kinks at every row."""
 
+_FOLLOWED = {"p_amb_pa": 100.0, "time_shift:n_e_rpm": 0.05}
+"""Steps [unit] of what a reading may have been computed from; the clock of another sensor moves by whole rows."""
+
 _EVERYTHING = "time_shift:"  # of all inputs together: what a reading does when its own clock is moved the other way
 
 _CONSTANT = {"p_amb_pa": "p_amb", "t_amb_k": "T_amb", "t_im_k": "T_im"}
@@ -156,7 +159,23 @@ class LoggedTwin(EngineTwin):
                 j = self.channels.index(name.rpartition(":")[2])
                 out[k, :, j] = -responses[run][:, j]
             else:  # the gas path answers within a second: a drift acts as its value of the moment
-                out[k] = responses[run] if run == name else ramp[:, None] * responses[run]
+                beside = responses[run] - self._readings_follow(run)
+                out[k] = beside if run == name else ramp[:, None] * beside
+        return out
+
+    def _readings_follow(self, name: str) -> Array | float:
+        """Change of the readings themselves (n, C) per unit of a circumstance: a boost that was recorded as gauge
+        pressure rises with the ambient. Zero where no reading was computed from anything else."""
+        recording, engine, *_ = self._read
+        made = [j for j, channel in enumerate(self.channels) if channel in recording.made.follows]
+        if not made or name not in _FOLLOWED:
+            return 0.0
+        here, step = self.values.get(name, recording.p_amb_pa if name == "p_amb_pa" else 0.0), _FOLLOWED[name]
+        moved, still = (put_right(recording, engine, {**self.values, name: at})[0] for at in (here + step, here))
+        out = np.zeros((self.rows.size, len(self.channels)))
+        for j in made:
+            channel = self.channels[j]
+            out[:, j] = np.nan_to_num((moved.columns[channel] - still.columns[channel])[self.rows] / step)
         return out
 
     def _is_reading(self, name: str) -> bool:
@@ -191,10 +210,12 @@ class LoggedTwin(EngineTwin):
             scaled: dict[str, Any] = {column: (1.0 + step) * inputs.columns[column]}
             inputs = replace(inputs, **scaled)
         elif kind == TIME_SHIFT:
-            earlier: dict[str, Any] = {
-                one: np.interp(self.time_s + step, self.time_s, inputs.columns[one])
-                for one in ([column] if column else INPUT_COLUMNS)
-            }
-            inputs = replace(inputs, **earlier)
+            made = self._read[0].made.among(INPUT_COLUMNS)
+            before = {one: inputs.columns[one] for one in INPUT_COLUMNS}
+            ambient = self.engine.p_amb  # no input follows it
+            earlier: dict[str, Any] = {**before, **made.undone(before, ambient)}
+            for one in [column] if column else INPUT_COLUMNS:
+                earlier[one] = np.interp(self.time_s + step, self.time_s, earlier[one])
+            inputs = replace(inputs, **{**earlier, **made.redone(earlier, ambient)})
         own = {key: values for key, values in schedules.items() if key in moved}
         return actuate_lanes(inputs, self.engine, moved, 1, own, self.steps_s)[0]
