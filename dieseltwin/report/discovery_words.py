@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from dieseltwin.discovery.verdict.document import (
-    NOTED_CHI2,
+    LEFT_OVER,
     Discrepancy,
     FoundEffect,
     FoundRegion,
@@ -63,7 +63,6 @@ _REGION_RANGES: Mapping[str, tuple[str, str, float]] = {
 _NARROW = 0.35
 _SHARE = 0.5  # of the evidence from which a region is worth a word
 _LEAST_SHIFT = 0.01  # relative shift of a health parameter that is worth a word
-_LEFT_OVER = 1.2  # chi-square per sample after the repair; right names left 1.06 to 1.09 in maps that are off by 0.3 %
 _LIKELY = 0.1  # probability from which another site is worth a word
 
 
@@ -263,14 +262,14 @@ def _left_words(document: Discrepancy) -> list[str]:
     if share is not None and share > 0.0:
         shown = "more than 99" if share > 0.99 else f"{100.0 * share:.0f}"
         parts.append(f"this explains {shown} % of the misfit beyond noise and tolerances")
-    much = left is not None and left > _LEFT_OVER
+    much = left is not None and left > LEFT_OVER
     if document.more_is_missing or (much and share is None):
         amount = f" ({left:.2f} of chi-square per sample where noise leaves 1)" if much else ""
         parts.append(f"but more is missing{amount}, so what is named may imitate something that is not in the catalogue"
                      if any(effect.named for effect in document.effects) else f"more is missing{amount}")  # fmt: skip
     elif much:
         whose = ("more than maps and sensors within their tolerances would leave, so sizes and names may be off"
-                 if left is not None and left > NOTED_CHI2 else "as the maps' tolerances allow")  # fmt: skip
+                 if document.fit.beyond_tolerances else "as the maps' tolerances allow")  # fmt: skip
         parts.append(f"{left:.2f} of chi-square per sample is left where noise leaves 1, {whose}")
     return parts
 
@@ -328,6 +327,9 @@ def _healthy(document: Discrepancy) -> str:
     else:
         text = (f"Nothing is missing that {_these(len(document.recordings))} could show ({p_value}): noise, the four "
                 "health parameters and the tolerances of the maps explain it")
+    if document.fit.beyond_tolerances and not beyond:
+        text += (f", though not all of it: {document.fit.chi2_per_sample_after:.2f} of chi-square per sample is left"
+                 " where noise leaves 1, more than those tolerances take up")
     if shown:
         text += f"; {listing(shown)} would have been seen, smaller ones cannot be ruled out"
     return "; ".join([text, *recorded_words(document), *_time_words(document), *_doubt_words(document)]) + "."

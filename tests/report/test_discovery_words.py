@@ -6,7 +6,7 @@ import pytest
 import synthetic_discovery as synthetic
 
 from dieseltwin.api.driving import _column_notes
-from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance, with_warnings
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance, fit_doubts, with_warnings
 from dieseltwin.engine.effects import EFFECTS, SITES
 from dieseltwin.notes import Note
 from dieseltwin.report.circumstance_words import circumstance_words
@@ -105,6 +105,17 @@ def test_more_than_tolerances_allow_is_not_excused_by_them() -> None:
     fit = {**synthetic.content()["fit"], "chi2_per_sample_after": 10.9, "share_explained": 0.83}
     text = sentence(synthetic.document(fit=fit))
     assert "10.90 of chi-square per sample is left where noise leaves 1, more than maps and sensors within" in text
+
+
+def test_what_is_left_is_tolerances_only_where_they_take_it_up() -> None:
+    """A valve stuck for two minutes left 1.56 in exact maps, and of that 1.42 beyond all tolerances."""
+    fit = {**synthetic.content()["fit"], "chi2_per_sample_after": 1.56, "share_explained": 0.99}
+    for beyond, words in ((1.42, "more than maps and sensors within"), (0.98, "as the maps' tolerances allow")):
+        document = synthetic.document(fit={**fit, "chi2_per_sample_beyond": beyond})
+        assert words in sentence(document)
+        assert [note.code for note in fit_doubts(document)] == ["misfit"] * (beyond > 1.2)
+        healthy = Discrepancy.model_validate(synthetic.healthy_content() | {"fit": document.fit.model_dump()})
+        assert ("though not all of it" in sentence(healthy)) == (beyond > 1.2)
 
 
 def test_doubts_of_the_engine_file_and_of_the_weathers_columns_are_in_the_sentence() -> None:

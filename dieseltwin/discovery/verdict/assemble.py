@@ -203,6 +203,8 @@ def fit_figures(found: Search, after: Array) -> FitFigures:
         residual = np.nan_to_num(found.twin.measured - simulated)
         return float((whitening.apply(residual[None])[0] ** 2).sum() / max(present.sum(), 1))
 
+    allowed = _allowed(found, after)
+
     def rmse(simulated: Array) -> dict[str, float]:
         error = np.where(present, found.twin.measured - simulated, 0.0)
         size = np.sqrt((error**2).sum(axis=0) / np.maximum(present.sum(axis=0), 1))
@@ -213,6 +215,7 @@ def fit_figures(found: Search, after: Array) -> FitFigures:
         chi2_per_sample_before=chi2(null.simulated), chi2_per_sample_after=chi2(after),
         rmse_before=rmse(null.simulated), rmse_after=rmse(after),
         share_explained=found.share_explained(),
+        chi2_per_sample_beyond=chi2(after if allowed is None else after + allowed),
     )  # fmt: skip
 
 

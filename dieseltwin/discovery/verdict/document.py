@@ -23,6 +23,7 @@ from dieseltwin.settings.strict import FrozenModel
 
 SCHEMA = 1
 NOTED_CHI2 = 4.0  # per sample of the repaired fit, twice the noise: worth a warning
+LEFT_OVER = 1.2  # the same, worth a word; and beyond what tolerances take a warning: right names left 0.94 to 1.1 there
 NONE_OF_THESE = "none_of_these"
 FILE_NAME = "discrepancy.json"
 _ROUNDING = 1e-6  # of probabilities that sum to one
@@ -184,8 +185,9 @@ class JudgedRecording(FrozenModel):
 
 class Fit(FrozenModel):
     """How well readings are met before and after: negative log-likelihood per sample on the held-out part, chi-square
-    per sample, root mean square of the residuals per channel [unit of the column], and the share of the misfit beyond
-    noise and tolerances that the explanation takes away [-]. Null where not known."""
+    per sample (`beyond`: of what is left where maps, sensors and weather are as far off as they most likely are), root
+    mean square of the residuals per channel [unit of the column], and the share of the misfit beyond noise and
+    tolerances that the explanation takes away [-]. Null where not known."""
 
     held_out_nll_before: float | None
     held_out_nll_after: float | None
@@ -194,6 +196,13 @@ class Fit(FrozenModel):
     rmse_before: dict[Name, NotNegative]
     rmse_after: dict[Name, NotNegative]
     share_explained: Probability | None = None
+    chi2_per_sample_beyond: NotNegative | None = None
+
+    @property
+    def beyond_tolerances(self) -> bool:
+        """Whether more is left than noise, maps and sensors leave."""
+        left, beyond = self.chi2_per_sample_after, self.chi2_per_sample_beyond
+        return (left is not None and left > NOTED_CHI2) or (beyond is not None and beyond > LEFT_OVER)
 
 
 class FoundCircumstance(FrozenModel):
@@ -316,6 +325,9 @@ def fit_doubts(document: Discrepancy) -> list[Note]:
     chi2 = document.fit.chi2_per_sample_after
     if chi2 is not None and chi2 > NOTED_CHI2:
         notes.append(Note(f"the repaired twin leaves {chi2**0.5:.2g} times the noise", "misfit"))
+    elif document.fit.beyond_tolerances:
+        left = f"{document.fit.chi2_per_sample_beyond:.2f} of chi-square per sample is left, where noise leaves 1"
+        notes.append(Note(f"{left}, even with maps and sensors as far off as they most likely are", "misfit"))
     return notes
 
 

@@ -99,8 +99,10 @@ def _strongest(found: Search, names: list[str]) -> str:
 def _regions(
     twin: EngineTwin | SeveralTwin, evidence: Array, known: Mapping[str, tuple[float, float]] | None
 ) -> tuple[FoundRegion, ...]:
-    """The box of conditions that holds most of the evidence."""
+    """The box of conditions that holds most of the evidence; none where nowhere is any."""
     positive = np.maximum(_smooth(evidence), 0.0)
+    if not positive.any():  # what was found gains by its prior alone
+        return ()
     box: dict[str, tuple[float, float]] = {}
     inside = np.ones(evidence.size, dtype=bool)
     for name in _CONDITIONS:

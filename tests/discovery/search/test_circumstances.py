@@ -95,10 +95,10 @@ def test_a_healthy_engine_on_a_hill_is_let_be() -> None:
     assert "the ambient pressure is 9" in sentence(document)
 
 
-@pytest.mark.parametrize("faults", [(), (Fault("boost_leak", 4e-5),)])
-def test_a_barometer_that_is_a_placeholder_is_not_believed(faults: tuple[Fault, ...]) -> None:
+def test_a_barometer_that_is_a_placeholder_is_not_believed() -> None:
     """101.3 kPa written by a logger on a hill of 84: what is found is held away from the truth by it."""
-    driving = draw_driving("random", 200.0, we2011.PARAMETERS.model_dump(), np.random.default_rng(3))
+    faults = (Fault("boost_leak", 4e-5),)
+    driving = draw_driving("random", 120.0, we2011.PARAMETERS.model_dump(), np.random.default_rng(3))
     run = run_plant(driving, we2011.PARAMETERS.model_dump() | {"p_amb": 84_000.0}, faults=faults)
     frame = read(run, driving, faults, SensorSet.perfect(), 6, np.random.default_rng(4))
     document = _judged(frame.assign(p_amb_pa=101_325.0, t_amb_k=we2011.PARAMETERS.T_amb))
@@ -116,7 +116,7 @@ def _mapped(frame: pd.DataFrame, column: str, line: str, values: np.ndarray) -> 
 
 def test_a_gauge_pressure_on_a_hill_is_no_fault_of_its_sensor() -> None:
     """700 m, boost recorded over an ambient that nobody recorded: p_im read 8 kPa high, more than 99 % sure."""
-    frame = _driven(p_amb=93_000.0, T_amb=285.15)
+    frame = _driven(120.0, p_amb=93_000.0, T_amb=285.15)
     line = "{column: p_im_pa, unit: kPa, via: gauge, ambient_pa: 101325}"
     source = _mapped(frame, "p_im_pa", line, 1e-3 * (frame["p_im_pa"].to_numpy() - 93_000.0))
     assert source.columns["p_im_pa"][0] == pytest.approx(frame["p_im_pa"][0] + we2011.PARAMETERS.p_amb - 93_000.0)

@@ -32,7 +32,7 @@ PARTS = {
     "recording": ["path", "sha256", "duration_s", "channels"],
     "location": ["site", "probability", "alternatives", "regions", "onset_s"],
     "fit": ["held_out_nll_before", "held_out_nll_after", "chi2_per_sample_before", "chi2_per_sample_after",
-            "rmse_before", "rmse_after", "share_explained"],
+            "rmse_before", "rmse_after", "share_explained", "chi2_per_sample_beyond"],
     "provenance": ["code_version", "params_sha256"],
 }  # fmt: skip
 EFFECT_KEYS = ["name", "probability", "equivalent_names", "law", "magnitude", "std", "unit", "valid_for", "split_by"]
