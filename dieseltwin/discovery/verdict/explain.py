@@ -191,5 +191,11 @@ def _none_of_these(details: Mapping[str, Any], chosen: bool, mismatch: bool) -> 
         return f"why: {candidates[NONE_OF_THESE]['reason']}"
     if not mismatch:
         return "there is no mismatch to name"
-    return ("no effect of the catalogue passes the tests of fit" if chosen
-            else "an effect of the catalogue fits within noise, its physical range and both halves of the data")
+    if not chosen:
+        return "an effect of the catalogue fits within noise, its physical range and both halves of the data"
+    refused = "no effect of the catalogue passes the tests of fit"
+    weighed = [entry for entry in details["candidates"] if entry["log_likelihood_gain"] is not None]
+    if not weighed:
+        return refused
+    best = _best(weighed)
+    return f"{refused}; the best of them, {best}: {candidates[best]['reason']}"
