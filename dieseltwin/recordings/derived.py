@@ -128,7 +128,7 @@ class Made:
         """Computed columns (n,) from what `undone` gave, which stands in their places, and from what they follow."""
         found = {**columns, AMBIENT: ambient_pa}
         for name, needs in self.follows.items():
-            found[name] = _applied(found[name], needs, found, 1)
+            found[name] = _applied(np.asarray(found[name]), needs, found, 1)
         return {name: np.asarray(found[name]) for name in self.follows}
 
 

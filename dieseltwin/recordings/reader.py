@@ -246,9 +246,8 @@ def recording(
     columns = {str(name): np.asarray(frame[name]) for name in frame}
     for name in (TIME, *INPUTS, *sensors):
         if name not in columns:
-            raise InputError(
-                f"{where}: column {name}", f"none ({listed(list(columns))})", "this column", foreign_hint(name, columns)
-            )
+            got = f"none ({listed(list(columns))})"
+            raise InputError(f"{where}: column {name}", got, "this column", foreign_hint(name, columns))
     needed = (*_KNOWN, *sensors)
     columns = {name: numbers(name, values, where, name in needed) for name, values in columns.items()
                if name in needed or np.issubdtype(values.dtype, np.number)}
