@@ -29,6 +29,8 @@ _COLUMNS = re.compile(
 _COMPACT = re.compile(
     r"^\s*\((?P<time>\d+\.\d+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]{3,8})#(?P<fd>#[0-9A-Fa-f])?(?P<data>[0-9A-Fa-f.]*)"
 )
+_RELATIVE = re.compile(r"^(\s*base\s+(?:hex|dec)\s+timestamps\s+)relative", re.MULTILINE | re.IGNORECASE)
+_EVENT = re.compile(r"\s*(\d+\.\d+)(?=\s)")
 _FIRST_DAY = date(1970, 1, 1).toordinal()
 _ERROR_FLAG = 0x20000000
 
@@ -226,14 +228,27 @@ def _from_python_can(path: Path, content: Content) -> CanFrames:
 
 
 def _messages(reader: type, path: Path, content: Content) -> Iterator:
-    if content.data is None:
+    if content.format == "asc":
+        yield from reader(io.StringIO(_since_the_beginning(content.bytes_of(path).decode("latin-1"))))
+    elif content.data is None:
         with reader(str(path)) as messages:
             yield from messages
-    elif content.format == "asc":
-        yield from reader(io.StringIO(content.data.decode("latin-1")))
     else:
         with tempfile.NamedTemporaryFile(suffix=f".{content.format}") as unpacked:
             unpacked.write(content.data)
             unpacked.flush()
             with reader(unpacked.name) as messages:
                 yield from messages
+
+
+def _since_the_beginning(text: str) -> str:
+    """An ASC trace with times since its beginning, where it has the times since the event before, of whatever kind."""
+    if not _RELATIVE.search(text):
+        return text
+    lines, now = _RELATIVE.sub(r"\1absolute", text).splitlines(), 0.0
+    for number, line in enumerate(lines):
+        event = _EVENT.match(line)
+        if event:
+            now += float(event.group(1))
+            lines[number] = f"{now:.9f}{line[event.end():]}"
+    return "\n".join(lines) + "\n"

@@ -316,3 +316,21 @@ def test_buses_written_in_turn_are_put_in_order(tmp_path, drive):
     raw = read_raw(tmp_path / "drive.log", database)
     np.testing.assert_array_equal(raw.signals["p_em_pa"].values, drive["p_em_pa"])
     assert raw.notes == ("10 channels had times that repeat or fall: sorted, each time once",)
+
+
+def test_vector_asc_with_times_since_the_last_event_counts_from_the_beginning(tmp_path, drive):
+    database, frames = _bus(drive, tmp_path)
+    head = "date Mon Nov 23 10:11:12.000 am 2026\nbase hex  timestamps relative\ninternal events logged\n"
+    lines, before = [], 0.0
+    for row, frame in enumerate(frames):
+        if row % 50 == 7:  # an event that is no frame takes part of the time
+            lines.append(f"   {frame.timestamp - before:.6f} Start of measurement")
+            before = frame.timestamp
+        data = " ".join(f"{byte:02X}" for byte in frame.data)
+        lines.append(f"   {frame.timestamp - before:.6f} 1  {frame.arbitration_id:X}             Rx   d 8 {data}")
+        before = frame.timestamp
+    path = tmp_path / "drive.asc"
+    path.write_text(head + "\n".join(lines) + "\n")
+    signal = read_raw(path, database).signals["p_im_pa"]
+    np.testing.assert_allclose(signal.time_s - signal.time_s[0], drive["time_s"], atol=1e-6)
+    np.testing.assert_array_equal(signal.values, drive["p_im_pa"])
