@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from dieseltwin.recordings.importers.decimals import groups
 from dieseltwin.recordings.importers.layout import BLANKS, is_number, is_stamp_text, is_unit
 from dieseltwin.settings.names import listed
 
@@ -17,8 +18,6 @@ HEADING = 0.5  # of a row's cells that are the names of their columns, or units
 
 _GROUP = re.compile(rf"(?<=\d)['’{BLANKS} ](?=\d{{3}}(?!\d))")
 _CELL = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(.*)$")
-_COMMA_GROUPS = re.compile(r"[+-]?\d{1,3}(,\d{3})+$")
-_POINT_GROUPS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+$")
 
 
 def without_repeated_names(frame: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
@@ -85,13 +84,13 @@ def _commas_are_decimal(columns: Sequence[pd.Series]) -> bool:
     """Whether some cell has a comma that can't group thousands, and none has a point."""
     cells = pd.concat([column.head(SAMPLE) for column in columns]).str.extract(_CELL)[0].dropna()
     commas = cells[cells.str.contains(",", regex=False)]
-    return not cells.str.contains(".", regex=False).any() and bool((~commas.str.match(_COMMA_GROUPS)).any())
+    return not cells.str.contains(".", regex=False).any() and bool((~commas.str.match(groups(","))).any())
 
 
 def _pointed(cells: pd.Series, decimal: str) -> pd.Series:
     """Numbers in text with a point before the decimals and nothing between thousands."""
-    group, groups = (".", _POINT_GROUPS) if decimal == "," else (",", _COMMA_GROUPS)
+    group = "." if decimal == "," else ","
     both = cells.str.contains(group, regex=False) & cells.str.contains(decimal, regex=False)
-    grouped = both | cells.str.match(groups).fillna(False)
+    grouped = both | cells.str.match(groups(group)).fillna(False)
     plain = cells.where(~grouped, cells.str.replace(group, "", regex=False))
     return plain.str.replace(",", ".", regex=False)
