@@ -54,6 +54,7 @@ SLOW_ROWS = (
 LONGEST_S = 1e6  # eleven days; longer ones are in milliseconds
 MOST_ROWS = 6_000_000  # of a table; with more, memory for the columns and their text runs out on small machines
 HISTORY_S = 2.0  # of inputs kept before a segment: dead time and ten time constants of the slowest actuator are 1.4 s
+MANY_REPEATED = 0.3  # of the steps of time: its clock shows too few digits
 MINIMUM_ROWS = 10  # of a segment; fewer hold no information on four parameters and three states
 CSV_SUFFIXES, PARQUET_SUFFIXES = (".csv", ".txt"), (".parquet", ".pq")
 _KNOWN = (TIME, *INPUTS, *OPTIONAL_INPUTS, *MEASURED, *AMBIENT)
@@ -306,6 +307,7 @@ def check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
             f"{where}: column {TIME}, data row {row + 2}",
             f"{time[row + 1]:.10g} after {time[row]:.10g}",
             "strictly increasing times in s",
+            "export the time with more digits" if np.mean(steps == 0.0) > MANY_REPEATED else
             "sort the rows, drop repeated ones, or read runs one by one",
         )
     if time[-1] - time[0] > LONGEST_S:

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps
+from dieseltwin.recordings.importers.clock import first_stamp
 from dieseltwin.recordings.importers.decimals import clear_mark, doubtful_mark
 from dieseltwin.recordings.importers.layout import (
     LOOKED_AT,
@@ -27,8 +27,9 @@ from dieseltwin.recordings.importers.layout import (
     is_missing,
     is_number,
 )
+from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
-from dieseltwin.recordings.importers.text_cells import in_numbers, without_repeated_names
+from dieseltwin.recordings.importers.text_cells import in_numbers, without_repeated_names, without_statistics
 
 SEPARATORS = (",", ";", "\t", "|")
 MOST_COLUMNS = 20_000  # the largest control units have that many labels; a million take minutes to read
@@ -57,6 +58,8 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     """
     text, encoding = _decoded(path, content)
     text, skipped = _without_marks(text)
+    text, figures = without_statistics(text)
+    skipped.extend(figures)
     lines = _first_lines(text)
     if not lines:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
@@ -82,7 +85,7 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     frame, cell_units, cleaned = in_numbers(frame, decimal)
     notes.extend((*repeated, *cleaned, *doubts))
     began = first_stamp(frame)
-    frame, stamp_units, stamp_notes = seconds_from_stamps(frame, str(path))
+    frame, stamp_units, stamp_notes = in_seconds(frame, str(path))
     words = []
     if decimal == ",":
         words.append("decimal comma")
