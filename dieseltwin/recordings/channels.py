@@ -24,7 +24,16 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.derived import DERIVATIONS, DIESEL_KG_L, Constants, Derivation, Made
+from dieseltwin.recordings.derived import (
+    DERIVATIONS,
+    DIESEL_KG_L,
+    MASS_RATE,
+    PRESSURE,
+    SHARE,
+    Constants,
+    Derivation,
+    Made,
+)
 from dieseltwin.sensors import MEASURED, NEEDED
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
 
@@ -56,26 +65,19 @@ _KELVIN_AT_0_C = 273.15
 
 # our unit -> foreign unit -> (scale, offset): ours = scale * theirs + offset
 CONVERSIONS: Mapping[str, Mapping[str, tuple[float, float]]] = {
-    "Pa": {
-        "Pa": (1.0, 0.0),
-        "hPa": (1e2, 0.0),
-        "mbar": (1e2, 0.0),
-        "kPa": (1e3, 0.0),
-        "bar": (1e5, 0.0),
-        "MPa": (1e6, 0.0),
-        "psi": (6894.757293168361, 0.0),
-    },
+    "Pa": {unit: (factor, 0.0) for unit, factor in PRESSURE.items()},
     "K": {
         "K": (1.0, 0.0),
         "degC": (1.0, _KELVIN_AT_0_C),
         "C": (1.0, _KELVIN_AT_0_C),
         "degF": (5.0 / 9.0, _KELVIN_AT_0_C - 32.0 * 5.0 / 9.0),
+        "degR": (5.0 / 9.0, 0.0),
     },
-    "kg/s": {"kg/s": (1.0, 0.0), "g/s": (1e-3, 0.0), "kg/h": (1.0 / 3600.0, 0.0), "kg/min": (1.0 / 60.0, 0.0),
-             "lb/min": (0.45359237 / 60.0, 0.0)},
-    "rad/s": {"rad/s": (1.0, 0.0), "rpm": (_RPM_TO_RAD_S, 0.0), "krpm": (1e3 * _RPM_TO_RAD_S, 0.0)},
+    "kg/s": {unit: (factor, 0.0) for unit, factor in MASS_RATE.items()},
+    "rad/s": {"rad/s": (1.0, 0.0), "rpm": (_RPM_TO_RAD_S, 0.0), "krpm": (1e3 * _RPM_TO_RAD_S, 0.0),
+              "Hz": (60.0 * _RPM_TO_RAD_S, 0.0), "1/s": (60.0 * _RPM_TO_RAD_S, 0.0)},
     "rpm": {"rpm": (1.0, 0.0), "1/s": (60.0, 0.0), "Hz": (60.0, 0.0), "rad/s": (1.0 / _RPM_TO_RAD_S, 0.0)},
-    "%": {"%": (1.0, 0.0), "fraction": (100.0, 0.0), "1": (100.0, 0.0)},
+    "%": {unit: (100.0 * factor, 0.0) for unit, factor in SHARE.items()},
     "mg/cycle": {"mg/cycle": (1.0, 0.0), "mg": (1.0, 0.0), "g/cycle": (1e3, 0.0), "kg/cycle": (1e6, 0.0)},
     "N m": {"N m": (1.0, 0.0), "Nm": (1.0, 0.0), "kN m": (1e3, 0.0)},
     "W": {"W": (1.0, 0.0), "kW": (1e3, 0.0)},

@@ -24,17 +24,31 @@ STAND_IN_PA = 101_325.0
 """Ambient pressure that stands in a map where nobody knows it: the engine file's is taken."""
 
 Columns = Mapping[str, np.ndarray]
-_MASS_RATE = {
+_POUND_KG, _HOUR_S, _MINUTE_S = 0.45359237, 3600.0, 60.0
+MASS_RATE: Mapping[str, float] = {
     "kg/s": 1.0,
     "g/s": 1e-3,
-    "kg/h": 1.0 / 3600.0,
-    "g/h": 1e-3 / 3600.0,
-    "kg/min": 1.0 / 60.0,
-    "lb/h": 0.45359237 / 3600.0,
+    "kg/h": 1.0 / _HOUR_S,
+    "kg/min": 1.0 / _MINUTE_S,
+    "lb/min": _POUND_KG / _MINUTE_S,
+    "lb/h": _POUND_KG / _HOUR_S,
+    "lb/s": _POUND_KG,
+    "t/h": 1e3 / _HOUR_S,
+    "g/min": 1e-3 / _MINUTE_S,
+    "g/h": 1e-3 / _HOUR_S,
+    "mg/s": 1e-6,
 }
-_VOLUME_RATE = {"L/h": 1.0 / 3600.0, "L/s": 1.0, "L/min": 1.0 / 60.0, "mL/s": 1e-3, "gal/h": 3.785411784 / 3600.0}
-_PRESSURE = {"Pa": 1.0, "hPa": 1e2, "mbar": 1e2, "kPa": 1e3, "bar": 1e5, "MPa": 1e6, "psi": 6894.757293168361}
-_SHARE = {"%": 0.01, "fraction": 1.0, "1": 1.0}
+"""Units of a mass flow in kg/s."""
+_VOLUME_RATE = {"L/h": 1.0 / _HOUR_S, "L/s": 1.0, "L/min": 1.0 / _MINUTE_S, "mL/s": 1e-3, "mL/min": 1e-3 / _MINUTE_S,
+                "gal/h": 3.785411784 / _HOUR_S, "m3/h": 1e3 / _HOUR_S}  # fmt: skip
+PRESSURE: Mapping[str, float] = {
+    "Pa": 1.0, "hPa": 1e2, "mbar": 1e2, "kPa": 1e3, "bar": 1e5, "MPa": 1e6, "psi": 6894.757293168361,
+    "kgf/cm2": 98066.5, "atm": 101325.0, "mmHg": 133.322387415, "Torr": 101325.0 / 760.0, "inHg": 25.4 * 133.322387415,
+    "mmH2O": 9.80665, "inH2O": 25.4 * 9.80665,
+}  # fmt: skip
+"""Units of a pressure in Pa; columns of mercury and water are the conventional ones (13.5951 and 1 g/cm3)."""
+SHARE: Mapping[str, float] = {"%": 0.01, "fraction": 1.0, "1": 1.0, "permille": 1e-3}
+"""Units of a share or a position, as a fraction."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +212,7 @@ _TABLE = (
         "gauge",
         ("p_im_pa", "p_em_pa"),
         {"p_amb_pa": 0},
-        _PRESSURE,
+        PRESSURE,
         False,
         _gauge,
         "gauge pressure plus ambient pressure",
@@ -216,7 +230,7 @@ _TABLE = (
         "above_intake",
         ("p_em_pa",),
         {"p_im_pa": 0},
-        _PRESSURE,
+        PRESSURE,
         False,
         _above_intake,
         "pressure difference over the EGR path plus intake pressure",
@@ -225,7 +239,7 @@ _TABLE = (
         "fuel_rate",
         ("u_delta_mg",),
         {"n_e_rpm": -1},
-        _MASS_RATE,
+        MASS_RATE,
         True,
         _per_stroke,
         "fuel flow over engine speed and cylinders",
@@ -246,7 +260,7 @@ _TABLE = (
         "egr_rate",
         ("w_egr_kg_s",),
         {"w_c_kg_s": 1},
-        _SHARE,
+        SHARE,
         False,
         _egr_rate,
         "EGR share x of the air flow: x W_c/(1 - x)",

@@ -15,7 +15,8 @@ from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import TIME, ChannelMap, channel_map, known_columns, read_channel_map
 from dieseltwin.recordings.derived import NOTHING, Made
-from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps, with_index
+from dieseltwin.recordings.importers.clock import first_stamp, with_index
+from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.recordings.raster import on_one_raster, quantities
 
@@ -90,8 +91,8 @@ def import_columns(
         return source
     if isinstance(source, pd.DataFrame):
         table, mapping = with_index(source), _map(channels)
-        in_seconds, _, notes = seconds_from_stamps(table, "table")
-        return Imported(renamed(in_seconds, channels), tuple(notes), first_stamp(table), made=mapping.made)
+        by_seconds, _, notes = in_seconds(table, "table")
+        return Imported(renamed(by_seconds, channels), tuple(notes), first_stamp(table), made=mapping.made)
     path = Path(source)
     mapping = _map(channels)
     wanted = {*mapping.entries, *known_columns()} if mapping.entries else None

@@ -55,6 +55,7 @@ SLOW_ROWS = (
 LONGEST_S = 1e6  # eleven days; longer ones are in milliseconds
 MOST_ROWS = 6_000_000  # of a table; with more, memory for the columns and their text runs out on small machines
 HISTORY_S = 2.0  # of inputs kept before a segment: dead time and ten time constants of the slowest actuator are 1.4 s
+MANY_REPEATED = 0.3  # of the steps of time: its clock shows too few digits
 MINIMUM_ROWS = 10  # of a segment; fewer hold no information on four parameters and three states
 CSV_SUFFIXES, PARQUET_SUFFIXES = (".csv", ".txt"), (".parquet", ".pq")
 _KNOWN = (TIME, *INPUTS, *OPTIONAL_INPUTS, *MEASURED, *AMBIENT)
@@ -133,7 +134,7 @@ class Recording:
 
     def frame(self) -> pd.DataFrame:
         """The columns as a DataFrame, time first."""
-        return pd.DataFrame({name: values for name, values in self.columns.items()})
+        return pd.DataFrame(dict(self.columns))
 
     def pieces(self) -> tuple[slice, ...]:
         """Stretches with the engine running and no hole over 1 s, as row slices in time order."""
@@ -213,6 +214,7 @@ class Recording:
 
 
 _ROUNDING_S = 1e-6  # time stamps are written with few digits
+
 
 def _median_or(values: np.ndarray | None, otherwise: float) -> float:
     return otherwise if values is None or not np.isfinite(values).any() else float(np.nanmedian(values))
@@ -310,6 +312,7 @@ def check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
             f"{where}: column {TIME}, data row {row + 2}",
             f"{time[row + 1]:.10g} after {time[row]:.10g}",
             "strictly increasing times in s",
+            "export the time with more digits" if np.mean(steps == 0.0) > MANY_REPEATED else
             "sort the rows, drop repeated ones, or read runs one by one",
         )
     if time[-1] - time[0] > LONGEST_S:
@@ -317,12 +320,8 @@ def check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
                          f"at most {LONGEST_S:g} s", "give the unit of time in a channel map (--channels), or cut it")
     rate = 1.0 / float(np.median(steps))
     if not any_rate and not SLOWEST_HZ / RATE_TOLERANCE <= rate <= FASTEST_HZ * RATE_TOLERANCE:
-        raise InputError(
-            f"{where}: column {TIME}",
-            f"{rate:.4g} rows per second",
-            f"{SLOWEST_HZ:g} to {FASTEST_HZ:g}",
-            "record at such a rate, average down, or give the unit of time in a channel map (--channels)",
-        )
+        raise InputError(f"{where}: column {TIME}", f"{rate:.4g} rows per second", f"{SLOWEST_HZ:g} to {FASTEST_HZ:g}",
+                         "record at such a rate, average down, or give the unit of time in a channel map (--channels)")
 
 
 def _check_running(n_e: np.ndarray, where: str) -> None:
@@ -370,9 +369,8 @@ def write_recording(source: Recording | pd.DataFrame, path: str | Path) -> Path:
     path = Path(path)
     frame = source.frame() if isinstance(source, Recording) else source
     suffix = path.suffix.lower()
-    if suffix not in CSV_SUFFIXES + PARQUET_SUFFIXES:
-        raise InputError(str(path), f"a file ending in {suffix or 'nothing'}", listed(CSV_SUFFIXES + PARQUET_SUFFIXES),
-                         "choose one of these endings")
+    if suffix not in (known := CSV_SUFFIXES + PARQUET_SUFFIXES):
+        raise InputError(str(path), f"a file ending in {suffix or 'nothing'}", listed(known), "choose another")
     with atomic_path(path) as temporary:
         if suffix in CSV_SUFFIXES:
             with temporary.open("w", encoding="utf-8", newline="") as file:  # pandas would hide the kind of failure

@@ -10,6 +10,7 @@ import pandas as pd
 
 from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.importers.layout import unit_in_name
+from dieseltwin.recordings.importers.numeric_clocks import is_clock_name
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
 
 GAP_STEPS = 3.0  # a pause longer than three usual steps is a gap
@@ -74,7 +75,6 @@ def signals_of(raw: RawChannels) -> dict[str, Signal]:
 
 _SECONDS: Mapping[str, float] = {
     "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0, "d": 86400.0}  # fmt: skip
-_CLOCK_WORDS = ("time", "zeit", "stamp", "stempel", "sekunde", "second", "temps")
 SPREADSHEET_DAYS = (3.6e4, 6.0e4)  # days since 1900 as spreadsheets count dates: 1998 to 2064
 QUICKEST_ROWS_S = 1e-4  # a table of driving has rows further apart
 
@@ -92,24 +92,20 @@ def clock_of(raw: RawChannels) -> tuple[str, float] | None:
         if not pd.api.types.is_numeric_dtype(values) or pd.api.types.is_bool_dtype(values) or len(values) < 2:
             continue
         steps = np.diff(values.to_numpy(dtype=np.float64))
-        if np.isfinite(steps).all() and (steps >= 0).mean() > 0.98 and (steps > 0).mean() > 0.5:
-            rising.append((str(column), float(np.median(steps))))
-    named = [(name, step) for name, step in rising if _is_clock_name(name)]
-    if not named:
+        if not is_clock_name(str(column)):
+            continue
+        if np.isfinite(steps).all() and (steps >= 0).mean() > 0.98 and (steps > 0).any():
+            repeats = bool((steps > 0).mean() <= 0.5)  # no clock of rows; where there is no other, the reader says so
+            rising.append((repeats, str(column), float(np.median(steps[steps > 0]))))
+    if not rising:
         return None
-    name, step = min(named, key=lambda item: (item[0] != "time_s", raw.names.index(item[0])))
+    _, name, step = min(rising, key=lambda item: (item[0], item[1] != "time_s", raw.names.index(item[1])))
     unit = (raw.units.get(name) or unit_in_name(name) or "").lower()
     if unit in _SECONDS:
         return name, _SECONDS[unit]
     if SPREADSHEET_DAYS[0] < float(np.median(raw.table[name])) < SPREADSHEET_DAYS[1] and step < QUICKEST_ROWS_S:
         return name, _SECONDS["d"]
     return name, 1.0 if QUICKEST_ROWS_S <= step < 5.0 else 1e-3 if step < 5e3 else 1e-6
-
-
-def _is_clock_name(name: str) -> bool:
-    text = name.lower().strip()
-    bare = text.split("[")[0].split("(")[0].strip(" _")
-    return bare in ("t", "s", "ts", "t_s", "x", "tout") or any(word in text for word in _CLOCK_WORDS)
 
 
 def facts_of(signal: Signal) -> Facts:

@@ -35,6 +35,7 @@ _ADDRESS = re.compile(r"from address (\d+)")
 OTHER_READING = 0.2  # of support, for a unit that isn't the likeliest, or gauge where nothing says so
 OTHER_UNIT = 0.7  # factor of a reading in another unit than the file's: too bold without a name
 SELDOM = ("EGR rate", "air per stroke", "fuel volume flow")  # less often recorded than what else gives the quantity
+VOLUMES = ("volume flow", "gas volume flow")
 MAY_STAND_STILL = ("p_amb_pa", "t_amb_k", "t_im_k", "u_egr_pct", "u_vgt_pct")
 
 
@@ -73,6 +74,7 @@ class Proposal:
         cylinders: number used for fuel and air per stroke, and whether somebody gave it.
         cylinders_given: False where the number is an assumption.
         database: DBC that the trace was read with.
+        unconverted: our column that no channel gives -> the channel whose name says it, and a unit without conversion.
     """
 
     raw: RawChannels
@@ -83,6 +85,7 @@ class Proposal:
     cylinders: int
     cylinders_given: bool
     database: Path | None
+    unconverted: Mapping[str, tuple[str, str]]
 
     def channel_map(self) -> ChannelMap:
         """The guesses as a map that a reader takes."""
@@ -118,7 +121,23 @@ def propose(raw: RawChannels, cylinders: int | None = None, database: Path | Non
         used = taken.get(candidate.channel)
         if used is None or used.meaning is not candidate.meaning:
             others[candidate.channel] = (*others.get(candidate.channel, ()), candidate)
-    return Proposal(raw, facts, chosen, others, clock, count, cylinders is not None, database)
+    free = [fact for name, fact in facts.items() if name not in taken]
+    return Proposal(raw, facts, chosen, others, clock, count, cylinders is not None, database,
+                    _unconverted(free, chosen))  # fmt: skip
+
+
+def _unconverted(free: Sequence[Facts], chosen: Mapping[str, Candidate]) -> dict[str, tuple[str, str]]:
+    """Columns that a channel's name says, in a flow of volume that can't be converted to one of mass."""
+    found: dict[str, tuple[str, str]] = {}
+    for fact in free:
+        unit, words = understood(fact.unit), words_of(fact.name)
+        if unit is None or unit.dimension not in VOLUMES:
+            continue
+        for meaning in vocabulary().meanings:
+            flows = "mass flow" in meaning.dimensions and meaning.column not in chosen
+            if flows and meaning.score(fact.name, words, spn_of(fact.name, fact.spn)) >= LEAST_SCORE:
+                found.setdefault(meaning.column, (fact.name, fact.unit or ""))
+    return found
 
 
 def _of_one_engine(candidates: list[Candidate], facts: Mapping[str, Facts]) -> list[Candidate]:
@@ -209,16 +228,17 @@ def _is_clock(signal: Signal) -> bool:
 def _options(fact: Facts, chosen: Mapping[str, Candidate], cylinders: int) -> Iterator[Option]:
     """What a channel could be by its unit, where its name doesn't rule it out."""
     words, unit = words_of(fact.name), understood(fact.unit)
-    if unit is not None and unit.dimension in ("unknown", "number"):
+    if unit is not None and unit.dimension == "number":
         unit = None
+    told = unit is not None and unit.dimension != "unknown"
     fine = FINER * np.log10(max(fact.levels, 1))
     for meaning in vocabulary().meanings:
         if meaning.column in chosen or meaning.ruled_out(words):
             continue
-        if unit is None and not set(meaning.dimensions) & vocabulary().kinds_of(words):
+        if not told and not set(meaning.dimensions) & vocabulary().kinds_of(words):
             continue
         reading = reading_of(fact, meaning, unit, words, cylinders)
-        if reading is None or (unit is not None and reading.factor <= OTHER_UNIT):
+        if reading is None or (told and reading.factor <= OTHER_UNIT):
             continue
         prior = fine - (meaning.name in SELDOM) * UNLIKELIER
         for each in (reading, *reading.alternatives):

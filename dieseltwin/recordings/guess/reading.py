@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from dieseltwin.recordings.channels import CONVERSIONS, ChannelEntry
+from dieseltwin.recordings.channels import ChannelEntry
 from dieseltwin.recordings.derived import DERIVATIONS
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.names import Meaning
@@ -26,6 +26,9 @@ USUAL_K = {"t_em_k": (330.0, 1250.0), "t_im_k": (225.0, 430.0), "t_amb_k": (220.
 COLD_EXHAUST = 330.0  # a value below this is in degC: exhaust gas of a running engine is hotter than 330 K
 HOT_AIR = 180.0  # an air temperature above this is in K, below in degC
 
+UNKNOWN_UNIT = 0.9  # factor where the file says a unit that isn't known
+COMMON_PRESSURES = ("kPa", "bar", "hPa", "mbar", "Pa", "psi", "MPa")  # that values alone may tell
+_NO_UNIT = "the file gives no unit"
 _SAYS_GAUGE = re.compile(r"\b(gauge|gage|rel|relativ|relative|ueberdruck|g)\b")
 _SAYS_ABSOLUTE = re.compile(r"\b(abs|absolute?|absolut)\b|abs$")
 _SAYS_SHUT = re.compile(r"\b(clos(ed|ing|ure)|shut|zu|geschlossen|ferme(ture)?|chius[oa]|cerrad[oa]|fechad[oa])\b")
@@ -70,7 +73,8 @@ def reading_of(facts: Facts, meaning: Meaning, unit: Unit | None, words: str, cy
     if unit is not None and unit.dimension == "number" and not {"share", "number"} & set(meaning.dimensions):
         return None
     if unit is not None and unit.dimension == "unknown":
-        unit = None
+        found = reading_of(replace(facts, unit=None), meaning, None, words, cylinders)
+        return None if found is None else _in_doubt(found, unit.ours)
     dimension = unit.dimension if unit is not None and unit.dimension in meaning.dimensions else meaning.dimensions[0]
     read: dict[str, Callable[[Facts, Meaning, Unit | None, str], Reading | None]] = {
         "pressure": _pressure,
@@ -85,6 +89,14 @@ def reading_of(facts: Facts, meaning: Meaning, unit: Unit | None, words: str, cy
     }
     found = read[dimension](facts, meaning, unit, words)
     return None if found is None else _with_cylinders(found, cylinders)
+
+
+def _in_doubt(reading: Reading, spelling: str) -> Reading:
+    """A guess at a unit that the file says in a spelling that nobody knows."""
+    text = f"the unit {spelling!r} isn't known, and was guessed from the values as {reading.entry.unit}"
+    others = tuple(_in_doubt(other, spelling) for other in reading.alternatives)
+    warnings = (text, *(warning for warning in reading.warnings if not warning.startswith(_NO_UNIT)))
+    return replace(reading, factor=UNKNOWN_UNIT * reading.factor, warnings=warnings, alternatives=others)
 
 
 def _with_cylinders(reading: Reading, cylinders: int) -> Reading:
@@ -127,7 +139,7 @@ def _choose(facts: Facts, unit: Unit | None, entries: list[tuple[ChannelEntry, f
         return Reading(fitting[0], 0.7, (), (text,), tuple(Reading(entry, 0.6, ()) for entry in fitting[1:]))
     if not fitting:
         return None
-    text = f"the file gives no unit; {facts.low:.4g} to {facts.high:.4g} looks like {fitting[0].unit}"
+    text = f"{_NO_UNIT}; {facts.low:.4g} to {facts.high:.4g} looks like {fitting[0].unit}"
     if len(fitting) == 1:
         return Reading(fitting[0], 0.9, (f"{facts.low:.4g} to {facts.high:.4g} fits {fitting[0].unit} only",), (text,))
     others = " or ".join(str(entry.unit) for entry in fitting[1:3])
@@ -139,7 +151,7 @@ def _choose(facts: Facts, unit: Unit | None, entries: list[tuple[ChannelEntry, f
 def _pressure(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Reading | None:
     column = meaning.column
     if column == "p_amb_pa":
-        entries = [(ChannelEntry(column=column, unit=name), 5.5e4, 1.1e5) for name in CONVERSIONS["Pa"]]
+        entries = [(ChannelEntry(column=column, unit=name), 5.5e4, 1.1e5) for name in _or_own(COMMON_PRESSURES, unit)]
         found = _choose(facts, unit, entries)
         spread = 0.0 if found is None else in_our_unit(found.entry, facts.high) - in_our_unit(found.entry, facts.low)
         if found is not None and spread > 2.5e4:
@@ -147,7 +159,7 @@ def _pressure(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> 
         return found
     gauge = _says_gauge(facts, unit, words)
     options = []
-    for name in ("kPa", "bar", "hPa", "mbar", "Pa", "psi", "MPa"):
+    for name in _or_own(COMMON_PRESSURES, unit):
         if unit is None and name in ("mbar", "MPa"):
             continue  # as good as hPa, and never met
         absolute = ChannelEntry(column=column, unit=name)
@@ -166,6 +178,11 @@ def _pressure(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> 
         text = f"taken as gauge, because absolute it would lie below p_im; its lowest value is {facts.low:.4g}"
         judged = replace(judged, alternatives=(*judged.alternatives, Reading(other, 0.8, (), (text,))))
     return judged
+
+
+def _or_own(usual: Sequence[str], unit: Unit | None) -> tuple[str, ...]:
+    """The usual units of a quantity, and the file's own behind them."""
+    return tuple(dict.fromkeys((*usual, *(() if unit is None else (unit.ours,)))))
 
 
 def _judged_gauge(found: Reading, facts: Facts, gauge: bool | None, column: str) -> Reading:
@@ -192,14 +209,15 @@ def _temperature(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) 
     column = meaning.column
     range_ = symbol(column)
     low, high = USUAL_K.get(column, (range_.low, range_.high))
-    celsius, kelvin, fahrenheit = (ChannelEntry(column=column, unit=name) for name in ("degC", "K", "degF"))
+    celsius, kelvin, fahrenheit, rankine = (ChannelEntry(column=column, unit=name)
+                                            for name in ("degC", "K", "degF", "degR"))  # fmt: skip
     order = [celsius, kelvin]
     if facts.low >= (COLD_EXHAUST if column == "t_em_k" else HOT_AIR):
         order = [kelvin, celsius]
     elif column == "t_em_k" or facts.median < HOT_AIR:
         order = [celsius]
     if unit is not None:
-        order = [celsius, kelvin, fahrenheit, ChannelEntry(column=column, unit="C")]
+        order = [celsius, kelvin, fahrenheit, *((rankine,) if unit.ours == "degR" else ())]
     return _choose(facts, unit, [(entry, low, high) for entry in order])
 
 
@@ -209,7 +227,14 @@ def _rotation(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> 
         order = ("rpm", "rad/s", "1/s", "Hz")
         return _choose(facts, unit, [(ChannelEntry(column=column, unit=name), *ENGINE_RPM) for name in order])
     names = ["rpm", "rad/s", "krpm"] if facts.high > TURBO_RPM / 2.0 else ["rad/s", "rpm", "krpm"]
-    return _choose(facts, unit, [(ChannelEntry(column=column, unit=name), 300.0, TURBO_RPM) for name in names])
+    names = list(_or_own(names, unit))
+    found = _choose(facts, unit, [(ChannelEntry(column=column, unit=name), 300.0, TURBO_RPM) for name in names])
+    if found is None or unit is None or unit.ours != "1/s" or found.entry.unit != "1/s":
+        return found
+    radians = ChannelEntry(column=column, unit="rad/s")
+    text = "the file says 1/s: taken as {}, check"
+    return replace(found.with_warning(text.format("revolutions a second")), alternatives=(
+        Reading(radians, 0.9, (), (text.format("rad/s"),)),))  # fmt: skip
 
 
 def _share(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Reading | None:
@@ -223,11 +248,12 @@ def _share(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Rea
         reasons: tuple[str, ...] = ("0 to 1: a fraction",)
         warnings: tuple[str, ...] = ()
     else:
-        if not (SHARE_RANGE[0] <= facts.low and facts.high <= SHARE_RANGE[1]):
+        in_pct = 0.1 if unit is not None and unit.ours == "permille" else 1.0
+        if not (SHARE_RANGE[0] <= in_pct * facts.low and in_pct * facts.high <= SHARE_RANGE[1]):
             return None
-        name = "%"
-        reasons = _told(unit, "%") if unit is not None else ()
-        warnings = () if unit is not None else (f"no unit; {facts.low:.4g} to {facts.high:.4g} looks like %",)
+        name = "permille" if unit is not None and unit.ours == "permille" else "%"
+        reasons = _told(unit, name) if unit is not None else ()
+        warnings = () if unit is not None else (f"{_NO_UNIT}; {facts.low:.4g} to {facts.high:.4g} looks like %",)
     entry = ChannelEntry(column=meaning.column, unit=name, via=via)
     if via is None and _SAYS_SHUT.search(words):
         entry = entry.model_copy(update={"scale": -1.0, "offset": 100.0})
@@ -238,13 +264,13 @@ def _share(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Rea
 def _mass_flow(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Reading | None:
     column = meaning.column
     if column == "u_delta_mg":
-        names = ["kg/h", "g/s", "kg/s", "g/h", "lb/h", "kg/min"]
+        names = _or_own(("kg/h", "g/s", "kg/s", "g/h", "lb/h", "kg/min"), unit)
         entries = [(ChannelEntry(column=column, unit=name, via="fuel_rate"), 2e-5, 0.06) for name in names]
         return _scaled(_choose(facts, unit, entries), 0.95)
     limits = (-1e-3, 0.5) if column == "w_egr_kg_s" else (5e-3, 2.0)
-    names = ["kg/h", "g/s", "kg/s", "kg/min", "lb/min"]
+    names = _or_own(("kg/h", "g/s", "kg/s", "kg/min", "lb/min"), unit)
     if unit is None:
-        names = ["kg/s"] if facts.high <= 2.0 else ["kg/h", "g/s"]
+        names = ("kg/s",) if facts.high <= 2.0 else ("kg/h", "g/s")
     found = _choose(facts, unit, [(ChannelEntry(column=column, unit=name), *limits) for name in names])
     return found
 

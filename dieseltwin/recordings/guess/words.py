@@ -81,6 +81,8 @@ def guess_lines(proposal: Proposal) -> Iterator[str]:
             rival = next((c for c in others if c.column == column), None)
             if rival is not None:
                 yield f"{'':<14}   could be {name} ({rival.meaning.name}), which is taken for something else"
+        if column in proposal.unconverted:
+            yield f"{'':<14}   CHECK: {unconverted(*proposal.unconverted[column])}"
 
 
 def how(candidate: Candidate) -> str:
@@ -89,6 +91,12 @@ def how(candidate: Candidate) -> str:
     unit = f" [{entry.unit}]" if entry.unit else ""
     turned = ", turned round" if entry.scale < 0.0 else ""
     return f"{unit}{turned}" if entry.derivation is None else f"{unit}, computed: {entry.derivation.words}"
+
+
+def unconverted(channel: str, unit: str) -> str:
+    """Why a channel gives nothing though its name does."""
+    return (f"{channel} is in {unit}, which can't be converted without the density that it was counted with: give "
+            "unit: kg/s, and the factor to kg/s as scale, in the channel map")  # fmt: skip
 
 
 def missing(proposal: Proposal) -> list[str]:
@@ -125,6 +133,7 @@ def map_text(proposal: Proposal) -> str:
         if column in proposal.guesses:
             lines.extend(_entry_lines(proposal.guesses[column], unmet))
     lines.extend(f"# {column} not found: {COSTS[column]}" for column in missing(proposal))
+    lines.extend(f"# CHECK: {column}: {unconverted(*channel)}" for column, channel in proposal.unconverted.items())
     taken = {candidate.channel for candidate in proposal.guesses.values()}
     clock = proposal.clock[0] if proposal.clock is not None else None
     rest = [fact for name, fact in proposal.facts.items() if name not in taken and name != clock]

@@ -7,25 +7,31 @@ import re
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 
 from dieseltwin.errors import InputError
+from dieseltwin.recordings.importers.clock import DAY_S, going_on
 from dieseltwin.recordings.importers.content import Content
 from dieseltwin.recordings.importers.signals import unreadable
 from dieseltwin.settings.extras import require
 
+DIFFERENCES = 0.25  # share of falling times in a trace of differences; buses written in turn have fewer
 FILLER = 0xFF  # bytes beyond a frame's length: "not available" in J1939
 # (000.005001)  can0  18FEDF00   [8]  8A A0 28 7D 7D FF FF F5
 _COLUMNS = re.compile(
-    r"^\s*\((?:[\d-]+ )?(?P<time>[\d.:]+)\)\s+(?P<bus>\S+)\s+(?:[TRX-]+\s+)?(?P<id>[0-9A-Fa-f]{3,8})\s+"
-    r"\[(?P<length>\d+)\](?P<data>(?:\s+[0-9A-Fa-f]{2})*)"
+    r"^\s*\((?:(?P<date>\d{4}-\d{2}-\d{2}) )?(?P<time>[\d.:]+)\)\s+(?P<bus>\S+)\s+(?:[TRX-]+\s+)?"
+    r"(?P<id>[0-9A-Fa-f]{3,8})\s+\[(?P<length>\d+)\](?P<data>(?:\s+[0-9A-Fa-f]{2})*)"
 )
 # (1436509052.249713) can0 18FEDF00#8AA0287D7DFFFFF5
 _COMPACT = re.compile(
     r"^\s*\((?P<time>\d+\.\d+)\)\s+(?P<bus>\S+)\s+(?P<id>[0-9A-Fa-f]{3,8})#(?P<fd>#[0-9A-Fa-f])?(?P<data>[0-9A-Fa-f.]*)"
 )
+_RELATIVE = re.compile(r"^(\s*base\s+(?:hex|dec)\s+timestamps\s+)relative", re.MULTILINE | re.IGNORECASE)
+_EVENT = re.compile(r"\s*(\d+\.\d+)(?=\s)")
+_FIRST_DAY = date(1970, 1, 1).toordinal()
 _ERROR_FLAG = 0x20000000
 
 
@@ -121,6 +127,7 @@ def _from_text(path: Path, lines: Iterable[str]) -> CanFrames:
     extended: list[bool] = []
     payloads: list[bytes] = []
     other = broken = 0
+    of_day = False
     for line in lines:
         found = _COLUMNS.match(line) or _COMPACT.match(line)
         if found is None:
@@ -129,7 +136,10 @@ def _from_text(path: Path, lines: Iterable[str]) -> CanFrames:
         if "#R" in line or "remote request" in line or int(found["id"], 16) & _ERROR_FLAG:
             other += 1
             continue
-        times.append(_seconds(found["time"]))
+        stamp = found.groupdict().get("date")
+        day = 0 if stamp is None else date.fromisoformat(stamp).toordinal() - _FIRST_DAY
+        of_day = of_day or ":" in found["time"]
+        times.append(DAY_S * day + _seconds(found["time"]))
         identifiers.append(int(found["id"], 16))
         extended.append(len(found["id"]) > 3)
         payloads.append(bytes.fromhex(found["data"].replace(" ", "").replace(".", "")))
@@ -140,10 +150,24 @@ def _from_text(path: Path, lines: Iterable[str]) -> CanFrames:
             "a time in brackets in every line",
             "record with `candump -L` or `candump -t a`",
         )
+    if times[0] == 0.0 and np.mean(np.diff(times) < 0.0) > DIFFERENCES:
+        raise InputError(str(path), "times that fall again and again, as the times since the last frame do",
+                         "times since the beginning", "record with `candump -t a`")  # fmt: skip
     notes = [f"{other} remote and error frames left out"] if other else []
+    if of_day:
+        times, changed = _past_midnight(times)
+        notes.extend(changed)
     if broken:
         notes.append(f"{broken} lines that are no frame left out")
     return _packed(times, identifiers, extended, payloads, notes)
+
+
+def _past_midnight(times: Sequence[float]) -> tuple[list[float], list[str]]:
+    """Times of day [s] that go on after midnight and where the clock is put back or forward, and notes."""
+    seconds = np.array(times)
+    seconds += DAY_S * np.cumsum(np.r_[0.0, np.diff(seconds) < -0.5 * DAY_S])
+    since, notes = going_on(seconds - seconds[0], float(seconds[0] % DAY_S))
+    return (since + seconds[0]).tolist(), notes
 
 
 def _seconds(stamp: str) -> float:
@@ -204,14 +228,27 @@ def _from_python_can(path: Path, content: Content) -> CanFrames:
 
 
 def _messages(reader: type, path: Path, content: Content) -> Iterator:
-    if content.data is None:
+    if content.format == "asc":
+        yield from reader(io.StringIO(_since_the_beginning(content.bytes_of(path).decode("latin-1"))))
+    elif content.data is None:
         with reader(str(path)) as messages:
             yield from messages
-    elif content.format == "asc":
-        yield from reader(io.StringIO(content.data.decode("latin-1")))
     else:
         with tempfile.NamedTemporaryFile(suffix=f".{content.format}") as unpacked:
             unpacked.write(content.data)
             unpacked.flush()
             with reader(unpacked.name) as messages:
                 yield from messages
+
+
+def _since_the_beginning(text: str) -> str:
+    """An ASC trace with times since its beginning, where it has the times since the event before, of whatever kind."""
+    if not _RELATIVE.search(text):
+        return text
+    lines, now = _RELATIVE.sub(r"\1absolute", text).splitlines(), 0.0
+    for number, line in enumerate(lines):
+        event = _EVENT.match(line)
+        if event:
+            now += float(event.group(1))
+            lines[number] = f"{now:.9f}{line[event.end():]}"
+    return "\n".join(lines) + "\n"

@@ -15,7 +15,8 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps
+from dieseltwin.recordings.importers.clock import first_stamp
+from dieseltwin.recordings.importers.decimals import clear_mark, doubtful_mark
 from dieseltwin.recordings.importers.layout import (
     LOOKED_AT,
     MISSING,
@@ -26,15 +27,12 @@ from dieseltwin.recordings.importers.layout import (
     is_missing,
     is_number,
 )
+from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
-from dieseltwin.recordings.importers.text_cells import in_numbers, without_repeated_names
+from dieseltwin.recordings.importers.text_cells import in_numbers, without_repeated_names, without_statistics
 
 SEPARATORS = (",", ";", "\t", "|")
 MOST_COLUMNS = 20_000  # the largest control units have that many labels; a million take minutes to read
-_COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?$")
-_POINT_NUMBER = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?$")
-_POINT_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d+$")  # 1.234,5
-_COMMA_THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d+$")  # 1,234.5
 
 
 @dataclass(frozen=True)
@@ -43,14 +41,12 @@ class Dialect:
 
     Attributes:
         separator: between cells; r"\\s+" for blanks.
-        decimal: "." or ",".
-        thousands: between groups of three digits, None without.
+        decimal: "." or ","; None where the first lines don't say it.
         layout: rows of names, units and numbers, counted without blank lines.
     """
 
     separator: str
-    decimal: str
-    thousands: str | None
+    decimal: str | None
     layout: Layout
 
 
@@ -62,6 +58,8 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     """
     text, encoding = _decoded(path, content)
     text, skipped = _without_marks(text)
+    text, figures = without_statistics(text)
+    skipped.extend(figures)
     lines = _first_lines(text)
     if not lines:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
@@ -78,17 +76,18 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     text, dropped = _without_tail(text, dialect)
     if dropped:
         notes.append(f"{dropped} lines of text at the end left out")
-    frame = _numbers_of(path, text, dialect)
+    decimal, doubts = _decimal(path, text, dialect)
+    frame = _numbers_of(path, text, dialect, decimal)
     if len(frame) == 0:
         raise InputError(str(path), "no rows", "a header and rows", "record again")
     units = {name: unit for name, unit in zip(names, dialect.layout.units, strict=True) if name and unit}
     frame, repeated = without_repeated_names(frame)
-    frame, cell_units, cleaned = in_numbers(frame, dialect.decimal)
-    notes.extend((*repeated, *cleaned))
+    frame, cell_units, cleaned = in_numbers(frame, decimal)
+    notes.extend((*repeated, *cleaned, *doubts))
     began = first_stamp(frame)
-    frame, stamp_units, stamp_notes = seconds_from_stamps(frame, str(path))
+    frame, stamp_units, stamp_notes = in_seconds(frame, str(path))
     words = []
-    if dialect.decimal == ",":
+    if decimal == ",":
         words.append("decimal comma")
     if units:
         words.append("a row of units")
@@ -184,15 +183,19 @@ def _dialect(path: Path, lines: Sequence[str]) -> Dialect:
     if best is None:
         raise _no_table(path, lines)
     _, separator, layout, rows = best
-    cells = [cell.strip() for row in rows[layout.first_data :] for cell in row]
-    commas, points = (sum(bool(pattern.match(cell)) for cell in cells) for pattern in (_COMMA_NUMBER, _POINT_NUMBER))
-    grouped_point = any(_POINT_THOUSANDS.match(cell) for cell in cells)
-    grouped_comma = any(_COMMA_THOUSANDS.match(cell) for cell in cells)
-    if grouped_point and not grouped_comma:
-        return Dialect(separator, ",", ".", layout)
-    if commas > points and separator != ",":
-        return Dialect(separator, ",", None, layout)
-    return Dialect(separator, ".", "," if grouped_comma else None, layout)
+    return Dialect(separator, clear_mark(cell.strip() for row in rows[layout.first_data :] for cell in row), layout)
+
+
+def _decimal(path: Path, text: str, dialect: Dialect) -> tuple[str, list[str]]:
+    """What stands before decimals, by all rows where the first ones don't say it, and notes."""
+    if dialect.decimal is not None:
+        return dialect.decimal, []
+    if "." not in text and (dialect.separator == "," or "," not in text):
+        return ".", []
+    lines = [line for line in text.split("\n") if line.strip()][dialect.layout.first_data :]
+    rows = _cells(lines, dialect.separator)
+    mark = clear_mark(cell.strip() for row in rows for cell in row)
+    return (mark, []) if mark is not None else doubtful_mark(str(path), dialect.layout.names, rows)
 
 
 def _no_table(path: Path, lines: Sequence[str]) -> InputError:
@@ -219,7 +222,7 @@ def _no_table(path: Path, lines: Sequence[str]) -> InputError:
     )
 
 
-def _numbers_of(path: Path, text: str, dialect: Dialect) -> pd.DataFrame:
+def _numbers_of(path: Path, text: str, dialect: Dialect, decimal: str) -> pd.DataFrame:
     layout = dialect.layout
     names = [name or f"column {i + 1}" for i, name in enumerate(layout.names)]
     missing = sorted({spelling for word in MISSING for spelling in (word, word.upper(), word.capitalize())})
@@ -228,7 +231,7 @@ def _numbers_of(path: Path, text: str, dialect: Dialect) -> pd.DataFrame:
             warnings.simplefilter("error", pd.errors.ParserWarning)  # more cells than names: pandas would drop them
             frame = pd.read_csv(
                 io.BytesIO(text.encode()), sep=dialect.separator, header=None, names=names, index_col=False,
-                skiprows=_text_row(text, layout.first_data), decimal=dialect.decimal, thousands=dialect.thousands,
+                skiprows=_text_row(text, layout.first_data), decimal=_of_cells(dialect, decimal),
                 float_precision="round_trip", na_values=missing, skipinitialspace=True, low_memory=False,
             )  # fmt: skip
     except pd.errors.ParserWarning:
@@ -240,6 +243,11 @@ def _numbers_of(path: Path, text: str, dialect: Dialect) -> pd.DataFrame:
     for name in [name for name, given in zip(names, layout.names, strict=True) if not given]:
         frame = frame.drop(columns=name) if frame[name].isna().all() or _is_count(frame[name]) else frame
     return frame
+
+
+def _of_cells(dialect: Dialect, decimal: str) -> str:
+    """The decimal mark for the plain reader: commas in quotes between commas are read from text (`text_cells`)."""
+    return "." if dialect.separator == "," else decimal
 
 
 def _is_count(column: pd.Series) -> bool:

@@ -7,8 +7,9 @@ from pathlib import Path
 import pandas as pd
 
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps
+from dieseltwin.recordings.importers.clock import first_stamp
 from dieseltwin.recordings.importers.layout import LOOKED_AT, Layout, find_layout, is_missing
+from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
 from dieseltwin.settings.extras import require
 
@@ -49,7 +50,7 @@ def read_excel(path: Path) -> RawChannels:
     frame = _frame(rows, layout)
     units = {name: unit for name, unit in zip(names, layout.units, strict=True) if name and unit}
     began = first_stamp(frame)
-    frame, stamp_units, notes = seconds_from_stamps(frame, f"{path}: sheet {title}")
+    frame, stamp_units, notes = in_seconds(frame, f"{path}: sheet {title}")
     others = [name for name in tables if name != title]
     if others:
         notes.append(f"sheet {title} is read; {', '.join(others[:3])} also holds a table")

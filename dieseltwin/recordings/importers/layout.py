@@ -36,7 +36,9 @@ _UNIT_LIST = """s sec ms us µs min h 1/min min-1 rpm u/min 1/s hz rad/s krpm kp
 degf °f grdc mg/hub mg/cyc mg/cycle mg/stroke mg/str mg/h mg/inj mm3 mm3/hub mm³ mm3/stroke kg/h kg/s g/s g/h l/h lph
 l/min gph kg/min % pct percent prozent - [-] 1 nm n.m n*m n·m kw w ps hp v mv a km/h m/s mph ppm g/kwh g km m deg °ca
 degca kelvin celsius state bool none enum mm mg ratio lambda -- count date time text string kg/hr lb/min lb/hr bar_a
-bar_g kpa_a kpa_g kpaa kpag barg bara bar(a) bar(g) psia psig mg/asp m3/h m³/h nm3/h mg/r mg/rev"""
+bar_g kpa_a kpa_g kpaa kpag barg bara bar(a) bar(g) psia psig mg/asp m3/h m³/h nm3/h mg/r mg/rev
+lb/s lbm/h lbm/hr lbm/min lbm/s lbs/h lbs/hr t/h mg/s g/min ml/min cc/min ml/s mmhg torr inhg kgf/cm2 kg/cm2 inh2o mmh2o
+scfm cfm slpm ‰ permille mm^3/st mm3/st mg/st mm³/st mm³/hub mm^3/hub kpa(a) kpa(g) psi(a) psi(g) 1000/min"""
 _UNIT_WORDS = frozenset(_UNIT_LIST.split())
 # units that also end ordinary names (p_c, T_k, flow_min), so that they say nothing there
 _AMBIGUOUS_LIST = "1 - c h k s a m g v w time date none state count text string min ratio lambda mm enum bool"
@@ -181,7 +183,7 @@ def _bare(unit: str) -> str:
     return text[1:-1].strip() if text[:1] in "[(" and text[-1:] in "])" else text
 
 
-_IN_NAME = re.compile(r"[\[(]\s*([^\[\]()]{1,16})\s*[\])]\s*$")
+_IN_NAME = re.compile(r"(?:\[\s*([^\[\]]{1,16}?)\s*\]|[\[(]\s*([^\[\]()]{1,16}?)\s*[\])])\s*$")  # [bar(g)], (bar)
 _AFTER_NAME = re.compile(r"(?:[ _/,]|\bin\b)\s*([A-Za-z%°µ/0-9^³·*-]{1,10})\s*$")
 
 
@@ -189,7 +191,7 @@ def unit_in_name(name: str) -> str | None:
     """The unit that a name carries: 'Drehzahl [1/min]', 'T_exh (degC)', 'p2 in mbar', 'boost_kPa'; None without one."""
     found = _IN_NAME.search(name)
     if found:
-        return found.group(1).strip()
+        return (found.group(1) or found.group(2) or "").strip()
     found = _AFTER_NAME.search(name)
     if found and found.group(1).lower() in _UNIT_WORDS - _AMBIGUOUS:
         return found.group(1)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.recordings.importers.layout import is_unit
-from dieseltwin.recordings.importers.signals import RawChannels, Signal
+from dieseltwin.recordings.importers.signals import RawChannels, Signal, refuse_restart
 
 MOST_COLUMNS, MOST_NAMES, LEAST_NAMES = 6, 2000, 3
 READINGS = 10  # of each name, on average: a column of states has fewer names or a column of comments fewer rows
@@ -19,7 +19,11 @@ IN_S = {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60.0, "h": 3600.0}
 
 
 def taken_apart(raw: RawChannels) -> RawChannels:
-    """A table of one reading a row as channels, each on its own times [s]; any other table as it is."""
+    """A table of one reading a row as channels, each on its own times [s]; any other table as it is.
+
+    Raises:
+        InputError: times that start again.
+    """
     table = raw.table
     if table is None or not 3 <= len(table.columns) <= MOST_COLUMNS or len(table) < LEAST_NAMES * READINGS:
         return raw
@@ -38,6 +42,7 @@ def taken_apart(raw: RawChannels) -> RawChannels:
     times = table[clock].to_numpy(dtype=np.float64) * IN_S.get(raw.units.get(clock, "s"), 1.0)
     signals = {}
     for name, rows in table.groupby(label, sort=False).indices.items():
+        refuse_restart(f"{raw.path}: {name} of column {label}", times[rows])
         order = rows[np.argsort(times[rows], kind="stable")]
         order = order[np.append(np.diff(times[order]) > 0.0, True)]
         unit = str(table[units[0]].iloc[order[0]]) if units else ""

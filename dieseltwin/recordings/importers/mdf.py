@@ -14,7 +14,7 @@ import numpy as np
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.can_frames import CanFrames, stacked
-from dieseltwin.recordings.importers.signals import Signal, unreadable
+from dieseltwin.recordings.importers.signals import Signal, refuse_restart, unreadable
 from dieseltwin.settings.extras import require
 
 FRAMES = "CAN_DataFrame"
@@ -49,8 +49,10 @@ def read_mdf(
             with MDF(path, memory="full", raise_on_multiple_occurrences=False) as mdf:
                 kind = f"MDF {mdf.version}"
                 began = mdf.start_time.astimezone(UTC)
-                frames = _bus_frames(mdf)
+                frames = _bus_frames(mdf, path)
                 signals = list(_signals(mdf, wanted, notes))
+        except InputError:
+            raise
         except Exception as error:  # asammdf lets struct, zlib, mmap and its own errors through
             problem = str(error) or type(error).__name__
     if problem:
@@ -77,7 +79,7 @@ def _quiet_disposal() -> Iterator[None]:
         sys.unraisablehook = before
 
 
-def _bus_frames(mdf: Any) -> CanFrames | None:
+def _bus_frames(mdf: Any, path: Path) -> CanFrames | None:
     """The CAN frames of all bus-logging groups in time order, classic frames and CAN FD."""
     parts = []
     for index, group in enumerate(mdf.groups):
@@ -90,6 +92,7 @@ def _bus_frames(mdf: Any) -> CanFrames | None:
         identifier = fields["ID"].astype(np.uint32)
         extended = fields["IDE"].astype(bool) if "IDE" in fields else identifier > 0x7FF
         length = fields.get("DataLength", np.full(len(rows), data.shape[1]))
+        refuse_restart(f"{path}: bus log, group {index}", events.timestamps)
         parts.append(CanFrames.of(events.timestamps, identifier & 0x1FFFFFFF, extended, length, data))
     return stacked(parts) if parts else None
 

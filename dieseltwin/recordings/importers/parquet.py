@@ -7,7 +7,8 @@ from pathlib import Path
 import pandas as pd
 import pyarrow.parquet as pq
 
-from dieseltwin.recordings.importers.clock import first_stamp, seconds_from_stamps, with_index
+from dieseltwin.recordings.importers.clock import first_stamp, with_index
+from dieseltwin.recordings.importers.numeric_clocks import in_seconds
 from dieseltwin.recordings.importers.signals import RawChannels, unreadable
 
 UNIT_KEYS = (b"unit", b"units", b"Unit")
@@ -33,5 +34,5 @@ def read_parquet(path: Path) -> RawChannels:
             units[str(field.name)] = unit
     frame.columns = [str(name) for name in frame.columns]
     began = first_stamp(frame)
-    frame, stamp_units, notes = seconds_from_stamps(frame, str(path))
+    frame, stamp_units, notes = in_seconds(frame, str(path))
     return RawChannels(path, "Parquet", table=frame, units={**units, **stamp_units}, notes=tuple(notes), began=began)

@@ -19,7 +19,7 @@ from dieseltwin.recordings.importers.long_table import taken_apart
 from dieseltwin.recordings.importers.matlab import read_hdf5, read_matlab
 from dieseltwin.recordings.importers.mdf import read_mdf
 from dieseltwin.recordings.importers.parquet import read_parquet
-from dieseltwin.recordings.importers.signals import RawChannels, Signal, unique_names
+from dieseltwin.recordings.importers.signals import RawChannels, Signal, refuse_restart, unique_names
 
 DBC_HINT = "name its DBC in the channel map (dbc: bus.dbc); `dieseltwin channels FILE --dbc bus.dbc` writes one"
 TRACES = {"candump": "candump trace", "asc": "ASC trace", "blf": "BLF trace", "trc": "TRC trace"}
@@ -95,7 +95,11 @@ def _from_frames(path: Path, kind: str, frames: CanFrames, database: Path | None
 
 
 def _in_order(raw: RawChannels) -> RawChannels:
-    """Each channel in the order of its times, each time once: loggers of several buses write out of order."""
+    """Each channel in the order of its times, each time once: loggers of several buses write out of order.
+
+    Raises:
+        InputError: times that start again.
+    """
     ordered: dict[str, Signal] = {}
     mended = 0
     for name, signal in raw.signals.items():
@@ -103,6 +107,7 @@ def _in_order(raw: RawChannels) -> RawChannels:
         if time is None or time.size < 2 or (np.diff(time) > 0).all():
             ordered[name] = signal
             continue
+        refuse_restart(f"{raw.path}: channel {name}", time)
         mended += 1
         time, rows = np.unique(time, return_index=True)
         ordered[name] = Signal(name, signal.unit, time, signal.values[rows], signal.origin, signal.spn)

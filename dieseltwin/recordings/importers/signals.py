@@ -12,6 +12,8 @@ import pandas as pd
 
 from dieseltwin.errors import InputError
 
+MOST_DISORDER_S = 1.0  # by which times of one channel may fall: buffers of several buses are written in turn
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -72,6 +74,19 @@ def unique_names(signals: Sequence[Signal]) -> dict[str, Signal]:
             name, count = f"{signal.name} ({signal.origin}, {count})", count + 1
         found[name] = replace(signal, name=name)
     return found
+
+
+def refuse_restart(where: str, time_s: np.ndarray) -> None:
+    """Refuse times (n,) [s], in the order of the file, of a clock that starts again: two drives would be mingled.
+
+    Raises:
+        InputError: the reading at which they fall by more than loggers of several buses write out of order.
+    """
+    falls = np.flatnonzero(np.diff(time_s) < -MOST_DISORDER_S)
+    if falls.size:
+        row = int(falls[0])
+        raise InputError(f"{where}, reading {row + 2}", f"{time_s[row + 1]:.10g} s after {time_s[row]:.10g} s",
+                         "increasing times", "the clock starts again: read runs one by one (cut the file there)")
 
 
 def unreadable(

@@ -8,17 +8,41 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from dieseltwin.recordings.importers.decimals import groups
 from dieseltwin.recordings.importers.layout import BLANKS, is_number, is_stamp_text, is_unit
 from dieseltwin.settings.names import listed
 
 SAMPLE = 200  # cells that decide whether a column of text holds numbers
 NUMBERS = 0.9  # of them
+HEAD_ROWS = 200  # in which statistics may stand above the numbers
+MOST_STATISTICS = 12  # rows of them; more are the rows of a table
 HEADING = 0.5  # of a row's cells that are the names of their columns, or units
 
 _GROUP = re.compile(rf"(?<=\d)['’{BLANKS} ](?=\d{{3}}(?!\d))")
+_STATISTICS = re.compile(
+    r"\s*\"?(mean|average|avg|std|std ?dev|standard deviation|stddev|min|max|minimum|maximum|median|sum|rms|range|var|"
+    r"mittelwert|mittel|standardabweichung|stdabw|summe|spannweite|moyenne|[ée]cart[ -]type|media|"
+    r"desv(?:iaci[oó]n)? est\w*)\.?:?\"?\s*[;,\t|]\s*\"?[-+]?[\d.,]", re.IGNORECASE)  # fmt: skip
 _CELL = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(.*)$")
-_COMMA_GROUPS = re.compile(r"[+-]?\d{1,3}(,\d{3})+$")
-_POINT_GROUPS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+$")
+
+
+def without_statistics(text: str) -> tuple[str, list[str]]:
+    """A text table without the rows of statistics ("Mean;1333;130") that programs write above or below it, and a note.
+
+    Columns of such words, as tables of points have them, stay.
+    """
+    below: list[str] = []
+    kept = text.rstrip()
+    while len(below) <= MOST_STATISTICS and (found := _STATISTICS.match(kept[kept.rfind("\n") + 1 :])):
+        below.append(found.group(1))
+        kept = kept[: max(kept.rfind("\n"), 0)].rstrip()
+    lines = kept.split("\n", HEAD_ROWS)
+    matches = [_STATISTICS.match(line) if row < HEAD_ROWS else None for row, line in enumerate(lines)]
+    words = [*(found.group(1) for found in matches if found), *reversed(below)]
+    if not words or len(words) > MOST_STATISTICS:
+        return text, []
+    kept = "\n".join(line for line, found in zip(lines, matches, strict=True) if not found)
+    return kept + "\n", [f"{len(words)} rows of statistics left out ({listed(words)})"]
 
 
 def without_repeated_names(frame: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
@@ -85,13 +109,13 @@ def _commas_are_decimal(columns: Sequence[pd.Series]) -> bool:
     """Whether some cell has a comma that can't group thousands, and none has a point."""
     cells = pd.concat([column.head(SAMPLE) for column in columns]).str.extract(_CELL)[0].dropna()
     commas = cells[cells.str.contains(",", regex=False)]
-    return not cells.str.contains(".", regex=False).any() and bool((~commas.str.match(_COMMA_GROUPS)).any())
+    return not cells.str.contains(".", regex=False).any() and bool((~commas.str.match(groups(","))).any())
 
 
 def _pointed(cells: pd.Series, decimal: str) -> pd.Series:
     """Numbers in text with a point before the decimals and nothing between thousands."""
-    group, groups = (".", _POINT_GROUPS) if decimal == "," else (",", _COMMA_GROUPS)
+    group = "." if decimal == "," else ","
     both = cells.str.contains(group, regex=False) & cells.str.contains(decimal, regex=False)
-    grouped = both | cells.str.match(groups).fillna(False)
+    grouped = both | cells.str.match(groups(group)).fillna(False)
     plain = cells.where(~grouped, cells.str.replace(group, "", regex=False))
     return plain.str.replace(",", ".", regex=False)

@@ -161,6 +161,58 @@ def test_exhaust_pressure_below_the_intake_is_a_reason_to_check(tmp_path, known)
     assert any("behind the turbine" in warning for warning in warnings)
 
 
+FOREIGN_UNITS = {
+    "Air flow": ("w_c_kg_s", {"lb/hr": 3600.0 / 0.45359237, "lb/s": 1.0 / 0.45359237, "t/h": 3.6, "kg/min": 60.0}),
+    "Turbo speed": ("omega_t_rad_s", {"Hz": 0.5 / np.pi, "1/s": 0.5 / np.pi, "10^3 1/min": 0.03 / np.pi}),
+    "Boost pressure": ("p_im_pa", {"mmHg": 1.0 / 133.322, "Torr": 760.0 / 101325.0, "inHg": 1.0 / 3386.389,
+                                   "kgf/cm2": 1.0 / 98066.5, "kg/cm2": 1.0 / 98066.5, "atm": 1.0 / 101325.0}),
+    "EGR valve position": ("u_egr_pct", {"‰": 10.0, "permille": 10.0}),
+    "Injection quantity": ("u_delta_mg", {"mm^3/st": 1.0 / 0.835, "mm³/H": 1.0 / 0.835, "uL/stroke": 1.0 / 0.835}),
+    "Exhaust temperature before turbine": ("t_em_k", {"R": 1.8}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "unit"), [(name, unit) for name in FOREIGN_UNITS for unit in FOREIGN_UNITS[name][1]])
+def test_a_stated_unit_is_converted_and_never_taken_for_another(tmp_path, known, name, unit):
+    column, units = FOREIGN_UNITS[name]
+    frame = pd.DataFrame({"time_s": known["time_s"], f"{name} [{unit}]": units[unit] * known[column]})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    proposal = propose(read_raw(tmp_path / "drive.csv"))
+    entry = proposal.guesses[column].reading.entry
+    found = entry.derived(entry.converted(frame.iloc[:, 1].to_numpy()), known)
+    np.testing.assert_allclose(found, known[column], rtol=1e-4)
+
+
+@pytest.mark.parametrize("unit", ["mmH2O", "inH2O", "kPa gage", "bar rel.", "kg/cm2 (g)"])
+def test_gauge_pressures_in_any_unit(tmp_path, known, unit):
+    factor = {"mmH2O": 9.80665, "inH2O": 249.08891, "kPa gage": 1e3, "bar rel.": 1e5, "kg/cm2 (g)": 98066.5}[unit]
+    frame = pd.DataFrame({"time_s": known["time_s"], f"Boost pressure [{unit}]": (known["p_im_pa"] - 1.013e5) / factor})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    entry = propose(read_raw(tmp_path / "drive.csv")).guesses["p_im_pa"].reading.entry
+    ambient = {"p_amb_pa": np.full(frame.shape[0], 1.013e5)}
+    np.testing.assert_allclose(entry.derived(entry.converted(frame.iloc[:, 1].to_numpy()), ambient),
+                               known["p_im_pa"], rtol=1e-4)  # fmt: skip
+
+
+@pytest.mark.parametrize("unit", ["Nm3/h", "m³/h", "SCFM", "l/s"])
+def test_a_volume_of_air_is_no_mass_and_says_so(tmp_path, known, unit, capsys):
+    frame = pd.DataFrame({"time_s": known["time_s"], f"Air flow [{unit}]": 3600.0 / 1.29 * known["w_c_kg_s"]})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    proposal = propose(read_raw(tmp_path / "drive.csv"))
+    assert "w_c_kg_s" not in proposal.guesses
+    assert f"Air flow [{unit}] is in {unit}, which can't be converted without the density" in map_text(proposal)
+    assert main(["channels", str(tmp_path / "drive.csv")]) == 0
+    assert "can't be converted" in capsys.readouterr().out
+
+
+def test_a_unit_that_nobody_knows_is_named(tmp_path, known):
+    frame = pd.DataFrame({"time_s": known["time_s"], "Air flow [stone/moon]": 3600.0 * known["w_c_kg_s"]})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    warnings = propose(read_raw(tmp_path / "drive.csv")).guesses["w_c_kg_s"].reading.warnings
+    assert any("the unit 'stone/moon' isn't known" in text for text in warnings)
+    assert not any("gives no unit" in text for text in warnings)
+
+
 @pytest.mark.parametrize(
     ("name", "english"),
     [("Laddluftstemperatur", "charge temperature"), ("ExhMnfldPrs", "exhaust manifold pressure"),

@@ -281,3 +281,56 @@ def test_a_map_for_an_mdf_file_lets_our_own_names_pass_and_names_the_nearest(tmp
     (tmp_path / "map.yaml").write_text("PBoos: p_im_pa\nTExh: t_em_k\n")
     with pytest.raises(InputError, match="did you mean PBoost"):
         read_recording(tmp_path / "drive.mf4", tmp_path / "map.yaml")
+
+
+@pytest.mark.parametrize("ending", ["log", "asc", "blf", "mf4", "csv"])
+def test_a_clock_that_starts_again_is_refused_and_never_mingles_two_drives(tmp_path, drive, ending):
+    twice = pd.concat([drive[:150], drive[:140].assign(time_s=drive["time_s"][:140] + 0.1)], ignore_index=True)
+    path, database = tmp_path / f"drive.{ending}", None
+    if ending == "mf4":
+        asammdf = pytest.importorskip("asammdf")
+        speed = asammdf.Signal(twice["n_e_rpm"].to_numpy(), twice["time_s"].to_numpy(), name="n_e")
+        with asammdf.MDF(version="4.10") as mdf:
+            mdf.append(speed)
+            mdf.save(path)
+    elif ending == "csv":
+        names = ["n_e_rpm", "p_im_pa", "p_em_pa"]
+        rows = [f"{time};{name};{value}" for time, *values in twice[["time_s", *names]].to_numpy()
+                for name, value in zip(names, values, strict=True)]  # fmt: skip
+        path.write_text("time;name;value\n" + "\n".join(rows) + "\n")
+    else:
+        database, frames = _bus(twice, tmp_path)
+        with pytest.importorskip("can").Logger(path) as log:
+            for frame in frames:
+                log.on_message_received(frame)
+    with pytest.raises(InputError, match=r"reading 151: got .* the clock starts again"):
+        read_raw(path, database)
+
+
+def test_buses_written_in_turn_are_put_in_order(tmp_path, drive):
+    database, frames = _bus(drive, tmp_path)
+    frames[300:310], frames[310:320] = frames[310:320], frames[300:310]
+    with pytest.importorskip("can").Logger(tmp_path / "drive.log") as log:
+        for frame in frames:
+            log.on_message_received(frame)
+    raw = read_raw(tmp_path / "drive.log", database)
+    np.testing.assert_array_equal(raw.signals["p_em_pa"].values, drive["p_em_pa"])
+    assert raw.notes == ("10 channels had times that repeat or fall: sorted, each time once",)
+
+
+def test_vector_asc_with_times_since_the_last_event_counts_from_the_beginning(tmp_path, drive):
+    database, frames = _bus(drive, tmp_path)
+    head = "date Mon Nov 23 10:11:12.000 am 2026\nbase hex  timestamps relative\ninternal events logged\n"
+    lines, before = [], 0.0
+    for row, frame in enumerate(frames):
+        if row % 50 == 7:  # an event that is no frame takes part of the time
+            lines.append(f"   {frame.timestamp - before:.6f} Start of measurement")
+            before = frame.timestamp
+        data = " ".join(f"{byte:02X}" for byte in frame.data)
+        lines.append(f"   {frame.timestamp - before:.6f} 1  {frame.arbitration_id:X}             Rx   d 8 {data}")
+        before = frame.timestamp
+    path = tmp_path / "drive.asc"
+    path.write_text(head + "\n".join(lines) + "\n")
+    signal = read_raw(path, database).signals["p_im_pa"]
+    np.testing.assert_allclose(signal.time_s - signal.time_s[0], drive["time_s"], atol=1e-6)
+    np.testing.assert_array_equal(signal.values, drive["p_im_pa"])

@@ -144,3 +144,27 @@ def test_real_traces_agree_with_the_reference_decode(name):
         there = np.isfinite(ours[key].values)
         np.testing.assert_allclose(ours[key].time_s[there], rows["time_s"], rtol=0, atol=1e-9, err_msg=str(key))
         np.testing.assert_allclose(ours[key].values[there], rows["value"], rtol=1e-12, atol=1e-9, err_msg=str(key))
+
+
+def test_times_of_day_go_on_after_midnight(tmp_path):
+    stamps = ["23:59:59.80", "23:59:59.90", "00:00:00.00", "00:00:00.10"]
+    groups = ("0CF00400", "18FEF600", "18FEF200")
+
+    def lines(times: list[str]) -> str:
+        return "".join(f" ({time}0000)  can0  {group}   [8]  F1 28 55 2E 25 00 0F A6\n" for time in times
+                       for group in groups)  # fmt: skip
+
+    (tmp_path / "t.log").write_text(lines(stamps))
+    days = [f"2026-11-{day} {stamp}" for day, stamp in zip((23, 23, 24, 24), stamps, strict=True)]
+    (tmp_path / "d.log").write_text(lines(days))
+    for name in ("t.log", "d.log"):
+        speed = next(signal for signal in read_raw(tmp_path / name).signals.values() if signal.spn == 190)
+        assert speed.time_s is not None
+        np.testing.assert_allclose(np.diff(speed.time_s), 0.1, atol=1e-6)
+    assert speed.time_s[0] == pytest.approx(pd.Timestamp(days[0]).timestamp())
+
+
+def test_differences_of_times_are_refused(tmp_path):
+    frames = [(0.001 * (i % 2), "0CF00400", "F1 A5 A3 80 25 00 0F A6") for i in range(9)]
+    with pytest.raises(InputError, match="candump -t a"):
+        read_raw(trace(tmp_path / "t.log", frames))
