@@ -24,7 +24,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TextIO
@@ -261,6 +261,7 @@ def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], par
         with context.store.writing(step.name, key, provenance) as out:
             cpu_s = _run_worker(step, context, key, out, inputs, parameters)
             seconds = time.perf_counter() - started
+            _check_code(step, context)
             (out / TIMING).parent.mkdir()
             (out / TIMING).write_text(
                 json.dumps({"step": name, "seconds": round(seconds, 3), "cpu_seconds": cpu_s}), encoding="utf-8"
@@ -274,6 +275,26 @@ def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], par
     if stored is None:
         raise StepFailed(f"{step.name}: what was just written to {context.store.folder(step.name, key)} cannot be read")
     return stored
+
+
+def _check_code(step: Step, context: RunContext) -> None:
+    """Raise ``StepFailed`` where the code on disk is no longer that of the key: the worker imported it in between, so
+    that nobody knows which of the two it ran."""
+    before = step.code(context)
+    try:
+        now = step.code(replace(context, codes={}))  # with sources of its own, which read the files anew
+        changed = _differing(before, now)
+    except (SyntaxError, OSError, ImportError) as error:  # it is being edited, or a module is gone
+        changed = [str(error)]
+    if changed:
+        names = ", ".join(changed)
+        raise StepFailed(f"{step.name}: code of {names} changed while the run was on; run again")
+
+
+def _differing(before: Sources, now: Sources) -> list[str]:
+    """Names of the modules and folders of data that two digests don't agree about."""
+    old, new = {**before.modules, **before.data}, {**now.modules, **now.data}
+    return sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
 
 
 def stop_workers() -> None:
