@@ -37,6 +37,9 @@ _DECLARATIONS = frozenset(
     {"settings.params", "settings.discovery", "symbols", "identification.settings", "paper.loop_settings"}
 )
 
+# The library's link to the settings is no data of it: what a step reads of them is among its parameters.
+_SETTINGS_FILE = "params.yaml"
+
 _WHOLE = "*"
 
 # Trees (and single statements) whose meaning is kept: some times the library's.
@@ -143,7 +146,9 @@ class LibrarySources:
         """Folders that the module reads, with the hashes of their contents."""
         if name not in self._data:
             folders = folders_read(self._tree(name), self._files[name], self._root)
-            self._data[name] = {folder: content_hash(self._root / folder) for folder in sorted(folders)}
+            self._data[name] = {
+                folder: content_hash(self._root / folder, without=_SETTINGS_FILE) for folder in sorted(folders)
+            }
         return self._data[name]
 
     def _is_sliced(self, name: str, imported: Collection[str]) -> bool:
