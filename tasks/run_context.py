@@ -31,6 +31,7 @@ from tasks import workers
 from tasks.failures import StepFailed, WorkerKilled
 from tasks.fork_server import HEAVY
 from tasks.progress import Display
+from tasks.remembered import Remembered
 from tasks.sources import LIBRARY, LibrarySources, Sources, function_sources
 from tasks.store import RUNTIME, Artifact, Store
 from tasks.workspace import PROJECT, Workspace
@@ -69,9 +70,14 @@ class RunContext:
         return Store(self.workspace.cache)
 
     @cached_property
+    def remembered(self) -> Remembered:
+        """What earlier runs found in texts of the library that are still the same."""
+        return Remembered(self.workspace.cache / "code.json")
+
+    @cached_property
     def sources(self) -> LibrarySources:
         """The library's code as it is on disk when the run starts."""
-        return LibrarySources(self.library_root, self.library)
+        return LibrarySources(self.library_root, self.library, self.remembered)
 
 
 _context: RunContext | None = None
@@ -131,6 +137,7 @@ class Step:
             }
             entries |= {entry: {"*"} for entry in self.entries}
             context.codes[self.name] = context.sources.collect(entries, {f"step {self.name}": own})
+            context.remembered.save()
         return context.codes[self.name]
 
     def key(self, context: RunContext, inputs: Mapping[str, Artifact], parameters: Mapping[str, Any]) -> str:
