@@ -44,11 +44,15 @@ SECTIONS_VARIABLE = "DIESELTWIN_SECTIONS"
 
 Range = tuple[float, float]
 
+# RK4 is stable up to 2.785 time constants, and the engine's fastest is 11 ms. Set-II at three ambients against steps of
+# 1.25 ms: states are off by at most 0.5 % of their mean at 29 ms, 4 % at 33 ms, 16 % at 40 ms, hundreds at 0.2 s.
+LONGEST_STEP_S = 0.03
+
 
 class EngineConfig(StrictModel):
     """The engine that data are made with, and the step of the simulator."""
 
-    step_s: PositiveFloat
+    step_s: float = Field(gt=0.0, le=LONGEST_STEP_S)
     overrides: dict[str, float | tuple[float, ...]]
     field_ratios: dict[str, PositiveFloat] = Field(description="laboratory value / field value")
 
