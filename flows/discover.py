@@ -27,14 +27,13 @@ def discover(
     """Discover in each recording. Returns the names of those that gave a verdict."""
     context = current()
     settings = load_settings(profile)
-    config = settings["discover"]
     if recordings:
         inputs = steps.named_recordings(recordings)
     else:
         made = submit(
             prove.benchmark,
             cases=1,
-            seed=config["concealed_seed"],
+            seed=settings["discover"]["concealed_seed"],
             tier="main",
             sensors=settings["proof"]["sensors"],
             duration_s=settings["proof"]["duration_s"],
@@ -47,7 +46,7 @@ def discover(
             recording=recording,
             kind=name,
             sensors=sensors,
-            settings=config,
+            sections=steps.discover.sections_of(settings),
             **steps.engine_file(engine),
         )
         for name, recording in inputs.items()

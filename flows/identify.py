@@ -12,7 +12,7 @@ from tasks import records
 from tasks import report as steps
 from tasks.launch import run_alone
 from tasks.prefect_task import submit
-from tasks.publish import publish, published
+from tasks.publish import publish, publish_beside, published
 from tasks.run_context import WORKERS, current, seed_for
 from tasks.settings import about, load_settings, network_files, own_settings, runs_of
 
@@ -64,7 +64,7 @@ def identify(profile: str) -> str:
     ).result()
     parts = {name: artifact.path for name, artifact in found.items()}
     results = publish(root / "results", {"": common.path, **parts})
-    publish(context.workspace.reports, {"": page.path, **context.workspace.other_reports()})
+    publish_beside(context.workspace.reports, {"": page.path})
     records.identified(found, common, page, {"field recordings": field, "models": models}, settings)
     steps.show(page, context.workspace.reports)
     return results.sha256

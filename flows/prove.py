@@ -32,23 +32,38 @@ def prove(profile: str) -> str:
             kind=entry["case"],
             withhold=entry["withhold"],
             tier=config["tier"],
+            sections=steps.case.sections_of(settings),
         )
         for entry in entries
     }
     opened, parts = {}, {}
     for name, waiting in pending.items():
         parts[f"result_{name}"] = waiting.result()
-        opened[name] = submit(steps.opened, benchmark=made, result=parts[f"result_{name}"], kind=name)
+        opened[name] = submit(
+            steps.opened,
+            benchmark=made,
+            result=parts[f"result_{name}"],
+            kind=name,
+            sections=steps.opened.sections_of(settings),
+        )
     compared = {}
     if baselines:
-        bands = submit(steps.bands, benchmark=made, jobs=WORKERS).result()
+        bands = submit(
+            steps.bands, benchmark=made, jobs=WORKERS, sections=steps.bands.sections_of(settings)
+        ).result()
         compared = {
-            entry["case"]: submit(steps.baseline, benchmark=made, bands=bands, kind=entry["case"])
+            entry["case"]: submit(
+                steps.baseline,
+                benchmark=made,
+                bands=bands,
+                kind=entry["case"],
+                sections=steps.baseline.sections_of(settings),
+            )
             for entry in entries[:baselines]
         }
     parts |= {f"opened_{name}": waiting.result() for name, waiting in opened.items()}
     parts |= {f"baseline_{name}": waiting.result() for name, waiting in compared.items()}
-    scored = submit(steps.score, benchmark=made, **parts).result()
+    scored = submit(steps.score, benchmark=made, sections=steps.score.sections_of(settings), **parts).result()
     proof = publish(context.workspace.root / "proof", steps.files_to_publish(scored))
     publish(context.workspace.reports / "proof", steps.files_to_show(scored))
     records.proved(scored, made, settings)

@@ -26,7 +26,14 @@ def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
     settings = load_settings(profile)
     files = steps.engine_files(engine)
     pending = {
-        name: submit(steps.watched, recording=Artifact.of(path), kind=path.stem, name=name, **files)
+        name: submit(
+            steps.watched,
+            recording=Artifact.of(path),
+            kind=path.stem,
+            name=name,
+            sections=steps.watched.sections_of(settings),
+            **files,
+        )
         for name, path in steps.new_recordings(folder, engine, history).items()
     }
     found, refused = discover.gathered(pending)

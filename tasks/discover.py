@@ -17,7 +17,7 @@ SUMMARY = "summary.txt"
 COMPARED = ("discrepancy.json", "engine.yaml", "implied.parquet")
 
 
-@step("discover", "discovery", expected_s=60.0)
+@step("discover", "discovery", expected_s=60.0, sections=("discover", "learn"))
 def discover(
     out: Path,
     progress: Any,
@@ -25,13 +25,11 @@ def discover(
     recording: Path,
     kind: str,
     sensors: list[str] | None,
-    settings: dict[str, Any],
     engine: Path | None = None,
 ) -> None:
     """discrepancy.json, report.html, figures/, engine.yaml (repaired), implied.parquet; ``kind`` names the recording.
 
     ``engine``: an engine file; None is the published engine. ``sensors``: columns to use; None is all there are.
-    ``settings``: the section ``discover`` of params.yaml.
     """
     import shutil
     import tempfile
@@ -39,7 +37,7 @@ def discover(
 
     from dieseltwin.api.discovery import ask
     from dieseltwin.api.findings import Asked
-    from dieseltwin.settings.discovery import DiscoverConfig
+    from dieseltwin.settings.params import default_discover
 
     source, engine = recording.resolve(), engine.resolve() if engine is not None else None
     with tempfile.TemporaryDirectory() as folder:
@@ -47,8 +45,7 @@ def discover(
         shutil.copyfile(source, Path(folder) / name)
         # The document names the recording's path: a relative one, the same wherever the cache lies.
         with chdir(folder):
-            config = DiscoverConfig.model_validate(settings)
-            question = ask(Path(name), engine, asked=Asked(sensors, seed=config.seed, settings=config))
+            question = ask(Path(name), engine, asked=Asked(sensors, seed=default_discover().seed))
             lines = list(question.preview())
             found = question.answer()
             found.save("found")

@@ -18,7 +18,7 @@ from typing import Any
 
 from dieseltwin.atomic import check_writable
 from dieseltwin.errors import InputError
-from tasks import databases, records, run_context
+from tasks import databases, records, run_context, workers
 from tasks.cluster import check_setting
 from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
 from tasks.server import ServerFailed, prefect_server
@@ -143,5 +143,5 @@ def serve(flow: Any, cron: str, **parameters: Any) -> int:
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:
     """End the workers first: Prefect waits for its threads, and they wait for them."""
-    run_context.stop_workers()
+    workers.stop()
     raise KeyboardInterrupt

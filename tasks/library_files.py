@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 from pathlib import Path
 
 _TEMPLATES = "templates"  # PackageLoader's own default
@@ -19,12 +18,12 @@ def folders_read(tree: ast.Module, path: Path, root: Path) -> set[str]:
 
     A file of ``resources.files`` whose folder isn't spelled out stands for the whole package.
     """
-    found = _named(tree, path.parent.relative_to(root).as_posix())
+    found = named_folders(tree, path.parent.relative_to(root).as_posix())
     return {folder for folder in found if (root / folder).is_dir()}
 
 
-@lru_cache(maxsize=4096)
-def _named(tree: ast.Module, package: str) -> frozenset[str]:
+def named_folders(tree: ast.Module, package: str) -> frozenset[str]:
+    """The same for a module of that package (a path), whether they are there or not."""
     nodes = tuple(ast.walk(tree))
     return frozenset((*_of_loaders(nodes), *_of_resources(nodes), *_beside(nodes, package)))
 

@@ -23,6 +23,9 @@ _BENCHMARK = "benchmark"  # a folder below the step's own, whose manifest has th
 _MANIFEST = "manifest.json"
 _TIMED_LINES = {"time"}
 
+# Sections of params.yaml that discovery, oracle and baselines look up by themselves.
+_LOOKED_UP = ("discover", "learn")
+
 
 @step("benchmark", "concealed recordings", expected_s=60.0)
 def benchmark(
@@ -43,7 +46,7 @@ def benchmark(
     )
 
 
-@step("case", "discovery", expected_s=60.0, many=True)
+@step("case", "discovery", expected_s=60.0, many=True, sections=_LOOKED_UP)
 def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list[str], tier: str) -> None:
     """What ``challenge run`` writes of one case (``kind``): discrepancy.json, engine.yaml, ... or failed.json."""
     import json
@@ -76,7 +79,7 @@ def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list
         failed.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
-@step("opened", "seal opened, oracle", expected_s=30.0, many=True)
+@step("opened", "seal opened, oracle", expected_s=30.0, many=True, sections=_LOOKED_UP)
 def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str) -> None:
     """``scored.json`` of one case: held-out scores before and after, the oracle's, separability, the law's error."""
     from dieseltwin.challenge.records import Scoring, case_row
@@ -97,7 +100,7 @@ def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str
 _SCORED = "scored.json"
 
 
-@step("baseline-bands", "bands of the baselines", expected_s=150.0)
+@step("baseline-bands", "bands of the baselines", expected_s=150.0, sections=_LOOKED_UP)
 def bands(out: Path, progress: Any, *, benchmark: Path, jobs: int) -> None:
     """``baselines/bands.json``: what healthy machines reach; the baselines alarm beyond it."""
     from dieseltwin.challenge.baselines import write_bands
@@ -107,7 +110,7 @@ def bands(out: Path, progress: Any, *, benchmark: Path, jobs: int) -> None:
         _copied(path, out / BASELINES_FOLDER / path.name)
 
 
-@step("baseline", "baselines", expected_s=15.0, many=True)
+@step("baseline", "baselines", expected_s=15.0, many=True, sections=_LOOKED_UP)
 def baseline(out: Path, progress: Any, *, benchmark: Path, bands: Path, kind: str) -> None:
     """What ``challenge baselines`` writes of one case, as it lies below the benchmark's folder."""
     import shutil
@@ -123,7 +126,7 @@ def baseline(out: Path, progress: Any, *, benchmark: Path, bands: Path, kind: st
 BASELINES_FOLDER = "baselines"
 
 
-@step("score", "score", expected_s=20.0)
+@step("score", "score", expected_s=20.0, sections=_LOOKED_UP)
 def score(out: Path, progress: Any, *, benchmark: Path, **parts: Path) -> None:
     """The table (score.json, score.md, lines.csv), every case (rows.json), failures.csv, figures/, metrics.json.
 

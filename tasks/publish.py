@@ -6,9 +6,11 @@ out: the folders are the same bit by bit whenever the results are.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
+from dieseltwin.atomic import atomic_folder
 from tasks.run_context import StepFailed
 from tasks.store import MANIFEST, RUNTIME, Artifact, content_hash, replace_folder
 
@@ -18,17 +20,25 @@ def publish(target: Path, parts: Mapping[str, Path]) -> Artifact:
 
     Written beside and renamed; a folder that agrees already is left alone. Returns it with its hash.
     """
-    files: dict[str, Path] = {}
-    for name, source in parts.items():
-        if source.is_file():
-            files[name] = source
-            continue
-        for path in sorted(source.rglob("*")):
-            if path.is_file() and path.name not in (MANIFEST, RUNTIME):
-                files[(Path(name) / path.relative_to(source)).as_posix()] = path
+    files = _files_of(parts)
     if not _agrees(target, files):
         replace_folder(target, files)
     return Artifact.of(target)
+
+
+def publish_beside(target: Path, parts: Mapping[str, Path]) -> None:
+    """Put ``parts`` into the folder ``target``, in which other flows and the user keep files and folders of their own.
+
+    Only the folders and files that ``parts`` names are replaced.
+    """
+    files = _files_of(parts)
+    own = {name.partition("/")[0] for name in files if "/" in name}
+    if all(_agrees(target / name, _below(files, name)) for name in own) and _hold_the_same(target, files):
+        return
+    with atomic_folder(target, own) as partial:
+        for name, source in files.items():
+            (partial / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, partial / name)
 
 
 def published(path: Path, maker: str) -> Artifact:
@@ -41,8 +51,30 @@ def published(path: Path, maker: str) -> Artifact:
     return Artifact.of(path)
 
 
+def _files_of(parts: Mapping[str, Path]) -> dict[str, Path]:
+    """Every file of the parts by its name in the folder."""
+    files: dict[str, Path] = {}
+    for name, source in parts.items():
+        if source.is_file():
+            files[name] = source
+            continue
+        for path in sorted(source.rglob("*")):
+            if path.is_file() and path.name not in (MANIFEST, RUNTIME):
+                files[(Path(name) / path.relative_to(source)).as_posix()] = path
+    return files
+
+
+def _below(files: Mapping[str, Path], folder: str) -> dict[str, Path]:
+    return {name.removeprefix(f"{folder}/"): source for name, source in files.items() if name.startswith(f"{folder}/")}
+
+
 def _agrees(target: Path, files: Mapping[str, Path]) -> bool:
     present = {path.relative_to(target).as_posix() for path in target.rglob("*") if path.is_file()}
-    return present == set(files) and all(
-        content_hash(target / name) == content_hash(source) for name, source in files.items()
+    return present == set(files) and _hold_the_same(target, files)
+
+
+def _hold_the_same(target: Path, files: Mapping[str, Path]) -> bool:
+    return all(
+        (target / name).is_file() and content_hash(target / name) == content_hash(source)
+        for name, source in files.items()
     )

@@ -2,14 +2,14 @@
 
 A step's key is the hash of
   * the content hashes of the files it is given (never their names, never arrays),
-  * its plain parameters (its section of params.yaml, seeds),
+  * its plain parameters (its sections of params.yaml, those that the library looks up by itself too, seeds),
   * the code of its own function and of the library modules that it really imports (:mod:`tasks.sources`), and the files
     that those open in the library,
   * the versions of the packages those modules import.
 
 Results lie in ``.cache/<step>/<key>/`` (:mod:`tasks.store`); Prefect's own cache holds the path and the hash alone,
 under the same key, and is believed only after the files were hashed again (:mod:`tasks.prefect_task`). Steps run in
-processes of their own (:mod:`tasks.worker`, forked by :mod:`tasks.fork_server`), so that two heavy ones use two cores;
+processes of their own (:mod:`tasks.workers`), so that two heavy ones use two cores;
 those never need Prefect.
 """
 
@@ -20,31 +20,21 @@ import importlib
 import json
 import os
 import sys
-import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
+from tasks import workers
 from tasks.failures import StepFailed, WorkerKilled
-from tasks.fork_server import HEAVY, ForkedProcess, ForkServer
+from tasks.fork_server import HEAVY
 from tasks.progress import Display
+from tasks.remembered import Remembered
 from tasks.sources import LIBRARY, LibrarySources, Sources, function_sources
 from tasks.store import RUNTIME, Artifact, Store
 from tasks.workspace import PROJECT, Workspace
-
-# One thread of linear algebra per process: two spinning threads beside a busy neighbour were 10-70 times slower than
-# one, and one thread gives the same bits every time.
-_ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_WAIT_POLICY": "PASSIVE",
-    "PYTHONHASHSEED": "0",
-}
 
 # Set for processes whose terminal is not the user's (workers of a cluster): they print nothing.
 QUIET_VARIABLE = "DIESELTWIN_QUIET"
@@ -57,12 +47,10 @@ _LOG_TAIL_LINES = 12
 # How long a step took, beside its result and no part of its hash.
 TIMING = f"step/{RUNTIME}"
 
-STEPS: dict[str, Step] = {}
+# The argument of a step that its function doesn't get: its process finds it in the environment.
+_SECTIONS = "sections"
 
-_workers: set[ForkedProcess] = set()
-_stopping = False
-_asking = threading.Lock()
-_server: tuple[str, ForkServer] | None = None
+STEPS: dict[str, Step] = {}
 
 
 @dataclass(frozen=True)
@@ -82,9 +70,14 @@ class RunContext:
         return Store(self.workspace.cache)
 
     @cached_property
+    def remembered(self) -> Remembered:
+        """What earlier runs found in texts of the library that are still the same."""
+        return Remembered(self.workspace.cache / "code.json")
+
+    @cached_property
     def sources(self) -> LibrarySources:
         """The library's code as it is on disk when the run starts."""
-        return LibrarySources(self.library_root, self.library)
+        return LibrarySources(self.library_root, self.library, self.remembered)
 
 
 _context: RunContext | None = None
@@ -113,6 +106,10 @@ class Step:
 
     ``progress(done, total)`` may be called or not. Arguments given as :class:`Artifact` reach the function as paths;
     all others must be plain JSON values. The function imports what it computes with inside itself.
+
+    ``sections`` names the sections of params.yaml that the library looks up by itself when the function runs. They are
+    an argument ``sections`` of the call (:meth:`sections_of`), part of the key, and stand for the file's in the step's
+    process: the file may be of another profile, or edited, and a look-up of any other section is an error there.
     """
 
     name: str
@@ -121,6 +118,7 @@ class Step:
     expected_s: float = 5.0
     entries: tuple[str, ...] = ()
     many: bool = False
+    sections: tuple[str, ...] = ()
 
     @property
     def reference(self) -> str:
@@ -139,10 +137,14 @@ class Step:
             }
             entries |= {entry: {"*"} for entry in self.entries}
             context.codes[self.name] = context.sources.collect(entries, {f"step {self.name}": own})
+            context.remembered.save()
         return context.codes[self.name]
 
     def key(self, context: RunContext, inputs: Mapping[str, Artifact], parameters: Mapping[str, Any]) -> str:
-        """The cache key (first 32 digits of a sha256)."""
+        """The cache key (first 32 digits of a sha256). Raises ``TypeError`` where the sections aren't the step's."""
+        if set(parameters.get(_SECTIONS, ())) != set(self.sections):
+            given = sorted(parameters.get(_SECTIONS, ()))
+            raise TypeError(f"{self.name}: sections: got {given}; allowed: {sorted(self.sections)}; pass `sections_of`")
         parts = {
             "step": self.name,
             "code": self.code(context).digest,
@@ -151,6 +153,10 @@ class Step:
         }
         text = json.dumps(parts, sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+    def sections_of(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """The argument ``sections`` of a call, from the settings of a profile."""
+        return {name: settings[name] for name in self.sections}
 
     def instance(self, parameters: Mapping[str, Any]) -> str:
         """The step's name, with the kind where one step makes several."""
@@ -207,15 +213,17 @@ def step(
     expected_s: float = 5.0,
     entries: tuple[str, ...] = (),
     many: bool = False,
+    sections: tuple[str, ...] = (),
 ) -> Callable[[Callable[..., None]], Step]:
     """Make a step of a function, see :class:`Step`.
 
     ``entries``: library modules that stand for the packages they lie in, where a package's registry would take in too
-    much; ``many``: it runs hundreds of times in a flow, so that results from the cache aren't listed.
+    much; ``many``: it runs hundreds of times in a flow, so that results from the cache aren't listed; ``sections``: of
+    params.yaml, that the library looks up by itself.
     """
 
     def decorate(function: Callable[..., None]) -> Step:
-        made = Step(name, label, function, expected_s, entries, many)
+        made = Step(name, label, function, expected_s, entries, many, sections)
         if name in STEPS and STEPS[name].function.__qualname__ != function.__qualname__:
             raise ValueError(f"two steps named {name!r}")
         STEPS[name] = made
@@ -261,6 +269,7 @@ def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], par
         with context.store.writing(step.name, key, provenance) as out:
             cpu_s = _run_worker(step, context, key, out, inputs, parameters)
             seconds = time.perf_counter() - started
+            _check_code(step, context)
             (out / TIMING).parent.mkdir()
             (out / TIMING).write_text(
                 json.dumps({"step": name, "seconds": round(seconds, 3), "cpu_seconds": cpu_s}), encoding="utf-8"
@@ -276,14 +285,24 @@ def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], par
     return stored
 
 
-def stop_workers() -> None:
-    """Kill the workers of this process (Ctrl-C); the threads that wait for them remove their temporary folders."""
-    global _stopping
-    _stopping = True
-    if _server is not None:
-        _server[1].kill()
-    for worker in tuple(_workers):
-        worker.kill()
+def _check_code(step: Step, context: RunContext) -> None:
+    """Raise ``StepFailed`` where the code on disk is no longer that of the key: the worker imported it in between, so
+    that nobody knows which of the two it ran."""
+    before = step.code(context)
+    try:
+        now = step.code(replace(context, codes={}))  # with sources of its own, which read the files anew
+        changed = _differing(before, now)
+    except (SyntaxError, OSError, ImportError) as error:  # it is being edited, or a module is gone
+        changed = [str(error)]
+    if changed:
+        names = ", ".join(changed)
+        raise StepFailed(f"{step.name}: code of {names} changed while the run was on; run again")
+
+
+def _differing(before: Sources, now: Sources) -> list[str]:
+    """Names of the modules and folders of data that two digests don't agree about."""
+    old, new = {**before.modules, **before.data}, {**now.modules, **now.data}
+    return sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
 
 
 def seconds_of(artifact: Artifact) -> float:
@@ -300,63 +319,34 @@ def _run_worker(
     parameters: Mapping[str, Any],
 ) -> float:
     """Run the step's function in a process. Returns the CPU seconds it took."""
+    from dieseltwin.settings.params import SECTIONS_VARIABLE
+
     logs = context.workspace.cache / "logs"
     logs.mkdir(parents=True, exist_ok=True)
     log = logs / f"{step.instance(parameters)}-{key[:8]}.log"
     paths = [str(context.library_root), str(PROJECT), *(path for path in sys.path if path)]
-    environment = {**os.environ, **_ONE_THREAD, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
+    environment = {
+        **os.environ,
+        **workers.ONE_THREAD,
+        "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths)),
+        SECTIONS_VARIABLE: json.dumps(parameters.get(_SECTIONS, {})),
+    }
     specification = {
         "step": step.reference,
         "inputs": {name: str(artifact.path) for name, artifact in inputs.items()},
-        "parameters": dict(parameters),
+        "parameters": {name: value for name, value in parameters.items() if name != _SECTIONS},
         "out": str(out),
         "folder": os.getcwd(),
         "environment": environment,
     }
     imported = step.code(context).packages
     libraries = [library for library in HEAVY if library.partition(".")[0] in imported]
-    with log.open("w", encoding="utf-8") as stream, _forked(environment, libraries, stream) as worker:
-        _workers.add(worker)
-        try:
-            last = _talk(worker, specification, step.instance(parameters), context)
-        except BaseException:
-            worker.kill()
-            raise
-        finally:
-            _workers.discard(worker)
-    if worker.returncode:
-        raise _failed(step, context, log, last, worker.returncode)
+    status, last = workers.run(
+        specification, libraries, log, lambda fraction: context.display.update(step.instance(parameters), fraction)
+    )
+    if status:
+        raise _failed(step, context, log, last, status)
     return float(last["cpu_s"])
-
-
-def _forked(environment: Mapping[str, str], libraries: Sequence[str], log: TextIO) -> ForkedProcess:
-    """A worker of the server at hand; of another one where it is to find its modules elsewhere."""
-    global _server
-    path = environment["PYTHONPATH"]
-    with _asking:
-        if _server is None or _server[0] != path or not _server[1].runs:
-            if _server is not None:
-                _server[1].close()
-            _server = path, ForkServer("tasks.worker", environment)
-        return _server[1].start(libraries, log)
-
-
-def _talk(
-    worker: ForkedProcess, specification: Mapping[str, Any], name: str, context: RunContext
-) -> dict[str, Any]:
-    """Send the specification, pass progress on. Returns the worker's last message: its error or its CPU seconds."""
-    last: dict[str, Any] = {}
-    with suppress(BrokenPipeError):  # it was killed: its status says so
-        worker.stdin.write(json.dumps(specification) + "\n")
-        worker.stdin.flush()
-    for line in worker.stdout:
-        message = json.loads(line)
-        if "fraction" in message:
-            context.display.update(name, message["fraction"])
-        else:
-            last = message
-    worker.wait()
-    return last
 
 
 def _failed(step: Step, context: RunContext, log: Path, failure: Mapping[str, Any], status: int) -> StepFailed:
@@ -369,7 +359,7 @@ def _failed(step: Step, context: RunContext, log: Path, failure: Mapping[str, An
         return StepFailed(f"{step.name}: {kind}: {first} (traceback in {where})", kinds=failure["kind"])
     tail = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_LOG_TAIL_LINES:]
     last = tail[-1] if tail else "no output"
-    kind = WorkerKilled if status < 0 and not _stopping else StepFailed
+    kind = WorkerKilled if status < 0 and not workers.stopping() else StepFailed
     return kind(f"{step.name}: the worker ended with status {status}: {last} (log in {where})")
 
 

@@ -20,14 +20,16 @@ import importlib
 import inspect
 import sys
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from tasks.library_files import folders_read
+from tasks.code_reading import WHOLE, code_digest, imported_names, is_inert, parsed, used_definitions
+from tasks.library_files import named_folders
+from tasks.remembered import Remembered
 from tasks.store import content_hash
 
 LIBRARY = "dieseltwin"
@@ -37,13 +39,8 @@ _DECLARATIONS = frozenset(
     {"settings.params", "settings.discovery", "symbols", "identification.settings", "paper.loop_settings"}
 )
 
-_WHOLE = "*"
-
-# Trees (and single statements) whose meaning is kept: some times the library's.
-_TREES = 8192
-
-# Dunder assignments of a package's __init__ that cannot change a result.
-_INERT_NAMES = frozenset({"__all__", "__version__", "__author__"})
+# The library's link to the settings is no data of it: what a step reads of them is among its parameters.
+_SETTINGS_FILE = "params.yaml"
 
 
 @dataclass(frozen=True)
@@ -75,19 +72,21 @@ class Sources:
 class LibrarySources:
     """Reads the modules of one package below ``root`` (never imports them) and follows their imports.
 
-    An instance reads each file once: make a new one to see changed files. What a text says is worked out once a
-    process; trees are never changed after that.
+    An instance reads each file once: make a new one to see changed files. What a text says is worked out once, here or
+    in an earlier process (``remembered``); trees are never changed.
     """
 
-    def __init__(self, root: Path, package: str = LIBRARY) -> None:
+    def __init__(self, root: Path, package: str = LIBRARY, remembered: Remembered | None = None) -> None:
         self.package = package
         self._root = root
+        self._remembered = remembered or Remembered()
         self._files = {
             _module_name(path.relative_to(root)): path
             for path in sorted((root / package).rglob("*.py"))
             if "__pycache__" not in path.parts
         }
-        self._trees: dict[str, ast.Module] = {}
+        self._known = " ".join(self._files)
+        self._texts: dict[str, str] = {}
         self._imported: dict[tuple[str, frozenset[str]], dict[str, frozenset[str]]] = {}
         self._digests: dict[tuple[str, frozenset[str]], str] = {}
         self._data: dict[str, dict[str, str]] = {}
@@ -107,7 +106,7 @@ class LibrarySources:
         """
         names: dict[str, set[str]] = {}
         for entry in entries:
-            names[entry] = set(entries[entry]) if isinstance(entries, Mapping) else {_WHOLE}
+            names[entry] = set(entries[entry]) if isinstance(entries, Mapping) else {WHOLE}
         todo = list(names)
         for name in todo:
             if name not in self._files:
@@ -130,110 +129,81 @@ class LibrarySources:
         modules = {name: self._digest(name, names[name]) for name in inside}
         for name in sorted({parent for module in inside for parent in _parents(module)} - set(inside)):
             # A parent package's __init__ runs too, but its re-exports aren't used: only its own statements count.
-            if name in self._files:
-                statements = [node for node in self._tree(name).body if not _is_inert(node)]
-                if statements:
-                    modules[name] = _code_digest(ast.Module(body=statements, type_ignores=[]))
+            own = self._own_statements(name) if name in self._files else ""
+            if own:
+                modules[name] = own
         modules |= dict(own_code or {})
         data = {folder: digest for name in inside for folder, digest in self._data_of(name).items()}
         version = f"{sys.version_info.major}.{sys.version_info.minor}"
         return Sources(modules=modules, packages=_versions(frozenset(outside)), python=version, data=data)
 
+    def _own_statements(self, name: str) -> str:
+        """Digest of what a package's __init__ does but import and name; empty where that is nothing."""
+
+        def work() -> str:
+            statements = [node for node in self._tree(name).body if not is_inert(node)]
+            return code_digest(ast.Module(body=statements, type_ignores=[])) if statements else ""
+
+        return str(self._remembered.value(work, "own statements", self._text(name)))
+
     def _data_of(self, name: str) -> dict[str, str]:
         """Folders that the module reads, with the hashes of their contents."""
         if name not in self._data:
-            folders = folders_read(self._tree(name), self._files[name], self._root)
-            self._data[name] = {folder: content_hash(self._root / folder) for folder in sorted(folders)}
+            package = self._files[name].parent.relative_to(self._root).as_posix()
+            folders = self._remembered.value(
+                lambda: sorted(named_folders(self._tree(name), package)), "folders", package, self._text(name)
+            )
+            self._data[name] = {
+                folder: content_hash(self._root / folder, without=_SETTINGS_FILE)
+                for folder in folders
+                if (self._root / folder).is_dir()
+            }
         return self._data[name]
 
     def _is_sliced(self, name: str, imported: Collection[str]) -> bool:
         """Whether only the imported names of that module count."""
-        return name.removeprefix(f"{self.package}.") in _DECLARATIONS and _WHOLE not in imported
+        return name.removeprefix(f"{self.package}.") in _DECLARATIONS and WHOLE not in imported
 
     def _digest(self, name: str, imported: set[str]) -> str:
-        sliced = self._is_sliced(name, imported)
-        key = (name, frozenset(imported) if sliced else frozenset())
-        if key not in self._digests:
+        taken = frozenset(imported) if self._is_sliced(name, imported) else frozenset()
+
+        def work() -> str:
             tree = self._tree(name)
-            if sliced:
-                tree = ast.Module(body=_used_definitions(tree, imported), type_ignores=[])
-            self._digests[key] = _code_digest(tree)
+            return code_digest(ast.Module(body=used_definitions(tree, taken), type_ignores=[]) if taken else tree)
+
+        key = (name, taken)
+        if key not in self._digests:
+            names = " ".join(sorted(taken))
+            self._digests[key] = str(self._remembered.value(work, "digest", names, self._text(name)))
         return self._digests[key]
 
+    def _text(self, name: str) -> str:
+        if name not in self._texts:
+            self._texts[name] = self._files[name].read_text(encoding="utf-8")
+        return self._texts[name]
+
     def _tree(self, name: str) -> ast.Module:
-        if name not in self._trees:
-            self._trees[name] = _parsed(self._files[name].read_text(encoding="utf-8"))
-        return self._trees[name]
+        return parsed(self._text(name))
 
     def _imports(self, name: str, taken: frozenset[str]) -> dict[str, frozenset[str]]:
         """What ``name`` imports for the names that are taken from it, as :func:`imported_names` gives it."""
         sliced = self._is_sliced(name, taken)
         key = (name, taken if sliced else frozenset())
-        if key not in self._imported:
+
+        def work() -> dict[str, list[str]]:
             tree, is_package = self._tree(name), self._files[name].name == "__init__.py"
             if sliced:
                 imports = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
-                tree = ast.Module(body=[*imports, *_used_definitions(tree, set(taken))], type_ignores=[])
+                tree = ast.Module(body=[*imports, *used_definitions(tree, taken)], type_ignores=[])
             found = imported_names(tree, name, is_package, frozenset(self._files))
-            self._imported[key] = {module: names for module, names in found.items() if not sliced or names != {""}}
+            return {module: sorted(names) for module, names in found.items() if not sliced or names != {""}}
+
+        if key not in self._imported:
+            names = " ".join(sorted(key[1])) if sliced else WHOLE
+            parts = ("imports", name, str(self._files[name].name), names, self._known, self._text(name))
+            found = self._remembered.value(work, *parts)
+            self._imported[key] = {module: frozenset(names) for module, names in found.items()}
         return self._imported[key]
-
-
-@lru_cache(maxsize=_TREES)
-def _parsed(text: str) -> ast.Module:
-    return ast.parse(text)
-
-
-@lru_cache(maxsize=_TREES)
-def imported_names(tree: ast.AST, name: str, is_package: bool, known: frozenset[str]) -> Mapping[str, frozenset[str]]:
-    """Modules that ``tree`` imports, at any depth, with the names that it takes from them (``*``: the whole module).
-
-    Modules in ``known`` are named in full, of others the top level.
-    A string constant that is a known module's name counts as well ("pkg.module" or "pkg.module:function"): that is how
-    lazy registries import. What is imported for type checkers alone doesn't count, nor does a name that stands in
-    function annotations alone.
-    """
-    found: dict[str, set[str]] = {}
-
-    def add(module: str, imported: str) -> None:
-        found.setdefault(module if module in known else module.split(".")[0], set()).add(imported)
-
-    nodes = tuple(_running(tree))
-    used = {node.id for node in nodes if isinstance(node, ast.Name)}
-    exported = is_package or "__all__" in used
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                add(alias.name, _WHOLE)
-        elif isinstance(node, ast.ImportFrom):
-            base = _resolve(node, name, is_package)
-            for alias in node.names:
-                if f"{base}.{alias.name}" in known:
-                    add(f"{base}.{alias.name}", _WHOLE)
-                elif exported or (alias.asname or alias.name) in used or alias.name == _WHOLE:
-                    add(base, alias.name)
-                else:
-                    add(base, "")
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            text = node.value.split(":")[0]
-            if "." in text and text in known:
-                add(text, _WHOLE)
-    found.pop("__future__", None)
-    return {module: frozenset(names) for module, names in found.items()}
-
-
-def _running(tree: ast.AST) -> Iterator[ast.AST]:
-    """The nodes of what runs: without function annotations and ``if TYPE_CHECKING:`` blocks."""
-    todo = [tree]
-    while todo:
-        node = todo.pop()
-        yield node
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            todo += node.orelse
-        elif isinstance(node, ast.FunctionDef):
-            todo += [child for child in ast.iter_child_nodes(node) if child is not node.returns]
-        elif not isinstance(node, ast.arg):
-            todo += ast.iter_child_nodes(node)
 
 
 def function_sources(
@@ -249,9 +219,9 @@ def function_sources(
     module = inspect.getmodule(function)
     if module is None:
         raise ValueError(f"{function!r} has no module")
-    source = _parsed(textwrap.dedent(inspect.getsource(module)))
-    body = ast.Module(body=_used_definitions(source, {function.__name__}), type_ignores=[])
-    digest = _code_digest(body)
+    source = parsed(textwrap.dedent(inspect.getsource(module)))
+    body = ast.Module(body=used_definitions(source, {function.__name__}), type_ignores=[])
+    digest = code_digest(body)
     found = imported_names(body, module.__name__, False, known or frozenset())
     imported = {name: set(names) for name, names in found.items()}
     for helper in _task_functions(body):
@@ -270,84 +240,6 @@ def _task_functions(body: ast.Module) -> list[Callable[..., Any]]:
             module = importlib.import_module(node.module or "")
             found += [getattr(module, alias.name) for alias in node.names]
     return [item for item in found if inspect.isfunction(item)]
-
-
-def _used_definitions(source: ast.Module, wanted: set[str]) -> list[ast.stmt]:
-    """The module's functions, classes and constants that ``wanted`` names and what those use; and what else it runs."""
-    definitions: dict[str, list[ast.stmt]] = {}
-    others = []
-    for statement in source.body:
-        names = _names_defined(statement)
-        for name in names:
-            definitions.setdefault(name, []).append(statement)
-        if not names and not _is_inert(statement):
-            others.append(statement)
-    used: dict[str, list[ast.stmt]] = {}
-    todo = list(wanted)
-    while todo:
-        name = todo.pop()
-        if name in used or name not in definitions:
-            continue
-        used[name] = definitions[name]
-        for statement in definitions[name]:
-            todo += _names_used(statement)
-    statements = {id(statement): statement for name in sorted(used) for statement in used[name]}
-    return [_undecorated(statement) for statement in statements.values()] + others
-
-
-@lru_cache(maxsize=_TREES)
-def _names_used(statement: ast.stmt) -> tuple[str, ...]:
-    return tuple(node.id for node in _running(statement) if isinstance(node, ast.Name))
-
-
-def _names_defined(statement: ast.stmt) -> list[str]:
-    """Names that a definition or an assignment gives (``A, B = 1, 2`` gives two); none for all other statements."""
-    if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-        return [statement.name]
-    if not isinstance(statement, ast.Assign | ast.AnnAssign):
-        return []
-    targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
-    stored = [node for target in targets for node in ast.walk(target)]
-    return [node.id for node in stored if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
-
-
-def _undecorated(node: ast.stmt) -> ast.stmt:
-    """The definition without decorators: a step's label or expected seconds don't change its result."""
-    if isinstance(node, ast.FunctionDef):
-        copy = ast.parse(ast.unparse(node)).body[0]
-        if isinstance(copy, ast.FunctionDef):
-            copy.decorator_list = []
-            return copy
-    return node
-
-
-@lru_cache(maxsize=_TREES)
-def _code_digest(tree: ast.AST) -> str:
-    bare = ast.parse(ast.unparse(tree))
-    for node in ast.walk(bare):
-        if isinstance(node, ast.Module | ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            first = node.body[0] if node.body else None
-            if isinstance(first, ast.Expr) and isinstance(getattr(first.value, "value", None), str):
-                node.body = node.body[1:]
-    return hashlib.sha256(ast.dump(bare).encode()).hexdigest()
-
-
-def _is_inert(node: ast.stmt) -> bool:
-    if isinstance(node, ast.Import | ast.ImportFrom):
-        return True
-    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-        return True
-    return isinstance(node, ast.Assign) and all(
-        isinstance(target, ast.Name) and target.id in _INERT_NAMES for target in node.targets
-    )
-
-
-def _resolve(node: ast.ImportFrom, name: str, is_package: bool) -> str:
-    if not node.level:
-        return node.module or ""
-    parts = name.split(".")
-    parts = parts[: len(parts) - node.level + (1 if is_package else 0)]
-    return ".".join(parts + ([node.module] if node.module else []))
 
 
 def _module_name(path: Path) -> str:

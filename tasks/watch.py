@@ -23,7 +23,7 @@ _ENDINGS = {".csv", ".parquet", ".xlsx", ".mat", ".mf4", ".mdf", ".dat", ".asc",
 _SETTLED_S = 30.0  # since a file was last written to: what is still being copied is left for the next time
 
 
-@step("watched", "recording for the history", expected_s=40.0)
+@step("watched", "recording for the history", expected_s=40.0, sections=("discover", "learn"))
 def watched(
     out: Path, progress: Any, *, recording: Path, kind: str, name: str, engine: Path, learned: Path, beside: str
 ) -> None:

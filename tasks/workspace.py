@@ -18,9 +18,6 @@ PROJECT = Path(__file__).resolve().parents[1]
 _ROOT_VARIABLE = "DIESELTWIN_WORKSPACE"
 
 
-_OTHER_REPORTS = ("discover", "proof", "evaluation")
-
-
 @dataclass(frozen=True)
 class Workspace:
     """The folders of one project checkout (or of a test's temporary one)."""
@@ -56,10 +53,6 @@ class Workspace:
     def reports(self) -> Path:
         """HTML reports and run times: not compared, not versioned."""
         return self.root / "reports"
-
-    def other_reports(self) -> dict[str, Path]:
-        """Folders in `reports` that belong to other flows than identify: name -> folder."""
-        return {name: self.reports / name for name in _OTHER_REPORTS if (self.reports / name).is_dir()}
 
     @property
     def params(self) -> Path:

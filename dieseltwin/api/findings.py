@@ -23,7 +23,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.discovery import DiscoverConfig
 from dieseltwin.settings.names import unknown_name
-from dieseltwin.settings.params import load_params
+from dieseltwin.settings.params import default_discover
 
 COLUMNS = ("effect", "magnitude", "std", "unit", "probability", "equivalent", "law")
 
@@ -48,7 +48,7 @@ class Asked:
     map_tolerance: float | None = None
     seed: int = 0
     reference: Sequence[Source | Recording] = ()
-    settings: DiscoverConfig = field(default_factory=lambda: load_params().discover)
+    settings: DiscoverConfig = field(default_factory=default_discover)
     time_s: float | None = None
     explain: str | None = None
 

@@ -25,7 +25,7 @@ from dieseltwin.recordings.dates import date_in as date_in
 from dieseltwin.recordings.named_columns import import_columns
 from dieseltwin.report import history as pages
 from dieseltwin.report.page import write_page
-from dieseltwin.settings.params import load_params
+from dieseltwin.settings.params import default_watch
 from dieseltwin.settings.watch import WatchConfig
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _watched(
     store: History, settings: WatchConfig | None, added: tuple[str, ...] = (), known: tuple[str, ...] = (),
     refused: tuple[tuple[str, str], ...] = (),
 ) -> Watched:  # fmt: skip
-    settings = load_params().watch if settings is None else settings
+    settings = default_watch() if settings is None else settings
     entries = store.entries()
     found = course([entry.scores for entry in entries], [entry.moment for entry in entries], settings)
     return Watched(entries, found, settings.alarms_per_year, added, known, refused)

@@ -187,10 +187,22 @@ def simulated(
     time = np.round(known[0] + sample_s * np.arange(n), 6)
     n_e, u_delta, u_egr, u_vgt = (np.interp(time, known, inputs[name]) for name in INPUT_NAMES)
     frame = simulate(Inputs(time, n_e, u_delta, u_egr, u_vgt), parameters, step_s=step_s, oxygen=oxygen)
+    _check_finite(frame)
     frame["p_amb_pa"] = parameters.p_amb
     frame["t_amb_k"] = parameters.T_amb
     frame["t_im_k"] = parameters.T_im
     return frame
+
+
+def _check_finite(frame: pd.DataFrame) -> None:
+    """Raise `InputError` where the simulation got away: a network would learn from it without a word."""
+    wrong = ~np.isfinite(frame.to_numpy(dtype=float))
+    if wrong.any():
+        row = int(np.argmax(wrong.any(axis=1)))
+        name = frame.columns[int(np.argmax(wrong[row]))]
+        got = f"{name} = {frame[name].iloc[row]} at {frame['time_s'].iloc[row]:g} s of the simulation"
+        raise InputError("engine", got,
+                         "finite values", "take a smaller engine.step_s or mend engine.overrides")  # fmt: skip
 
 
 def noise_sigma(clean: Mapping[str, np.ndarray] | pd.DataFrame, noise: NoiseConfig) -> np.ndarray:

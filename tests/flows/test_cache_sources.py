@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 from pathlib import Path
 
@@ -11,8 +12,9 @@ from toy_library import write_toylib
 
 from tasks import identify, pretrain
 from tasks.progress import Display
+from tasks.remembered import Remembered
 from tasks.run_context import RunContext
-from tasks.sources import LibrarySources, function_sources
+from tasks.sources import LibrarySources, Sources, function_sources
 from tasks.workspace import PROJECT, Workspace
 
 
@@ -53,6 +55,42 @@ def test_a_change_that_cannot_matter_does_not(library: Path, changed: str, text:
     before = digest(library, "toylib.scaling")
     (library / "toylib" / changed).write_text(text)
     assert digest(library, "toylib.scaling") == before
+
+
+def test_texts_that_an_earlier_process_read_are_not_parsed_again(
+    library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def collected(remembered: Remembered) -> Sources:
+        found = LibrarySources(library, "toylib", remembered).collect(["toylib.scaling", "toylib.report"])
+        remembered.save()
+        return found
+
+    path = tmp_path / "code.json"
+    before = collected(Remembered(path))
+    written = path.stat().st_mtime_ns
+    read: list[str] = []
+    monkeypatch.setattr("tasks.sources.parsed", lambda text: read.append(text) or ast.parse(text))
+    assert collected(Remembered(path)) == before == collected(Remembered())
+    assert path.stat().st_mtime_ns == written
+    texts = {file.read_text() for file in (library / "toylib").glob("*.py")}
+    assert read and set(read) <= texts  # by the one that was given no file
+    read.clear()
+    assert collected(Remembered(path)) == before and not read
+    (library / "toylib" / "constants.py").write_text("FACTOR = 5.0\n")
+    assert collected(Remembered(path)).digest != before.digest and set(read) == {"FACTOR = 5.0\n"}
+
+
+@pytest.mark.parametrize("damage", [b"", b"\xff", b"0" * 64 + b"\n{}\n"])
+def test_damaged_memories_are_as_good_as_none(tmp_path: Path, damage: bytes) -> None:
+    path = tmp_path / "code.json"
+    remembered = Remembered(path)
+    assert remembered.value(lambda: "first", "a text") == "first"
+    remembered.save()
+    assert Remembered(path).value(lambda: "another", "a text") == "first"
+    path.write_bytes(path.read_bytes().replace(b"first", b"fjrst"))
+    assert Remembered(path).value(lambda: "another", "a text") == "another"
+    path.write_bytes(damage)
+    assert Remembered(path).value(lambda: "another", "a text") == "another"
 
 
 def test_imports_inside_functions_packages_and_lazy_registries_are_followed(library: Path) -> None:

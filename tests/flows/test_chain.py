@@ -225,6 +225,12 @@ def file_of(module: str) -> str:
     return f"{path}.py" if (PROJECT / f"{path}.py").exists() else f"{path}/__init__.py"
 
 
+def data_files(folder: str) -> list[str]:
+    """Files of a folder that the library reads but the settings, which are among a stage's params."""
+    paths = (path for path in (PROJECT / folder).iterdir() if path.name not in ("params.yaml", "LICENSE.md"))
+    return [path.relative_to(PROJECT).as_posix() for path in paths]
+
+
 def test_a_stage_depends_on_every_module_and_file_that_its_steps_rest_on() -> None:
     context = RunContext(Workspace(PROJECT), Display(PROJECT / "unused"))
     for stage, steps in steps_of_stages().items():
@@ -234,9 +240,11 @@ def test_a_stage_depends_on_every_module_and_file_that_its_steps_rest_on() -> No
         for step in steps:
             code = step.code(context)
             rests_on |= {file_of(module) for module in code.modules if module.startswith("dieseltwin")}
-            rests_on |= {file_of(step.function.__module__), *(f"{folder}/" for folder in code.data)}
+            rests_on |= {file for folder in code.data for file in data_files(folder)}
+            rests_on.add(file_of(step.function.__module__))
         missing = sorted(file for file in rests_on if file not in deps and not file.startswith(folders))
         assert not missing, f"{stage}: not among the deps: {missing}"
+        assert not any((PROJECT / dep / "params.yaml").exists() for dep in deps), stage
         made = {out for other in dvc_stages().values() for out in other["outs"]}
         assert all((PROJECT / dep).exists() for dep in deps if dep not in made)
 
@@ -274,6 +282,7 @@ def test_a_stage_declares_every_setting_that_its_flow_reads_in_common_and_in_its
         assert profile is not None
         whole = f"profiles.{profile.group(1)}"
         read = {path for path in sections_read(stage) if path[0] not in ONLY_SHOWN.get(stage, ())}
+        read |= {(name,) for step in steps_of_stages()[stage] for name in step.sections}
         assert read, stage
         for path in read:
             parents = {".".join(path[:depth]) for depth in range(1, len(path) + 1)}

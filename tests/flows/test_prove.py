@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from dieseltwin.settings.params import load_params
 from tasks import prove as steps
 from tasks import run_context
 from tasks.run_context import RunContext
@@ -16,6 +17,7 @@ from tasks.store import content_hash
 from tasks.workspace import Workspace
 
 CASES = 3
+SECTIONS = {"sections": steps.case.sections_of(load_params().model_dump(mode="json"))}
 
 
 def made() -> run_context.Artifact:
@@ -31,7 +33,7 @@ def test_the_tool_sees_the_recording_alone(
     entry = steps.cases_of(benchmark)[0]
     artifact = steps.recording_of(benchmark, entry)
     assert artifact.path.is_file() and "sealed" not in str(artifact.path)
-    found = steps.case(recording=artifact, kind=entry["case"], withhold=entry["withhold"], tier="main")
+    found = steps.case(recording=artifact, kind=entry["case"], withhold=entry["withhold"], tier="main", **SECTIONS)
     where, *files = calls.read_text().split(maxsplit=1)
     assert files == [f"['{entry['case']}']\n"] and not Path(where).is_relative_to(tmp_path)
     assert json.loads((found.path / "discrepancy.json").read_text())["schema"] == 1
@@ -47,11 +49,12 @@ def test_a_case_that_fails_is_a_result_without_its_time(
     benchmark = made()
     entry = steps.cases_of(benchmark)[1]
     recording = steps.recording_of(benchmark, entry)
-    found = steps.case(recording=recording, kind=entry["case"], withhold=[], tier="main")
+    found = steps.case(recording=recording, kind=entry["case"], withhold=[], tier="main", **SECTIONS)
     failed = json.loads((found.path / "failed.json").read_text())
     assert "no convergence" in failed["error"] and "seconds" not in failed
-    opened = steps.opened(benchmark=benchmark, result=found, kind=entry["case"])
-    scored = steps.score(benchmark=benchmark, **{f"result_{entry['case']}": found, f"opened_{entry['case']}": opened})
+    opened = steps.opened(benchmark=benchmark, result=found, kind=entry["case"], **SECTIONS)
+    parts = {f"result_{entry['case']}": found, f"opened_{entry['case']}": opened}
+    scored = steps.score(benchmark=benchmark, **parts, **SECTIONS)
     rows = json.loads((scored.path / "rows.json").read_text())["rows"]
     assert [row["problem"] for row in rows] == [failed["error"]]
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,30 @@ def test_steps_that_share_a_function_run_by_their_names_and_rest_on_their_own_en
 def test_a_step_begins_with_the_heavy_libraries_that_it_imports(context: RunContext) -> None:
     found = set((toy_steps.loaded().path / "loaded.txt").read_text().split())
     assert "matplotlib.backends.backend_agg" in found and not {"torch", "torch._dynamo", "numba"} & found
+
+
+@pytest.mark.parametrize(
+    ("changed", "stored"),
+    [("FACTOR = 3.0\n", False), ("FACTOR = (\n", False), ("FACTOR = 2.0  # in other words\n", True)],
+)
+def test_a_result_is_not_stored_under_the_key_of_code_that_was_edited_meanwhile(
+    context: RunContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changed: str, stored: bool
+) -> None:
+    numbers = toy_steps.make(count=5, seed=1)
+    hold = tmp_path / "hold"
+    hold.touch()
+    monkeypatch.setenv("TOY_HOLD", str(hold))
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(toy_steps.total, numbers=numbers, scale=2.0)
+        wait_for(lambda: list(context.workspace.cache.glob("toy-sum/.partial-*/half.txt")))
+        (tmp_path / "toylib" / "constants.py").write_text(changed)
+        hold.unlink()
+        if stored:
+            assert running.result().path.exists()
+        else:
+            with pytest.raises(StepFailed, match=r"^toy-sum: code of .* changed while the run was on; run again"):
+                running.result()
+    assert bool(list(context.workspace.cache.glob("toy-sum/*"))) is stored
 
 
 def test_arrays_are_refused(context: RunContext) -> None:

@@ -95,6 +95,11 @@ def test_value_out_of_range(tmp_path: Path, text: str, value: str) -> None:
     assert "identify.segment_s" in message
 
 
+def test_a_step_of_the_simulator_beyond_its_stability_is_refused(tmp_path: Path, text: str) -> None:
+    message = refusal(changed(tmp_path, text, "step_s: 0.0125", "step_s: 0.3"))
+    assert "engine.step_s" in message and "less than or equal to 0.03" in message
+
+
 def test_key_given_twice_is_refused(tmp_path: Path, text: str) -> None:
     message = refusal(changed(tmp_path, text, "\nseed: ", "\nseed: 1\nseed: "))
     assert "twice" in message and "line" in message
