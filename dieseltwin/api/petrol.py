@@ -261,8 +261,8 @@ def learn_petrol(
 
 
 def recording_notes(recording: PetrolRecording) -> list[Note]:
-    """Faults that the channels show by themselves."""
+    """Faults that the channels show by themselves, with the file's time stamps."""
     signals = recording.signals
     sensors = {"p_ic_pa": signals.p_ic, "p_im_pa": signals.p_im, "w_af_kg_s": signals.W_af}
     found = {name: values for name, values in sensors.items() if name in recording.columns}
-    return series_notes(signals.time_s, found, signals.omega_e)
+    return series_notes(recording.time0_s + signals.time_s, found, signals.omega_e)

@@ -38,7 +38,7 @@ from dieseltwin.discovery.verdict.findings import effects, finite, ranked_locati
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
-from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, Signals
+from dieseltwin.petrol.recording import BLOCK_S, COLUMNS, PetrolRecording, Signals
 from dieseltwin.petrol.terms import without_terms
 from dieseltwin.petrol.twin import PetrolTwin
 from dieseltwin.settings.params import default_search
@@ -86,6 +86,7 @@ class PetrolDiscovery:
         engine: repaired: with what was found among its terms.
         after: (n, C) misfits that the explanation expects.
         sentence: in words.
+        time0_s: time stamp of the recording's first row [s]; the twin's time begins there.
         runtime_s: seconds.
     """
 
@@ -95,6 +96,7 @@ class PetrolDiscovery:
     engine: PetrolParameters
     after: Array
     sentence: str
+    time0_s: float
     runtime_s: float
 
     @property
@@ -179,7 +181,7 @@ def discover_petrol(
     document = _document(recording, engine, twin, found, after, params_sha256)
     repaired = engine.model_copy(update={"terms": (*engine.terms, *_terms(recording, document))})
     return PetrolDiscovery(document, found, twin, repaired, after, sentence(document, twin),
-                           time.perf_counter() - began)  # fmt: skip
+                           recording.time0_s, time.perf_counter() - began)  # fmt: skip
 
 
 def _document(
@@ -217,7 +219,7 @@ def _onset(recording: PetrolRecording, found: Search) -> float | None:
     """Time stamp of the first block in which the effect acts [s]; None if it was there from the start."""
     if found.kind != "variant" or found.variant is None or found.variant.onset_s is None:
         return None
-    return recording.time0_s + float(found.variant.onset_s) - 0.5
+    return recording.time0_s + float(found.variant.onset_s) - 0.5 * BLOCK_S
 
 
 def _with_split(effect: FoundEffect, recording: PetrolRecording) -> FoundEffect:
@@ -297,9 +299,13 @@ def _consequence(d: Discrepancy) -> str:
 def details(found: PetrolDiscovery, options: Mapping[str, object]) -> dict[str, Any]:
     """Content of `details.json`: what was asked, every candidate with its reason, what could be seen."""
     search = found.search
+    searched = details_of_search(search, found.candidates, search.best)
+    for row in searched["variants"]:
+        if row["onset_s"] is not None:
+            row["onset_s"] += found.time0_s - 0.5 * BLOCK_S
     return {
         "sentence": found.sentence, "recording_sha256": found.document.recording.sha256, "options": dict(options),
         "alarm": found.threshold, "notes": [], "laws": [],
         "minimum_detectable": dict(found.document.minimum_detectable),
-        **details_of_search(search, found.candidates, search.best),
+        **searched,
     }  # fmt: skip

@@ -66,9 +66,9 @@ def _misfits(found: PetrolDiscovery, name: str) -> tuple[np.ndarray, list[tuple[
 
 
 def _onset(found: PetrolDiscovery) -> float | None:
-    """Middle of the first block in which the effect acts [s since the recording's start]."""
-    variant = found.search.variant
-    return None if variant is None or found.search.kind != "variant" else variant.onset_s
+    """Time stamp since when the effect acts [s], as the document says it; None without one."""
+    location = found.document.location
+    return None if location is None else location.onset_s
 
 
 def balances_over_time(found: PetrolDiscovery) -> Series:
@@ -82,7 +82,8 @@ def balances_over_time(found: PetrolDiscovery) -> Series:
         if kept.sum() > SMOOTH_BLOCKS:
             lines += [Line(label, colour, 100.0 * _running_median(values, SMOOTH_BLOCKS))
                       for values, colour, label in states]
-        panels.append(Panel(f"misfit of the {TITLES[name]}", "%", found.twin.time_s[kept], tuple(lines)))
+        stamps = found.time0_s + found.twin.time_s[kept]
+        panels.append(Panel(f"misfit of the {TITLES[name]}", "%", stamps, tuple(lines)))
     onset = _onset(found)
     series = Series(tuple(panels), marks=() if onset is None else (Mark("the onset", onset),))
     told = ("residuals_over_time", "Misfit of the balances", COLOURS + " Dashed: the onset.")
@@ -118,7 +119,7 @@ def over_pressure(found: PetrolDiscovery) -> Series:
     onset, panels = _onset(found), []
     for name in (name for name in ("cylinder", "throttle") if name in found.twin.channels):
         kept, states = _misfits(found, name)
-        late = np.ones(int(kept.sum()), dtype=bool) if onset is None else found.twin.time_s[kept] >= onset
+        late = np.ones(int(kept.sum()), dtype=bool) if onset is None else found.time0_s + found.twin.time_s[kept] >= onset
         lines = [Line(label, colour, 100.0 * values[late], dots=True) for values, colour, label in states]
         x = 1e-3 * found.twin.blocks.p_im[kept][late]
         panels.append(over(f"misfit of the {name} balance", "%", ("p_im", "kPa"), x, lines))
