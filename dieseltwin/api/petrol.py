@@ -233,19 +233,23 @@ class PetrolCalibrated(Result):
         return [*pages.calibration_lines(self.fits, self.engine.pieces), *self.notes]
 
 
-def calibrate_petrol(recording: Source | PetrolRecording, base: PetrolParameters) -> PetrolCalibrated:
-    """See `calibration.calibrate`.
+def calibrate_petrol(
+    recording: Source | PetrolRecording, base: PetrolParameters, channels: Channels | None = None
+) -> PetrolCalibrated:
+    """See `calibration.calibrate`; of a base that is calibrated the maps are fitted anew.
 
     Raises:
         InputError: a recording that is too short, has no idling or lacks columns.
     """
-    return learn_petrol([recording], base.model_copy(update={"cylinder": None, "throttle": None}))
+    return learn_petrol([recording], base.model_copy(update={"cylinder": None, "throttle": None}), channels)
 
 
 def learn_petrol(
     recordings: Sequence[Source | Made], base: PetrolParameters, channels: Channels | None = None
 ) -> PetrolCalibrated:
     """See `learning.learn`: what the recordings say together, as if they were one with gaps.
+
+    Effects among the terms of the base are left out of the new engine: recordings of when it was well hold none.
 
     Raises:
         InputError: an engine that was learned before, recordings that are too short together, have no idling or lack
@@ -256,8 +260,13 @@ def learn_petrol(
                          "name liu_petrol or the file of volumes, and all recordings at once")
     sources = [petrol_recording(item, channels) for item in recordings]
     together = pooled(sources)
-    engine, fits = calibrated(together.signals, base, together.sha256)
-    return PetrolCalibrated(engine, tuple(fits), tuple(note for item in sources for note in recording_notes(item)))
+    engine, fits = calibrated(together.signals, base.model_copy(update={"terms": ()}), together.sha256)
+    notes = [note for item in sources for note in recording_notes(item)]
+    if base.terms:
+        dropped = listed(list(dict.fromkeys(term.effect for term in base.terms)))
+        notes.append(Note(f"{dropped} among the terms of {base.name} left out: the recordings are taken to be without "
+                          "fault", "terms_left_out"))  # fmt: skip
+    return PetrolCalibrated(engine, tuple(fits), tuple(notes))
 
 
 def recording_notes(recording: PetrolRecording) -> list[Note]:

@@ -15,7 +15,7 @@ from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import load_discrepancy
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import calibrate
-from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
+from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm, load_petrol, save_petrol
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
 from dieseltwin.recordings.channels import channel_map
 from tests.pages import check_page
@@ -111,6 +111,23 @@ def test_learned_from_references_in_one_go(
     mine = save_petrol(load_petrol(tmp_path / "out" / "engine.yaml"), tmp_path / "mine.yaml")
     assert main([*base[:3], str(mine), *base[4:], "--reference", healthy.path]) == 2
     assert "which has its maps" in capsys.readouterr().err
+
+
+def test_calibrated_anew_is_learned(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`calibrate` takes a channel map as `learn` does, and the effects that its base holds aren't in the new engine."""
+    table = pd.read_csv(record(1, 900.0).path)
+    foreign = _written(table.rename(columns={"p_im_Pa": "MAP"}).assign(MAP=table.p_im_Pa / 1e3), tmp_path)
+    (tmp_path / "map.yaml").write_text("MAP: {column: p_im_pa, unit: kPa}\n", encoding="utf-8")
+    faulty = engine.model_copy(update={"terms": (PetrolTerm(effect="w_af_gain", magnitude=0.1, std=0.01),)})
+    base = save_petrol(faulty, tmp_path / "base.yaml")
+    channels = ["--channels", str(tmp_path / "map.yaml")]
+    assert main(["calibrate", str(foreign), "--base", str(base), *channels, "--out", str(tmp_path / "new.yaml")]) == 0
+    assert "w_af_gain among the terms" in capsys.readouterr().out
+    found = load_petrol(tmp_path / "new.yaml")
+    assert found.terms == () and found.cylinder is not None and engine.cylinder is not None
+    np.testing.assert_allclose(found.cylinder.coefficients, engine.cylinder.coefficients, atol=0.01)
 
 
 def test_too_short_to_calibrate(record: Recorder) -> None:
