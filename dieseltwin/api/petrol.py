@@ -26,7 +26,7 @@ from dieseltwin.petrol.calibrate import calibrate as calibrated
 from dieseltwin.petrol.discover import PetrolDiscovery, PetrolOptions, details, discover_petrol
 from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
-from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, rows_of
+from dieseltwin.petrol.recording import COLUMNS, SURROUNDINGS, PetrolRecording, pooled, rows_of
 from dieseltwin.recordings.channel_checks import series_notes
 from dieseltwin.recordings.shared_rows import refuse_shared, share_known
 from dieseltwin.report import petrol as pages
@@ -139,9 +139,13 @@ def ask(
     options = _options(question)
     question.check(HYPOTHESES, options.search.withhold)
     _check(options)
-    judged = petrol_recording(recording)
+    judged = petrol_recording(recording, absent=_left_out(options))
     notes: tuple[Note, ...] = ()
     reference = [petrol_recording(item, channels) for item in question.reference]
+    if reference and parameters.calibrated:
+        raise InputError("--reference", f"beside {parameters.name}, which has its maps already",
+                         "an engine without maps, which are learned from the references first",
+                         f"leave --reference out, or name {PetrolParameters().name} or the file of volumes as --engine")
     if reference:
         rows, *known = (rows_of(item.signals) for item in (judged, *reference))
         refuse_shared(judged.path, share_known(rows, known))
@@ -149,8 +153,9 @@ def ask(
         parameters, engine_file = learned.engine, None
         notes = tuple(Note(note["text"], "reference") for note in learned.warnings)
     if not parameters.calibrated:
-        raise InputError("engine: cylinder, throttle", "no maps", "a calibrated engine",
-                         "calibrate it on a fault-free recording first")
+        raise InputError("--engine", f"{parameters.name}, which isn't calibrated yet", "a petrol engine with its maps",
+                         f"`dieseltwin learn HEALTHY --engine {engine} --out FILE` first and name FILE, or give a "
+                         "fault-free recording as --reference")  # fmt: skip
     content = parameters.model_dump_json().encode() if engine_file is None else engine_file.read_bytes()
     asked = {
         "sensors": options.sensors, "withhold": list(options.withhold), "map_tolerance": options.map_tolerance,
@@ -167,6 +172,11 @@ def _options(asked: Asked) -> PetrolOptions:
     sensors = None if asked.sensors is None else tuple(asked.sensors)
     search = asked.settings.search.petrol
     return PetrolOptions(sensors, tuple(asked.withhold or ()), asked.map_tolerance, asked.seed, search)
+
+
+def _left_out(options: PetrolOptions) -> tuple[str, ...]:
+    """Columns of the surroundings that aren't to be used: the recording needn't have them."""
+    return tuple(c for c in SURROUNDINGS if options.sensors is not None and c not in options.sensors)
 
 
 def _check(options: PetrolOptions) -> None:
@@ -270,8 +280,11 @@ def learn_petrol(
 
 
 def recording_notes(recording: PetrolRecording) -> list[Note]:
-    """Faults that the channels show by themselves, with the file's time stamps."""
+    """Faults that the channels show by themselves, with the file's time stamps, and what was taken in their place."""
     signals = recording.signals
     sensors = {"p_ic_pa": signals.p_ic, "p_im_pa": signals.p_im, "w_af_kg_s": signals.W_af}
     found = {name: values for name, values in sensors.items() if name in recording.columns}
-    return series_notes(recording.time0_s + signals.time_s, found, signals.omega_e)
+    taken = [f"{column} as {value:g} {COLUMNS[column][2]}" for column, value in SURROUNDINGS.items()
+             if column not in recording.columns]
+    notes = [Note(f"not recorded and taken {listed(taken)}: the flow of a leak goes with it", "not_recorded")]
+    return [*(notes if taken else []), *series_notes(recording.time0_s + signals.time_s, found, signals.omega_e)]
