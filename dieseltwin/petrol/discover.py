@@ -36,6 +36,7 @@ from dieseltwin.discovery.verdict.document import (
 from dieseltwin.discovery.verdict.explained import explained_at
 from dieseltwin.discovery.verdict.findings import effects, finite, ranked_location, site_probabilities
 from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.notes import Note
 from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
 from dieseltwin.petrol.recording import BLOCK_S, COLUMNS, PetrolRecording, Signals
@@ -174,14 +175,38 @@ def _likelier_first(found: Search) -> None:
 def discover_petrol(
     recording: PetrolRecording, engine: PetrolParameters, options: PetrolOptions | None = None, params_sha256: str = ""
 ) -> PetrolDiscovery:
-    """Judge a recording with a calibrated engine."""
+    """Judge a recording with a calibrated engine. What the repaired engine would find next is said beside the verdict:
+    two faults of different channels add up in no balance, so that the first is explained to the full without it."""
     began = time.perf_counter()
     twin, found = judge(engine, without_terms(engine, recording), options)
     after = explained_at(found).simulated
     document = _document(recording, engine, twin, found, after, params_sha256)
     repaired = engine.model_copy(update={"terms": (*engine.terms, *_terms(recording, document))})
-    return PetrolDiscovery(document, found, twin, repaired, after, sentence(document, twin),
-                           recording.time0_s, time.perf_counter() - began)  # fmt: skip
+    told = sentence(document, twin)
+    if len(repaired.terms) > len(engine.terms):
+        other_twin, other = judge(repaired, without_terms(repaired, recording), options)
+        if other.kind != "healthy":
+            next_one = _document(recording, repaired, other_twin, other, explained_at(other).simulated, "")
+            document = _with_next(document, next_one, found.explained(), other.explained())
+            told = f"{told} Beside it, {_found(next_one)}: `discover` with the repaired engine tells more."
+    return PetrolDiscovery(document, found, twin, repaired, after, told, recording.time0_s,
+                           time.perf_counter() - began)  # fmt: skip
+
+
+def _with_next(document: Discrepancy, next_one: Discrepancy, explained: float, left: float) -> Discrepancy:
+    """The document with what the repaired engine would find next.
+
+    Args:
+        document: of the first finding.
+        next_one: of the next.
+        explained, left: gain of each [-].
+    """
+    share = explained / (explained + left) if explained > 0.0 else 0.0
+    fit = document.fit.model_copy(update={"share_explained": share})
+    text = f"beside it, {_found(next_one)}; `discover` with the repaired engine tells more"
+    more = [] if document.more_is_missing else fit_doubts(document.model_copy(update={"more_is_missing": True}))[:1]
+    document = document.model_copy(update={"fit": fit, "more_is_missing": True})
+    return with_warnings(document, [*more, Note(text, "next_effect")])
 
 
 def _document(
@@ -269,16 +294,24 @@ def sentence(d: Discrepancy, twin: PetrolTwin) -> str:
         limits = (f"{n} {d.minimum_detectable[n]:.2g} {twin.hypotheses[n].unit}".replace(" -", "") for n in shown)
         return ("No mismatch beyond what healthy recordings differ by. Visible, if begun after a tenth of it: "
                 f"{', '.join(limits)}.")  # fmt: skip
+    found = _found(d)
+    return f"{found[0].upper()}{found[1:]}.{_consequence(d) if d.effects[0].named else ''}"
+
+
+def _found(d: Discrepancy) -> str:
+    """Where, what, how large and since when, of a mismatch."""
+    if d.location is None:
+        return ""
     since = "from its start on" if d.location.onset_s is None else f"since {d.location.onset_s:.0f} s"
     told = []
     for e in d.effects:
         if e.magnitude is None:
-            return f"At {d.location.site}, {since}: none of the known effects explains it."
+            return f"at {d.location.site}, {since}: none of the known effects explains it"
         size = f"{100 * e.magnitude:+.1f} %" if e.unit == "-" else f"{e.magnitude:.3g} {e.unit}"
         spread = "" if e.std is None else (f" ± {100 * e.std:.1f} %" if e.unit == "-" else f" ± {e.std:.1g} {e.unit}")
         same = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
         told.append(f"{e.name} {size}{spread}{same}")
-    return f"At {d.location.site}: {'; and '.join(told)}; {since}.{_consequence(d)}"
+    return f"at {d.location.site}: {'; and '.join(told)}; {since}"
 
 
 def _consequence(d: Discrepancy) -> str:

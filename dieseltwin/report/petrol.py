@@ -119,7 +119,8 @@ def over_pressure(found: PetrolDiscovery) -> Series:
     onset, panels = _onset(found), []
     for name in (name for name in ("cylinder", "throttle") if name in found.twin.channels):
         kept, states = _misfits(found, name)
-        late = np.ones(int(kept.sum()), dtype=bool) if onset is None else found.time0_s + found.twin.time_s[kept] >= onset
+        stamps = found.time0_s + found.twin.time_s[kept]
+        late = np.ones(stamps.size, dtype=bool) if onset is None else stamps >= onset
         lines = [Line(label, colour, 100.0 * values[late], dots=True) for values, colour, label in states]
         x = 1e-3 * found.twin.blocks.p_im[kept][late]
         panels.append(over(f"misfit of the {name} balance", "%", ("p_im", "kPa"), x, lines))
