@@ -44,10 +44,10 @@ def calibrate(
     """
     first = base_engine(base)
     if isinstance(first, PetrolParameters):
-        refuse_options({"--geometry": geometry, "--channels": channels, "--noise": noise_pct}, "for a petrol engine")
+        refuse_options({"--geometry": geometry, "--noise": noise_pct}, "for a petrol engine")
         if isinstance(points, SteadyPoints):
             raise InputError("recording", "settled points", "a recording of driving", "give the recording")
-        return calibrate_petrol(points, first)
+        return calibrate_petrol(points, first, channels)
     if isinstance(points, PetrolRecording):
         raise InputError("points", "a petrol engine's recording", "points of a diesel engine, as the base is",
                          "name a petrol engine as base")

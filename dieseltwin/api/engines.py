@@ -42,8 +42,8 @@ def engine(source: Engine | str | Path = PUBLISHED, /, **changes: Any) -> Engine
     """
     if isinstance(source, Engine):
         found = source
-    elif isinstance(source, str) and source in NAMED:
-        found = NAMED[source]
+    elif str(source) in NAMED:
+        found = NAMED[str(source)]
     else:
         found = _read(source)
     if not changes:

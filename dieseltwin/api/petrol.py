@@ -26,7 +26,7 @@ from dieseltwin.petrol.calibrate import calibrate as calibrated
 from dieseltwin.petrol.discover import PetrolDiscovery, PetrolOptions, details, discover_petrol
 from dieseltwin.petrol.effects import HYPOTHESES, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
-from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, rows_of
+from dieseltwin.petrol.recording import COLUMNS, SURROUNDINGS, PetrolRecording, pooled, rows_of
 from dieseltwin.recordings.channel_checks import series_notes
 from dieseltwin.recordings.shared_rows import refuse_shared, share_known
 from dieseltwin.report import petrol as pages
@@ -139,9 +139,13 @@ def ask(
     options = _options(question)
     question.check(HYPOTHESES, options.search.withhold)
     _check(options)
-    judged = petrol_recording(recording)
+    judged = petrol_recording(recording, absent=_left_out(options))
     notes: tuple[Note, ...] = ()
     reference = [petrol_recording(item, channels) for item in question.reference]
+    if reference and parameters.calibrated:
+        raise InputError("--reference", f"beside {parameters.name}, which has its maps already",
+                         "an engine without maps, which are learned from the references first",
+                         f"leave --reference out, or name {PetrolParameters().name} or the file of volumes as --engine")
     if reference:
         rows, *known = (rows_of(item.signals) for item in (judged, *reference))
         refuse_shared(judged.path, share_known(rows, known))
@@ -149,8 +153,9 @@ def ask(
         parameters, engine_file = learned.engine, None
         notes = tuple(Note(note["text"], "reference") for note in learned.warnings)
     if not parameters.calibrated:
-        raise InputError("engine: cylinder, throttle", "no maps", "a calibrated engine",
-                         "calibrate it on a fault-free recording first")
+        raise InputError("--engine", f"{parameters.name}, which isn't calibrated yet", "a petrol engine with its maps",
+                         f"`dieseltwin learn HEALTHY --engine {engine} --out FILE` first and name FILE, or give a "
+                         "fault-free recording as --reference")  # fmt: skip
     content = parameters.model_dump_json().encode() if engine_file is None else engine_file.read_bytes()
     asked = {
         "sensors": options.sensors, "withhold": list(options.withhold), "map_tolerance": options.map_tolerance,
@@ -167,6 +172,11 @@ def _options(asked: Asked) -> PetrolOptions:
     sensors = None if asked.sensors is None else tuple(asked.sensors)
     search = asked.settings.search.petrol
     return PetrolOptions(sensors, tuple(asked.withhold or ()), asked.map_tolerance, asked.seed, search)
+
+
+def _left_out(options: PetrolOptions) -> tuple[str, ...]:
+    """Columns of the surroundings that aren't to be used: the recording needn't have them."""
+    return tuple(c for c in SURROUNDINGS if options.sensors is not None and c not in options.sensors)
 
 
 def _check(options: PetrolOptions) -> None:
@@ -233,19 +243,23 @@ class PetrolCalibrated(Result):
         return [*pages.calibration_lines(self.fits, self.engine.pieces), *self.notes]
 
 
-def calibrate_petrol(recording: Source | PetrolRecording, base: PetrolParameters) -> PetrolCalibrated:
-    """See `calibration.calibrate`.
+def calibrate_petrol(
+    recording: Source | PetrolRecording, base: PetrolParameters, channels: Channels | None = None
+) -> PetrolCalibrated:
+    """See `calibration.calibrate`; of a base that is calibrated the maps are fitted anew.
 
     Raises:
         InputError: a recording that is too short, has no idling or lacks columns.
     """
-    return learn_petrol([recording], base.model_copy(update={"cylinder": None, "throttle": None}))
+    return learn_petrol([recording], base.model_copy(update={"cylinder": None, "throttle": None}), channels)
 
 
 def learn_petrol(
     recordings: Sequence[Source | Made], base: PetrolParameters, channels: Channels | None = None
 ) -> PetrolCalibrated:
     """See `learning.learn`: what the recordings say together, as if they were one with gaps.
+
+    Effects among the terms of the base are left out of the new engine: recordings of when it was well hold none.
 
     Raises:
         InputError: an engine that was learned before, recordings that are too short together, have no idling or lack
@@ -256,13 +270,21 @@ def learn_petrol(
                          "name liu_petrol or the file of volumes, and all recordings at once")
     sources = [petrol_recording(item, channels) for item in recordings]
     together = pooled(sources)
-    engine, fits = calibrated(together.signals, base, together.sha256)
-    return PetrolCalibrated(engine, tuple(fits), tuple(note for item in sources for note in recording_notes(item)))
+    engine, fits = calibrated(together.signals, base.model_copy(update={"terms": ()}), together.sha256)
+    notes = [note for item in sources for note in recording_notes(item)]
+    if base.terms:
+        dropped = listed(list(dict.fromkeys(term.effect for term in base.terms)))
+        notes.append(Note(f"{dropped} among the terms of {base.name} left out: the recordings are taken to be without "
+                          "fault", "terms_left_out"))  # fmt: skip
+    return PetrolCalibrated(engine, tuple(fits), tuple(notes))
 
 
 def recording_notes(recording: PetrolRecording) -> list[Note]:
-    """Faults that the channels show by themselves."""
+    """Faults that the channels show by themselves, with the file's time stamps, and what was taken in their place."""
     signals = recording.signals
     sensors = {"p_ic_pa": signals.p_ic, "p_im_pa": signals.p_im, "w_af_kg_s": signals.W_af}
     found = {name: values for name, values in sensors.items() if name in recording.columns}
-    return series_notes(signals.time_s, found, signals.omega_e)
+    taken = [f"{column} as {value:g} {COLUMNS[column][2]}" for column, value in SURROUNDINGS.items()
+             if column not in recording.columns]
+    notes = [Note(f"not recorded and taken {listed(taken)}: the flow of a leak goes with it", "not_recorded")]
+    return [*(notes if taken else []), *series_notes(recording.time0_s + signals.time_s, found, signals.omega_e)]

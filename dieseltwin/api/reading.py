@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Union
 
@@ -190,8 +190,15 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     return found
 
 
-def petrol_recording(source: Source | Opened, channels: Channels | None = None) -> PetrolRecording:
+def petrol_recording(
+    source: Source | Opened, channels: Channels | None = None, absent: Collection[str] = ()
+) -> PetrolRecording:
     """A recording of a petrol engine.
+
+    Args:
+        source: a file, a table or what `read` gave.
+        channels: channel map for foreign names and units.
+        absent: columns of the surroundings that it needn't have.
 
     Raises:
         InputError: one line saying what is wrong with it.
@@ -199,7 +206,7 @@ def petrol_recording(source: Source | Opened, channels: Channels | None = None) 
     source = as_table(source)
     if isinstance(source, Recording | SteadyPoints | RigRecording):
         raise _of_another(source, "one of a petrol engine")
-    return source if isinstance(source, PetrolRecording) else read_petrol(source, channels)
+    return source if isinstance(source, PetrolRecording) else read_petrol(source, channels, absent)
 
 
 def dataset(of: Recording | Result | pd.DataFrame) -> xr.Dataset:

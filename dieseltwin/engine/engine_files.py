@@ -20,6 +20,9 @@ def load_engine(path: str | Path) -> EngineParameters:
     Raises InputError for an unreadable file, an unknown name or a value out of range.
     """
     document = dict(read_mapping(path))
+    if "kind" in document:
+        raise InputError(f"engine file {path}", f"kind {document['kind']!r}", "a diesel engine's file, which has none",
+                         "name a diesel engine's; `discover` and `simulate` take a petrol engine or a rig")
     if LEARNED in document:
         corrections = {"coefficients": mean_coefficients(Path(path), document)}
         terms = document.get("terms") or ()

@@ -16,6 +16,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.search import run as shared
+from dieseltwin.discovery.search.courses import course
 from dieseltwin.discovery.search.explanations import choose
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search, set_probabilities
@@ -36,9 +37,10 @@ from dieseltwin.discovery.verdict.document import (
 from dieseltwin.discovery.verdict.explained import explained_at
 from dieseltwin.discovery.verdict.findings import effects, finite, ranked_location, site_probabilities
 from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.notes import Note
 from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
-from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, Signals
+from dieseltwin.petrol.recording import BLOCK_S, COLUMNS, PetrolRecording, Signals
 from dieseltwin.petrol.terms import without_terms
 from dieseltwin.petrol.twin import PetrolTwin
 from dieseltwin.settings.params import default_search
@@ -46,6 +48,7 @@ from dieseltwin.settings.search import SearchSettings
 from dieseltwin.version import __version__
 
 TOLD_LEVEL = 0.01  # shift of a level that the sentence tells [-]
+NEXT = ("single", "variant")  # kinds of a next finding that is said: one name; more of them are for the next discovery
 ONSET_SHARE = 0.1  # of the recording, before an effect that `minimum_detectable` speaks of
 SPLIT_BY = {
     frozenset(("p_ic_gain", "p_ic_offset")): "p_ic is known at rest, near one value; other ambient pressure would tell",
@@ -86,6 +89,7 @@ class PetrolDiscovery:
         engine: repaired: with what was found among its terms.
         after: (n, C) misfits that the explanation expects.
         sentence: in words.
+        time0_s: time stamp of the recording's first row [s]; the twin's time begins there.
         runtime_s: seconds.
     """
 
@@ -95,6 +99,7 @@ class PetrolDiscovery:
     engine: PetrolParameters
     after: Array
     sentence: str
+    time0_s: float
     runtime_s: float
 
     @property
@@ -172,14 +177,38 @@ def _likelier_first(found: Search) -> None:
 def discover_petrol(
     recording: PetrolRecording, engine: PetrolParameters, options: PetrolOptions | None = None, params_sha256: str = ""
 ) -> PetrolDiscovery:
-    """Judge a recording with a calibrated engine."""
+    """Judge a recording with a calibrated engine. What the repaired engine would find next is said beside the verdict:
+    two faults of different channels add up in no balance, so that the first is explained to the full without it."""
     began = time.perf_counter()
     twin, found = judge(engine, without_terms(engine, recording), options)
     after = explained_at(found).simulated
     document = _document(recording, engine, twin, found, after, params_sha256)
     repaired = engine.model_copy(update={"terms": (*engine.terms, *_terms(recording, document))})
-    return PetrolDiscovery(document, found, twin, repaired, after, sentence(document, twin),
+    told = sentence(document, twin, {} if document.mismatch else minimum_detectable(twin, found, grows=True))
+    if len(repaired.terms) > len(engine.terms):
+        other_twin, other = judge(repaired, without_terms(repaired, recording), options)
+        if other.kind in NEXT and other.explained() > found.settings.missing_share * found.explained():
+            next_one = _document(recording, repaired, other_twin, other, explained_at(other).simulated, "")
+            document = _with_next(document, next_one, found.explained(), other.explained())
+            told = f"{told} Beside it, {_found(next_one)}: `discover` with the repaired engine tells more."
+    return PetrolDiscovery(document, found, twin, repaired, after, told, recording.time0_s,
                            time.perf_counter() - began)  # fmt: skip
+
+
+def _with_next(document: Discrepancy, next_one: Discrepancy, explained: float, left: float) -> Discrepancy:
+    """The document with what the repaired engine would find next.
+
+    Args:
+        document: of the first finding.
+        next_one: of the next.
+        explained, left: gain of each [-].
+    """
+    share = explained / (explained + left) if explained > 0.0 else 0.0
+    fit = document.fit.model_copy(update={"share_explained": share})
+    text = f"beside it, {_found(next_one)}; `discover` with the repaired engine tells more"
+    more = [] if document.more_is_missing else fit_doubts(document.model_copy(update={"more_is_missing": True}))[:1]
+    document = document.model_copy(update={"fit": fit, "more_is_missing": True})
+    return with_warnings(document, [*more, Note(text, "next_effect")])
 
 
 def _document(
@@ -210,14 +239,19 @@ def _document(
 
 
 def _location(recording: PetrolRecording, found: Search) -> Location:
-    return ranked_location(site_probabilities(found), onset_s=_onset(recording, found))
+    variant = found.variant if found.kind == "variant" else None
+    if variant is None or variant.onset_s is None:
+        return ranked_location(site_probabilities(found))
+    first, last = float(found.twin.time_s[0]), variant.until_s
+    return ranked_location(
+        site_probabilities(found), onset_s=_stamp(recording, variant.onset_s) if variant.onset_s > first else None,
+        until_s=None if last is None else _stamp(recording, last), grows=variant.grows,
+    )  # fmt: skip
 
 
-def _onset(recording: PetrolRecording, found: Search) -> float | None:
-    """Time stamp of the first block in which the effect acts [s]; None if it was there from the start."""
-    if found.kind != "variant" or found.variant is None or found.variant.onset_s is None:
-        return None
-    return recording.time0_s + float(found.variant.onset_s) - 0.5
+def _stamp(recording: PetrolRecording, middle_s: float) -> float:
+    """Time stamp at which a block begins [s], by its middle since the recording's start [s]."""
+    return recording.time0_s + float(middle_s) - 0.5 * BLOCK_S
 
 
 def _with_split(effect: FoundEffect, recording: PetrolRecording) -> FoundEffect:
@@ -236,17 +270,22 @@ def _driven(s: Signals) -> str:
 
 def _terms(recording: PetrolRecording, d: Discrepancy) -> list[PetrolTerm]:
     """What was found by name, for the engine file."""
-    onset = None if d.location is None else d.location.onset_s
+    where = d.location
+    if where is None:
+        return []
+    grown = recording.time0_s + float(recording.signals.time_s[-1]) if where.grows else None
     return [
-        PetrolTerm(effect=e.name, magnitude=e.magnitude, std=e.std, onset_s=onset, found_in=recording.sha256,
-                   valid_for=e.valid_for or "")
+        PetrolTerm(effect=e.name, magnitude=e.magnitude, std=e.std, onset_s=where.onset_s, until_s=where.until_s,
+                   grown_s=grown, found_in=recording.sha256, valid_for=e.valid_for or "")
         for e in d.effects if e.magnitude is not None
     ]  # fmt: skip
 
 
-def minimum_detectable(twin: PetrolTwin, found: Search) -> dict[str, float]:
-    """Smallest magnitude that this recording could show, had it begun after a tenth of it [unit of the effect]."""
-    later = (twin.time_s >= twin.time_s[0] + ONSET_SHARE * (twin.time_s[-1] - twin.time_s[0])).astype(np.float64)
+def minimum_detectable(twin: PetrolTwin, found: Search, grows: bool = False) -> dict[str, float]:
+    """Smallest magnitude that this recording could show, had it begun after a tenth of it, or with `grows` had it grown
+    from there to that size at the end: slow drifts of the balances take that up [unit of the effect]."""
+    began = float(twin.time_s[0] + ONSET_SHARE * (twin.time_s[-1] - twin.time_s[0]))
+    later = course(twin.time_s, began, grows=grows)
     result: dict[str, float] = {}
     for item in found.scored:
         vector = without_parameters(found.null, found.null.metric.project((later[:, None] * item.response)[None]))[0]
@@ -260,23 +299,46 @@ def minimum_detectable(twin: PetrolTwin, found: Search) -> dict[str, float]:
 IN_THE_SENTENCE = ("p_im_gain", "p_ic_gain", "w_af_gain", "intake_leak")
 
 
-def sentence(d: Discrepancy, twin: PetrolTwin) -> str:
-    """The verdict in words."""
+def sentence(d: Discrepancy, twin: PetrolTwin, drifts: Mapping[str, float]) -> str:
+    """The verdict in words; `drifts`: smallest sizes at the end that an effect shows which grows evenly to them."""
     if not d.mismatch or d.location is None:
-        shown: Sequence[str] = [n for n in IN_THE_SENTENCE if n in d.minimum_detectable]
-        limits = (f"{n} {d.minimum_detectable[n]:.2g} {twin.hypotheses[n].unit}".replace(" -", "") for n in shown)
+
+        def limits(smallest: Mapping[str, float]) -> str:
+            shown: Sequence[str] = [n for n in IN_THE_SENTENCE if n in smallest]
+            return ", ".join(f"{n} {smallest[n]:.2g} {twin.hypotheses[n].unit}".removesuffix(" -") for n in shown)
+
         return ("No mismatch beyond what healthy recordings differ by. Visible, if begun after a tenth of it: "
-                f"{', '.join(limits)}.")  # fmt: skip
-    since = "from its start on" if d.location.onset_s is None else f"since {d.location.onset_s:.0f} s"
+                f"{limits(d.minimum_detectable)}; if grown slowly from there on, only from these at the end: "
+                f"{limits(drifts)}.")  # fmt: skip
+    found = _found(d)
+    return f"{found[0].upper()}{found[1:]}.{_consequence(d) if d.effects[0].named else ''}"
+
+
+def _found(d: Discrepancy) -> str:
+    """Where, what, how large and since when, of a mismatch."""
+    if d.location is None:
+        return ""
+    since = _when(d.location)
     told = []
     for e in d.effects:
         if e.magnitude is None:
-            return f"At {d.location.site}, {since}: none of the known effects explains it."
+            return f"at {d.location.site}, {since}: none of the known effects explains it"
         size = f"{100 * e.magnitude:+.1f} %" if e.unit == "-" else f"{e.magnitude:.3g} {e.unit}"
         spread = "" if e.std is None else (f" ± {100 * e.std:.1f} %" if e.unit == "-" else f" ± {e.std:.1g} {e.unit}")
         same = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
         told.append(f"{e.name} {size}{spread}{same}")
-    return f"At {d.location.site}: {'; and '.join(told)}; {since}.{_consequence(d)}"
+    return f"at {d.location.site}: {'; and '.join(told)}; {since}"
+
+
+def _when(where: Location) -> str:
+    """Since when, until when, and whether it grows."""
+    onset, until = where.onset_s, where.until_s
+    if where.grows:
+        began = "its start" if onset is None else f"{onset:.0f} s"
+        return f"at the end, grown evenly from nothing since {began}"
+    if until is not None:
+        return f"{'until' if onset is None else f'from {onset:.0f} to'} {until:.0f} s, and gone since then"
+    return "from its start on" if onset is None else f"since {onset:.0f} s"
 
 
 def _consequence(d: Discrepancy) -> str:
@@ -297,9 +359,14 @@ def _consequence(d: Discrepancy) -> str:
 def details(found: PetrolDiscovery, options: Mapping[str, object]) -> dict[str, Any]:
     """Content of `details.json`: what was asked, every candidate with its reason, what could be seen."""
     search = found.search
+    searched = details_of_search(search, found.candidates, search.best)
+    for row in searched["variants"]:
+        for key in ("onset_s", "until_s"):
+            if row[key] is not None:
+                row[key] += found.time0_s - 0.5 * BLOCK_S
     return {
         "sentence": found.sentence, "recording_sha256": found.document.recording.sha256, "options": dict(options),
         "alarm": found.threshold, "notes": [], "laws": [],
         "minimum_detectable": dict(found.document.minimum_detectable),
-        **details_of_search(search, found.candidates, search.best),
+        **searched,
     }  # fmt: skip

@@ -134,6 +134,8 @@ class PetrolTerm(StrictModel):
     magnitude: float
     std: float | None = Field(None, ge=0)
     onset_s: float | None = None
+    until_s: float | None = None
+    grown_s: float | None = None
     found_in: str = ""
     valid_for: str = ""
 
@@ -196,7 +198,12 @@ def load_petrol(path: str | Path) -> PetrolParameters:
 
 def save_petrol(parameters: PetrolParameters, path: str | Path) -> Path:
     """Write the engine file atomically; numbers with six digits."""
-    text = yaml.safe_dump(_rounded(parameters.model_dump(mode="json")), sort_keys=False, default_flow_style=None,
+    content = parameters.model_dump(mode="json")
+    for term in content["terms"]:
+        for key in ("until_s", "grown_s"):
+            if term[key] is None:  # as engines have always been written, so that older versions read them
+                del term[key]
+    text = yaml.safe_dump(_rounded(content), sort_keys=False, default_flow_style=None,
                           width=118)
     return write_text(path, sealed_text(text))
 

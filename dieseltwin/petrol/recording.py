@@ -7,7 +7,7 @@ pressures at the block's ends over its length. So time stamps are used as they a
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -43,6 +43,8 @@ COLUMNS: Mapping[str, tuple[float, float, str]] = {
     "p_amb_pa": (5e4, 1.1e5, "Pa"),
     "t_amb_k": (230.0, 330.0, "K"),
 }
+SURROUNDINGS: Mapping[str, float] = {"p_amb_pa": 101325.0, "t_amb_k": 293.15}
+"""Columns that a recording may be judged without, and what is taken where they aren't recorded: a usual day."""
 
 
 @dataclass(frozen=True)
@@ -91,23 +93,31 @@ class PetrolRecording:
 
 
 def read_petrol(
-    source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None
+    source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None,
+    absent: Collection[str] = (),
 ) -> PetrolRecording:
     """Read a recording of any format, or take a table of one; names are compared without regard to case.
 
     Args:
         source: a file of any format of `recordings.importers`, or a table with its columns; or what was imported.
         channels: map of foreign names and units to ours, see `recordings.channels`.
+        absent: columns among `SURROUNDINGS` that it needn't have.
 
     Raises:
         InputError: missing file or column, no rising time, values that can't be in the unit of the column's name.
     """
     columns, path, sha256 = named_columns(source, channels)
     table = {name.strip().lower(): values for name, values in columns.items()}
-    missing = [c for c in ("time_s", *COLUMNS) if c not in table]
+    recorded = tuple(table)
+    missing = [c for c in ("time_s", *COLUMNS) if c not in table and c not in absent]
     if missing:
-        raise InputError(f"{path}: columns", f"no {listed(missing)}", f"time_s, {listed(list(COLUMNS))}",
-                         "name the columns so, units as in the names, or give a channel map (--channels)")
+        do = "name the columns so, units as in the names, or give a channel map (--channels)"
+        if all(c in SURROUNDINGS for c in missing):
+            do += "; `discover` needs it not where --sensors names the others"
+        raise InputError(f"{path}: columns", f"no {listed(missing)}", f"time_s, {listed(list(COLUMNS))}", do)
+    for column in absent:
+        if column not in table:
+            table[column] = np.full(len(table["time_s"]), SURROUNDINGS[column])
     values = {}
     for column in ("time_s", *COLUMNS):
         values[column] = np.asarray(pd.to_numeric(pd.Series(table[column]), errors="coerce"), dtype=np.float64)
@@ -132,7 +142,7 @@ def read_petrol(
         raise InputError(path, f"{time[-1] - time[0]:.0f} s", f"at least {FEWEST_BLOCKS} s", "record longer")
     signals = Signals(time - time[0], values["p_ic_pa"], values["t_ic_k"], values["p_im_pa"], values["w_af_kg_s"],
                       values["omega_e_rad_s"], values["alpha_th_pct"], values["p_amb_pa"], values["t_amb_k"])
-    return PetrolRecording(signals, float(time[0]), path, sha256, tuple(table))
+    return PetrolRecording(signals, float(time[0]), path, sha256, recorded)
 
 
 def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:

@@ -6,21 +6,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.petrol.effects import undo_all
-from dieseltwin.petrol.parameters import PetrolParameters
+from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
 from dieseltwin.petrol.recording import PetrolRecording, Signals
 
 Array = NDArray[np.float64]
 
 
 def active_sizes(engine: PetrolParameters, recording: PetrolRecording) -> dict[str, Array]:
-    """Effect -> (n,) size over the rows; an onset counts in the recording that the effect was found in."""
+    """Effect -> (n,) size over the rows; its times count in the recording that the effect was found in."""
     sizes: dict[str, Array] = {}
     time_s = recording.signals.time_s + recording.time0_s
     for term in engine.terms:
-        since = term.onset_s if term.onset_s is not None and term.found_in == recording.sha256 else -np.inf
-        active = (time_s >= since).astype(np.float64)
-        sizes[term.effect] = sizes.get(term.effect, np.zeros(len(time_s))) + term.magnitude * active
+        share = _course(term, time_s) if term.found_in == recording.sha256 else np.full(
+            len(time_s), float(term.until_s is None))  # fmt: skip
+        sizes[term.effect] = sizes.get(term.effect, np.zeros(len(time_s))) + term.magnitude * share
     return sizes
+
+
+def _course(term: PetrolTerm, time_s: Array) -> Array:
+    """(n,) share of a term's size at the time stamps of the recording that it was found in."""
+    since = -np.inf if term.onset_s is None else term.onset_s
+    until = np.inf if term.until_s is None else term.until_s
+    if term.grown_s is not None:
+        first = float(time_s[0]) if term.onset_s is None else term.onset_s
+        return np.asarray(np.clip((time_s - first) / max(term.grown_s - first, 1.0), 0.0, 1.0))
+    return ((time_s >= since) & (time_s < until)).astype(np.float64)
 
 
 def without_terms(engine: PetrolParameters, recording: PetrolRecording) -> Signals:

@@ -67,6 +67,7 @@ class PetrolTwin(TwinDefaults):
     """
 
     own_schedules = True
+    courses = True
 
     def __init__(self, engine: PetrolParameters, signals: Signals, columns: Sequence[str] | None = None) -> None:
         self.engine, self.signals = engine, undo_all(engine.clocks, signals)

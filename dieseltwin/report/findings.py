@@ -52,8 +52,11 @@ def findings(
     heads = ("finding", "size ± std", "90 % interval", "probability", "misfit explained",
              *(("since",) if timed else ()), "can't be told from")  # fmt: skip
     location = document.location
-    onset = None if location is None else location.onset_s
-    since = "its start" if onset is None else clock(onset)
+    since = "its start" if location is None or location.onset_s is None else clock(location.onset_s)
+    if location is not None and location.until_s is not None:
+        since += f", until {clock(location.until_s)}"
+    if location is not None and location.grows:
+        since += ", grown to this size at the end"
     rows = []
     for effect in document.effects:
         size, interval = _sizes(effect, unit)

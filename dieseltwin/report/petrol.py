@@ -31,7 +31,7 @@ SMOOTH_BLOCKS = 15  # running median: structure, not tip-ins
 PALE = {BEFORE: "#f2c4a5", AFTER: "#a9cce3"}
 OVER_TIME = ("Misfit of the balances against the calibrated maps: as read, and with the explanation and the levels "
              "fitted beside it taken back. Seconds as points (cut at 25 %), running median over 15 s as lines.")
-OVER_PRESSURE = "Seconds after the onset over p_im. A gain shifts evenly, a leak most at low load."
+OVER_PRESSURE = "Seconds in which it acts over p_im. A gain shifts evenly, a leak most at low load."
 COLOURS = "Orange: as read; blue: repaired."
 VISIBLE = "Smallest size that this recording shows, had the effect begun after a tenth of it."
 MEANINGS = {
@@ -65,10 +65,12 @@ def _misfits(found: PetrolDiscovery, name: str) -> tuple[np.ndarray, list[tuple[
     return kept, [(np.clip(values[kept], -CLIP, CLIP), colour, label) for values, colour, label in states]
 
 
-def _onset(found: PetrolDiscovery) -> float | None:
-    """Middle of the first block in which the effect acts [s since the recording's start]."""
-    variant = found.search.variant
-    return None if variant is None or found.search.kind != "variant" else variant.onset_s
+def _acts(found: PetrolDiscovery, stamps: np.ndarray) -> np.ndarray:
+    """Whether the effect acts at time stamps [s], as the document says it; everywhere without one."""
+    location = found.document.location
+    since = None if location is None else location.onset_s
+    until = None if location is None else location.until_s
+    return (stamps >= (-np.inf if since is None else since)) & (stamps < (np.inf if until is None else until))
 
 
 def balances_over_time(found: PetrolDiscovery) -> Series:
@@ -82,10 +84,13 @@ def balances_over_time(found: PetrolDiscovery) -> Series:
         if kept.sum() > SMOOTH_BLOCKS:
             lines += [Line(label, colour, 100.0 * _running_median(values, SMOOTH_BLOCKS))
                       for values, colour, label in states]
-        panels.append(Panel(f"misfit of the {TITLES[name]}", "%", found.twin.time_s[kept], tuple(lines)))
-    onset = _onset(found)
-    series = Series(tuple(panels), marks=() if onset is None else (Mark("the onset", onset),))
-    told = ("residuals_over_time", "Misfit of the balances", COLOURS + " Dashed: the onset.")
+        stamps = found.time0_s + found.twin.time_s[kept]
+        panels.append(Panel(f"misfit of the {TITLES[name]}", "%", stamps, tuple(lines)))
+    location = found.document.location
+    edges = () if location is None else (("the onset", location.onset_s), ("the end", location.until_s))
+    series = Series(tuple(panels), marks=tuple(Mark(words, at) for words, at in edges if at is not None))
+    words = COLOURS + " Dashed: the onset, and the end where it went again."
+    told = ("residuals_over_time", "Misfit of the balances", words)
     return replace(series, drawn=still(series, told))
 
 
@@ -115,10 +120,10 @@ def _size(value: float, unit: str) -> str:
 
 def over_pressure(found: PetrolDiscovery) -> Series:
     """Cylinder and throttle balance over the manifold pressure: gain, leak and offset have other shapes."""
-    onset, panels = _onset(found), []
+    panels = []
     for name in (name for name in ("cylinder", "throttle") if name in found.twin.channels):
         kept, states = _misfits(found, name)
-        late = np.ones(int(kept.sum()), dtype=bool) if onset is None else found.twin.time_s[kept] >= onset
+        late = _acts(found, found.time0_s + found.twin.time_s[kept])
         lines = [Line(label, colour, 100.0 * values[late], dots=True) for values, colour, label in states]
         x = 1e-3 * found.twin.blocks.p_im[kept][late]
         panels.append(over(f"misfit of the {name} balance", "%", ("p_im", "kPa"), x, lines))

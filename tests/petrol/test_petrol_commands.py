@@ -15,8 +15,8 @@ from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import load_discrepancy
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import calibrate
-from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
-from dieseltwin.petrol.recording import PetrolRecording, read_petrol
+from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm, load_petrol, save_petrol
+from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, read_petrol
 from dieseltwin.recordings.channels import channel_map
 from tests.pages import check_page
 
@@ -110,7 +110,24 @@ def test_learned_from_references_in_one_go(
     assert "of its rows are in the reference" in capsys.readouterr().err
     mine = save_petrol(load_petrol(tmp_path / "out" / "engine.yaml"), tmp_path / "mine.yaml")
     assert main([*base[:3], str(mine), *base[4:], "--reference", healthy.path]) == 2
-    assert "which has its maps" in capsys.readouterr().err
+    assert "--reference: got beside liu_petrol, which has its maps already" in capsys.readouterr().err
+
+
+def test_calibrated_anew_is_learned(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`calibrate` takes a channel map as `learn` does, and the effects that its base holds aren't in the new engine."""
+    table = pd.read_csv(record(1, 900.0).path)
+    foreign = _written(table.rename(columns={"p_im_Pa": "MAP"}).assign(MAP=table.p_im_Pa / 1e3), tmp_path)
+    (tmp_path / "map.yaml").write_text("MAP: {column: p_im_pa, unit: kPa}\n", encoding="utf-8")
+    faulty = engine.model_copy(update={"terms": (PetrolTerm(effect="w_af_gain", magnitude=0.1, std=0.01),)})
+    base = save_petrol(faulty, tmp_path / "base.yaml")
+    channels = ["--channels", str(tmp_path / "map.yaml")]
+    assert main(["calibrate", str(foreign), "--base", str(base), *channels, "--out", str(tmp_path / "new.yaml")]) == 0
+    assert "w_af_gain among the terms" in capsys.readouterr().out
+    found = load_petrol(tmp_path / "new.yaml")
+    assert found.terms == () and found.cylinder is not None and engine.cylinder is not None
+    np.testing.assert_allclose(found.cylinder.coefficients, engine.cylinder.coefficients, atol=0.01)
 
 
 def test_too_short_to_calibrate(record: Recorder) -> None:
@@ -198,6 +215,39 @@ def test_choices_that_mean_nothing(
     out = tmp_path / "out"
     assert main(["discover", str(record(9, 120.0).path), "--engine", str(file), "--out", str(out), *options]) == 2
     assert words in capsys.readouterr().err and not out.exists()
+
+
+@pytest.mark.parametrize("missing", [("T_amb_K",), ("p_amb_Pa", "T_amb_K")], ids=len)
+def test_judged_without_the_surroundings(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    missing: tuple[str, ...],
+) -> None:  # fmt: skip
+    """A file without the columns that --sensors leaves out is judged as one with them; without --sensors it says so."""
+    file = save_petrol(engine, tmp_path / "engine.yaml")
+    table = pd.read_csv(record(11, 300.0, p_im_Pa=0.1).path)
+    bare = _written(table.drop(columns=list(missing)), tmp_path)
+    base = ["discover", str(bare), "--engine", str(file), "--out", str(tmp_path / "out")]
+    assert main(base) == 2
+    assert "where --sensors names the others" in capsys.readouterr().err
+    used = [c.lower() for c in table if c.lower() in COLUMNS and c not in missing]
+    assert main([*base, "--sensors", ",".join(used)]) == 0
+    assert "not recorded and taken" in capsys.readouterr().out
+    effect = load_discrepancy(tmp_path / "out").effects[0]
+    assert effect.name == "p_im_gain" and effect.magnitude == pytest.approx(0.1, abs=0.01)
+
+
+def test_engines_that_do_not_fit_the_command(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = str(record(9, 120.0).path)
+    assert main(["discover", recording, "--engine", "liu_petrol", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "liu_petrol, which isn't calibrated yet" in said and "--reference" in said
+    assert main(["simulate", recording, "--engine", "liu_petrol", "--out", str(tmp_path / "out.csv")]) == 2
+    assert "no maps" in capsys.readouterr().err
+    file = save_petrol(engine, tmp_path / "engine.yaml")
+    assert main(["imply", recording, "--engine", str(file), "--out", str(tmp_path / "out.csv")]) == 2
+    assert "kind 'petrol'" in capsys.readouterr().err
 
 
 def test_options_of_the_diesel_engine_are_refused(

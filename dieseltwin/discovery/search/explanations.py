@@ -16,6 +16,7 @@ from dieseltwin.discovery.laws.unnamed import best_term
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all, widen
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each, effect_responses, score, secant_sizes, spread
+from dieseltwin.discovery.search.courses import at_times, first_of_each_course, moved
 from dieseltwin.discovery.search.preparation import in_own_metrics, recentred, tolerance_responses
 from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, redated, rescan, same_region
@@ -48,13 +49,14 @@ def try_variants(found: Search) -> None:
     if best.onset_s is not None:
         _date_anew(found)
         for reach, count in ((_ONSET_REACH_S, 5), (2.0, 5)):
-            best, _ = found.variants[0]
-            _refit_variants(found, [
-                _since(found, best, t) for t in onset_candidates(found.twin, float(best.onset_s or 0.0), reach, count)
-            ])  # fmt: skip
-        best, _ = found.variants[0]  # the onset is known by now: other effects since then
+            for best in first_of_each_course([variant for variant, _ in found.variants]):
+                near = [[] if edge is None else onset_candidates(found.twin, edge, reach, count)
+                        for edge in (best.onset_s, best.until_s)]
+                _refit_variants(found, moved(found.twin, best, *near))
+        best, _ = found.variants[0]  # the times are known by now: other effects at the same ones
         others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
-        _refit_variants(found, [_since(found, variant, float(best.onset_s or 0.0)) for variant in others.values()])
+        same = float(best.onset_s or 0.0), best.until_s, best.grows
+        _refit_variants(found, [at_times(found.twin, variant, *same) for variant in others.values()])
         _polish_variants(found)
         if found.settings.in_own_metrics(found.gain(found.variants[0][1])):
             _compare_leaders(found)
@@ -71,21 +73,21 @@ def try_variants(found: Search) -> None:
             ][:_RIVALS])  # fmt: skip
             _polish_variants(found)
         for variant, fit in _leaders(found)[:count]:
-            moved = rescan(found.null, variant, fit, fine)
-            if moved.region != variant.region:
-                _refit_variants(found, [moved], fit)
+            other = rescan(found.null, variant, fit, fine)
+            if other.region != variant.region:
+                _refit_variants(found, [other], fit)
         _polish_variants(found)
 
 
 def _date_anew(found: Search) -> None:
     """Onsets of the leading effects by their responses at the sizes found; the scan takes effects linearly."""
-    moved = []
+    dated = []
     for variant, fit in _leaders(found):
-        if variant.onset_s is not None:
+        if variant.onset_s is not None and variant.until_s is None and not variant.grows:
             other = redated(found.null, variant.name, float(fit.magnitudes[0]), found.settings.least_share)
             if abs(float(other.onset_s or 0.0) - variant.onset_s) > _ONSET_REACH_S:
-                moved.append(other)
-    _refit_variants(found, moved)
+                dated.append(other)
+    _refit_variants(found, dated)
 
 
 def freedom_cost(found: Search, variant: Variant) -> float:
@@ -128,11 +130,6 @@ def _compare_leaders(found: Search) -> None:
     same = {fit.candidate.names[0] for fit in compared}  # what they were beside has moved with them
     rest = [pair for pair in rest if pair[0].name not in same]
     found.variants = _in_order(found, [*((variants[f.candidate.names[0]], f) for f in compared), *rest])
-
-
-def _since(found: Search, variant: Variant, onset_s: float) -> Variant:
-    """The variant with another onset; its response stays that of the scan, near enough for a refit."""
-    return replace(variant, onset_s=onset_s, schedule=(found.twin.time_s >= onset_s).astype(float))
 
 
 def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None = None) -> None:

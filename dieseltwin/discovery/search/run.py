@@ -16,6 +16,7 @@ from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search.by_recording import Start, gained_elsewhere, refitted, starts_by_recording
 from dieseltwin.discovery.search.circumstances import ROUNDS, in_weather_of, under_circumstances
+from dieseltwin.discovery.search.courses import courses
 from dieseltwin.discovery.search.explanations import (
     VARIANTS,
     beyond_law,
@@ -145,6 +146,8 @@ def _explain(found: Search) -> None:
     twin, settings = found.twin, found.settings
     found.stage = "terms without a name"
     found.scanned = scan(found.null, found.scored, VARIANTS, settings.least_share)
+    found.scanned += courses(found.null, found.scored, settings.least_share)
+    found.scanned.sort(key=lambda variant: -variant.gain)
     tried = [*found.scanned, *(variant for variant, _ in found.variants)]
     hidden = any(variant.gain > _hidden_bar(found, variant) for variant in tried)
     base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null

@@ -25,7 +25,7 @@ from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 
 _BINS = 20  # of a condition, with equal numbers of samples
 LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
-_SECOND_EDGE = 8.0  # gain that a second edge along one condition must add
+SECOND_EDGE = 8.0  # gain that a second edge along one condition must add
 _SECOND_CONDITION = 12.0  # gain that a second condition of a region must add
 _REFINED = 6  # of the leading effects have their regions' edges found in turn, until none moves
 _TURNS = 3
@@ -47,6 +47,8 @@ class Variant:
         gain: linear gain.
         edges: of the region, inside the range driven.
         profile: way in which its size differs between recordings, or None.
+        until_s: before when [s], or None for to the end; see `courses`.
+        grows: evenly, from nothing at the onset to its whole size at the end.
     """
 
     name: str
@@ -57,9 +59,11 @@ class Variant:
     gain: float
     edges: int = 0
     profile: str | None = None
+    until_s: float | None = None
+    grows: bool = False
 
 
-class _Sums:
+class Sums:
     """Information and push of masked responses, by sums over groups of rows."""
 
     def __init__(self, at: Linearisation, items: Sequence[Scored], least_share: float = LEAST_SHARE) -> None:
@@ -78,7 +82,7 @@ class _Sums:
         limits = np.array([at.twin.hypotheses[item.name].limits for item in items])
         self.low, self.high = limits[:, 0], limits[:, 1]
 
-    def only(self, h: int) -> _Sums:
+    def only(self, h: int) -> Sums:
         """The same for one hypothesis."""
         part = copy(self)
         part.items, part.vectors = [self.items[h]], self.vectors[h : h + 1]
@@ -136,7 +140,7 @@ def scan(
     items = best_of_each(scored)
     if not items:
         return []
-    sums = _Sums(at, items, least_share)
+    sums = Sums(at, items, least_share)
     found = [*_onsets(sums), *_regions(sums)]
     found.sort(key=lambda v: -v.gain)
     kept: list[Variant] = []
@@ -168,7 +172,7 @@ def _schedule(acts: np.ndarray) -> Array:
     return schedule
 
 
-def _onsets(sums: _Sums) -> list[Variant]:
+def _onsets(sums: Sums) -> list[Variant]:
     twin = sums.at.twin
     n, W = twin.time_s.size, twin.starts.size
     of_sample = np.searchsorted(twin.starts, np.arange(n), side="right") - 1
@@ -189,7 +193,7 @@ def _bins(values: Array) -> tuple[np.ndarray, Array]:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2), edges
 
 
-def _intervals(sums: _Sums, values: Array, inside: np.ndarray) -> list[tuple[float, float, float]]:
+def _intervals(sums: Sums, values: Array, inside: np.ndarray) -> list[tuple[float, float, float]]:
     """(gain, low, high) of each hypothesis' best range of one condition within what is inside.
 
     A range with two edges pays for the second.
@@ -212,7 +216,7 @@ def _intervals(sums: _Sums, values: Array, inside: np.ndarray) -> list[tuple[flo
         return []
     low, high = (np.array(side) for side in zip(*pairs, strict=True))
     gains = sums.gains(*(total[high] - total[low] for total in totals))
-    gains -= _SECOND_EDGE * ((low > 0) & (high < count))[:, None]
+    gains -= SECOND_EDGE * ((low > 0) & (high < count))[:, None]
     best = gains.argmax(axis=0)
     return [(float(gains[p, h]), *_open_ended(edges, low[p], high[p])) for h, p in enumerate(best)]
 
@@ -225,7 +229,7 @@ def inside_region(conditions: Mapping[str, Array], region: Region) -> np.ndarray
     return acts
 
 
-def _regions(sums: _Sums) -> list[Variant]:
+def _regions(sums: Sums) -> list[Variant]:
     """Best region of each hypothesis over one condition, or over two where the second adds enough."""
     conditions: Mapping[str, Array] = sums.at.twin.conditions
     everywhere = np.ones(sums.at.twin.time_s.size, dtype=bool)
@@ -242,7 +246,7 @@ def _regions(sums: _Sums) -> list[Variant]:
     ]
 
 
-def _refined(sums: _Sums, h: int, gain: float, region: Region) -> tuple[float, Region]:
+def _refined(sums: Sums, h: int, gain: float, region: Region) -> tuple[float, Region]:
     """Every condition's range anew given the other's, and a second condition where it adds enough."""
     conditions = sums.at.twin.conditions
     alone = sums.only(h)
@@ -265,7 +269,7 @@ def _refined(sums: _Sums, h: int, gain: float, region: Region) -> tuple[float, R
     return gain, region
 
 
-def _profiled(sums: _Sums) -> list[Variant]:
+def _profiled(sums: Sums) -> list[Variant]:
     """Best profile over recordings of each hypothesis; none on one recording."""
     twin = sums.at.twin
     if not isinstance(twin, OverRecordings) or not twin.profiles:
@@ -285,7 +289,7 @@ def _profiled(sums: _Sums) -> list[Variant]:
 def redated(at: Linearisation, name: str, size: float, least_share: float) -> Variant:
     """The best onset of an effect by its response at a size that a refit found [unit]; windows start anew, so exact."""
     wanted = [(name, size)]
-    return _onsets(_Sums(at, score(at, wanted, effect_responses(at.twin, at, wanted)), least_share))[0]
+    return _onsets(Sums(at, score(at, wanted, effect_responses(at.twin, at, wanted)), least_share))[0]
 
 
 def onset_candidates(twin: Twin, around_s: float, reach_s: float, count: int) -> list[float]:
@@ -299,11 +303,11 @@ def same_region(at: Linearisation, scored: Sequence[Scored], like: Variant) -> l
     """All hypotheses in the region, or with the profile over recordings, of one variant, strongest first."""
     if like.profile is not None:
         return sorted(
-            (v for v in _profiled(_Sums(at, best_of_each(scored))) if v.profile == like.profile), key=lambda v: -v.gain
+            (v for v in _profiled(Sums(at, best_of_each(scored))) if v.profile == like.profile), key=lambda v: -v.gain
         )
     if like.region is None:
         return []
-    sums = _Sums(at, best_of_each(scored))
+    sums = Sums(at, best_of_each(scored))
     acts = inside_region(at.twin.conditions, like.region)
     gains = sums.gains(*(part[0] for part in sums.of(sums.per_row(np.where(acts, 0, -1)), 1)))
     found = [_variant(at.twin, sums.items[h], None, like.region, acts, gain) for h, gain in enumerate(gains)]
@@ -341,7 +345,7 @@ def rescan(null: Linearisation, variant: Variant, fit: Fit, fine: float) -> Vari
                 if information <= 0.0:
                     continue
                 pushed = float(push[a:b].sum())
-                value = float(_gain(pushed, information, low, high)) - _SECOND_EDGE * ((a > 0) + (b < len(slabs)))
+                value = float(_gain(pushed, information, low, high)) - SECOND_EDGE * ((a > 0) + (b < len(slabs)))
                 if value > best:
                     best, region[name] = value, _open_ended(edges, a, b)
         gain = best
@@ -372,4 +376,4 @@ def _open_ended(edges: Array, a: int, b: int) -> tuple[float, float]:
 
 def edge_cost(variant: Variant) -> float:
     """What the edges of a region cost, beyond the first [units of gain]."""
-    return _SECOND_EDGE * max(variant.edges - 1, 0)
+    return SECOND_EDGE * max(variant.edges - 1, 0)

@@ -262,6 +262,13 @@ def law_scope_of(twin: Twin) -> LawScope:
 
 
 @runtime_checkable
+class WithCourses(Twin, Protocol):
+    """A twin that says whether its effects may come and go or grow: its schedules take any value then."""
+
+    courses: bool
+
+
+@runtime_checkable
 class OverRecordings(Twin, Protocol):
     """A twin over R recordings, in which an effect's size may differ from one to the next.
 

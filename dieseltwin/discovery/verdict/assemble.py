@@ -311,7 +311,8 @@ def details_of_search(found: Search, rows: list[CandidateRow], best: Linearisati
         "singles": [_fit_row(found, fit) for fit in found.singles[:12]],
         "pairs": [_fit_row(found, fit) for fit in found.pairs[:6]],
         "variants": [
-            {**_fit_row(found, fit), "onset_s": v.onset_s, "region": v.region, "profile": v.profile}
+            {**_fit_row(found, fit), "onset_s": v.onset_s, "until_s": v.until_s, "grows": v.grows,
+             "region": v.region, "profile": v.profile}
             for v, fit in found.variants[:4]
         ],
         "unnamed": [

@@ -71,6 +71,8 @@ class FoundRegion(FrozenModel):
 class Location(FrozenModel):
     """Where the mismatch enters the model, in which driving, and since when [s on the recording's clock].
 
+    `until_s`: before when, where it went again. `grows`: its size isn't constant but grows evenly from nothing at the
+    onset to what is stated, at the recording's end. Both are in the document where they are so alone.
     Of several recordings: the date of the first that shows it, and of the last one before, where that is known.
     """
 
@@ -79,6 +81,8 @@ class Location(FrozenModel):
     alternatives: tuple[Alternative, ...] = ()
     regions: tuple[FoundRegion, ...] = ()
     onset_s: float | None = None
+    until_s: float | None = None
+    grows: bool = False
     onset_date: str | None = None
     onset_after: str | None = None
 
@@ -290,6 +294,10 @@ class Discrepancy(FrozenModel):
         for name in ("reference", "out_of_time"):
             if content[name] is None:
                 del content[name]
+        if content["location"]:
+            for key, usual in (("until_s", None), ("grows", False)):
+                if content["location"][key] is usual:
+                    del content["location"][key]
         if not content["circumstances"]:  # of other machines
             del content["circumstances"]
         for part in (content, *content["recordings"]):

@@ -1,0 +1,149 @@
+"""Effects that come and go again, or that grow evenly from a moment on, where the twin says that its effects may.
+
+A second edge has to pay for itself as that of a region does; an effect that grows has as many freedoms as one that
+begins. An edge is exact to a window, a response in part of the time is that part of the response.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.likelihood.score import Scored, best_of_each
+from dieseltwin.discovery.search.variants import SECOND_EDGE, Sums, Variant
+from dieseltwin.discovery.twins.interface import Array, Twin, WithCourses
+
+_EDGES = 48  # that both ends of a span are looked for among; refits move them
+_GROWING_SHARE = 0.25  # of the recording that an effect must grow over: what grows faster is a step
+_COUNT = 4  # of the strongest are refitted
+
+
+def courses(at: Linearisation, scored: Sequence[Scored], least_share: float) -> list[Variant]:
+    """The strongest effects that come and go or that grow, none where the twin's effects don't.
+
+    Args:
+        at: the health-only fit.
+        scored: effects with their responses.
+        least_share: of the samples that a span must act on, and leave out.
+    """
+    items = best_of_each(scored)
+    if not items or not isinstance(at.twin, WithCourses) or not at.twin.courses:
+        return []
+    sums = Sums(at, items, least_share)
+    return sorted([*_spans(sums), *_growing(sums)], key=lambda v: -v.gain)[:_COUNT]
+
+
+def course(time_s: Array, onset_s: float, until_s: float | None = None, grows: bool = False) -> Array:
+    """(n,) factor of an effect's size over time.
+
+    Args:
+        time_s: (n,) [s].
+        onset_s: since when [s].
+        until_s: before when [s], None for to the end.
+        grows: evenly, to its whole size at the end.
+    """
+    acts = time_s >= onset_s
+    if until_s is not None:
+        acts &= time_s < until_s
+    if not grows:
+        return np.asarray(acts.astype(np.float64))
+    return np.asarray(np.clip((time_s - onset_s) / max(float(time_s[-1]) - onset_s, 1.0), 0.0, 1.0))
+
+
+def at_times(twin: Twin, variant: Variant, onset_s: float, until_s: float | None, grows: bool) -> Variant:
+    """A variant with another course; its response stays that of the scan, near enough for a refit."""
+    return replace(variant, onset_s=onset_s, until_s=until_s, grows=grows, edges=0 if until_s is None else 2,
+                   schedule=course(twin.time_s, onset_s, until_s, grows))  # fmt: skip
+
+
+def moved(twin: Twin, variant: Variant, onsets: Sequence[float], ends: Sequence[float]) -> list[Variant]:
+    """A variant with other edges, one moved at a time; what is there from the first sample on stays so.
+
+    Args:
+        twin: of it.
+        variant: with an onset.
+        onsets, ends: candidates of either edge [s].
+    """
+    onset, until, grows = float(variant.onset_s or 0.0), variant.until_s, variant.grows
+    later = [t for t in onsets if (until is None or t < until) and onset > twin.time_s[0]]
+    found = [at_times(twin, variant, t, until, grows) for t in later]
+    return [*found, *(at_times(twin, variant, onset, t, grows) for t in ends if t > onset)]
+
+
+def first_of_each_course(variants: Sequence[Variant]) -> list[Variant]:
+    """The first of those that begin, of those that come and go, and of those that grow: a large effect that begins two
+    seconds off may be behind one that grows, until its edge is exact."""
+    found: dict[tuple[bool, bool], Variant] = {}
+    for variant in variants:
+        if variant.onset_s is not None:
+            found.setdefault((variant.until_s is not None, variant.grows), variant)
+    return list(found.values())
+
+
+def _variant(sums: Sums, h: int, gain: float, onset_s: float, until_s: float | None, grows: bool) -> Variant:
+    item, twin = sums.items[h], sums.at.twin
+    schedule = course(twin.time_s, onset_s, until_s, grows)
+    edges = 0 if until_s is None else 2
+    response = schedule[:, None] * item.response
+    return Variant(item.name, onset_s, None, schedule, response, gain, edges, None, until_s, grows)
+
+
+def _spans(sums: Sums) -> list[Variant]:
+    """The best span of each effect that ends within the recording."""
+    twin = sums.at.twin
+    n, windows = twin.time_s.size, twin.starts.size
+    edges = np.unique(np.linspace(0, windows, min(windows, _EDGES) + 1).astype(np.int64))
+    firsts = np.append(twin.starts, n)[edges]
+    of_sample = np.searchsorted(firsts, np.arange(n), side="right") - 1
+    parts = sums.of(sums.per_row(of_sample), len(edges) - 1)
+    totals = [np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)]) for part in parts]
+    best: dict[int, tuple[float, int, int]] = {}
+    for a in range(len(edges) - 2):
+        ends = np.arange(a + 1, len(edges) - 1)
+        sizes = firsts[ends] - firsts[a]
+        ends = ends[(sizes > sums.least_share * n) & (sizes < (1.0 - sums.least_share) * n)]
+        if not ends.size:
+            continue
+        gains = sums.gains(*(total[ends] - total[a] for total in totals)) - SECOND_EDGE
+        for h, k in enumerate(gains.argmax(axis=0)):
+            if h not in best or gains[k, h] > best[h][0]:
+                best[h] = (float(gains[k, h]), a, int(ends[k]))
+    return [_variant(sums, h, gain, float(twin.time_s[firsts[a]]), float(twin.time_s[firsts[b]]), False)
+            for h, (gain, a, b) in best.items()]
+
+
+def _growing(sums: Sums) -> list[Variant]:
+    """The best beginning of each effect that grows: of t - t0 after t0, by sums over 1, t and t squared.
+
+    Sums of squares with a weight of t are those of responses times its root.
+    """
+    twin = sums.at.twin
+    n, windows = twin.time_s.size, twin.starts.size
+    group = sums.per_row(np.searchsorted(twin.starts, np.arange(n), side="right") - 1)
+    time_s = twin.time_s - twin.time_s[0]
+    of_row = np.zeros(sums.rows)
+    channels = sums.at.residual.shape[1]
+    of_row[: n * channels] = np.repeat(time_s, channels)
+    plain, half, whole = (_since_each(sums, of_row**power, group, windows) for power in (0.0, 0.5, 1.0))
+    since = time_s[twin.starts]
+    t, t3 = since[:, None], since[:, None, None]
+    squares = whole[0] - 2.0 * t * half[0] + t**2 * plain[0]
+    pushes = whole[1] - t * plain[1]
+    inner = whole[2] - t3 * plain[2]
+    span = np.maximum(time_s[-1] - since, 1.0)  # the size is that at the end
+    gains = sums.gains(squares / span[:, None] ** 2, pushes / span[:, None], inner / span[:, None, None])
+    gains[span < _GROWING_SHARE * time_s[-1]] = 0.0
+    best = gains.argmax(axis=0)
+    return [_variant(sums, h, float(gains[w, h]), float(twin.time_s[twin.starts[w]]), None, True)
+            for h, w in enumerate(best)]
+
+
+def _since_each(sums: Sums, weight: Array, group: np.ndarray, windows: int) -> list[Array]:
+    """Squares, pushes and inner products of weighted responses (rows,), over all rows since each window's start."""
+    weighted = copy(sums)
+    weighted.vectors = sums.vectors * weight
+    return [np.cumsum(part[::-1], axis=0)[::-1] for part in weighted.of(group, windows)]
