@@ -6,7 +6,7 @@ A channel map is a YAML file, one entry a channel, foreign name first::
     P_boost: {column: p_im_pa, unit: kPa}           # a named unit
     T_exh: {column: t_em_k, unit: degC}
     EGR_pos: {column: u_egr_pct, scale: 100.0}      # ours = scale * theirs + offset
-    P_rail_gauge: {column: p_em_pa, unit: kPa, offset: 101325}   # offset in our unit, added last
+    T_cool: {column: t_im_k, unit: degC, offset: -1.5}           # offset in our unit, added last
 
 Columns that already carry our names need no entry. What follows from other channels is computed: see `derived`. The
 key `dbc:` names the DBC of a CAN trace, beside the map or by its full path. `dieseltwin channels FILE --out map.yaml`

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import yaml
 
 from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, TIME
-from dieseltwin.recordings.derived import DIESEL_KG_L
+from dieseltwin.recordings.derived import DIESEL_KG_L, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.propose import Candidate, Proposal
 from dieseltwin.sensors import MEASURED, SENSORS
@@ -164,7 +164,7 @@ def _entry_lines(candidate: Candidate, unmet: Mapping[str, list[str]]) -> Iterat
             parts.append(f"density_kg_l: {DIESEL_KG_L}")
         if "p_amb_pa" in entry.needs and "p_amb_pa" in unmet:
             yield "# CHECK: no ambient pressure in the file; sea level is assumed"
-            parts.append("ambient_pa: 101325")
+            parts.append(f"ambient_pa: {STAND_IN_PA:.0f}")
     yield f"{_scalar(candidate.channel)}: {{{', '.join(parts)}}}"
 
 
