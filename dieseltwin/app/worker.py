@@ -112,7 +112,8 @@ def _look(worker: Worker) -> str:
         with atomic_path(folder / OVERVIEW) as temporary:
             found.plot().savefig(temporary, format="png", dpi=90)
     if not (folder / MAP).is_file():
-        found.save(folder / MAP)
+        theirs = replace(found.proposal, raw=replace(found.proposal.raw, path=Path(kept.name)))  # not the server's name
+        replace(found, proposal=theirs).save(folder / MAP)
         text = (folder / MAP).read_text(encoding="utf-8")
         write_text(folder / MAP, text.replace(f"{folder.resolve()}{os.sep}", ""))  # a DBC is found beside the map
     write_json(folder / CHANNELS, sealed_json(found.to_json()))

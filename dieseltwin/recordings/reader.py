@@ -41,6 +41,7 @@ from dieseltwin.recordings.plausibility import (
     longest_gap,
     mask_wild,
 )
+from dieseltwin.recordings.unit_checks import unit_notes
 from dieseltwin.settings.strict import listed
 
 SLOWEST_HZ, FASTEST_HZ = 1.0, 100.0
@@ -266,7 +267,8 @@ def recording(
     wild = mask_wild(columns)
     t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
     check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
-    notes = [*infinite, *wild, *bridge_inputs(columns), *_held_unread(columns), *cut_off_notes(columns)]
+    notes = [*infinite, *wild, *bridge_inputs(columns), *_held_unread(columns), *cut_off_notes(columns),
+             *unit_notes(columns, engine.p_amb, engine.n_cyl)]  # fmt: skip
     if not any_rate and 1.0 / float(np.median(np.diff(time))) < FULL_HZ / RATE_TOLERANCE:
         notes.append(f"{1.0 / float(np.median(np.diff(time))):.3g} rows per second: {SLOW_ROWS}")
     for values in columns.values():

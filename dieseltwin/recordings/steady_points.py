@@ -22,6 +22,7 @@ from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, fo
 from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.plausibility import check_plausible
 from dieseltwin.recordings.reader import check_time
+from dieseltwin.recordings.unit_checks import unit_notes
 from dieseltwin.settings.strict import listed
 
 STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em_k")
@@ -134,6 +135,7 @@ def points(
         raise InputError(where, "no row with all inputs", "rows with n_e, u_delta, u_egr and u_vgt", "check the file")
     columns = {name: np.ascontiguousarray(values[whole]) for name, values in columns.items()}
     check_plausible(columns, where, float(np.median(columns["t_amb_k"])), engine.V_d / engine.n_cyl)
+    notes.extend(unit_notes(columns, engine.p_amb, engine.n_cyl))
     for values in columns.values():
         values.setflags(write=False)
     if not whole.all():

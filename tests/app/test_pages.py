@@ -39,6 +39,8 @@ def test_a_dropped_file_is_mapped_by_guess_and_its_names_stay_text(client: TestC
     assert chosen(page, "p_im_pa").startswith("Ladedruck abs [kPa]")
     assert chosen(page, "t_im_k") == "none"
     assert client.get(f"{recording}/overview.png").content.startswith(b"\x89PNG")
+    comments = client.get(f"{recording}/map.yaml").text.split("\n")[:2]
+    assert "recording." not in comments[0] and "identify recording." not in comments[1]  # the server's name for it
 
 
 def test_a_map_is_mended_and_tried(client: TestClient, recording: str, wait_for: Waiting) -> None:

@@ -31,6 +31,11 @@ LOWEST_RATIO = (0.9, 1.4)  # lowest exhaust over lowest intake pressure: at idle
 MOVES = 0.06  # relative standard deviation from which a channel says something
 TURBO_AGREES = 0.4  # rank correlation with the pressure ratio
 HEAT = (4.6, 16.0)  # K per mg/cycle and litre of a cylinder, real engines (see `plausibility`)
+SHARES_SPREAD, LINE_HOLDS = 1.5, 0.8  # of fuel in the gas, 95 over 5 %; correlation of temperature with it
+COLD_LINE, HOT_LINE = 275.0, 480.0
+"""K without fuel: 300 to 400 of engines; 90 to 260 of degC and degF taken as K, 530 and 670 of degF and K as degC."""
+HOT_PER_SHARE, IMPOSSIBLE_PER_SHARE = 1.85e4, 2.8e4
+"""K per fuel share in the gas, where it is above its median: 11,000 to 15,000 of engines, and all heat makes 37,000."""
 LEAST_LOADED_MG, FULL_LOAD_MG_L = 20.0, 60.0  # below, no load at all; a diesel's full load per litre of cylinder
 WHEEL_RADIUS_M = (0.018, 0.075)  # of turbine wheels, for the tip speed that a pressure ratio takes
 CLEAR_SIGN = 0.3  # rank correlation from which a direction is told
@@ -112,11 +117,18 @@ def misfit(columns: Mapping[str, np.ndarray], cylinders: int) -> float:
         total += abs(np.log(lowest / np.clip(lowest, *LOWEST_RATIO)))
     speed, ratio_p = columns.get("omega_t_rad_s"), _pressure_ratio(columns)
     if speed is not None and ratio_p is not None:
-        # the work of a pressure ratio is about 0.65 of the squared tip speed
-        head = np.sqrt(np.maximum(2.0 * 1005.0 * 300.0 * (np.maximum(ratio_p, 1.02) ** 0.2857 - 1.0) / 0.65, 1.0))
-        radius = float(np.median(head / np.maximum(speed, 1.0)))
+        radius = wheel_radius(speed, ratio_p)
         total += abs(np.log(radius / np.clip(radius, *WHEEL_RADIUS_M)))
     return total
+
+
+def wheel_radius(speed: np.ndarray, ratio: np.ndarray) -> float:
+    """Radius of the compressor's wheel [m] by its speed [rad/s] and pressure ratio [-], (m,) each.
+
+    The work of a pressure ratio is about 0.65 of the squared tip speed.
+    """
+    tip = np.sqrt(np.maximum(2.0 * 1005.0 * 300.0 * (np.maximum(ratio, 1.02) ** 0.2857 - 1.0) / 0.65, 1.0))
+    return float(np.median(tip / np.maximum(speed, 1.0)))
 
 
 def air_to_fuel(columns: Mapping[str, np.ndarray], cylinders: int) -> np.ndarray | None:
@@ -158,6 +170,44 @@ def heat_per_fuel(columns: Mapping[str, np.ndarray], cylinders: int) -> float | 
     return float(np.median((columns["t_em_k"][medium] - NOMINAL_AMBIENT_K) / fuel[medium])) * litres
 
 
+def exhaust_line(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[float, float] | None:
+    """Exhaust temperature without fuel [K], by a line over fuel per gas, and heating per fuel share at load [K].
+
+    The first doesn't depend on units of the flows or on the number of cylinders; by a temperature in K it lies near
+    the intake's. None where fuel, air and temperature don't say it.
+    """
+    if not {"w_c_kg_s", "u_delta_mg", "n_e_rpm", "t_em_k"} <= set(columns):
+        return None
+    fuel = 1e-6 * columns["u_delta_mg"] * cylinders * columns["n_e_rpm"] / 120.0
+    gas = columns["w_c_kg_s"] + fuel
+    usable = (columns["u_delta_mg"] > 0.0) & (columns["w_c_kg_s"] > 0.0) & np.isfinite(gas + columns["t_em_k"])
+    if np.count_nonzero(usable) < 20:
+        return None
+    share, hot = fuel[usable] / gas[usable], columns["t_em_k"][usable]
+    low, middle, high = np.quantile(share, (0.05, 0.5, 0.95))
+    if high < SHARES_SPREAD * low or float(np.corrcoef(share, hot)[0, 1]) < LINE_HOLDS:
+        return None
+    cold = np.polyfit(share, hot, 1)[1]
+    rich = share > middle
+    return float(cold), float(np.median((hot[rich] - NOMINAL_AMBIENT_K) / share[rich]))
+
+
+def exhaust_in_doubt(columns: Mapping[str, np.ndarray], cylinders: int) -> str:
+    """What is odd about the exhaust temperature over fuel and air, "" where nothing is."""
+    line = exhaust_line(columns, cylinders)
+    if line is None:
+        return ""
+    cold, per_share = line
+    if cold < COLD_LINE:
+        return f"comes down to {cold:.0f} K without fuel, far below the intake's: degF or degC taken as K?"
+    if per_share > IMPOSSIBLE_PER_SHARE:
+        return (f"rises by {per_share:.3g} K per share of fuel in the gas, which no fuel can heat: check the units of "
+                "fuel, air flow and temperature, and the number of cylinders")  # fmt: skip
+    if cold > HOT_LINE and per_share > HOT_PER_SHARE:
+        return f"comes down to {cold:.0f} K only without fuel, far above the intake's: K or degF taken as degC?"
+    return ""
+
+
 def backwards(columns: Mapping[str, np.ndarray]) -> float:
     """Share of the rows with EGR in which the pressure behind the valve is the higher one, by more than noise makes."""
     flows = columns["w_egr_kg_s"] > EGR_FLOWS * columns.get("w_c_kg_s", np.full(columns["w_egr_kg_s"].size, 0.1))
@@ -167,7 +217,10 @@ def backwards(columns: Mapping[str, np.ndarray]) -> float:
 
 
 def _pressure_ratio(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
-    return columns["p_im_pa"] / columns["p_amb_pa"] if "p_im_pa" in columns else None
+    if "p_im_pa" not in columns:
+        return None
+    with np.errstate(invalid="ignore", divide="ignore"):  # a row of zeros
+        return np.asarray(columns["p_im_pa"] / columns["p_amb_pa"])
 
 
 def ranks_agree(a: np.ndarray, b: np.ndarray) -> float:
@@ -189,7 +242,7 @@ def agreements(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[dict[
 
     def note(where: dict[str, list[str]], names: tuple[str, ...], text: str) -> None:
         for name in names:
-            if name in columns:
+            if name in columns and text:
                 where.setdefault(name, []).append(text)
 
     size = displacement(columns)
@@ -232,6 +285,7 @@ def agreements(columns: Mapping[str, np.ndarray], cylinders: int) -> tuple[dict[
         agrees = ranks_agree(columns["t_em_k"], np.nan_to_num(columns["u_delta_mg"]))
         if agrees > TURBO_AGREES / 2.0:
             note(reasons, ("t_em_k",), f"rises with fuel (rank correlation {agrees:.2f})")
+    note(warnings, ("t_em_k",), exhaust_in_doubt(columns, cylinders))
     return reasons, warnings
 
 
@@ -255,6 +309,17 @@ def reversed_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
             found["u_vgt_pct"] = (f"the turbine's flow area falls while it rises (rank correlation {agrees:.2f}): "
                                   "100 seems shut")  # fmt: skip
     return found
+
+
+def unchecked_positions(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
+    """Positions that move and whose direction no other channel could tell, with what to check."""
+    tells = {"u_egr_pct": ({"w_egr_kg_s"}, {"w_c_kg_s", "p_im_pa", "n_e_rpm"}), "u_vgt_pct": ({"p_em_pa", "w_c_kg_s"},)}
+    missing = {"u_egr_pct": "EGR flow, or air flow with boost", "u_vgt_pct": "exhaust pressure and air flow"}
+    return {
+        name: f"its direction couldn't be checked without {missing[name]}: 0 must be shut, 100 open"
+        for name, ways in tells.items() if name in columns and not any(way <= set(columns) for way in ways)
+        and float(np.nanstd(columns[name])) > STIRRED_PCT
+    }  # fmt: skip
 
 
 def beside_air(columns: Mapping[str, np.ndarray]) -> np.ndarray:

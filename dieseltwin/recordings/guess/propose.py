@@ -14,7 +14,13 @@ from dieseltwin.recordings.channels import ChannelMap, unit_of
 from dieseltwin.recordings.guess.evidence import Support
 from dieseltwin.recordings.guess.facts import Facts, clock_of, facts_of, signals_of
 from dieseltwin.recordings.guess.names import Meaning, spn_of, vocabulary, words_of
-from dieseltwin.recordings.guess.physics import Meeting, agreements, misfit, reversed_positions
+from dieseltwin.recordings.guess.physics import (
+    Meeting,
+    agreements,
+    misfit,
+    reversed_positions,
+    unchecked_positions,
+)
 from dieseltwin.recordings.guess.reading import Reading, reading_of
 from dieseltwin.recordings.guess.units import Unit, understood
 from dieseltwin.recordings.guess.unnamed import FINER, Option, assigned
@@ -277,6 +283,9 @@ def _by_physics(chosen: Mapping[str, Candidate], signals: Mapping[str, Signal], 
             reading = replace(reading, reasons=(candidate.reading.reasons[0], "the balances fit best with this unit"))
         result[column] = replace(candidate, reading=reading)
     columns = meeting.columns(_named(result, {column: c.reading for column, c in result.items()}))
+    for column, text in unchecked_positions(columns).items():
+        candidate = result[column]
+        result[column] = replace(candidate, reading=candidate.reading.with_warning(text))
     for column, text in reversed_positions(columns).items():
         candidate = result[column]
         entry = candidate.reading.entry

@@ -117,9 +117,10 @@ def needed_but_unmapped(proposal: Proposal) -> dict[str, list[str]]:
 def map_text(proposal: Proposal) -> str:
     """The channel map as YAML with comments, ready to edit and to give to `--channels`."""
     raw = proposal.raw
+    name = " ".join(raw.path.name.split())  # a comment ends with its line
     lines = [
-        f"# Channel map of {raw.path.name} ({raw.kind}), a first guess of `dieseltwin channels`.",
-        f"# Check every line, then: dieseltwin identify {raw.path.name} --channels THIS_FILE ...",
+        f"# Channel map of {name} ({raw.kind}), a first guess of `dieseltwin channels`.",
+        f"# Check every line, then: dieseltwin identify {name} --channels THIS_FILE ...",
         "# unit: of the channel; scale, offset: ours = scale * theirs + offset; via: a formula (docs/formats.md).",
     ]
     if proposal.database is not None:

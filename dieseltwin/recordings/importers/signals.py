@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -12,6 +13,7 @@ import pandas as pd
 
 from dieseltwin.errors import InputError
 
+_OBJECT = re.compile(r"<[\w.]+ [^<>]*>")  # a library's object, as Python prints it
 MOST_DISORDER_S = 1.0  # by which times of one channel may fall: buffers of several buses are written in turn
 
 
@@ -93,7 +95,7 @@ def unreadable(
     path: Path, kind: str, error: object, do: str = "copy or export it again (is it truncated?)"
 ) -> InputError:
     """The one line for a file of a known format that its library cannot read."""
-    text = " ".join(str(error).split())[:120]
+    text = " ".join(_OBJECT.sub("its content", str(error)).split())[:120]
     return InputError(
         str(path), f"no readable {kind} ({text})" if text else f"no readable {kind}", f"a whole {kind} file", do
     )

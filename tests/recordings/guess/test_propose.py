@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -205,12 +206,28 @@ def test_a_volume_of_air_is_no_mass_and_says_so(tmp_path, known, unit, capsys):
     assert "can't be converted" in capsys.readouterr().out
 
 
+def test_rows_of_zeros_raise_no_warnings_of_numpy(tmp_path, known):
+    frame = pd.DataFrame({name: known[name] for name in ("time_s", "n_e_rpm", "p_im_pa", "omega_t_rad_s")})
+    frame["p_amb_pa"] = 1.013e5
+    frame.loc[:5, ["p_im_pa", "p_amb_pa"]] = 0.0
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert "p_im_pa" in propose(read_raw(tmp_path / "drive.csv")).guesses
+
+
+def test_french_fuel_is_found(tmp_path, known):
+    frame = pd.DataFrame({"time_s": known["time_s"], "Débit injecté [mg/cp]": known["u_delta_mg"]})
+    frame.to_csv(tmp_path / "drive.csv", index=False)
+    assert propose(read_raw(tmp_path / "drive.csv")).guesses["u_delta_mg"].channel == "Débit injecté [mg/cp]"
+
+
 def test_a_unit_that_nobody_knows_is_named(tmp_path, known):
     frame = pd.DataFrame({"time_s": known["time_s"], "Air flow [stone/moon]": 3600.0 * known["w_c_kg_s"]})
     frame.to_csv(tmp_path / "drive.csv", index=False)
-    warnings = propose(read_raw(tmp_path / "drive.csv")).guesses["w_c_kg_s"].reading.warnings
-    assert any("the unit 'stone/moon' isn't known" in text for text in warnings)
-    assert not any("gives no unit" in text for text in warnings)
+    texts = propose(read_raw(tmp_path / "drive.csv")).guesses["w_c_kg_s"].reading.warnings
+    assert any("the unit 'stone/moon' isn't known" in text for text in texts)
+    assert not any("gives no unit" in text for text in texts)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import scipy.io
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.importers.read import read_raw
+from dieseltwin.recordings.importers.signals import unreadable
 
 TIME, SPEED = [0.0, 0.1, 0.2, 0.3], [1000.0, 1001.5, 1002.0, 1003.25]
 
@@ -187,6 +188,11 @@ def test_a_measurement_cut_in_the_middle_is_one_line_and_nothing_on_stderr(tmp_p
     with pytest.raises(InputError, match="MDF") as error:
         read_raw(path)
     assert "\n" not in str(error.value) and capfd.readouterr().err == ""
+
+
+def test_a_librarys_object_is_not_printed():
+    error = unreadable(Path("a.mf4"), "MDF", ValueError("seek in <mmap.mmap closed=False, length=300>\n out of range"))
+    assert "no readable MDF (seek in its content out of range)" in str(error)
 
 
 @pytest.mark.parametrize("what", REFUSED)
