@@ -18,7 +18,7 @@ from dieseltwin.api.reading import Channels, Made, Opened, Source, petrol_record
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy, with_warnings
-from dieseltwin.discovery.verdict.explain import DETAILS, Known, plain
+from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers, plain
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
 from dieseltwin.petrol.calibrate import SubmodelFit
@@ -116,6 +116,9 @@ class PetrolQuestion(Question):
     def catalogue(self) -> Mapping[str, Known]:
         return HYPOTHESES
 
+    def answered_in(self, folder: Path) -> bool:
+        return answers(folder, self.asked, self.recording.sha256)
+
     def answer(self) -> PetrolDiscovered:
         engine_sha256 = str(self.asked["engine_sha256"])
         return PetrolDiscovered(self, discover_petrol(self.recording, self.parameters, self.options, engine_sha256))
@@ -161,10 +164,19 @@ def ask(
         "sensors": options.sensors, "withhold": list(options.withhold), "map_tolerance": options.map_tolerance,
         "seed": options.seed, "engine_sha256": sha256(content).hexdigest(), "code_version": __version__,
         "search_sha256": params_sha256(options.search.model_dump(mode="json")),
+        "channels_sha256": _sha256_of(channels),
     }  # fmt: skip
     if reference:
         asked["reference_sha256"] = [item.sha256 for item in reference]
     return PetrolQuestion(judged, parameters, options, asked, notes)
+
+
+def _sha256_of(channels: Channels | None) -> str | None:
+    """Hash of a channel map, as its file or as what it says: one and the same file is read otherwise with another."""
+    if channels is None:
+        return None
+    known = Path(channels).read_bytes() if isinstance(channels, str | Path) else repr(channels).encode()
+    return sha256(known).hexdigest()
 
 
 def _options(asked: Asked) -> PetrolOptions:

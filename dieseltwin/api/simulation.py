@@ -17,6 +17,7 @@ from dieseltwin.engine import EngineParameters, Inputs
 from dieseltwin.engine import simulate as simulate_inputs
 from dieseltwin.engine.simulate import settle_first
 from dieseltwin.errors import InputError
+from dieseltwin.notes import counted
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.petrol.simulate import simulate_petrol
@@ -52,7 +53,7 @@ class Simulation(Result):
 
     @property
     def sentence(self) -> str:
-        terms = f" with {len(self.engine.terms)} terms" if self.engine.terms else ""
+        terms = f" with {counted(len(self.engine.terms), 'term')}" if self.engine.terms else ""
         time_s = self.frame["time_s"]
         kind = "a diesel engine" if isinstance(self.engine, EngineParameters) else "a petrol engine"
         kind = self.engine.name if isinstance(self.engine, RigParameters) else kind

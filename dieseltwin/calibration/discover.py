@@ -110,6 +110,7 @@ class PointsDiscovery:
         options: as asked.
         formulations: competing models of the unmeasured places, with their estimates, for `imply`.
         seconds: wall time.
+        before_law: `repaired` as it was before the law, where there is one.
     """
 
     calibration: Calibration
@@ -128,6 +129,7 @@ class PointsDiscovery:
     options: Options
     formulations: Mapping[str, tuple[SteadyModel, Estimate]]
     seconds: float
+    before_law: Calibration | None = None
 
     @property
     def mismatch(self) -> bool:
@@ -223,10 +225,11 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
     more_is_missing = last.found.kind != "healthy" and not last.taken
     law: Law | None = None
     terms: tuple[OneTerm, ...] = ()
-    scatter = None
+    scatter, before_law = None, None
     if more_is_missing and options.law_search:
         proved = _proved_law(last.found, here, free, nll)
         if proved is not None:
+            before_law = here
             law, terms, here, nll, trained = proved
     if more_is_missing:
         scatter = scatter_of(here.model, points, here.start, options.search.submodels)
@@ -238,6 +241,7 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         _all_fits(calibration.model, points, mask, trained_before), _all_fits(here.model, points, mask, trained),
         _chi2(calibration.model, points, calibration.start, scale), _chi2(here.model, points, here.start, scale),
         law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
+        before_law,
     )  # fmt: skip
 
 

@@ -33,9 +33,10 @@ from dieseltwin.discovery.verdict.findings import finite, none_of_these, ranked_
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import Term
-from dieseltwin.notes import doubts_among
+from dieseltwin.notes import Note, doubts_among
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import JUDGED, STATES
+from dieseltwin.settings.names import listed
 from dieseltwin.version import __version__
 
 PLACES = {
@@ -149,6 +150,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
     """`discrepancy.json` of settled points: duration 0, no onset; names not of the catalogue are laws."""
     points = result.calibration.points.judged
     first = result.rounds[0].found
+    health = _health(result)
     made = Discrepancy(
         schema=1,  # type: ignore[call-arg]  # the alias of schema_version
         recording=RecordingInfo(path=str(points.path.name if points.path else "points"), sha256=points.sha256,
@@ -159,7 +161,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
         effects=_effects(result) if result.mismatch else (),
         more_is_missing=result.more_is_missing,
         reference=_reference(result),
-        health=_health(result),
+        health=health,
         fit=Fit(held_out_nll_before=result.nll_before, held_out_nll_after=result.nll_after,
                 chi2_per_sample_before=result.chi2_before, chi2_per_sample_after=result.chi2_after,
                 rmse_before=_rmse(result, before=True), rmse_after=_rmse(result, before=False),
@@ -169,27 +171,58 @@ def document(result: PointsDiscovery) -> Discrepancy:
                             if np.isfinite(size) and name in EFFECTS},
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
-    return with_warnings(made, [*doubts_among(result.calibration.notes), *fit_doubts(made)])
+    doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health)]
+    return with_warnings(made, doubts)
 
 
 def _health(result: PointsDiscovery) -> dict[str, HealthValue]:
-    """Health as it is now, and against the reference where there is one."""
+    """Health as it is now, and against the reference where there is one.
+
+    A law without a name is held as it was found, and health trades off against it: with a turbine flow that falls by
+    16 % comes a turbine that is opened by 20 %. So what health changes by with the law counts as its deviation, too.
+    """
     engine, before = result.engine(), worn(result.calibration.engine, result.calibration.start)
+    apart = apart_by_law(result)
     found = result.repaired.estimate
     place = {c.name: i for i, c in enumerate(found.coefficients)}
     health = {}
     for name, wear in WEAR.items():
         slope, since = np.zeros(len(place)), None
+        value, (moved, moved_since) = float(getattr(engine, name)), apart.get(name, (0.0, 0.0))
         if wear in place:
             factor = 1.0 + float(found.theta[place[wear]])
             slope[place[wear]] = getattr(result.repaired.engine, name)
-            since = SinceReference(value=factor, std=float(np.sqrt(found.covariance[place[wear], place[wear]])))
+            own = found.covariance[place[wear], place[wear]]
+            since = SinceReference(value=factor, std=float(np.sqrt(own + moved_since**2)))
         if name in place:
             slope[place[name]] = 1.0 if since is None else since.value
-        std = float(np.sqrt(slope @ found.covariance @ slope)) if name in place else None
-        health[name] = HealthValue(value=float(getattr(engine, name)), std=std, before=float(getattr(before, name)),
-                                   since_reference=since)
+        std = float(np.sqrt(slope @ found.covariance @ slope + moved**2)) if name in place else None
+        health[name] = HealthValue(value=value, std=std, before=float(getattr(before, name)), since_reference=since)
     return health
+
+
+def apart_by_law(result: PointsDiscovery) -> dict[str, tuple[float, float]]:
+    """Health parameter -> by how much it is another with the law that has no name than without it: itself [its unit],
+    and its quotient to the reference's [-]. None of them without such a law."""
+    without = result.before_law
+    if without is None:
+        return {}
+    ways = [(worn(each.engine, each.start), each.start) for each in (result.repaired, without)]
+    return {name: (float(getattr(ways[0][0], name) - getattr(ways[1][0], name)),
+                   float(ways[0][1].get(wear, 0.0) - ways[1][1].get(wear, 0.0))) for name, wear in WEAR.items()}
+
+
+def _law_notes(result: PointsDiscovery, health: Mapping[str, HealthValue]) -> list[Note]:
+    """Health that can't be told from a law without a name: another by more than its own deviation with it."""
+    found = result.repaired.estimate
+    own = {c.name: float(std) for c, std in zip(found.coefficients, np.sqrt(np.diag(found.covariance)), strict=True)}
+    apart = apart_by_law(result)
+    told = [f"{name} ({100.0 * (now.since_reference.value - 1.0):+.1f} % with it, "
+            f"{100.0 * (now.since_reference.value - 1.0 - apart[name][1]):+.1f} % without)"
+            for name, now in health.items()
+            if now.since_reference is not None and abs(apart.get(name, (0.0, 0.0))[1]) > own.get(WEAR[name], np.inf)]
+    return [Note(f"since the reference, {listed(told)} can't be told from the law that has no name; the deviation "
+                 "holds both", "health_or_law")] if told else []  # fmt: skip
 
 
 def _reference(result: PointsDiscovery) -> Reference | None:

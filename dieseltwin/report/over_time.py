@@ -15,6 +15,8 @@ from dieseltwin.sensors import MEASURED
 
 MOST_POINTS = 4000  # of a channel: more than a panel has pixels
 SHOWN = (*MEASURED, "w_af_kg_s", "torque_nm")
+LABELS = {"w_af_kg_s": "$W_{af}$ [kg/s]"}
+"""Axes of quantities that other engines than the nomenclature's have."""
 WIDTH_IN, PANEL_IN = 9.0, 1.5
 LINE = "#0072B2"
 
@@ -69,7 +71,7 @@ def beside_readings(simulated: pd.DataFrame, readings: Mapping[str, np.ndarray])
             axes.plot(time_min, quantities.shown(name, readings[name]), ".", color=style.MEASURED, markersize=2.2,
                       label="read")  # fmt: skip
         axes.plot(time_min, quantities.shown(name, simulated[name]), color=LINE, linewidth=1.1, label="simulated")
-        axes.set_ylabel(quantities.axis_label(name))
+        axes.set_ylabel(LABELS.get(name) or quantities.axis_label(name))
     panels[-1].set_xlabel("time [min]")
     panels[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     return style.ReportFigure("readings", "Simulated", "Simulated quantities over time, readings beside them.", figure,

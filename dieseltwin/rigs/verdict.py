@@ -34,6 +34,9 @@ from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.rigs.discover import RigDiscovery, Round
 from dieseltwin.version import __version__
 
+MORE = "more is missing; no law foretells it"
+"""What is said where no name and no law is left."""
+
 
 def document(result: RigDiscovery) -> Discrepancy:
     """`discrepancy.json` of a rig: what was found in the order of finding, without onset or region."""
@@ -81,7 +84,7 @@ def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
                 split_by=None if own is None else own.split_by,
             ))  # fmt: skip
     if result.more_is_missing and not any(e.name == NONE_OF_THESE for e in entries):
-        entries.append(none_of_these("more is missing; no law foretells it", valid_for(result.rounds[-1].found)))
+        entries.append(none_of_these(MORE, valid_for(result.rounds[-1].found)))
     return tuple(entries)
 
 
@@ -140,15 +143,20 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
     told = []
     for e in found.effects:
         if e.magnitude is None:
-            told.append(f"none of the known effects: {e.law}")
+            if e.law != MORE:
+                told.append(f"none of the known effects: {e.law}")
             continue
         apart = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
         told.append(f"{e.name} {e.magnitude:.4g}{'' if e.std is None else f' ± {e.std:.2g}'} {e.unit} ({e.law}){apart}")
     judged = [item for item in result.taken if item.after.size]
+    if any(e.law == MORE for e in found.effects):
+        told.append(f"beside {'these' if len(told) > 1 else 'this'} {MORE}" if told else MORE)
     text = f"{name}, first at {found.location.site}: {'; '.join(told)}."
     if judged:
         errors = zip(result.fit_before.twin.channels, judged[0].before, judged[-1].after, strict=True)
-        text += " Free runs no fit has seen: " + ", ".join(f"{c} {b:.3g} -> {a:.3g}" for c, b, a in errors)
+        units = {state.nearest: state.unit for state in result.repaired.states.values()}  # a sensor shows its state
+        shown = (f"{c} {b:.3g} -> {a:.3g} {units.get(c, '')}".removesuffix(" -").rstrip() for c, b, a in errors)
+        text += f" Free runs no fit has seen, rms: {', '.join(shown)}"
         text += f", {100.0 * (found.fit.share_explained or 0.0):.0f} % of the squared error explained."
     return text
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ import pytest
 import dieseltwin as dt
 from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate
+from dieseltwin.calibration.coefficients import WEAR
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
 from dieseltwin.calibration.saved import write_repaired
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
+from dieseltwin.calibration.verdict import document
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import CorrectionTerm, corrections_in
 from dieseltwin.recordings.steady_points import STATES, beside_reference
@@ -81,3 +84,20 @@ def test_simulate_with_the_repaired_file_is_the_calibrated_model(bent: PointsDis
     np.testing.assert_allclose(simulated.to_numpy(), at_rest, rtol=AGREE)
     bare = settle(SteadyModel(bent.repaired.model.engine), judged, own, judged.states())
     assert np.abs(bare / at_rest - 1.0).max() > 10.0 * AGREE  # what the file would miss without them
+
+
+def test_health_that_a_law_without_a_name_moves_is_less_well_known(bent: PointsDiscovery) -> None:
+    """A law is held as it was found: what the turbine has opened by with it, and hadn't without, is its deviation."""
+    here, wear = bent.repaired, WEAR["A_vgtmax"]
+    opened = 0.2
+    before = replace(here, start={**here.start, wear: here.start.get(wear, 0.0) - opened})
+    alone, beside = document(bent), document(replace(bent, before_law=before))
+    for name, now in beside.health.items():
+        then = alone.health[name]
+        assert now.since_reference is not None and then.since_reference is not None
+        moved = opened if name == "A_vgtmax" else 0.0
+        assert now.since_reference.value == then.since_reference.value
+        assert now.since_reference.std == pytest.approx(np.hypot(then.since_reference.std, moved))
+    (told,) = (doubt for doubt in beside.warnings if doubt.code == "health_or_law")
+    assert "A_vgtmax" in told.text and "A_egrmax" not in told.text
+    assert "health_or_law" not in {doubt.code for doubt in alone.warnings}

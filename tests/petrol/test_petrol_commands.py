@@ -197,6 +197,21 @@ def test_choices_of_the_user(
     assert "t_amb_k" not in document.recording.channels and document.effects[0].name == "p_im_gain"
 
 
+def test_explained_from_what_is_there(
+    engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--explain` reads DIR where it holds the answer to the same question, and searches anew for any other."""
+    file = save_petrol(engine, tmp_path / "engine.yaml")
+    out = tmp_path / "out"
+    base = ["discover", str(record(11, 300.0, p_im_Pa=0.1).path), "--engine", str(file), "--out", str(out)]
+    assert main(base) == 0
+    written = (out / "runtime.json").read_bytes()
+    assert main([*base, "--explain", "w_af_gain"]) == 0
+    assert (out / "runtime.json").read_bytes() == written and "w_af_gain" in capsys.readouterr().out
+    assert main([*base, "--explain", "w_af_gain", "--map-tolerance", "0.03"]) == 0
+    assert (out / "runtime.json").read_bytes() != written
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

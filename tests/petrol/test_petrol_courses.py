@@ -95,6 +95,13 @@ def test_how_slow_a_drift_goes_unseen_is_said(engine: PetrolParameters, record: 
     assert float(grown) > 1.5 * float(begun)
 
 
+def test_simulated_beside_the_readings(engine: PetrolParameters, record: Recorder) -> None:
+    term = PetrolTerm(effect="w_af_gain", magnitude=0.1)
+    found = dt.simulate(record(33, 120.0), engine.model_copy(update={"terms": (term,)}))
+    assert "with 1 term." in found.sentence
+    assert "$W_{af}$ [kg/s]" in [axes.get_ylabel() for axes in found.plot().axes]
+
+
 def test_terms_in_another_recording(engine: PetrolParameters, record: Recorder) -> None:
     """What went again isn't there in another recording; what had grown is, with its whole size."""
     gone = PetrolTerm(effect="w_af_gain", magnitude=0.1, onset_s=100.0, until_s=200.0, found_in="another")

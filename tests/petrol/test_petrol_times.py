@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import dieseltwin as dt
+from dieseltwin.api.petrol import PetrolDiscovered
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.petrol.recording import PetrolRecording
 from dieseltwin.report.petrol import balances_over_time
@@ -26,6 +27,7 @@ def test_a_file_that_begins_late(engine: PetrolParameters, record: Recorder, tmp
     table["time_s"] += FIRST_S
     table.to_csv(tmp_path / "late.csv", index=False)
     found = dt.discover(tmp_path / "late.csv", engine)
+    assert isinstance(found, PetrolDiscovered)
     location = found.document.location
     assert location is not None and location.onset_s == pytest.approx(FIRST_S + ONSET_S, abs=3.0)
     assert f"since {location.onset_s:.0f} s" in found.sentence

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,15 @@ import pandas as pd
 import pytest
 
 import dieseltwin as dt
+from dieseltwin.api.rigs import RigDiscovered
 from dieseltwin.cli.app import main
+from dieseltwin.discovery.verdict.findings import none_of_these
 from dieseltwin.errors import InputError
 from dieseltwin.report import pdf
 from dieseltwin.report.mathml import law_markup
 from dieseltwin.rigs.equations import equations, readable
 from dieseltwin.rigs.parameters import RigParameters, load_rig, save_rig
+from dieseltwin.rigs.verdict import MORE, sentence
 from tests.pages import check_page, groups_of
 from tests.rigs.test_rig_files import RIGS, TANK
 
@@ -38,6 +42,17 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "-
 def test_a_formula_without_what_is_absent(formula: str, absent: tuple[str, ...], text: str) -> None:
     assert readable(formula, absent) == text
     assert "<math" in law_markup(f"q = {text}")
+
+
+def test_the_sentence_has_units_and_says_what_is_missing_apart_from_the_names(leaking: Path) -> None:
+    found = dt.discover(leaking.parent / "tank.csv", leaking.parent / "tank.yaml")
+    assert isinstance(found, RigDiscovered)
+    assert re.search(r"Free runs no fit has seen, rms: level \S+ -> \S+ m, ", found.sentence)
+    left = none_of_these(MORE)
+    both = found.document.model_copy(update={"effects": (*found.document.effects, left)})
+    assert f"; beside this {MORE}." in sentence(found.found, both)
+    alone = found.document.model_copy(update={"effects": (left,)})
+    assert f": {MORE}." in sentence(found.found, alone)
 
 
 def test_every_effect_of_the_examples_has_an_equation() -> None:
