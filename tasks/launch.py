@@ -50,6 +50,7 @@ def launch(flow: Callable[..., Any], **parameters: Any) -> int:
     warnings.filterwarnings("ignore")
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
+    workers.stop_on(signal.SIGTERM, signal.SIGINT)
     context = run_context.current()
     # A profile has its own run times.
     context.display.history = workspace.cache / f"expected_seconds-{parameters.get('profile', 'default')}.json"
@@ -142,6 +143,5 @@ def serve(flow: Any, cron: str, **parameters: Any) -> int:
 
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:
-    """End the workers first: Prefect waits for its threads, and they wait for them."""
-    workers.stop()
+    """Both signals end a flow alike; its workers end by themselves (:func:`tasks.workers.stop_on`)."""
     raise KeyboardInterrupt

@@ -7,12 +7,15 @@ is called.
 from __future__ import annotations
 
 import json
+import os
+import signal
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
+from tasks.failures import StepFailed
 from tasks.fork_server import ForkedProcess, ForkServer
 
 # One thread of linear algebra per process: two spinning threads beside a busy neighbour were 10-70 times slower than
@@ -37,7 +40,6 @@ def run(
     """Run what :mod:`tasks.worker` is told by a specification; ``libraries``: that it begins with; ``tell`` gets the
     fraction that is done. Returns the process's exit status and its last message: its error or its CPU seconds."""
     with log.open("w", encoding="utf-8") as stream, _forked(specification["environment"], libraries, stream) as worker:
-        _workers.add(worker)
         try:
             last = _talk(worker, specification, tell)
         except BaseException:
@@ -54,13 +56,38 @@ def stopping() -> bool:
 
 
 def stop() -> None:
-    """Kill the workers of this process (Ctrl-C); the threads that wait for them remove their temporary folders."""
+    """Kill the workers of this process (Ctrl-C) and start no others; the threads that wait for them remove their
+    temporary folders."""
     global _stopping
     _stopping = True
+    _kill()
+    with _asking:  # and what was just being forked
+        _kill()
+
+
+def _kill() -> None:
     if _server is not None:
         _server[1].kill()
     for worker in tuple(_workers):
         worker.kill()
+
+
+def stop_on(*signals: signal.Signals) -> None:
+    """Stop the workers as soon as one of the signals comes, whoever handles it.
+
+    In a flow Prefect's handler of SIGTERM stands in the place of ours, and what it raises waits for the threads that
+    wait for the workers. So a thread of our own hears of the signal by Python's pipe; the handlers end the process.
+    """
+    heard, told = os.pipe()
+    os.set_blocking(told, False)
+    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
+
+    def listen() -> None:
+        while number := os.read(heard, 1):
+            if number[0] in signals:
+                stop()
+
+    threading.Thread(target=listen, daemon=True).start()
 
 
 def _forked(environment: Mapping[str, str], libraries: Sequence[str], log: TextIO) -> ForkedProcess:
@@ -68,11 +95,15 @@ def _forked(environment: Mapping[str, str], libraries: Sequence[str], log: TextI
     global _server
     path = environment["PYTHONPATH"]
     with _asking:
+        if _stopping:
+            raise StepFailed("the run is being stopped")
         if _server is None or _server[0] != path or not _server[1].runs:
             if _server is not None:
                 _server[1].close()
             _server = path, ForkServer("tasks.worker", environment)
-        return _server[1].start(libraries, log)
+        worker = _server[1].start(libraries, log)
+        _workers.add(worker)
+        return worker
 
 
 def _talk(
