@@ -205,8 +205,7 @@ class Fit(FrozenModel):
     @property
     def beyond_tolerances(self) -> bool:
         """Whether more is left than noise, maps and sensors leave."""
-        left, beyond = self.chi2_per_sample_after, self.chi2_per_sample_beyond
-        return (left is not None and left > NOTED_CHI2) or (beyond is not None and beyond > LEFT_OVER)
+        return (self.chi2_per_sample_after or 0.0) > NOTED_CHI2 or (self.chi2_per_sample_beyond or 0.0) > LEFT_OVER
 
 
 class FoundCircumstance(FrozenModel):
@@ -328,10 +327,9 @@ def fit_doubts(document: Discrepancy) -> list[Note]:
     """Notes about the fit that a document itself calls for."""
     notes = []
     if document.more_is_missing:
-        notes.append(Note("what was found doesn't explain all of the misfit: more is missing, so sizes and names may "
-                          "be off", "more_is_missing"))  # fmt: skip
-    chi2 = document.fit.chi2_per_sample_after
-    if chi2 is not None and chi2 > NOTED_CHI2:
+        words = "what was found doesn't explain all of the misfit: more is missing, so sizes and names may be off"
+        notes.append(Note(words, "more_is_missing"))
+    if (chi2 := document.fit.chi2_per_sample_after or 0.0) > NOTED_CHI2:
         notes.append(Note(f"the repaired twin leaves {chi2**0.5:.2g} times the noise", "misfit"))
     elif document.fit.beyond_tolerances:
         left = f"{document.fit.chi2_per_sample_beyond:.2f} of chi-square per sample is left, where noise leaves 1"
