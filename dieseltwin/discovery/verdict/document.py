@@ -325,10 +325,8 @@ def with_warnings(document: Discrepancy, notes: Iterable[str]) -> Discrepancy:
 
 def fit_doubts(document: Discrepancy) -> list[Note]:
     """Notes about the fit that a document itself calls for."""
-    notes = []
-    if document.more_is_missing:
-        words = "what was found doesn't explain all of the misfit: more is missing, so sizes and names may be off"
-        notes.append(Note(words, "more_is_missing"))
+    words = "what was found doesn't explain all of the misfit: more is missing, so sizes and names may be off"
+    notes = [Note(words, "more_is_missing")] if document.more_is_missing else []
     if (chi2 := document.fit.chi2_per_sample_after or 0.0) > NOTED_CHI2:
         notes.append(Note(f"the repaired twin leaves {chi2**0.5:.2g} times the noise", "misfit"))
     elif document.fit.beyond_tolerances:
