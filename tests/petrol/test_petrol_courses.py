@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pandas as pd
 import pytest
 
 import dieseltwin as dt
+from dieseltwin.petrol.calibrate import fit_maps
 from dieseltwin.petrol.discover import discover_petrol
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm, load_petrol
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
@@ -86,6 +88,17 @@ def test_one_size_since_an_onset_stays_so(engine: PetrolParameters, record: Reco
     assert location is not None and location.until_s is None and not location.grows
     written = found.document.to_json()["location"]
     assert "until_s" not in written and "grows" not in written
+
+
+def test_a_large_offset_since_an_onset_does_not_end(liu: Path) -> None:
+    """Five minutes of a real drive with the air flow read 0.5 g/s high for good: no end is found."""
+    whole = read_petrol(liu / "wltp_NF.csv")
+    real = fit_maps(whole.signals, PetrolParameters(), without=(900.0, 1803.5))[0]
+    piece = whole.signals.part(900.0, 1200.0)
+    faulty = replace(piece, W_af=piece.W_af + 5e-4 * (piece.time_s >= 100.0))
+    location = discover_petrol(replace(whole, signals=faulty), real).document.location
+    assert location is not None and location.until_s is None
+    assert location.onset_s == pytest.approx(whole.time0_s + 100.0, abs=3.0)
 
 
 def test_how_slow_a_drift_goes_unseen_is_said(engine: PetrolParameters, record: Recorder) -> None:

@@ -53,7 +53,10 @@ def try_variants(found: Search) -> None:
                 near = [[] if edge is None else onset_candidates(found.twin, edge, reach, count)
                         for edge in (best.onset_s, best.until_s)]
                 _refit_variants(found, moved(found.twin, best, *near))
-        best, _ = found.variants[0]  # the times are known by now: other effects at the same ones
+        best, _ = found.variants[0]
+        if best.until_s is not None or best.grows:  # the same from its onset on: it may not have been refitted yet
+            _refit_variants(found, [at_times(found.twin, best, float(best.onset_s or 0.0), None, False)])
+            best, _ = found.variants[0]  # the times are known by now: other effects at the same ones
         others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
         same = float(best.onset_s or 0.0), best.until_s, best.grows
         _refit_variants(found, [at_times(found.twin, variant, *same) for variant in others.values()])
@@ -99,7 +102,12 @@ def freedom_cost(found: Search, variant: Variant) -> float:
 
 def _in_order(found: Search, pairs: Sequence[tuple[Variant, Fit]]) -> list[tuple[Variant, Fit]]:
     """Variants with their fits, best first."""
-    return sorted(pairs, key=lambda pair: pair[1].objective + freedom_cost(found, pair[0]))
+    def cost(variant: Variant, fit: Fit) -> float:  # a large effect is never met exactly, least of all in a part
+        inside = variant.until_s is not None and float(variant.onset_s or 0.0) > found.twin.time_s[0]
+        share = found.settings.missing_share if inside else 0.0
+        return freedom_cost(found, variant) + share * max(found.gain(fit), 0.0)
+
+    return sorted(pairs, key=lambda pair: pair[1].objective + cost(*pair))
 
 
 def _leaders(found: Search) -> list[tuple[Variant, Fit]]:
