@@ -7,6 +7,7 @@ says how many it found.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
+from scipy.stats import rankdata
 
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
@@ -30,6 +32,14 @@ STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em
 
 JUDGED = "judged"
 """Column of 1 for points that are judged and 0 for those of the reference; without it all are judged."""
+
+MOVING = ("n_e_rpm", "u_delta_mg", "p_im_pa")
+FEWEST_MOVING = 30  # rows, to say that they are those of a recording
+NEAR_BESIDE_COUNTER, NEAR, VERY_NEAR = 0.15, 0.03, 0.01
+"""`roughness` of the roughest of `MOVING`: at 10 Hz below 0.01, at 5 and 1 Hz 0.03 to 0.14; of 145 points of a truck
+engine 0.4 and more as they are or sorted by any column, and from 0.033 on in lines over a map, to and fro."""
+MOST_TURNS, LONGEST_CURVE = 2, 60  # turns of speed, and rows: a full-load curve up and down is smooth as well
+_COUNTER = re.compile(r"sample|tick|scan|count|frame|z(ae|ä)hler", re.IGNORECASE)
 
 LEAST = 1e-6  # kg/s (and any other unit): the flow through a shut valve, so that logarithms exist
 WINDOW_S = 10.0  # a quasi-steady window lasts this long,
@@ -185,10 +195,63 @@ def read_points(
     """
     read = import_columns(source, channels)
     where, columns, origin = str(read.path or "points"), dict(read.columns), "points"
-    if TIME in columns:
+    notes: tuple[str, ...] = ()
+    if TIME not in columns:
+        notes = tuple(refuse_moving(columns, where))
+    else:
         columns = quasi_steady(columns, str(read.path or "recording"))
         origin = "averaged quasi-steady windows of a transient recording"
-    return points(columns, engine, where=where, needed=needed, path=read.path, sha256=read.sha256 or "", origin=origin)
+    found = points(columns, engine, where=where, needed=needed, path=read.path, sha256=read.sha256 or "", origin=origin)
+    return replace(found, notes=(*notes, *found.notes))
+
+
+def refuse_moving(columns: Mapping[str, np.ndarray], where: str) -> list[str]:
+    """Refuse rows that are those of a recording whose time is missing; a note where that isn't sure.
+
+    A moving engine's rows are near to the row before in speed and in fuel and in boost. Points sorted by one of them,
+    or in lines over a map, jump in another; a line that goes through a map to and fro has larger steps.
+
+    Args:
+        columns: our column names -> (n,).
+        where: name of the file, for messages.
+
+    Raises:
+        InputError: rows of a moving engine, without a clock.
+    """
+    moving = [np.asarray(pd.to_numeric(pd.Series(columns[name]), errors="coerce"), dtype=np.float64)
+              for name in MOVING if name in columns]  # fmt: skip
+    if len(moving) < len(MOVING) or moving[0].size < FEWEST_MOVING:
+        return []
+    roughest = max(map(roughness, moving))
+    turns = np.count_nonzero(np.diff(np.sign(np.diff(moving[0]))))
+    curve = turns <= MOST_TURNS and moving[0].size < LONGEST_CURVE
+    counter = next((name for name, values in columns.items() if _counts(name, values)), None)
+    if curve or roughest > (NEAR if counter is None else NEAR_BESIDE_COUNTER):
+        return []
+    clock = f"map column {counter} to {TIME} with its step as scale" if counter else f"add {TIME}"
+    if roughest < VERY_NEAR:
+        raise InputError(where, "no column of time, and rows that follow each other as those of a moving engine do",
+                         "settled points, or a recording with its time",
+                         f"{clock} (in a channel map), or average stretches that stand still")  # fmt: skip
+    return ["taken as settled points for want of a column of time, though speed, fuel and boost go on from row to row "
+            f"as in a recording: if it is one, {clock}, else transients look like faults"]  # fmt: skip
+
+
+def roughness(values: np.ndarray) -> float:
+    """Half the squared step from row to row over the variance, both of ranks (n,): 1 by chance, 0 where rows go on."""
+    there = values[np.isfinite(values)]
+    if there.size < 3 or np.ptp(there) == 0.0:
+        return 1.0
+    ranks = rankdata(there)
+    return float(np.mean(np.diff(ranks) ** 2) / (2.0 * np.var(ranks)))
+
+
+def _counts(name: str, values: np.ndarray) -> bool:
+    """Whether a column is a logger's count of rows; points have numbers as well, but aren't called samples."""
+    if not _COUNTER.search(name) or not np.issubdtype(np.asarray(values).dtype, np.number):
+        return False
+    steps = np.diff(np.asarray(values, dtype=np.float64))
+    return bool(steps.size and steps[0] > 0.0 and (steps == steps[0]).all())
 
 
 def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") -> dict[str, np.ndarray]:

@@ -1,0 +1,76 @@
+"""Tables without a clock: settled points are read; a recording that lost its time is not taken for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.errors import InputError
+from dieseltwin.recordings.steady_points import read_points, roughness
+
+REFERENCE = Path(__file__).parents[1] / "reference" / "field_random_300s.csv"
+COLUMNS = ["n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s"]
+
+
+@pytest.fixture(scope="module")
+def drive() -> pd.DataFrame:
+    """Five minutes at 5 Hz."""
+    return pd.read_csv(REFERENCE)[COLUMNS]
+
+
+def grid(speeds: int = 12, loads: int = 12) -> pd.DataFrame:
+    """Settled points over a map, line after line, as a bench's schedule goes."""
+    n_e, load = (values.ravel() for values in np.meshgrid(np.linspace(800, 2200, speeds), np.linspace(0.2, 1, loads),
+                                                          indexing="ij"))  # fmt: skip
+    boost = 1e5 * (1.0 + 2.0 * load * n_e / 2200.0)
+    return pd.DataFrame({"n_e_rpm": n_e, "u_delta_mg": 200.0 * load, "u_egr_pct": 40.0 - 30.0 * load, "u_vgt_pct": 50.0,
+                         "p_im_pa": boost, "p_em_pa": 1.1 * boost, "omega_t_rad_s": 2e3 + 8e3 * load * n_e / 2200.0,
+                         "w_c_kg_s": 1e-9 * boost * n_e})  # fmt: skip
+
+
+def finer(drive: pd.DataFrame, rows: int) -> pd.DataFrame:
+    """The first half minute of the drive at 10 Hz and more."""
+    at = np.linspace(0.0, 150.0, rows)
+    return pd.DataFrame({name: np.interp(at, np.arange(len(drive)), drive[name]) for name in COLUMNS})
+
+
+@pytest.mark.parametrize("counter", ["Sample", "Ticks", None])
+def test_a_recording_without_its_time_is_no_table_of_points(drive, counter):
+    table = finer(drive, 600)
+    if counter is not None:
+        table.insert(0, counter, np.arange(600))
+    with pytest.raises(InputError, match=f"map column {counter} to time_s" if counter else "add time_s"):
+        read_points(table, needed=COLUMNS)
+
+
+def test_slower_rows_that_somebody_counted_are_noted(drive):
+    found = read_points(drive.assign(Sample=np.arange(len(drive))), needed=COLUMNS)
+    assert any("though speed, fuel and boost go on from row to row" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("order", [None, *COLUMNS, "random", "to and fro"])
+def test_settled_points_are_read_in_any_order(order):
+    points = grid().assign(point=np.arange(1, 145))
+    if order in COLUMNS:
+        points = points.sort_values(order)
+    elif order == "random":
+        points = points.sample(frac=1.0, random_state=1)
+    elif order == "to and fro":
+        points = pd.concat([line[:: -1 if k % 2 else 1] for k, (_, line) in enumerate(points.groupby("n_e_rpm"))])
+    assert not any("row to row" in note for note in read_points(points, needed=COLUMNS).notes)
+
+
+def test_a_full_load_curve_up_and_down_is_read():
+    curve = grid(25, 2)[1::2]
+    both = pd.concat([curve, curve[::-1]], ignore_index=True)
+    both["u_delta_mg"] = 150.0 + 40.0 * np.sin(both["n_e_rpm"] / 500.0)
+    assert read_points(both, needed=COLUMNS).size == 50
+
+
+def test_roughness_is_one_by_chance_and_nothing_on_a_line():
+    assert roughness(np.random.default_rng(1).standard_normal(4000)) == pytest.approx(1.0, abs=0.05)
+    assert roughness(np.arange(200.0)) < 1e-3
+    assert roughness(np.ones(50)) == 1.0
