@@ -9,11 +9,12 @@ from prefect import flow
 
 from flows.promote import promote
 from flows.run import run
-from tasks.launch import launch, serve
+from tasks.launch import launch
+from tasks.served import serve, tell_failure
 from tasks.settings import DEFAULT_PROFILE
 
 
-@flow(name="retrain", description=__doc__)
+@flow(name="retrain", description=__doc__, on_failure=[tell_failure], on_crashed=[tell_failure])
 def retrain(profile: str) -> None:
     """What changed since the last time is computed again: new data, new settings, new code. New networks become a
     version of the registry, and the one in use unless they are worse."""
@@ -29,7 +30,7 @@ def main() -> int:
     parser.add_argument("--cron", default="0 3 * * 0", help="schedule, five fields (default: Sundays at 3:00)")
     arguments = parser.parse_args()
     if arguments.serve:
-        return serve(retrain, arguments.cron, profile=arguments.profile)
+        return serve(retrain, lambda: arguments.cron, profile=arguments.profile)
     return launch(retrain, profile=arguments.profile)
 
 

@@ -11,13 +11,20 @@ from tasks import discover
 from tasks import records_watch as records
 from tasks import watch as steps
 from tasks.cluster import task_runner
-from tasks.launch import run_alone, serve
+from tasks.launch import run_alone
 from tasks.prefect_task import submit
+from tasks.served import serve, tell_failure
 from tasks.settings import DEFAULT_PROFILE, load_settings
 from tasks.store import Artifact
 
 
-@flow(name="watch", description=__doc__, task_runner=task_runner())
+@flow(
+    name="watch",
+    description=__doc__,
+    task_runner=task_runner(),
+    on_failure=[tell_failure],
+    on_crashed=[tell_failure],
+)
 def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
     """Add what is new. Returns the names of the recordings that were added.
 
@@ -56,8 +63,11 @@ def main() -> int:
     full.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml")
     _options(full)
     arguments = vars(full.parse_args(rest))
-    steps.check(arguments)
-    return serve(watch, chosen.cron or load_settings(arguments["profile"])["watch"]["schedule"], **arguments)
+
+    def cron() -> str:
+        return str(chosen.cron or load_settings(arguments["profile"])["watch"]["schedule"])
+
+    return serve(watch, cron, check=steps.check, **arguments)
 
 
 def _options(parser: argparse.ArgumentParser) -> None:

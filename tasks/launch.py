@@ -95,17 +95,22 @@ def run_alone(
     if options is not None:
         options(parser)
     parameters = vars(parser.parse_args(arguments))
-    try:  # what the user can mend needs no server, and no traceback of Prefect's
-        load_settings(parameters["profile"])
-        check_setting()
-        databases.check_settings()
-        if check is not None:
-            check(parameters)
-        _check_place(run_context.current().workspace.root)
+    try:
+        check_start(parameters, check)
     except (run_context.StepFailed, InputError) as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     return launch(flow, **parameters)
+
+
+def check_start(parameters: dict[str, Any], check: Callable[[dict[str, Any]], None] | None = None) -> None:
+    """Raise for what the user can mend, ``StepFailed`` or ``InputError``: that needs no server, and no traceback."""
+    load_settings(parameters["profile"])
+    check_setting()
+    databases.check_settings()
+    if check is not None:
+        check(parameters)
+    _check_place(run_context.current().workspace.root)
 
 
 def _check_place(root: Path) -> None:
@@ -116,30 +121,6 @@ def _check_place(root: Path) -> None:
         raise InputError(
             f"disk of {root}", f"{free / 1e6:.0f} MB free", f"{_ROOM_BYTES / 1e6:.0f} MB", "free some space"
         )
-
-
-def serve(flow: Any, cron: str, **parameters: Any) -> int:
-    """Register the flow with its schedule on a server of its own and run it when it is due, until Ctrl-C."""
-    from prefect.client.schemas.schedules import CronSchedule
-
-    try:
-        CronSchedule(cron=cron)
-    except ValueError:
-        print(f"error: --cron: got {cron!r}; allowed: five fields, such as '0 * * * *' for every hour; mend it",
-              file=sys.stderr)  # fmt: skip
-        return 2
-    workspace = prepare_environment()
-    try:
-        databases.check_settings()
-        with prefect_server(workspace, scheduled=True) as address:
-            print(f"{flow.name}: scheduled '{cron}' on {address}; Ctrl-C ends it", flush=True)
-            flow.serve(name="scheduled", cron=cron, parameters=parameters, limit=1, print_starting_message=False)
-    except KeyboardInterrupt:
-        return INTERRUPTED_CODE
-    except (run_context.StepFailed, ServerFailed) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return getattr(error, "exit_code", 1)
-    return 0
 
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:

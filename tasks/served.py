@@ -1,0 +1,112 @@
+"""A flow on a schedule: a server and a runner of its own until Ctrl-C or SIGTERM, and a line for every run that failed.
+
+Each run is a process that Prefect's runner starts. Both are killed when this is told to end, and the workers of the run
+end with it: what is finished is kept.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from datetime import datetime
+from types import FrameType
+from typing import Any
+
+from dieseltwin.errors import InputError
+from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
+from tasks.launch import check_start
+from tasks.run_context import StepFailed
+from tasks.server import ServerFailed, prefect_server
+from tasks.workspace import prepare_environment
+
+# Set for the process that is the runner.
+_RUNNER = "DIESELTWIN_RUNNER"
+
+# What Prefect puts before the words of the exception.
+_BEFORE_REASON = "Flow run encountered an exception: "
+
+
+def tell_failure(flow: Any, flow_run: Any, state: Any) -> None:
+    """A line about a run of the schedule that failed or crashed; who starts a flow by hand is told by its command.
+
+    For the hooks of a flow: they run in the run's own process, or in the runner where that was killed.
+    """
+    if flow_run.deployment_id is None:
+        return
+    reason = str(state.message or state.name).removeprefix(_BEFORE_REASON).splitlines()[0]
+    print(f"{datetime.now():%Y-%m-%d %H:%M:%S} {flow.name} failed: {reason}", file=sys.stderr, flush=True)
+
+
+def serve(
+    flow: Any, cron: Callable[[], str], *, check: Callable[[dict[str, Any]], None] | None = None, **parameters: Any
+) -> int:
+    """Register the flow with its schedule on a server of its own and run it when it is due, until Ctrl-C or SIGTERM.
+
+    ``cron`` gives the schedule; ``check`` raises where the parameters are wrong. Returns the exit status: 2 for what
+    the user can mend, which is said before anything starts.
+    """
+    if os.environ.get(_RUNNER):
+        return _run_when_due(flow, cron(), parameters)
+    workspace = prepare_environment()
+    try:
+        check_start(parameters, check)
+        schedule = _checked(cron())
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, _interrupt)
+        with prefect_server(workspace, scheduled=True) as address, _runner() as runner:
+            print(f"{flow.name}: scheduled '{schedule}' on {address}; Ctrl-C ends it", flush=True)
+            status = runner.wait()
+        raise StepFailed(f"{flow.name}: what starts the runs ended with status {status}; start again")
+    except KeyboardInterrupt:
+        print(INTERRUPTED, file=sys.stderr)
+        return INTERRUPTED_CODE
+    except (StepFailed, ServerFailed, InputError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return getattr(error, "exit_code", 1)
+
+
+def _checked(cron: str) -> str:
+    from prefect.client.schemas.schedules import CronSchedule
+
+    try:
+        CronSchedule(cron=cron)
+    except ValueError:
+        raise InputError("--cron", repr(cron), "five fields, such as '0 * * * *' for every hour", "mend it") from None
+    return cron
+
+
+@contextmanager
+def _runner() -> Iterator[subprocess.Popen[bytes]]:
+    """The command of this process once more, as Prefect's runner and in a group of its own, which is killed at the end:
+    told to end, the runner would wait for the run, and the run for its step."""
+    command = [sys.executable, *sys.orig_argv[1:]]
+    environment = {**os.environ, _RUNNER: "1"}
+    runner = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, start_new_session=True)
+    try:
+        yield runner
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(runner.pid, signal.SIGKILL)
+        runner.wait()
+
+
+def _run_when_due(flow: Any, cron: str, parameters: dict[str, Any]) -> int:
+    """What the runner's process does: its group, with the run in it, ends with its parent."""
+    threading.Thread(target=_end_group_with_parent, daemon=True).start()
+    flow.serve(name="scheduled", cron=cron, parameters=parameters, limit=1, print_starting_message=False)
+    return 0
+
+
+def _end_group_with_parent() -> None:
+    while os.read(0, 4096):
+        pass
+    os.killpg(0, signal.SIGKILL)
+
+
+def _interrupt(signum: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
