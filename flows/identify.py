@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
@@ -26,11 +27,14 @@ def short(method: str) -> str:
 
 
 @flow(name="identify", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
-def identify(profile: str) -> str:
-    """Identify with every method, compare, report. Returns the hash of ``results/``."""
+def identify(profile: str, settings: dict[str, Any] | None = None) -> str:
+    """Identify with every method, compare, report. Returns the hash of ``results/``.
+
+    ``settings``: as of ``simulate``.
+    """
     context = current()
     root = context.workspace.root
-    settings = load_settings(profile)
+    settings = settings or load_settings(profile)
     field = published(root / "data" / "field", "simulate")
     sets = published(root / "data" / "sets", "simulate")
     models = published(root / "models", "pretrain")

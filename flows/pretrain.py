@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
@@ -17,10 +18,10 @@ from tasks.settings import load_settings
 
 
 @flow(name="pretrain", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
-def pretrain(profile: str) -> str:
-    """Train everything that is learned. Returns the folder's hash."""
+def pretrain(profile: str, settings: dict[str, Any] | None = None) -> str:
+    """Train everything that is learned. Returns the folder's hash. ``settings``: as of ``simulate``."""
     root = current().workspace.root
-    settings = load_settings(profile)
+    settings = settings or load_settings(profile)
     engine, driving, config = (settings[name] for name in ("engine", "driving", "pretrain"))
     lab = published(root / "data" / "lab", "simulate")
     field = published(root / "data" / "field", "simulate")

@@ -4,6 +4,7 @@ worse than the champion."""
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 from prefect import flow
 
@@ -20,10 +21,10 @@ from tasks.store import Artifact
 
 
 @flow(name="promote", description=__doc__, task_runner=task_runner())
-def promote(profile: str) -> bool:
+def promote(profile: str, settings: dict[str, Any] | None = None) -> bool:
     """Test ``models/`` and compare them with the champion on driving that neither was trained on. Returns whether they
-    are in use."""
-    settings = load_settings(profile)
+    are in use. ``settings``: as of ``simulate``."""
+    settings = settings or load_settings(profile)
     models = published(current().workspace.root / "models", "pretrain")
     recording = submit(
         steps.validation_driving,

@@ -11,15 +11,16 @@ from flows.promote import promote
 from flows.run import run
 from tasks.launch import launch
 from tasks.served import serve, tell_failure
-from tasks.settings import DEFAULT_PROFILE
+from tasks.settings import DEFAULT_PROFILE, load_settings
 
 
 @flow(name="retrain", description=__doc__, on_failure=[tell_failure], on_crashed=[tell_failure])
 def retrain(profile: str) -> None:
     """What changed since the last time is computed again: new data, new settings, new code. New networks become a
     version of the registry, and the one in use unless they are worse."""
-    run(profile)
-    promote(profile)
+    settings = load_settings(profile)
+    run(profile, settings)
+    promote(profile, settings)
 
 
 def main() -> int:

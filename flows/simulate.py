@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
@@ -17,9 +18,9 @@ from tasks.settings import load_settings
 
 
 @flow(name="simulate", description=__doc__, task_runner=ThreadPoolTaskRunner(max_workers=WORKERS))
-def simulate(profile: str) -> str:
-    """Make the data. Returns the folder's hash."""
-    settings = load_settings(profile)
+def simulate(profile: str, settings: dict[str, Any] | None = None) -> str:
+    """Make the data. Returns the folder's hash. ``settings``: those of the profile, where they were read already."""
+    settings = settings or load_settings(profile)
     known = {name: settings[name] for name in ("driving", "engine")}
     sets = submit(steps.driving_sets, **known).result()
     pending = submit(steps.case_recordings, sets=sets, **known, noise=settings["noise"])

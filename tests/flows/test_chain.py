@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import os
 import re
@@ -213,6 +214,31 @@ def test_kill_9_in_a_flow_and_again_gives_the_same_hashes(chain: tuple[Path, set
     pretrain_flow("tiny")
     assert set(context.timings) == {"bodies-paper", "bodies-conditioned"}
     assert content_hash(tmp_path / "models") == undisturbed
+
+
+@pytest.mark.flow
+@pytest.mark.parametrize("name", ["run", "retrain"])
+def test_settings_are_read_once_a_run(
+    prefect: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """An edit in the middle of the chain is for the next run."""
+    module, chain_module = importlib.import_module(f"flows.{name}"), importlib.import_module("flows.run")
+    path = tiny_settings.write_params(tmp_path)
+    new_context(tmp_path)
+    seen: list[Any] = []
+
+    def flow(profile: str, settings: dict[str, Any]) -> None:
+        seen.append(settings)
+        path.write_text(path.read_text(encoding="utf-8").replace("seed: 20250", "seed: 1"), encoding="utf-8")
+
+    for part in ("simulate", "pretrain", "identify"):
+        monkeypatch.setattr(chain_module, part, flow)
+    if name == "retrain":
+        monkeypatch.setattr(module, "promote", flow)
+    getattr(module, name)("tiny")
+    assert len(seen) == (3 if name == "run" else 4)
+    assert {settings["seed"] for settings in seen} == {20250}
+    assert "seed: 20250" not in path.read_text(encoding="utf-8")
 
 
 def dvc_stages() -> dict[str, dict[str, Any]]:
