@@ -113,6 +113,12 @@ def identity(*parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
+def made_by(artifact: Artifact) -> dict[str, str]:
+    """Tags that tell runs of one name apart: the result's key in the cache, and a digest of the code that made it."""
+    manifest = current().store.manifest(artifact)
+    return {"key": manifest["key"], "code_digest": identity(manifest["provenance"]["modules"])[:12]}
+
+
 def read(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
@@ -136,7 +142,7 @@ def simulated(sets: Artifact, recordings: Artifact, pictures: Artifact, settings
         params=flat({name: settings[name] for name in ("engine", "driving", "noise")}),
         metrics={**rows, "seconds": seconds_of(sets) + seconds_of(recordings)},
         artifacts=files(pictures.path, "*.png", "pictures/"),
-        tags={"profile": settings["profile"]},
+        tags={"profile": settings["profile"], **made_by(recordings)},
         seconds=seconds_of(sets) + seconds_of(recordings),
     )
     log("simulate", record)
@@ -162,15 +168,17 @@ def pretrained(trained: Mapping[str, Artifact], data: Artifact, settings: Mappin
                 curves.append(Curve(f"training/{quantity}", rows["epoch"].astype(int).tolist(), rows["value"].tolist()))
         section = settings["pretrain"][group]
         config = {key: value for key, value in section.items() if key not in ("paper", "improved", "conditioned")}
+        noise = settings["noise"]["label_rel"]
+        shared = {"seed": settings["seed"], "engine": settings["engine"], "noise.label_rel": noise}
         records.append(
             Record(
                 name,
                 identity(name, artifact.sha256),
-                params=flat({**config, **(section[kind] if kind else {})}),
+                params=flat({**shared, **config, **(section[kind] if kind else {})}),
                 metrics={**metrics, "seconds": seconds_of(artifact)},
                 curves=curves,
                 artifacts={path.name: path for path in sorted(artifact.path.glob("*.*")) if path.suffix != ".pt"},
-                tags={"profile": settings["profile"], "kind": kind or "-"},
+                tags={"profile": settings["profile"], "kind": kind or "-", **made_by(artifact)},
                 seconds=seconds_of(artifact),
                 datasets={"laboratory recordings": data.sha256},
             )
@@ -212,7 +220,7 @@ def identified(
                     "identification.json": artifact.path / "identification.json",
                     **{f"figures/{path.name}": path for path in figures if words in path.name},
                 },
-                tags=tags,
+                tags=tags | made_by(artifact),
                 seconds=seconds_of(artifact),
                 children=_members(document, name, artifact.sha256),
                 datasets=datasets,

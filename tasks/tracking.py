@@ -15,16 +15,17 @@ import logging
 import math
 import os
 import shutil
+import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 from tasks import databases
-from tasks.workspace import Workspace
+from tasks.workspace import PROJECT, Workspace
 
 _SCHEME = "mlflow-artifacts:/"
 _IDENTITY = "dieseltwin.result"
@@ -142,6 +143,8 @@ class Tracker:
         tags = {"mlflow.runName": record.name, "mlflow.user": "dieseltwin", _IDENTITY: record.identity, **record.tags}
         if parent is not None:
             tags["mlflow.parentRunId"] = parent
+        else:
+            tags |= _commit()
         if record.description:
             tags["mlflow.note.content"] = record.description
         run = self.client.create_run(
@@ -204,6 +207,16 @@ class Tracker:
             partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
             shutil.copyfile(source, partial)
             partial.replace(target)
+
+
+@lru_cache(maxsize=1)
+def _commit() -> Mapping[str, str]:
+    """MLflow's tag for the commit that is checked out; none where there is no git, or nothing was committed."""
+    with suppress(OSError, subprocess.CalledProcessError):
+        command = ("git", "-C", str(PROJECT), "rev-parse", "HEAD")
+        found = subprocess.run(command, capture_output=True, text=True, check=True)
+        return {"mlflow.source.git.commit": found.stdout.strip()}
+    return {}
 
 
 def _make_database(path: Path) -> None:

@@ -72,6 +72,11 @@ def test_the_chain_ends_with_results_report_and_records(chain: tuple[Path, set[s
     assert classical.data.metrics["A_egrmax"] == metrics["classical"]["A_egrmax"]
     assert classical.data.metrics["seconds_per_run"] > 0.0
     assert {item.dataset.name for item in classical.inputs.dataset_inputs} == {"field recordings", "models"}
+    trained = client.search_runs([client.get_experiment_by_name("pretrain").experiment_id])
+    for made in (classical, *trained):
+        assert list((root / ".cache").glob(f"*/{made.data.tags['key']}")) and len(made.data.tags["code_digest"]) == 12
+        assert len(made.data.tags["mlflow.source.git.commit"]) == 40
+    assert {"seed", "noise.label_rel", "engine.step_s"} <= trained[0].data.params.keys()
 
 
 @pytest.mark.flow
