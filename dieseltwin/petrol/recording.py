@@ -113,7 +113,7 @@ def read_petrol(
     if missing:
         do = "name the columns so, units as in the names, or give a channel map (--channels)"
         if all(c in SURROUNDINGS for c in missing):
-            do += "; `discover` needs it not where --sensors names the others"
+            do = "name the columns so, give a channel map, or leave them out with --sensors (`discover`)"
         raise InputError(f"{path}: columns", f"no {listed(missing)}", f"time_s, {listed(list(COLUMNS))}", do)
     for column in absent:
         if column not in table:

@@ -58,9 +58,9 @@ def ends(process: subprocess.Popen[str], root: Path, told: signal.Signals) -> tu
 
 
 @pytest.mark.flow
-@pytest.mark.parametrize("told", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_during_a_step_ends_the_flow_and_its_workers(tmp_path: Path, told: signal.Signals) -> None:
-    _, error = ends(start(tmp_path, "toy_flow.py"), tmp_path, told)
+def test_a_signal_during_a_step_ends_the_flow_and_its_workers(tmp_path: Path) -> None:
+    """SIGTERM, which Prefect takes for itself; Ctrl-C goes the same way."""
+    _, error = ends(start(tmp_path, "toy_flow.py"), tmp_path, signal.SIGTERM)
     assert error.splitlines() == [INTERRUPTED]
     assert not list(tmp_path.glob(".cache/*/.partial-*"))
 

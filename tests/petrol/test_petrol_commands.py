@@ -243,7 +243,7 @@ def test_judged_without_the_surroundings(
     bare = _written(table.drop(columns=list(missing)), tmp_path)
     base = ["discover", str(bare), "--engine", str(file), "--out", str(tmp_path / "out")]
     assert main(base) == 2
-    assert "where --sensors names the others" in capsys.readouterr().err
+    assert "or leave them out with --sensors" in capsys.readouterr().err
     used = [c.lower() for c in table if c.lower() in COLUMNS and c not in missing]
     assert main([*base, "--sensors", ",".join(used)]) == 0
     assert "not recorded and taken" in capsys.readouterr().out

@@ -130,7 +130,7 @@ def test_a_gauge_pressure_on_a_hill_is_no_fault_of_its_sensor() -> None:
 
 def test_fuel_per_hour_over_a_late_engine_speed_is_put_right_with_it() -> None:
     """The speed was 0.11 s late and two channels in time early, as fuel per stroke stayed that of the late one."""
-    frame = _driven()
+    frame = _driven(120.0)
     rate = frame["u_delta_mg"] * frame["n_e_rpm"] * 6.0 / 120.0 * 3.6e-3  # kg/h
     frame["n_e_rpm"] = np.interp(frame["time_s"] - LATE_S, frame["time_s"], frame["n_e_rpm"])
     line = "{column: u_delta_mg, unit: kg/h, via: fuel_rate, cylinders: 6}"
