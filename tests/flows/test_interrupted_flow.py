@@ -66,10 +66,20 @@ def test_a_signal_during_a_step_ends_the_flow_and_its_workers(tmp_path: Path) ->
 
 
 @pytest.mark.flow
-def test_a_signal_ends_a_schedule_with_the_run_that_is_on(tmp_path: Path) -> None:
-    printed, error = ends(start(tmp_path, "toy_served.py"), tmp_path, signal.SIGTERM)
-    assert printed.count("\n") == 1 and "scheduled '* * * * *'" in printed
+def test_a_signal_ends_a_schedule(tmp_path: Path) -> None:
+    process = start(tmp_path, "toy_served.py")
+    assert process.stdout is not None
+    assert "scheduled '* * * * *'" in process.stdout.readline()
+    below = psutil.Process(process.pid).children(recursive=True)
+    process.send_signal(signal.SIGTERM)
+    try:
+        printed, error = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+    assert process.returncode == INTERRUPTED_CODE and not printed
     assert error.splitlines() == [INTERRUPTED]
+    _, alive = psutil.wait_procs(below, timeout=PATIENCE_S)
+    assert below and not [left for left in alive if left.status() != psutil.STATUS_ZOMBIE]
 
 
 @pytest.mark.parametrize(
