@@ -39,9 +39,6 @@ _DECLARATIONS = frozenset(
     {"settings.params", "settings.discovery", "symbols", "identification.settings", "paper.loop_settings"}
 )
 
-# The library's link to the settings is no data of it: what a step reads of them is among its parameters.
-_SETTINGS_FILE = "params.yaml"
-
 
 @dataclass(frozen=True)
 class Sources:
@@ -154,7 +151,7 @@ class LibrarySources:
                 lambda: sorted(named_folders(self._tree(name), package)), "folders", package, self._text(name)
             )
             self._data[name] = {
-                folder: content_hash(self._root / folder, without=_SETTINGS_FILE)
+                folder: content_hash(self._root / folder)
                 for folder in folders
                 if (self._root / folder).is_dir()
             }

@@ -165,12 +165,9 @@ def host() -> str:
     return re.sub(r"[^A-Za-z0-9]", "_", platform.node()) or "unknown"
 
 
-def content_hash(path: Path, *, without: str | None = None) -> str:
-    """sha256 of a file's bytes, or of a folder's (relative name, sha256) pairs; manifests and run times don't count,
-    nor do files of a folder that are named ``without``."""
-    if path.is_dir():
-        return _digest({name: digest for name, digest in _hashes(path).items() if Path(name).name != without})
-    return file_sha256(path)
+def content_hash(path: Path) -> str:
+    """sha256 of a file's bytes, or of a folder's (relative name, sha256) pairs; manifests and run times don't count."""
+    return _digest(_hashes(path)) if path.is_dir() else file_sha256(path)
 
 
 def replace_folder(target: Path, files: Mapping[str, Path]) -> None:

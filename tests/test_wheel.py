@@ -12,7 +12,7 @@ import yaml
 
 BUILD = "from setuptools import build_meta as b; import sys; to = sys.argv[1]; b.build_wheel(to); b.build_sdist(to)"
 WANTED = (
-    "py.typed", "data/params.yaml", "data/whtc.csv", "data/channel_names.yaml", "codegen/c/driver.c",
+    "py.typed", "params.yaml", "data/whtc.csv", "data/channel_names.yaml", "codegen/c/driver.c",
     "codegen/fmi/fmi2Functions.h", "codegen/fmi/fmi3Functions.h",
 )  # fmt: skip
 
@@ -34,10 +34,10 @@ def test_what_is_built(project_root: Path, tmp_path: Path):
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         assert {f"dieseltwin/{name}" for name in WANTED} <= names
-        settings = archive.read("dieseltwin/data/params.yaml")
+        settings = archive.read("dieseltwin/params.yaml")
     assert settings == (project_root / "params.yaml").read_bytes() and "identify" in yaml.safe_load(settings)
     written = {path.relative_to(project_root).as_posix() for path in (project_root / "dieseltwin").rglob("*.py")}
     assert written <= names
     with tarfile.open(sdist) as archive:
-        packed = archive.extractfile(f"{sdist.name.removesuffix('.tar.gz')}/dieseltwin/data/params.yaml")
+        packed = archive.extractfile(f"{sdist.name.removesuffix('.tar.gz')}/dieseltwin/params.yaml")
         assert packed is not None and packed.read() == settings

@@ -13,7 +13,7 @@ import pandas as pd
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import write_text
 from dieseltwin.recordings.channels import CONVERSIONS, TIME, channel_map, unit_of
-from dieseltwin.recordings.derived import DERIVATIONS
+from dieseltwin.recordings.derived import AMBIENT, DERIVATIONS, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts, signals_of
 from dieseltwin.recordings.guess.propose import Proposal, propose
 from dieseltwin.recordings.guess.words import COSTS, ORDER, channel_lines, guess_lines, map_text, missing, remarks
@@ -24,7 +24,7 @@ from dieseltwin.symbols import symbol
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["ChannelsFound", "Quantity", "channel_map", "channels", "quantities"]
+__all__ = ["AMBIENT", "STAND_IN_PA", "ChannelsFound", "Quantity", "channel_map", "channels", "quantities"]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from dieseltwin.api import driving_page
 from dieseltwin.api.engines import PUBLISHED, Engine, diesel_engine
-from dieseltwin.api.findings import Asked, Discovered, Question, machine
+from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine, sha256_if_there
 from dieseltwin.api.reading import Channels, Opened, over_time
 from dieseltwin.api.results import drawn
 from dieseltwin.atomic import atomic_folder, write_json, write_text
@@ -31,7 +31,6 @@ from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import UNSETTLED, LearnedEngine, learned_engine_of, overlap
 from dieseltwin.notes import Note
-from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
@@ -334,7 +333,7 @@ def _asked(engine: Engine | str | Path | None, channels: Channels | None, questi
         "sensors": None if sensors is None else sorted(set(sensors)), "withhold": sorted(set(withhold)),
         "map_tolerance": map_tolerance, "seed": seed, "time_s": time_s,
         "minutes_max": settings.minutes_max, "engine_sha256": _engine_sha256(engine),
-        "channels_sha256": _sha256(channels) if isinstance(channels, str | Path) else None,
+        "channels_sha256": channels_sha256(channels),
         "search_sha256": params_sha256(settings.search.model_dump(mode="json", include={"driving", "circumstances"})),
         "code_version": __version__,
     }  # fmt: skip
@@ -345,15 +344,10 @@ def _engine_sha256(engine: Engine | str | Path | None) -> str | None:
     if engine is None or engine == PUBLISHED:
         return None
     if isinstance(engine, str | Path):
-        return _sha256(engine)
+        return sha256_if_there(engine)
     if engine == we2011.PARAMETERS:
         return None
     return hashlib.sha256(engine.model_dump_json().encode()).hexdigest()
-
-
-def _sha256(path: str | Path) -> str | None:
-    """Hash of a file that may be missing; the reader complains about that better."""
-    return file_sha256(path) if Path(path).is_file() else None
 
 
 def _checked(recording: Imported | Recording, parameters: EngineParameters) -> Recording:

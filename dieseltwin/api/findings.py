@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,6 +21,7 @@ from dieseltwin.api.results import Result
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.explain import Known
 from dieseltwin.errors import InputError
+from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.settings.discovery import DiscoverConfig
 from dieseltwin.settings.names import unknown_name
@@ -150,6 +152,18 @@ class Question(ABC):
         Raises:
             InputError: what was found is no twin of what was recorded.
         """
+
+
+def channels_sha256(channels: Channels | None) -> str | None:
+    """Hash of a channel map, as its file or as what it says: one and the same file is read otherwise with another."""
+    if isinstance(channels, str | Path):
+        return sha256_if_there(channels)
+    return None if channels is None else sha256(repr(channels).encode()).hexdigest()
+
+
+def sha256_if_there(path: str | Path) -> str | None:
+    """Hash of a file that may be missing; the reader complains about that better."""
+    return file_sha256(path) if Path(path).is_file() else None
 
 
 def machine() -> dict[str, Any]:

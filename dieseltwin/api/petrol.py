@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, petrol_base
-from dieseltwin.api.findings import Asked, Discovered, Question, machine
+from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine
 from dieseltwin.api.reading import Channels, Made, Opened, Source, petrol_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
@@ -164,19 +164,11 @@ def ask(
         "sensors": options.sensors, "withhold": list(options.withhold), "map_tolerance": options.map_tolerance,
         "seed": options.seed, "engine_sha256": sha256(content).hexdigest(), "code_version": __version__,
         "search_sha256": params_sha256(options.search.model_dump(mode="json")),
-        "channels_sha256": _sha256_of(channels),
+        "channels_sha256": channels_sha256(channels),
     }  # fmt: skip
     if reference:
         asked["reference_sha256"] = [item.sha256 for item in reference]
     return PetrolQuestion(judged, parameters, options, asked, notes)
-
-
-def _sha256_of(channels: Channels | None) -> str | None:
-    """Hash of a channel map, as its file or as what it says: one and the same file is read otherwise with another."""
-    if channels is None:
-        return None
-    known = Path(channels).read_bytes() if isinstance(channels, str | Path) else repr(channels).encode()
-    return sha256(known).hexdigest()
 
 
 def _options(asked: Asked) -> PetrolOptions:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from dieseltwin.api.engines import Engine, rig_of
-from dieseltwin.api.findings import Asked, Discovered, Question, machine
+from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine
 from dieseltwin.api.reading import Channels, Opened, Source, rig_recording
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder, write_json
@@ -134,7 +134,7 @@ def ask(
     asked = {
         "withhold": list(withhold), "seed": question.seed, "code_version": __version__,
         "engine_sha256": sha256(rig.model_dump_json().encode()).hexdigest(),
-        "search_sha256": params_sha256(search.model_dump(mode="json")),
+        "search_sha256": params_sha256(search.model_dump(mode="json")), "channels_sha256": channels_sha256(channels),
     }  # fmt: skip
     options = Options(withhold, question.seed, search=search)
     return RigQuestion(rig_recording(recording, rig, all_readings=True), rig, options, asked)

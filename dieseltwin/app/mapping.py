@@ -9,13 +9,12 @@ from typing import Any
 
 import yaml
 
-from dieseltwin.api.channels import Quantity, channel_map, quantities
+from dieseltwin.api.channels import AMBIENT, STAND_IN_PA, Quantity, channel_map, quantities
 from dieseltwin.atomic import write_text
 from dieseltwin.errors import InputError
 from dieseltwin.settings.strict import read_mapping
 
 DATABASE_KEY = "dbc"
-AMBIENT, AMBIENT_PA = "p_amb_pa", 101325.0
 DENSITY_KG_L = 0.835
 AS_IT_IS = ""
 
@@ -127,7 +126,7 @@ def common_values(content: Content, found: Mapping[str, Any]) -> dict[str, str]:
         return f"{next((entry[key] for entry in entries if key in entry), default):.10g}"
 
     return {"cylinders": first("cylinders", found["cylinders"]), "density_kg_l": first("density_kg_l", DENSITY_KG_L),
-            "ambient_pa": first("ambient_pa", AMBIENT_PA)}  # fmt: skip
+            "ambient_pa": first("ambient_pa", STAND_IN_PA)}  # fmt: skip
 
 
 def content_of(form: Mapping[str, str], names: Sequence[str], before: Content) -> Content:
@@ -175,7 +174,7 @@ def _entry(quantity: Quantity, form: Mapping[str, str], ambient_is_given: bool) 
             if formula[3]:
                 entry["cylinders"] = int(_number(form, "cylinders", 6.0))
             if AMBIENT in formula[2] and not ambient_is_given:
-                entry["ambient_pa"] = _number(form, "ambient_pa", AMBIENT_PA)
+                entry["ambient_pa"] = _number(form, "ambient_pa", STAND_IN_PA)
             if entry["via"].startswith("fuel_volume"):
                 entry["density_kg_l"] = _number(form, "density_kg_l", DENSITY_KG_L)
     for key, usual in (("scale", 1.0), ("offset", 0.0)):

@@ -22,7 +22,7 @@ from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.interface import Array
-from dieseltwin.discovery.verdict.assemble import details_of_search, finite_only, fit_figures, p_value
+from dieseltwin.discovery.verdict.assemble import allowance, details_of_search, finite_only, fit_figures, p_value
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.discovery.verdict.document import (
     Discrepancy,
@@ -231,7 +231,7 @@ def _document(
                                 before=float(null.fit.parameters[j]))
             for j, p in enumerate(twin.parameters)
         },
-        fit=fit_figures(found, after),
+        fit=fit_figures(found, after, allowance(found, after)),
         minimum_detectable=minimum_detectable(twin, found),
         provenance=Provenance(code_version=__version__, params_sha256=params_sha256 or engine.calibrated_on),
     )  # fmt: skip

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
 from dieseltwin.recordings.channels import ChannelMap
+from dieseltwin.recordings.derived import STAND_IN_PA
 from dieseltwin.recordings.named_columns import Imported, named_columns
 from dieseltwin.settings.strict import listed
 
@@ -43,7 +44,7 @@ COLUMNS: Mapping[str, tuple[float, float, str]] = {
     "p_amb_pa": (5e4, 1.1e5, "Pa"),
     "t_amb_k": (230.0, 330.0, "K"),
 }
-SURROUNDINGS: Mapping[str, float] = {"p_amb_pa": 101325.0, "t_amb_k": 293.15}
+SURROUNDINGS: Mapping[str, float] = {"p_amb_pa": STAND_IN_PA, "t_amb_k": 293.15}
 """Columns that a recording may be judged without, and what is taken where they aren't recorded: a usual day."""
 
 

@@ -298,7 +298,7 @@ class Params(StrictModel):
 def default_params_path() -> Path:
     """`params.yaml` of the working folder, else the package's own (in a checkout a link to the one at the top)."""
     here = Path(PARAMS_FILE)
-    return here if here.is_file() else Path(__file__).resolve().parents[1] / "data" / PARAMS_FILE
+    return here if here.is_file() else Path(__file__).resolve().parents[1] / PARAMS_FILE
 
 
 def load_params(path: str | Path | None = None, profile: str = DEFAULT_PROFILE) -> Params:

@@ -256,12 +256,6 @@ def file_of(module: str) -> str:
     return f"{path}.py" if (PROJECT / f"{path}.py").exists() else f"{path}/__init__.py"
 
 
-def data_files(folder: str) -> list[str]:
-    """Files of a folder that the library reads but the settings, which are among a stage's params."""
-    paths = (path for path in (PROJECT / folder).iterdir() if path.name not in ("params.yaml", "LICENSE.md"))
-    return [path.relative_to(PROJECT).as_posix() for path in paths]
-
-
 def test_a_stage_depends_on_every_module_and_file_that_its_steps_rest_on() -> None:
     context = RunContext(Workspace(PROJECT), Display(PROJECT / "unused"))
     for stage, steps in steps_of_stages().items():
@@ -271,7 +265,8 @@ def test_a_stage_depends_on_every_module_and_file_that_its_steps_rest_on() -> No
         for step in steps:
             code = step.code(context)
             rests_on |= {file_of(module) for module in code.modules if module.startswith("dieseltwin")}
-            rests_on |= {file for folder in code.data for file in data_files(folder)}
+            files = (path for folder in code.data for path in (PROJECT / folder).iterdir())
+            rests_on |= {path.relative_to(PROJECT).as_posix() for path in files}
             rests_on.add(file_of(step.function.__module__))
         missing = sorted(file for file in rests_on if file not in deps and not file.startswith(folders))
         assert not missing, f"{stage}: not among the deps: {missing}"

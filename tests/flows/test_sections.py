@@ -86,7 +86,7 @@ def test_the_text_of_the_settings_is_in_no_key(tmp_path: Path) -> None:
     shutil.copytree(PROJECT / "dieseltwin", tmp_path / "dieseltwin", ignore=shutil.ignore_patterns("__pycache__"))
     codes = []
     for ending in ("", "# a remark\n"):
-        path = tmp_path / "dieseltwin" / "data" / "params.yaml"
+        path = tmp_path / "dieseltwin" / "params.yaml"
         path.write_text(path.read_text(encoding="utf-8") + ending, encoding="utf-8")
         context = RunContext(Workspace(tmp_path), Display(tmp_path / "unused"), library_root=tmp_path)
         looked_at = (simulate.driving_sets, report.report, prove.case)

@@ -183,17 +183,23 @@ def _rival(found: Search, at: Linearisation, enough: float) -> float:
     return gain
 
 
+def _ahead_of_rivals(found: Search, twin: WithCircumstances, at: Linearisation, enough: float) -> float:
+    """Evidence that other circumstances have to have beside the best single effect: what another effect or a term would
+    add to it, and a lead; looked for up to `enough`."""
+    beliefs = twin.beliefs
+    rival = _rival(found, at, enough)
+    return max(beliefs.evidence, rival + beliefs.ahead if rival > found.settings.alarm_gain else 0.0)
+
+
 def _plainly_off(
     found: Search, twin: WithCircumstances, rest: Sequence[Circumstance], well: bool
 ) -> Twin | None:
     """The twin under the circumstances that add more to the best single effect than any other; None where none do."""
     lead = leading(found)
     linear = _linear_gain(lead, twin, rest)
-    beliefs = twin.beliefs
-    if linear < beliefs.evidence:
+    if linear < twin.beliefs.evidence:
         return None
-    rival = _rival(found, lead, linear / _LINEAR)
-    needed = max(beliefs.evidence, rival + beliefs.ahead if rival > found.settings.alarm_gain else 0.0)
+    needed = _ahead_of_rivals(found, twin, lead, linear / _LINEAR)
     if linear / _LINEAR < needed:
         return None
     best = _chosen(found, twin, lead.fit, rest)
@@ -234,9 +240,7 @@ def _misread(found: Search, twin: WithCircumstances) -> Twin | None:
     other = cast(WithCircumstances, twin.under(twin.values, opened, like=True))
     settled = _settled(found, other, lead.fit, _movable(other), {})
     gain = _evidence(lead) - settled.evidence
-    beliefs = twin.beliefs
-    rival = _rival(found, lead, gain)
-    if gain < max(beliefs.evidence, rival + beliefs.ahead if rival > found.settings.alarm_gain else 0.0):
+    if gain < _ahead_of_rivals(found, twin, lead, gain):
         return None
     return twin.under({**twin.values, **settled.values}, opened)
 

@@ -80,7 +80,7 @@ def assemble(
     evidence = _evidence(found, after)
     sizes, differ = told_apart(found, days) if mismatch else ([], "")
     location = onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None
-    figures, smallest = fit_figures(found, after), minimum_detectable(found.scored, found.settings.alarm_gain)
+    allowed, smallest = allowance(found, after), minimum_detectable(found.scored, found.settings.alarm_gain)
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
@@ -88,7 +88,7 @@ def assemble(
         evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found, twin),
         tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
-        allowed=_allowed(found, after),
+        allowed=allowed,
     )  # fmt: skip
     details = details_of_search(found, rows, best)
     starts, local = twin.starts, twin.initial(at.fit.local)
@@ -108,7 +108,7 @@ def assemble(
             effects=with_words(findings.effects(found, said.fit), differ) if mismatch else (),
             more_is_missing=found.more_is_missing(),
             health=health_values(found, (parameters, covariance), since),
-            fit=figures,
+            fit=fit_figures(found, after, allowed),
             minimum_detectable=finite_only(smallest),
             provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
             out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
@@ -192,8 +192,13 @@ def p_value(found: Search) -> float:
     return float(np.clip(found.chance.p_value(max(gains, default=0.0)), 0.0, 1.0))
 
 
-def fit_figures(found: Search, after: Array) -> FitFigures:
-    """How well the readings are met before, and after by the readings (n, C) of the explanation."""
+def fit_figures(found: Search, after: Array, allowed: Array | None) -> FitFigures:
+    """How well the readings are met before, and after by the readings (n, C) of the explanation.
+
+    Args:
+        found: the search; after: of the explanation, (n, C).
+        allowed: its `allowance`.
+    """
     null = found.null
     before_nll, after_nll = held_out_scores(found, after)
     whitening = null.whitening
@@ -202,8 +207,6 @@ def fit_figures(found: Search, after: Array) -> FitFigures:
     def chi2(simulated: Array) -> float:
         residual = np.nan_to_num(found.twin.measured - simulated)
         return float((whitening.apply(residual[None])[0] ** 2).sum() / max(present.sum(), 1))
-
-    allowed = _allowed(found, after)
 
     def rmse(simulated: Array) -> dict[str, float]:
         error = np.where(present, found.twin.measured - simulated, 0.0)
@@ -219,7 +222,7 @@ def fit_figures(found: Search, after: Array) -> FitFigures:
     )  # fmt: skip
 
 
-def _allowed(found: Search, simulated: Array) -> Array | None:
+def allowance(found: Search, simulated: Array) -> Array | None:
     """What the tolerances of maps and sensors most likely take of a residual, (n, C)."""
     null = found.null
     if null.nuisance_response is None:
