@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+import dieseltwin as dt
 from dieseltwin.cli.app import main
 from dieseltwin.learning.history import FILE_NAME, History
 from tests.api.learned import learned_file
@@ -50,3 +53,21 @@ def test_a_recording_that_is_no_good_is_named(tmp_path: Path, capsys: pytest.Cap
     History(history, "e" * 64).add(entry(0))
     assert main(["watch", "show", "--history", str(history), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "history.html").is_file()
+
+
+def test_recordings_of_one_name_in_two_folders_keep_their_own_verdicts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """As loggers write them: one folder a day, and always the same name."""
+    judged = {
+        tmp_path / day / "drive.csv": replace(entry(k), path="drive.csv", verdict=verdict)
+        for k, (day, verdict) in enumerate([("monday", "healthy"), ("tuesday", "boost_leak")])
+    }
+
+    def asked(path: Path, *_: object) -> tuple[SimpleNamespace, SimpleNamespace]:
+        recording = SimpleNamespace(rows_sha256=f"rows of {path}")
+        return SimpleNamespace(answer=lambda: judged[path]), SimpleNamespace(recording=recording)
+
+    monkeypatch.setattr("dieseltwin.api.watch._asked", asked)
+    monkeypatch.setattr("dieseltwin.api.watch._entry", lambda answer, day: answer)
+    monday, tuesday = dt.watch(list(judged), learned_file(tmp_path), tmp_path / "history").lines()[:2]
+    assert monday.endswith("monday/drive.csv: added, healthy by itself")
+    assert tuesday.endswith("tuesday/drive.csv: added, boost_leak by itself")

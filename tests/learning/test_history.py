@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import sqlite3
 import subprocess
 import sys
@@ -111,6 +112,17 @@ def test_a_history_begins_where_the_file_system_knows_no_links(tmp_path: Path, m
     monkeypatch.setattr(os, "link", refused)
     assert History(tmp_path, ENGINE).add(entry(0)) and len(History(tmp_path).entries()) == 1
     assert [item.name for item in tmp_path.iterdir()] == [FILE_NAME]
+
+
+def test_a_full_disk_leaves_no_half_of_a_history(tmp_path: Path):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # a history's tables need more
+    try:
+        with pytest.raises(InputError, match="a history that can be written to"):
+            History(tmp_path, ENGINE).add(entry(0))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_same_rows_in_another_file_are_the_same_recording(tmp_path: Path):
