@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import sqlite3
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Alarm, Course, Score
 from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, to_json
 from dieseltwin.report.history import sentence
+from tests.disk import full_beyond
 
 ENGINE = "e" * 64
 
@@ -115,13 +115,8 @@ def test_a_history_begins_where_the_file_system_knows_no_links(tmp_path: Path, m
 
 
 def test_a_full_disk_leaves_no_half_of_a_history(tmp_path: Path):
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # a history's tables need more
-    try:
-        with pytest.raises(InputError, match="a history that can be written to"):
-            History(tmp_path, ENGINE).add(entry(0))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with full_beyond(4096), pytest.raises(InputError, match="a history that can be written to"):  # its tables need more
+        History(tmp_path, ENGINE).add(entry(0))
     assert list(tmp_path.iterdir()) == []
 
 
