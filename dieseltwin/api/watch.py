@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from dieseltwin.api.driving import DrivingDiscovered, DrivingQuestion, ask
+from dieseltwin.api.engines import NAMED, diesel_engine
 from dieseltwin.api.findings import Asked
 from dieseltwin.api.reading import Channels
 from dieseltwin.api.results import Result, drawn
@@ -164,8 +165,11 @@ def _watched(store: History, settings: WatchConfig | None) -> Watched:
 
 
 def _learned(engine: str | Path) -> LearnedEngine:
-    learned = load_learned(Path(engine)) if Path(engine).is_file() else None
+    there = Path(engine).is_file()
+    learned = load_learned(Path(engine)) if there else None
     if learned is None:
+        if there or str(engine) in NAMED:
+            diesel_engine(engine)  # a petrol engine that was learned has no history
         raise InputError(str(engine), "no learned engine", "a file that `dieseltwin learn` wrote",
                          "learn the engine from recordings of when it was well")  # fmt: skip
     return learned

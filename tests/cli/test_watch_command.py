@@ -15,9 +15,11 @@ from tests.api.learned import learned_file
 from tests.api.simulated import drive
 from tests.learning.test_history import entry
 
+TANKS = Path(__file__).resolve().parents[2] / "examples" / "rigs" / "cascaded_tanks.yaml"
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
-    assert main(["watch", *map(str, arguments)]) == 2
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path, command: str = "watch") -> str:
+    assert main([command, *map(str, arguments)]) == 2
     error = capsys.readouterr().err
     assert error.startswith("dieseltwin: ") and error.count("\n") == 1
     return error
@@ -71,3 +73,16 @@ def test_recordings_of_one_name_in_two_folders_keep_their_own_verdicts(tmp_path:
     monday, tuesday = dt.watch(list(judged), learned_file(tmp_path), tmp_path / "history").lines()[:2]
     assert monday.endswith("monday/drive.csv: added, healthy by itself")
     assert tuesday.endswith("tuesday/drive.csv: added, boost_leak by itself")
+
+
+def test_machines_without_a_history_are_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """A petrol engine and a rig are learned too, by another way: "learn the engine first" would lead nowhere."""
+    mine, history = learned_file(tmp_path), tmp_path / "history"
+    drive(20.0).drop(columns="time_s").to_csv(tmp_path / "points.csv", index=False)
+    points = tmp_path / "points.csv"
+    said = refused(capsys, "add", points, "--engine", mine, "--history", history)
+    assert "points.csv: got settled points; allowed: recordings over time" in said
+    for engine, kind in (("liu_petrol", "a petrol engine"), (TANKS, "no engine")):
+        assert kind in refused(capsys, "add", points, "--engine", engine, "--history", history)
+        assert kind in refused(capsys, engine, "--c", tmp_path / "engine.c", command="export")
+    assert not history.exists() and not (tmp_path / "engine.c").exists()
