@@ -50,13 +50,13 @@ def test_what_is_new_is_what_the_history_does_not_hold(tmp_path: Path) -> None:
     mine = learned_file(tmp_path)
     arrived(tmp_path / "in", "2026-01-01.csv", 20.0)
     arrived(tmp_path / "in", "2026-02-01.csv", 20.0, settled=False)
-    (tmp_path / "in" / "notes.md").write_text("not a recording")
+    (tmp_path / "in" / "notes.pdf").write_text("not a recording")
     (tmp_path / "in" / ".2026-03-01.csv.part").write_text("being copied")
     copy = Path(shutil.copy2(tmp_path / "in" / "2026-01-01.csv", tmp_path / "in" / "copy of 2026-01-01.txt"))
     found = steps.arrived(str(tmp_path / "in"), str(mine), str(tmp_path / "history"))
     assert list(found.new) == ["2026-01-01.csv"]
-    assert found.left.keys() == {"2026-02-01.csv", "notes.md", copy.name}  # and each says why
-    assert "s after the last change" in found.left["2026-02-01.csv"] and "ending .md" in found.left["notes.md"]
+    assert found.left.keys() == {"2026-02-01.csv", "notes.pdf", copy.name}  # and each says why
+    assert "s after the last change" in found.left["2026-02-01.csv"] and "ending .pdf" in found.left["notes.pdf"]
     assert found.left[copy.name] == "the same as 2026-01-01.csv"
 
 
