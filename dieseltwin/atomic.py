@@ -80,6 +80,12 @@ def _refuse_name(path: Path) -> None:
     os.stat(path)
 
 
+def _partial(path: Path) -> str:
+    """A name of its own for what becomes `path`, with its ending; a name has at most 255 bytes, not letters."""
+    end = os.fsencode(path.name)[-100:].decode("utf-8", errors="ignore")
+    return f"{PARTIAL_PREFIX}{secrets.token_hex(4)}-{end}"
+
+
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` (same suffix); on success it becomes `path`, on any error it vanishes.
@@ -90,7 +96,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     with _user_errors(path):
         _refuse_name(path)
-        temporary = path.with_name(f"{PARTIAL_PREFIX}{secrets.token_hex(4)}-{path.name[-100:]}")
+        temporary = path.with_name(_partial(path))
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "is a folder", str(path))
         try:
@@ -121,7 +127,7 @@ def atomic_folder(path: str | Path, owned: Collection[str] = ()) -> Iterator[Pat
         created = [p for p in [path, *path.parents] if not p.exists()]
         # inside `path` where it exists: beside it could be another file system, and renames would copy
         home = path if path.exists() else path.parent
-        temporary = home / f"{PARTIAL_PREFIX}{secrets.token_hex(4)}-{path.name[-100:]}"
+        temporary = home / _partial(path)
         try:
             temporary.mkdir(parents=True)
             yield temporary

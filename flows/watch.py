@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from prefect import flow
 
@@ -15,7 +16,6 @@ from tasks.launch import run_alone
 from tasks.prefect_task import submit
 from tasks.served import serve, tell_failure
 from tasks.settings import DEFAULT_PROFILE, load_settings
-from tasks.store import Artifact
 
 
 @flow(
@@ -32,22 +32,23 @@ def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
     """
     settings = load_settings(profile)
     files = steps.engine_files(engine)
+    arrived = steps.arrived(folder, engine, history)
     pending = {
         name: submit(
             steps.watched,
-            recording=Artifact.of(path),
-            kind=path.stem,
+            recording=recording,
+            kind=Path(name).stem,
             name=name,
             sections=steps.watched.sections_of(settings),
             **files,
         )
-        for name, path in steps.new_recordings(folder, engine, history).items()
+        for name, recording in arrived.new.items()
     }
     found, refused = discover.gathered(pending)
     batch = steps.add(found, engine, history, settings["watch"])
     if batch.added:
         records.watched(batch, found, refused, settings)
-    steps.show(batch, refused)
+    steps.show(batch, [name for name in found if name not in batch.added], refused, arrived.left)
     return list(batch.added)
 
 

@@ -30,12 +30,12 @@ def _was_killed(_task: Any, _run: Any, state: Any) -> bool:
     retries=2,
     retry_condition_fn=_was_killed,
 )
-def run_step(step: str, inputs: dict[str, dict[str, str]], parameters: dict[str, Any]) -> dict[str, str]:
-    """Run the step of that reference. Returns its result as path and hash."""
+def run_step(step: str, inputs: dict[str, dict[str, str]], parameters: dict[str, Any], key: str) -> dict[str, str]:
+    """Run the step of that reference and key. Returns its result as path and hash."""
     context = run_context.current()
     root = context.workspace.root
     artifacts = {name: Artifact.from_dict(value, root) for name, value in inputs.items()}
-    return run_context.execute(run_context.find_step(step), context, artifacts, parameters).to_dict(root)
+    return run_context.execute(run_context.find_step(step), context, artifacts, parameters, key).to_dict(root)
 
 
 def submit(step: Step, /, **arguments: Any) -> Pending:
@@ -53,5 +53,5 @@ def submit(step: Step, /, **arguments: Any) -> Pending:
         refresh_cache=hit is None,
     )
     plain = {name: artifact.to_dict(context.workspace.root) for name, artifact in inputs.items()}
-    future = named.submit(step.reference, plain, dict(parameters))
+    future = named.submit(step.reference, plain, dict(parameters), key)
     return Pending(step, dict(parameters), future, context, cached=hit is not None)

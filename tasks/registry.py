@@ -172,6 +172,14 @@ class Registry:
         number = client.get_registered_model(NAME).aliases.get(alias)
         return None if number is None else self._checked(client.get_model_version(NAME, str(number)))
 
+    def refusal(self) -> tuple[int, str] | None:
+        """Number of the version that was refused last, and why; None where none was."""
+        client = self.client
+        number = client.get_registered_model(NAME).aliases.get(CHALLENGER)
+        if number is None:
+            return None
+        return int(number), client.get_model_version(NAME, str(number)).tags.get("reason", "for no stated reason")
+
     def register(self, networks: Artifact, model: Artifact, experiment_id: str, tags: Mapping[str, str]) -> Version:
         """The version of these networks, made if it is new; the files of the model that holds them are copied beside
         MLflow's other artifacts."""
@@ -209,9 +217,12 @@ class Registry:
         if not decision.promoted:
             self.client.set_registered_model_alias(NAME, CHALLENGER, number)
             return
-        before = self.client.get_registered_model(NAME).aliases.get(CHAMPION)
+        aliases = self.client.get_registered_model(NAME).aliases
+        before = aliases.get(CHAMPION)
         if before is not None and str(before) != number:
             self.client.set_registered_model_alias(NAME, PREVIOUS, str(before))
+        if str(aliases.get(CHALLENGER)) == number:
+            self.client.delete_registered_model_alias(NAME, CHALLENGER)
         self.client.set_registered_model_alias(NAME, CHAMPION, number)
 
     def _checked(self, found: Any) -> Version | None:

@@ -79,6 +79,11 @@ class RunContext:
         """The library's code as it is on disk when the run starts."""
         return LibrarySources(self.library_root, self.library, self.remembered)
 
+    def forget_code(self) -> None:
+        """Read the code anew when it is asked for next."""
+        self.codes.clear()
+        self.__dict__.pop("sources", None)
+
 
 _context: RunContext | None = None
 
@@ -243,9 +248,27 @@ def split_arguments(arguments: Mapping[str, Any]) -> tuple[dict[str, Artifact], 
     return inputs, json.loads(text)
 
 
-def execute(step: Step, context: RunContext, inputs: Mapping[str, Artifact], parameters: Mapping[str, Any]) -> Artifact:
-    """The stored result where there is a good one, else run the step's function in a worker process and store it."""
+def execute(
+    step: Step,
+    context: RunContext,
+    inputs: Mapping[str, Artifact],
+    parameters: Mapping[str, Any],
+    wanted: str | None = None,
+) -> Artifact:
+    """The stored result where there is a good one, else run the step's function in a worker process and store it.
+
+    ``wanted``: the key as the flow knows it. A cluster's worker lives longer than a flow: the code that it read for an
+    earlier one may have been edited since.
+    """
     key = step.key(context, inputs, parameters)
+    if wanted not in (None, key):
+        context.forget_code()
+        key = step.key(context, inputs, parameters)
+        if key != wanted:
+            raise StepFailed(
+                f"{step.name}: got another code or other packages here than the flow has; allowed: the same "
+                "checkout and environment; update the cluster's workers and start them again"
+            )
     found = context.store.find(step.name, key)
     if found is not None:
         return found

@@ -23,13 +23,18 @@ def main() -> int:
     parser.add_argument("--host", default="127.0.0.1")
     arguments = parser.parse_args()
     tracker = Tracker(prepare_environment())
-    version = None
+    version = refused = None
     if not tracker.uri.startswith("sqlite") or (tracker.workspace.mlruns / "mlflow.db").exists():
-        version = Registry(tracker).version(CHAMPION)
+        registry = Registry(tracker)
+        version, refused = registry.version(CHAMPION), registry.refusal()
     if version is None or not version.served:
         found = "none" if version is None else f"version {version.number}, which holds networks alone"
+        advice = "run `make run` and `make promote`"
+        if version is None and refused is not None:
+            found += f" (version {refused[0]} was refused: {refused[1]})"
+            advice = "train networks that pass and promote them, or give a version the alias by hand in `make ui`"
         print(f"error: {NAME}@{CHAMPION} in {databases.shown(tracker.uri)}: got {found}; allowed: a model whose "
-              "networks agree with their checksum; run `make run` and `make promote`", file=sys.stderr)  # fmt: skip
+              f"networks agree with their checksum; {advice}", file=sys.stderr)  # fmt: skip
         return 2
     print(f"version {version.number} answers at http://{arguments.host}:{arguments.port}/invocations once its "
           "simulator is compiled (a minute, once a machine); Ctrl-C ends it", flush=True)  # fmt: skip

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from dieseltwin.paths import file_sha256
 from tasks.failures import StepFailed
 from tasks.run_context import current, step
 from tasks.store import Artifact
@@ -19,7 +18,6 @@ from tasks.store import Artifact
 ENTRY = "entry.json"
 PAGE = "history.html"
 
-_ENDINGS = {".csv", ".parquet", ".xlsx", ".mat", ".mf4", ".mdf", ".dat", ".asc", ".blf", ".trc", ".log", ".gz"}
 _SETTLED_S = 30.0  # since a file was last written to: what is still being copied is left for the next time
 
 
@@ -89,17 +87,52 @@ def engine_files(text: str) -> dict[str, Any]:
     return {"engine": Artifact.of(path), "learned": Artifact.of(path.with_name(beside)), "beside": beside}
 
 
-def new_recordings(folder: str, engine: str, history: str) -> dict[str, Path]:
-    """Recordings of a folder that its history doesn't hold, by name; what is still being written is left."""
-    from dieseltwin.api.watch import begun
+@dataclass(frozen=True)
+class Arrived:
+    """Files of a folder by name.
 
-    store, now, found = begun(history, engine), time.time(), {}
+    ``new``: recordings that the history doesn't hold; ``left``: files that aren't taken now, and why. What the history
+    holds is in neither.
+    """
+
+    new: Mapping[str, Artifact]
+    left: Mapping[str, str]
+
+
+def arrived(folder: str, engine: str, history: str) -> Arrived:
+    """What lies in a folder, each content once. Hidden files, as copying programs write first, are passed over."""
+    from dieseltwin.api.watch import begun
+    from dieseltwin.recordings.importers.content import ENDINGS
+
+    store, new, left = begun(history, engine), {}, {}
+    first: dict[str, str] = {}  # content -> name
     for path in sorted(Path(folder).iterdir()):
-        if path.suffix.lower() not in _ENDINGS or not path.is_file() or now - path.stat().st_mtime < _SETTLED_S:
+        if path.name.startswith(".") or not path.is_file():
             continue
-        if not store.holds(file_sha256(path)):
-            found[path.name] = path.resolve()
-    return found
+        if path.suffix.lower() not in ENDINGS:
+            left[path.name] = f"got the ending {path.suffix or 'of no kind'}; allowed: {' '.join(ENDINGS)}"
+            continue
+        if (age_s := _age_s(path)) < _SETTLED_S:
+            left[path.name] = f"written to {age_s:.0f} s ago; taken {_SETTLED_S:.0f} s after the last change"
+            continue
+        try:
+            artifact = Artifact.of(path.resolve())
+        except OSError as error:
+            left[path.name] = f"can't be read: {error.strerror or error}"
+            continue
+        if store.holds(artifact.sha256):
+            continue
+        if (other := first.setdefault(artifact.sha256, path.name)) != path.name:
+            left[path.name] = f"the same as {other}"
+            continue
+        new[path.name] = artifact
+    return Arrived(new, left)
+
+
+def _age_s(path: Path) -> float:
+    """Time since a file was last written to [s]; where its clock was ahead of this one's, since it came."""
+    now, about = time.time(), path.stat()
+    return max(now - (about.st_mtime if about.st_mtime <= now else about.st_ctime), 0.0)
 
 
 def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapping[str, Any]) -> Batch:
@@ -127,11 +160,18 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
     return Batch(tuple(added), state.sentence, folder / PAGE, figures)
 
 
-def show(batch: Batch, refused: Mapping[str, StepFailed]) -> None:
-    """Print what was added, what was refused and why, and what the history says; raise the first refusal behind it."""
+def show(batch: Batch, known: Collection[str], refused: Mapping[str, StepFailed], left: Mapping[str, str]) -> None:
+    """Print what was added, was known by its rows, left and refused, and what the history says.
+
+    Raises the first refusal behind it.
+    """
     display = current().display
     for name in batch.added:
         display.say(f"{name}: added")
+    for name in known:
+        display.say(f"{name}: its rows were there already")
+    for name, why in left.items():
+        display.say(f"{name}: left: {why}")
     for name, error in refused.items():
         display.say(f"{name}: not added: {error}")
     display.say(batch.sentence)

@@ -45,6 +45,11 @@ def test_the_temporary_file_keeps_the_suffix(tmp_path: Path) -> None:
         temporary.write_bytes(b"x")
 
 
+def test_a_name_of_few_letters_and_many_bytes(tmp_path: Path) -> None:
+    path = tmp_path / ("検" * 83 + ".csv")  # 253 bytes of at most 255
+    assert write_text(path, "a").read_text() == "a" and os.listdir(tmp_path) == [path.name]
+
+
 @pytest.mark.parametrize("error", [ValueError, Interrupted])
 def test_an_error_leaves_the_old_file(tmp_path: Path, error: type[BaseException]) -> None:
     path = write_text(tmp_path / "a.txt", "old")

@@ -17,6 +17,7 @@ from dieseltwin.recordings.derived import AMBIENT, DERIVATIONS, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts, signals_of
 from dieseltwin.recordings.guess.propose import Proposal, propose
 from dieseltwin.recordings.guess.words import COSTS, ORDER, channel_lines, guess_lines, map_text, missing, remarks
+from dieseltwin.recordings.importers.content import ENDINGS as ENDINGS
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.report.over_time import overview
 from dieseltwin.symbols import symbol

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dieseltwin.api.engines import NAMED, PUBLISHED, Engine
-from dieseltwin.api.engines import engine as engine_of
+from dieseltwin.api.engines import NAMED, PUBLISHED, Engine, diesel_engine
 from dieseltwin.atomic import atomic_path, check_folder, check_writable, write_text
 from dieseltwin.codegen.c_engine import c_source
 from dieseltwin.codegen.fmu import VERSIONS, check_platform, write_fmu
@@ -87,12 +86,9 @@ def exportable(source: Engine | str | Path) -> tuple[EngineParameters, str]:
     """A diesel engine and its name.
 
     Raises:
-        InputError: as `engines.engine`, or a petrol engine.
+        InputError: as `engines.diesel_engine`.
     """
-    found = engine_of(source)
-    if not isinstance(found, EngineParameters):
-        raise InputError("export", "a petrol engine", "a diesel engine",
-                         "a petrol engine runs along a recording: use `dieseltwin simulate`")
+    found = diesel_engine(source)
     if isinstance(source, str) and source in NAMED:
         return found, source
     return found, re.sub(r"\s+", "_", Path(source).stem) if isinstance(source, str | Path) else "engine"

@@ -16,7 +16,7 @@ from dieseltwin.api.engines import Engine, diesel_engine
 from dieseltwin.api.findings import Asked, Discovered, Question
 from dieseltwin.api.reading import Channels, Opened, Source, settled_points
 from dieseltwin.api.results import Result, drawn
-from dieseltwin.atomic import atomic_folder, write_json
+from dieseltwin.atomic import atomic_folder, check_writable, write_json
 from dieseltwin.calibration.calibrate import Calibration, read_geometry
 from dieseltwin.calibration.calibrate import calibrate as calibrated
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
@@ -100,8 +100,10 @@ class Calibrated(Result):
     def save(self, out: str | Path) -> Path:
         """The engine file, its sidecar, a report with figures, and a channel map if an actuator is turned round."""
         out = Path(out)
-        write_calibration(self.found, out)
-        pages.calibration_report(self.found, out.with_suffix(".html"))
+        check_writable(out)
+        with atomic_folder(out.parent) as folder:  # an engine file never stands beside another calibration's numbers
+            write_calibration(self.found, folder / out.name)
+            pages.calibration_report(self.found, (folder / out.name).with_suffix(".html"))
         return out
 
     @property

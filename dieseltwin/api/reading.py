@@ -126,8 +126,8 @@ def over_time(read: Opened) -> Imported | Recording:
     if isinstance(read, PetrolRecording | RigRecording):
         raise _of_another(read, "one of a diesel engine")
     if isinstance(read, SteadyPoints) or settled(read):
-        raise InputError("RECORDING", "settled points among several", "recordings over time of a diesel engine",
-                         "judge settled points by themselves")  # fmt: skip
+        raise InputError(str(read.path or "recording"), "settled points", "recordings over time of a diesel engine",
+                         "judge settled points by themselves with `dieseltwin discover`")  # fmt: skip
     return read
 
 

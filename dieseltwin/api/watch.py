@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from dieseltwin.api.driving import DrivingDiscovered, DrivingQuestion, ask
+from dieseltwin.api.engines import NAMED, diesel_engine
 from dieseltwin.api.findings import Asked
 from dieseltwin.api.reading import Channels
 from dieseltwin.api.results import Result, drawn
@@ -43,6 +44,7 @@ class Watched(Result):
         course: evidence after each, and the alarm.
         alarms_per_year: false alarms per engine and year, at most.
         added: names of the recordings that were added now.
+        verdicts: of those, each by itself.
         known: names of those that were there before.
         refused: name -> why it can't be used.
     """
@@ -51,6 +53,7 @@ class Watched(Result):
     course: Course
     alarms_per_year: float
     added: tuple[str, ...] = ()
+    verdicts: tuple[str, ...] = ()
     known: tuple[str, ...] = ()
     refused: tuple[tuple[str, str], ...] = ()
 
@@ -75,8 +78,7 @@ class Watched(Result):
         return Path(out)
 
     def lines(self) -> list[str]:
-        verdicts = {entry.path: entry.verdict for entry in self.entries}
-        told = [f"{name}: added, {verdicts[Path(name).name]} by itself" for name in self.added]
+        told = [f"{name}: added, {said} by itself" for name, said in zip(self.added, self.verdicts, strict=True)]
         told += [f"{name}: was there already" for name in self.known]
         return [*told, *(f"{name}: not added: {why}" for name, why in self.refused), self.sentence]
 
@@ -107,7 +109,7 @@ def watch(
     """
     learned = _learned(engine)
     store = History(history, _known_sha256(learned))
-    added: list[str] = []
+    added: dict[str, str] = {}  # name -> verdict
     known: list[str] = []
     refused: list[tuple[str, str]] = []
     for path in map(Path, recordings):
@@ -116,11 +118,17 @@ def watch(
                 known.append(str(path))
                 continue
             question, day = _asked(path, engine, learned, channels, sensors)
-            new = not store.holds(day.recording.rows_sha256) and store.add(_entry(question.answer(), day))
-            (added if new else known).append(str(path))
+            entry = None if store.holds(day.recording.rows_sha256) else _entry(question.answer(), day)
+            if entry is not None and store.add(entry):
+                added[str(path)] = entry.verdict
+            else:
+                known.append(str(path))
         except InputError as error:
             refused.append((str(path), str(error)))
-    return _watched(store, settings, tuple(added), tuple(known), tuple(refused))
+    found = _watched(store, settings)
+    return replace(
+        found, added=tuple(added), verdicts=tuple(added.values()), known=tuple(known), refused=tuple(refused)
+    )
 
 
 def judge(
@@ -149,19 +157,19 @@ def history(folder: str | Path, *, settings: WatchConfig | None = None) -> Watch
     return _watched(History(folder), settings)
 
 
-def _watched(
-    store: History, settings: WatchConfig | None, added: tuple[str, ...] = (), known: tuple[str, ...] = (),
-    refused: tuple[tuple[str, str], ...] = (),
-) -> Watched:  # fmt: skip
+def _watched(store: History, settings: WatchConfig | None) -> Watched:
     settings = default_watch() if settings is None else settings
     entries = store.entries()
     found = course([entry.scores for entry in entries], [entry.moment for entry in entries], settings)
-    return Watched(entries, found, settings.alarms_per_year, added, known, refused)
+    return Watched(entries, found, settings.alarms_per_year)
 
 
 def _learned(engine: str | Path) -> LearnedEngine:
-    learned = load_learned(Path(engine)) if Path(engine).is_file() else None
+    there = Path(engine).is_file()
+    learned = load_learned(Path(engine)) if there else None
     if learned is None:
+        if there or str(engine) in NAMED:
+            diesel_engine(engine)  # a petrol engine that was learned has no history
         raise InputError(str(engine), "no learned engine", "a file that `dieseltwin learn` wrote",
                          "learn the engine from recordings of when it was well")  # fmt: skip
     return learned

@@ -28,10 +28,6 @@ BESIDE = {
 }  # fmt: skip
 """Ending of a file that belongs to an engine file -> its name here."""
 
-# Endings that a stored recording may have: the content decides what a file is, except for MATLAB 4.
-ENDINGS = (".csv", ".txt", ".tsv", ".parquet", ".pq", ".xlsx", ".mat", ".mf4", ".mdf", ".dat", ".asc", ".blf", ".trc",
-           ".log", ".gz", ".zip", ".xls")  # fmt: skip
-
 Kind = Literal["channels", "check", "engine", "discover", "identify", "learn", "watch"]
 Status = Literal["waiting", "running", "done", "failed", "stopped", "interrupted"]
 ANALYSES = ("discover", "identify", "learn", "watch")

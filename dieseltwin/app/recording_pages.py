@@ -11,8 +11,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import FileResponse, Response
 
+from dieseltwin.api.channels import ENDINGS
 from dieseltwin.app.desk import Desk, desk_of, see
-from dieseltwin.app.kept import CHANNELS, ENDINGS, MAP, OVERVIEW, KeptRecording, now
+from dieseltwin.app.kept import CHANNELS, MAP, OVERVIEW, KeptRecording, now
 from dieseltwin.app.mapping import common_values, content_of, form_rows, read_content, write_content
 from dieseltwin.app.workplace import MEGABYTE, new_id, shown_name
 from dieseltwin.errors import InputError

@@ -73,7 +73,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(str(path), error, "the manifest of `challenge make`", "give its folder") from None
+        found = str(error) if isinstance(error, ValueError) else (error.strerror or str(error)).lower()
+        raise InputError(str(path), found, "the manifest of `challenge make`", "give its folder") from None
     except RecursionError:
         raise InputError(str(path), "lists in lists thousands deep", "the manifest of `challenge make`",
                          "restore it") from None

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from scipy.special import chdtri  # of scipy.stats, whose import takes half a second, only this is wanted
@@ -21,6 +20,7 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
+from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.sensors import MEASURED, SENSORS
 
@@ -158,7 +158,7 @@ def _parts(recording: Recording) -> Iterator[Recording]:
         if rows.size < 2:
             continue
         columns = {name: values[rows] for name, values in recording.columns.items()}
-        part = replace(recording, time_s=recording.time_s[rows], columns=MappingProxyType(columns))
+        part = replace(recording, time_s=recording.time_s[rows], columns=Columns(columns))
         step = float(np.median(np.diff(part.time_s)))
         if part.running_s + step >= SHORTEST_S:
             yield part
@@ -166,7 +166,7 @@ def _parts(recording: Recording) -> Iterator[Recording]:
 
 def _examined(part: Recording, engine: EngineParameters, sensors: Sequence[str]) -> tuple[Search, list[Suspicion]]:
     columns = {**part.columns, **{name: _with_noise(part.columns[name], name) for name in sensors}}
-    twin = EngineTwin(replace(part, columns=MappingProxyType(columns)), engine, sensors)
+    twin = EngineTwin(replace(part, columns=Columns(columns)), engine, sensors)
     found = prepare(twin, Options().settings())
     return found, suspicions(found.null, recording_faults(twin, found.null))
 

@@ -105,7 +105,7 @@ def acceptance_tests(
     """
     tests = []
     for kind, one in maps.items():
-        for test in map_tests(one.replacements("numpy"), one.parameters, driving, limits):
+        for test in map_tests(one.replacements("numpy"), one.parameters, driving, limits.of_maps(kind)):
             tests.append(replace(test, name=f"{test.name}/{kind}", sentence=f"{kind} maps: {test.sentence}"))
     if limits.known_engine is not None:
         laboratory = networks["maps"].parameters

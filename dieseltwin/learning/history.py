@@ -108,20 +108,22 @@ class History:
                              "choose another --history") from None
         made = self.path.with_name(f".{FILE_NAME}.{os.getpid()}.new")
         made.unlink(missing_ok=True)  # of a process of the same number that was killed
-        with self._opened(made) as connection:
-            for table in _TABLES:
-                connection.execute(table)
-            about = {"schema": str(SCHEMA), "engine_sha256": str(self._engine_sha256), "code_version": __version__}
-            connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
-            connection.execute(f"PRAGMA application_id = {_APPLICATION}")
         try:
-            os.link(made, self.path)  # whole or not at all: an empty history is a damaged one
-        except FileExistsError:
-            pass  # another process was first
-        except OSError:  # a file system without links
-            if not self.path.exists():
-                made.rename(self.path)
-        made.unlink(missing_ok=True)
+            with self._opened(made) as connection:
+                for table in _TABLES:
+                    connection.execute(table)
+                about = {"schema": str(SCHEMA), "engine_sha256": str(self._engine_sha256), "code_version": __version__}
+                connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
+                connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+            try:
+                os.link(made, self.path)  # whole or not at all: an empty history is a damaged one
+            except FileExistsError:
+                pass  # another process was first
+            except OSError:  # a file system without links
+                if not self.path.exists():
+                    made.rename(self.path)
+        finally:  # a full disk, too, leaves nothing behind
+            made.unlink(missing_ok=True)
 
     @contextmanager
     def _opened(self, path: Path | None = None) -> Iterator[sqlite3.Connection]:

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -30,6 +29,7 @@ from dieseltwin.recordings.channels import (
     foreign_hint,
     optional_inputs,
 )
+from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.derived import NOTHING, Made
 from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.named_columns import Imported, columns_sha256, import_columns, numbers
@@ -208,7 +208,7 @@ class Recording:
             t1_s=float(time[stop - 1]),
             inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, start - before, float(time[0]), **further),
             measured=np.where(np.isfinite(measured), measured, np.nan),
-            columns=MappingProxyType(columns),
+            columns=Columns(columns),
             p_amb_pa=_median_or(columns.get("p_amb_pa"), self.p_amb_pa),
             t_amb_k=_median_or(columns.get("t_amb_k"), self.t_amb_k),
         )
@@ -275,7 +275,7 @@ def recording(
         values.setflags(write=False)
     return Recording(
         time_s=time,
-        columns=MappingProxyType(columns),
+        columns=Columns(columns),
         p_amb_pa=p_amb,
         t_amb_k=t_amb,
         path=path,

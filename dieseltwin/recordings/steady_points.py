@@ -11,7 +11,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -21,6 +20,7 @@ from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
+from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.plausibility import check_plausible
 from dieseltwin.recordings.reader import check_time
@@ -88,7 +88,7 @@ class SteadyPoints:
     def take(self, chosen: np.ndarray) -> SteadyPoints:
         """The points of a mask or index array."""
         columns = {name: values[chosen] for name, values in self.columns.items()}
-        return replace(self, columns=MappingProxyType(columns), row=self.row[chosen])
+        return replace(self, columns=Columns(columns), row=self.row[chosen])
 
     @property
     def judged(self) -> SteadyPoints:
@@ -97,7 +97,7 @@ class SteadyPoints:
 
     def with_columns(self, **columns: np.ndarray) -> SteadyPoints:
         """The same points with columns added or replaced."""
-        return replace(self, columns=MappingProxyType({**self.columns, **columns}))
+        return replace(self, columns=Columns({**self.columns, **columns}))
 
 
 def points(
@@ -150,7 +150,7 @@ def points(
         values.setflags(write=False)
     if not whole.all():
         notes.append(f"{int(np.count_nonzero(~whole))} of {size} rows are left out: an input is missing")
-    return SteadyPoints(MappingProxyType(columns), np.flatnonzero(whole) + 1, path, sha256, origin, tuple(notes))
+    return SteadyPoints(Columns(columns), np.flatnonzero(whole) + 1, path, sha256, origin, tuple(notes))
 
 
 def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -> SteadyPoints:
@@ -169,7 +169,7 @@ def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -
     columns = {name: np.concatenate([part[name] for part in parts]) for name in common}
     columns[JUDGED] = np.concatenate([np.full(part.size, float(part is judged)) for part in parts])
     notes = tuple(note for part in parts for note in part.notes)
-    return replace(judged, columns=MappingProxyType(columns), row=np.concatenate([part.row for part in parts]),
+    return replace(judged, columns=Columns(columns), row=np.concatenate([part.row for part in parts]),
                    notes=notes)  # fmt: skip
 
 

@@ -10,6 +10,13 @@ from dieseltwin.settings.search import SearchConfig
 from dieseltwin.settings.strict import StrictModel
 
 
+class PaperMapsLimits(StrictModel):
+    """Limits of the maps as printed, where the others' are for the maps that the champion serves."""
+
+    monotony: NonNegativeFloat
+    driving: NonNegativeFloat
+
+
 class AcceptanceConfig(StrictModel):
     """Largest figures with which networks pass the physical tests (`identification.acceptance`); null: not tested."""
 
@@ -19,6 +26,15 @@ class AcceptanceConfig(StrictModel):
     monotony: NonNegativeFloat | None = Field(description="share of moves of a flow against physics [-]")
     driving: NonNegativeFloat | None = Field(description="error of a state over its mean in held-out driving [-]")
     known_engine: NonNegativeFloat | None = Field(description="error of health over its stated standard deviation [-]")
+    paper: PaperMapsLimits
+
+    def of_maps(self, kind: str) -> AcceptanceConfig:
+        """The limits of one kind of maps; a test that is left out is left out for each."""
+        if kind != "paper":
+            return self
+        monotony = None if self.monotony is None else self.paper.monotony
+        driving = None if self.driving is None else self.paper.driving
+        return self.model_copy(update={"monotony": monotony, "driving": driving})
 
 
 class PromotionConfig(StrictModel):

@@ -22,6 +22,7 @@ from dieseltwin.petrol.parameters import PetrolParameters, save_petrol
 from dieseltwin.petrol.recording import read_petrol
 from tests.api.simulated import drive
 from tests.calibration.simulated import FLAP, GEOMETRY, made_points
+from tests.disk import full_beyond
 
 
 def same_files(one: Path, other: Path, *, but: tuple[str, ...] = ("runtime.json", "report.html")) -> None:
@@ -98,6 +99,10 @@ def quick_points(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("quick_points")
 def test_points_are_calibrated_discovered_and_answered_for(points: Path, tmp_path: Path) -> None:
     calibrated = dt.calibrate(points, geometry=GEOMETRY)
+    (tmp_path / "full").mkdir()
+    with full_beyond(2**15), pytest.raises(InputError, match="no space left"):  # its page needs more
+        calibrated.save(tmp_path / "full" / "engine.yaml")
+    assert not list((tmp_path / "full").iterdir())
     file = calibrated.save(tmp_path / "engine.yaml")
     assert dt.engine(file) == calibrated.engine and "50 points" in calibrated.sentence
     assert set(calibrated.table().columns) >= {"held_out_pct", "tolerance_pct"} and len(calibrated.plot().axes) == 6

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,7 @@ import pytest
 from mypy import api as mypy
 
 import dieseltwin as dt
+from dieseltwin.api.reading import Made
 from dieseltwin.engine import we2011
 from dieseltwin.engine.terms import Term
 from dieseltwin.errors import InputError
@@ -120,6 +124,18 @@ def test_files_tables_and_channel_maps_read_alike(trace: pd.DataFrame, tmp_path:
     assert isinstance(dt.read(trace.drop(columns="time_s")), SteadyPoints)
     with pytest.raises(InputError, match="n_e_rpm"):
         dt.read(trace.drop(columns="n_e_rpm"))
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda made: pickle.loads(pickle.dumps(made))])
+def test_what_was_read_goes_to_another_process_and_stays_unchangeable(
+    trace: pd.DataFrame, copied: Callable[[Made], Made]
+) -> None:
+    for made in (dt.read(trace), dt.read(trace.drop(columns="time_s"))):
+        again = copied(made)
+        assert isinstance(again, Recording | SteadyPoints) and type(again) is type(made)
+        pd.testing.assert_frame_equal(pd.DataFrame(dict(again.columns)), pd.DataFrame(dict(made.columns)))
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            again.columns["n_e_rpm"] = trace["n_e_rpm"].to_numpy()  # type: ignore[index]
 
 
 # --- simulate

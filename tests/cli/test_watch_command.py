@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+import dieseltwin as dt
 from dieseltwin.cli.app import main
 from dieseltwin.learning.history import FILE_NAME, History
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
 from tests.learning.test_history import entry
 
+TANKS = Path(__file__).resolve().parents[2] / "examples" / "rigs" / "cascaded_tanks.yaml"
 
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
-    assert main(["watch", *map(str, arguments)]) == 2
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str | Path, command: str = "watch") -> str:
+    assert main([command, *map(str, arguments)]) == 2
     error = capsys.readouterr().err
     assert error.startswith("dieseltwin: ") and error.count("\n") == 1
     return error
@@ -50,3 +55,34 @@ def test_a_recording_that_is_no_good_is_named(tmp_path: Path, capsys: pytest.Cap
     History(history, "e" * 64).add(entry(0))
     assert main(["watch", "show", "--history", str(history), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "history.html").is_file()
+
+
+def test_recordings_of_one_name_in_two_folders_keep_their_own_verdicts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """As loggers write them: one folder a day, and always the same name."""
+    judged = {
+        tmp_path / day / "drive.csv": replace(entry(k), path="drive.csv", verdict=verdict)
+        for k, (day, verdict) in enumerate([("monday", "healthy"), ("tuesday", "boost_leak")])
+    }
+
+    def asked(path: Path, *_: object) -> tuple[SimpleNamespace, SimpleNamespace]:
+        recording = SimpleNamespace(rows_sha256=f"rows of {path}")
+        return SimpleNamespace(answer=lambda: judged[path]), SimpleNamespace(recording=recording)
+
+    monkeypatch.setattr("dieseltwin.api.watch._asked", asked)
+    monkeypatch.setattr("dieseltwin.api.watch._entry", lambda answer, day: answer)
+    monday, tuesday = dt.watch(list(judged), learned_file(tmp_path), tmp_path / "history").lines()[:2]
+    assert monday.endswith("monday/drive.csv: added, healthy by itself")
+    assert tuesday.endswith("tuesday/drive.csv: added, boost_leak by itself")
+
+
+def test_machines_without_a_history_are_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """A petrol engine and a rig are learned too, by another way: "learn the engine first" would lead nowhere."""
+    mine, history = learned_file(tmp_path), tmp_path / "history"
+    drive(20.0).drop(columns="time_s").to_csv(tmp_path / "points.csv", index=False)
+    points = tmp_path / "points.csv"
+    said = refused(capsys, "add", points, "--engine", mine, "--history", history)
+    assert "points.csv: got settled points; allowed: recordings over time" in said
+    for engine, kind in (("liu_petrol", "a petrol engine"), (TANKS, "no engine")):
+        assert kind in refused(capsys, "add", points, "--engine", engine, "--history", history)
+        assert kind in refused(capsys, engine, "--c", tmp_path / "engine.c", command="export")
+    assert not history.exists() and not (tmp_path / "engine.c").exists()

@@ -67,6 +67,18 @@ def test_a_registry_without_a_champion_is_not_served(tmp_path: Path) -> None:
 
 
 @pytest.mark.flow
+def test_who_serves_is_told_why_nothing_is_in_use(tmp_path: Path) -> None:
+    registry = Registry(Tracker(Workspace(tmp_path)))
+    only = registry.register(*networks(tmp_path, "a"), registry.tracker.experiment("promote", "comparisons"), {})
+    registry.record(only, decide({"e": 1.0}, None, **LIMITS, failures=["no stable rest"]))
+    environment = {**os.environ, "DIESELTWIN_WORKSPACE": str(tmp_path)}
+    command = [sys.executable, "-m", "tasks.serve_champion"]
+    ended = subprocess.run(command, cwd=PROJECT, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    assert "got none (version 1 was refused: it fails a physical test: no stable rest)" in ended.stderr
+
+
+@pytest.mark.flow
 def test_versions_aliases_and_files(tmp_path: Path) -> None:
     tracker = Tracker(Workspace(tmp_path / "first"))
     registry = Registry(tracker)
@@ -89,6 +101,9 @@ def test_versions_aliases_and_files(tmp_path: Path) -> None:
     assert registry.version(CHAMPION) == first and registry.version(CHALLENGER) == worse
     assert registry.client.get_model_version(NAME, "2").tags["decision"] == "refused"
 
+    last = registry.refusal()
+    assert last is not None and last[0] == 2 and last[1].startswith("errors are 2.000 of the champion's in the mean")
+
     better = registry.register(*networks(tmp_path, "c"), experiment, {})
     registry.record(better, decide({"e": 0.5}, {"e": 1.0}, **LIMITS))
     assert registry.version(CHAMPION) == better and registry.version(PREVIOUS) == first
@@ -100,6 +115,8 @@ def test_versions_aliases_and_files(tmp_path: Path) -> None:
     tags = registry.client.get_model_version(NAME, str(broken.number)).tags
     assert (tags["acceptance"], tags["acceptance.rest"]) == ("failed", "failed: no number, limit 0.03")
     assert "no stable rest" in tags["reason"]
+    registry.record(broken, decide({"e": 0.1}, {"e": 0.5}, **LIMITS))  # by tests with other limits
+    assert registry.version(CHAMPION) == broken and registry.version(CHALLENGER) is None and not registry.refusal()
 
     # A moved checkout keeps its versions; a spoilt file is no champion.
     (tmp_path / "first").rename(tmp_path / "moved")

@@ -76,6 +76,20 @@ def test_changed_library_source(context: RunContext, changed: str, text: str, ex
     assert ran(fresh) == expected
 
 
+def test_a_worker_that_served_an_earlier_flow_reads_edited_code_anew(context: RunContext) -> None:
+    """``context`` is that of a cluster's worker, which lives on when the first flow has ended."""
+    numbers, before = run_chain()
+    (context.workspace.root / "toylib" / "constants.py").write_text("FACTOR = 3.0\n")
+    flow = toy_library.fresh_context(context.workspace.root)
+    asked = toy_steps.total, context, {"numbers": numbers}, {"scale": 2.0}
+    key = toy_steps.total.key(flow, *asked[2:])
+    after = run_context.execute(*asked, key)
+    first, second = (float((made.path / "total.txt").read_text()) for made in (before, after))
+    assert second == pytest.approx(1.5 * first)
+    with pytest.raises(StepFailed, match="allowed: the same checkout"):
+        run_context.execute(*asked, "0" * 32)
+
+
 def test_changed_parameter_runs_that_step_alone(context: RunContext) -> None:
     run_chain()
     fresh = again(context)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -49,9 +50,26 @@ def test_what_is_new_is_what_the_history_does_not_hold(tmp_path: Path) -> None:
     mine = learned_file(tmp_path)
     arrived(tmp_path / "in", "2026-01-01.csv", 20.0)
     arrived(tmp_path / "in", "2026-02-01.csv", 20.0, settled=False)
-    (tmp_path / "in" / "notes.txt").write_text("not a recording")
-    found = steps.new_recordings(str(tmp_path / "in"), str(mine), str(tmp_path / "history"))
-    assert list(found) == ["2026-01-01.csv"]  # the other one may still be written to
+    (tmp_path / "in" / "notes.pdf").write_text("not a recording")
+    (tmp_path / "in" / ".2026-03-01.csv.part").write_text("being copied")
+    copy = Path(shutil.copy2(tmp_path / "in" / "2026-01-01.csv", tmp_path / "in" / "copy of 2026-01-01.txt"))
+    found = steps.arrived(str(tmp_path / "in"), str(mine), str(tmp_path / "history"))
+    assert list(found.new) == ["2026-01-01.csv"]
+    assert found.left.keys() == {"2026-02-01.csv", "notes.pdf", copy.name}  # and each says why
+    assert "s after the last change" in found.left["2026-02-01.csv"] and "ending .pdf" in found.left["notes.pdf"]
+    assert found.left[copy.name] == "the same as 2026-01-01.csv"
+
+
+def test_a_recording_whose_clock_is_ahead_is_taken_once_it_has_lain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = learned_file(tmp_path)
+    arrived(tmp_path / "in", "2026-01-01.csv", 20.0)
+    os.utime(tmp_path / "in" / "2026-01-01.csv", (4e9, 4e9))  # 2096
+    where = str(tmp_path / "in"), str(mine), str(tmp_path / "history")
+    assert list(steps.arrived(*where).left) == ["2026-01-01.csv"]
+    monkeypatch.setattr(steps, "_SETTLED_S", 0.0)
+    assert list(steps.arrived(*where).new) == ["2026-01-01.csv"]
 
 
 def test_wrong_arguments_are_one_line_before_anything_starts(tmp_path: Path) -> None:

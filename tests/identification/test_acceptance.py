@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -91,3 +92,15 @@ def test_a_known_engine_is_found_and_another_one_is_not(driving: HeldOutDriving)
 def test_a_test_without_a_limit_is_left_out(driving: HeldOutDriving) -> None:
     limits = LIMITS.model_copy(update={name: None for name in ("balances", "rest", "ranges", "driving")})
     assert [test.name for test in acceptance.map_tests(EXACT, ENGINE, driving, limits)] == ["monotony"]
+
+
+def test_the_printed_maps_have_limits_of_their_own_unless_a_test_is_left_out(driving: HeldOutDriving) -> None:
+    exact = SimpleNamespace(replacements=lambda _: EXACT, parameters=ENGINE)
+    maps: Any = {"improved": exact, "paper": exact}
+    only = dict.fromkeys(("balances", "rest", "ranges", "driving", "known_engine"))
+    asked = LIMITS.model_copy(update=only)
+    tests = acceptance.acceptance_tests(maps, {}, driving, asked, load_params(None, "quick").identify)
+    assert [(test.name, test.limit) for test in tests] == [
+        ("monotony/improved", LIMITS.monotony), ("monotony/paper", LIMITS.paper.monotony),
+    ]  # fmt: skip
+    assert LIMITS.of_maps("paper").driving == LIMITS.paper.driving and LIMITS.of_maps("improved") == LIMITS

@@ -16,6 +16,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Alarm, Course, Score
 from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, to_json
 from dieseltwin.report.history import sentence
+from tests.disk import full_beyond
 
 ENGINE = "e" * 64
 
@@ -111,6 +112,12 @@ def test_a_history_begins_where_the_file_system_knows_no_links(tmp_path: Path, m
     monkeypatch.setattr(os, "link", refused)
     assert History(tmp_path, ENGINE).add(entry(0)) and len(History(tmp_path).entries()) == 1
     assert [item.name for item in tmp_path.iterdir()] == [FILE_NAME]
+
+
+def test_a_full_disk_leaves_no_half_of_a_history(tmp_path: Path):
+    with full_beyond(4096), pytest.raises(InputError, match="a history that can be written to"):  # its tables need more
+        History(tmp_path, ENGINE).add(entry(0))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_same_rows_in_another_file_are_the_same_recording(tmp_path: Path):

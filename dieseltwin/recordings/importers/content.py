@@ -17,6 +17,10 @@ HEAD_BYTES = 16384
 LARGEST_UNPACKED = 4_000_000_000  # bytes of text inside a gzip file: a bigger one would not fit into memory as a table
 READABLE = "CSV, Parquet, Excel (.xlsx), MATLAB (.mat), MDF (.mf4, .mdf, .dat), CAN traces (candump, .asc, .blf, .trc)"
 
+# Endings of recordings: the content decides what a file is, except for MATLAB 4.
+ENDINGS = (".csv", ".txt", ".tsv", ".parquet", ".pq", ".xlsx", ".mat", ".mf4", ".mdf", ".dat", ".asc", ".blf", ".trc",
+           ".log", ".gz", ".zip", ".xls")  # fmt: skip
+
 # first bytes -> our name of the format
 _MAGIC: tuple[tuple[bytes, str], ...] = (
     (b"PAR1", "parquet"),
