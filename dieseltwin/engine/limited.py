@@ -50,6 +50,10 @@ class Limited(BaseModel):
         """Whether it acts with its whole magnitude at all times in all driving."""
         return all(limit is None for limit in (self.onset_s, self.until_s, self.grown_s)) and not self.region
 
+    def later(self) -> Self | None:
+        """The term on a later recording: what began or grew is there from the start, what went again is gone (None)."""
+        return None if self.until_s is not None else self.model_copy(update={"onset_s": None, "grown_s": None})
+
     @field_validator("region")
     @classmethod
     def _known_columns(cls, region: Region | None) -> Region | None:
