@@ -51,7 +51,7 @@ def law_error(result: Path, clean: pd.DataFrame, fault: Fault, health: Mapping[s
 
 def error_of(terms: Sequence[OneTerm], clean: pd.DataFrame, fault: Fault, health: Mapping[str, float]) -> float:
     """`law_error` of given terms; arguments as there."""
-    lasting = tuple(term.model_copy(update={"onset_s": None}) for term in terms)
+    lasting = tuple(later for term in terms if (later := term.later()) is not None)
     driving = Driving(*(clean[name].to_numpy(dtype=float) for name in ("time_s", *INPUTS)))
     parameters: dict[str, Any] = {**we2011.PARAMETERS.model_dump(), **health}
     fault = fault.lasting()

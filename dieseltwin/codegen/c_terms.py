@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 from dieseltwin.codegen.traced import law_text
 from dieseltwin.codegen.transpile import Equation, Translation, number
+from dieseltwin.engine.courses import growing_s
 from dieseltwin.engine.effect import Entry
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
+from dieseltwin.engine.limited import Limited
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, corrections_of
 from dieseltwin.engine.quantities import MapArguments, OperatingPoint
 from dieseltwin.engine.sensor_effects import slot_parts
@@ -100,15 +102,16 @@ class TermsInC:
     def _acting(self, term: Term | SensorTerm | ActuatorTerm | LawTerm) -> str:
         """Factor of a term over an interval, "" where it always acts wholly."""
         conditions = [] if term.onset_s is None else [f"t >= {number(term.onset_s)}"]
+        conditions += [] if term.until_s is None else [f"t < {number(term.until_s)}"]
         for column, (low, high) in (term.region or {}).items():
             conditions += [f"u.{column} >= {number(low)}", f"u.{column} <= {number(high)}"]
         parts = []
-        if conditions:
+        if not term.always:
             self._count += 1
             name = f"acts_{self._count}"
             self.texts.append(
                 f"static double {name}(double t, Inputs u)\n{{\n    (void)t, (void)u;\n"
-                f"    return {' && '.join(conditions)} ? 1.0 : 0.0;\n}}\n"
+                f"    return {' && '.join(conditions) or '1'} ? {_grown(term)} : 0.0;\n}}\n"
             )
             once = f"{name}(t, begin)"
             parts.append(f"0.5 * ({once} + {name}(t_end, end))" if term.region else once)
@@ -234,3 +237,11 @@ class TermsInC:
                 text = {"lag": f"e->reading[{k}]", "gain": f"({text}) * (1.0 + e->amount[{k}])",
                         "offset": f"({text}) + e->amount[{k}]"}[fault]
         return text
+
+
+def _grown(term: Limited) -> str:
+    """Share of its magnitude that a term has come to at the time t, see `engine.courses.course`."""
+    if term.grown_s is None:
+        return "1.0"
+    first = term.onset_s or 0.0
+    return f"minimum(maximum((t - {number(first)}) / {number(growing_s(first, term.grown_s))}, 0.0), 1.0)"

@@ -160,7 +160,7 @@ def simulate_lanes(
 
 def _is_constant(term: Any) -> bool:
     drifts = term.slot in EFFECTS and EFFECTS[term.slot].drifts
-    return term.onset_s is None and not term.region and not drifts
+    return bool(term.always) and not drifts
 
 
 def _one_by_one(batch: ParameterBatch) -> Iterator[ParameterBatch]:

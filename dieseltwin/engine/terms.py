@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
@@ -13,16 +12,12 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_val
 from dieseltwin.engine.array_namespace import positive_power
 from dieseltwin.engine.effect import Entry, Operator
 from dieseltwin.engine.effects import EFFECTS
+from dieseltwin.engine.limited import Limited, close_names
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.errors import InputError
 from dieseltwin.sensors import SENSORS
-
-Region = dict[str, tuple[float, float]]
-"""Input column -> (low, high): where a term acts."""
-
-REGION_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 
 LAW_VARIABLES = (
     "p_im", "p_em", "omega_t", "n_e", "u_delta", "u_egr", "u_vgt", "p_amb", "T_amb", "T_im", "T_em", "T_e", "T_c",
@@ -34,48 +29,7 @@ u_vgt [%], temperatures [K], flows [kg/s], pressure quotients [-] (Pi_egr = p_im
 recording's start t [s]."""
 
 
-def _close(name: str, known: Any) -> str:
-    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
-    return f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known)}"
-
-
-class _Limited(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    std: float | None = Field(None, ge=0, description="standard deviation of the magnitude [its unit]")
-    onset_s: float | None = Field(None, description="acts from this time of the recording on [s]; None: always")
-    region: Region | None = Field(None, description="acts only inside these ranges of input columns; None: everywhere")
-    valid_for: str | None = Field(None, description="domain of the data behind it, in words")
-
-    @field_validator("region")
-    @classmethod
-    def _known_columns(cls, region: Region | None) -> Region | None:
-        for column, (low, high) in (region or {}).items():
-            if column not in REGION_COLUMNS:
-                raise ValueError(f"unknown region column {column!r}; {_close(column, REGION_COLUMNS)}")
-            if not low <= high:
-                raise ValueError(f"region {column}: low {low:g} above high {high:g}")
-        return region
-
-    def factor(self, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
-        """1 where the term acts, else 0, shape (n,); 0.5 over an interval in which a condition leaves its region.
-
-        Args:
-            time_s: sample times [s], (n,); start_s: the recording's start, from which `onset_s` counts.
-            conditions: the input columns of `REGION_COLUMNS`, (n,) each.
-        """
-        acts = np.ones(time_s.shape, dtype=bool)
-        if self.onset_s is not None:
-            acts &= time_s - start_s >= self.onset_s
-        for column, (low, high) in (self.region or {}).items():
-            acts &= (conditions[column] >= low) & (conditions[column] <= high)
-        factor = acts.astype(np.float64)
-        if self.region:  # factors are held over the interval behind their sample; the edge lies somewhere inside
-            factor[:-1] = 0.5 * (factor[:-1] + factor[1:])
-        return factor
-
-
-class Term(_Limited):
+class Term(Limited):
     """An effect of the catalogue in one engine."""
 
     effect: str = Field(description="name in the catalogue (`dieseltwin effects`)")
@@ -86,7 +40,7 @@ class Term(_Limited):
     @classmethod
     def _known_effect(cls, name: str) -> str:
         if name not in EFFECTS:
-            raise ValueError(f"unknown effect {name!r}; {_close(name, EFFECTS)}")
+            raise ValueError(f"unknown effect {name!r}; {close_names(name, EFFECTS)}")
         return name
 
     @model_validator(mode="after")
@@ -97,7 +51,8 @@ class Term(_Limited):
             raise ValueError(f"{self.effect}: magnitude {self.magnitude:g} outside {low:g} to {high:g} {effect.unit}")
         for name, value in self.shape.items():
             if name not in effect.coefficients or not math.isfinite(value):
-                raise ValueError(f"{self.effect}: coefficient {name} = {value:g}; {_close(name, effect.coefficients)}")
+                near = close_names(name, effect.coefficients)
+                raise ValueError(f"{self.effect}: coefficient {name} = {value:g}; {near}")
         return self
 
     @property
@@ -157,7 +112,7 @@ SENSOR_SLOTS = tuple(
 """All slots of faults of sensors, in the order in which they act."""
 
 
-class SensorTerm(_Limited):
+class SensorTerm(Limited):
     """A found fault of a sensor, whether or not the catalogue has a name for it.
 
     reading (1 + magnitude) for a gain, reading + magnitude for an offset, a first-order lag of the reading of the
@@ -171,7 +126,7 @@ class SensorTerm(_Limited):
     @model_validator(mode="after")
     def _possible(self) -> SensorTerm:
         if self.sensor not in SENSOR_UNITS:
-            raise ValueError(f"unknown sensor {self.sensor!r}; {_close(self.sensor, SENSOR_UNITS)}")
+            raise ValueError(f"unknown sensor {self.sensor!r}; {close_names(self.sensor, SENSOR_UNITS)}")
         if self.fault == "gain" and not -1.0 < self.magnitude <= LARGEST_GAIN:
             raise ValueError(f"gain {self.magnitude:g}; allowed: above -1 (no reading is left) to {LARGEST_GAIN:g}")
         if self.fault == "lag" and (self.sensor != LAGGING_SENSOR or self.magnitude < 0.0):
@@ -194,7 +149,7 @@ class SensorTerm(_Limited):
         return {"gain": "-", "offset": SENSOR_UNITS[self.sensor], "lag": "s"}[self.fault]
 
 
-class ActuatorTerm(_Limited):
+class ActuatorTerm(Limited):
     """A found fault with a memory between command and actuator; offsets and gains are laws at `u_egr`, `u_vgt`."""
 
     actuator: Literal["egr", "vgt"] = Field(description="which")
@@ -248,7 +203,7 @@ class LawGroup(BaseModel):
             raise ValueError(f"{self.kind} of {len(self.variables)} variables")
         for variable in self.variables:
             if variable not in LAW_VARIABLES:
-                raise ValueError(f"unknown variable {variable!r}; {_close(variable, LAW_VARIABLES)}")
+                raise ValueError(f"unknown variable {variable!r}; {close_names(variable, LAW_VARIABLES)}")
         return self
 
     def value(self, variables: Any, power: Any = positive_power, nozzle: Any = nozzle_flow_factor) -> Any:
@@ -276,7 +231,7 @@ _NOZZLE_GAMMA = 1.4  # its value moves the shape by less than 2 % (air, exhaust 
 _CRITICAL = choking_quotient(_NOZZLE_GAMMA)
 
 
-class LawTerm(_Limited):
+class LawTerm(Limited):
     """A found law that isn't in the catalogue: coefficient times powers and groups of variables, at one point.
 
     Its signal is coefficient * prod((variable/reference)**exponent) * prod(groups); relative or added as the point is
@@ -294,7 +249,7 @@ class LawTerm(_Limited):
     @classmethod
     def _known_point(cls, name: str) -> str:
         if name not in POINTS:
-            raise ValueError(f"unknown insertion point {name!r}; {_close(name, POINTS)}")
+            raise ValueError(f"unknown insertion point {name!r}; {close_names(name, POINTS)}")
         return name
 
     @model_validator(mode="after")
@@ -304,7 +259,7 @@ class LawTerm(_Limited):
             raise ValueError(f"unit {self.unit!r} at point {self.point}; allowed {expected!r}")
         for variable, reference, exponent in self.factors:
             if variable not in LAW_VARIABLES:
-                raise ValueError(f"unknown variable {variable!r}; {_close(variable, LAW_VARIABLES)}")
+                raise ValueError(f"unknown variable {variable!r}; {close_names(variable, LAW_VARIABLES)}")
             if not (reference > 0 and math.isfinite(reference) and math.isfinite(exponent)):
                 raise ValueError(f"{variable}: reference must be positive, exponent finite")
         return self

@@ -16,7 +16,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.score import without_parameters
 from dieseltwin.discovery.search import run as shared
-from dieseltwin.discovery.search.courses import course
+from dieseltwin.discovery.search.courses import schedule_of
 from dieseltwin.discovery.search.explanations import choose
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search, set_probabilities
@@ -37,6 +37,7 @@ from dieseltwin.discovery.verdict.document import (
 from dieseltwin.discovery.verdict.explained import explained_at
 from dieseltwin.discovery.verdict.findings import effects, finite, ranked_location, site_probabilities
 from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note
 from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
@@ -285,7 +286,7 @@ def minimum_detectable(twin: PetrolTwin, found: Search, grows: bool = False) -> 
     """Smallest magnitude that this recording could show, had it begun after a tenth of it, or with `grows` had it grown
     from there to that size at the end: slow drifts of the balances take that up [unit of the effect]."""
     began = float(twin.time_s[0] + ONSET_SHARE * (twin.time_s[-1] - twin.time_s[0]))
-    later = course(twin.time_s, began, grows=grows)
+    later = schedule_of(twin, began, None, grows)
     result: dict[str, float] = {}
     for item in found.scored:
         vector = without_parameters(found.null, found.null.metric.project((later[:, None] * item.response)[None]))[0]
@@ -318,7 +319,7 @@ def _found(d: Discrepancy) -> str:
     """Where, what, how large and since when, of a mismatch."""
     if d.location is None:
         return ""
-    since = _when(d.location)
+    since = when_words(d.location)
     told = []
     for e in d.effects:
         if e.magnitude is None:
@@ -328,17 +329,6 @@ def _found(d: Discrepancy) -> str:
         same = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
         told.append(f"{e.name} {size}{spread}{same}")
     return f"at {d.location.site}: {'; and '.join(told)}; {since}"
-
-
-def _when(where: Location) -> str:
-    """Since when, until when, and whether it grows."""
-    onset, until = where.onset_s, where.until_s
-    if where.grows:
-        began = "its start" if onset is None else f"{onset:.0f} s"
-        return f"at the end, grown evenly from nothing since {began}"
-    if until is not None:
-        return f"{'until' if onset is None else f'from {onset:.0f} to'} {until:.0f} s, and gone since then"
-    return "from its start on" if onset is None else f"since {onset:.0f} s"
 
 
 def _consequence(d: Discrepancy) -> str:

@@ -15,9 +15,10 @@ from matplotlib.patches import Patch, Rectangle
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Candidate, Curves, Discovery
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE
+from dieseltwin.discovery.verdict.when import clock, moments
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
-from dieseltwin.report.discovery_words import clock, display_unit, magnitude_words, unit_of
+from dieseltwin.report.discovery_words import display_unit, magnitude_words, unit_of
 from dieseltwin.report.segment_axis import WIDTH_IN
 from dieseltwin.report.statistics import Z_90
 
@@ -120,9 +121,10 @@ def evidence_time(found: Discovery) -> style.ReportFigure | None:
     ]
     if _held_out_spans(curves):
         handles.append(Patch(color="#ececec", label="held out"))
-    if location is not None and location.onset_s is not None:
-        axes.axvline(location.onset_s, color=BEFORE, linestyle="--")
-        handles.append(Line2D([], [], color=BEFORE, linestyle="--", label=f"onset, {clock(location.onset_s)}"))
+    for name, at in moments(location):
+        line = {"color": BEFORE, "linestyle": "--" if name == "onset" else ":"}
+        axes.axvline(at, **line)
+        handles.append(Line2D([], [], label=f"{name}, {clock(at)}", **line))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return style.ReportFigure("evidence_time", "Evidence over time", captions.EVIDENCE_TIME, figure)
 

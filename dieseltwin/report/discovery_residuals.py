@@ -11,6 +11,7 @@ from matplotlib.patches import Patch
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Curves, Discovery
+from dieseltwin.discovery.verdict.when import moments
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
@@ -75,9 +76,9 @@ def residual_time(found: Discovery) -> style.ReportFigure:
         largest = [np.nanmax(np.abs(mean_before)), np.nanmax(np.abs(mean_after)), 2.0 * np.nanmedian(band)]
         limit = 1.15 * float(max(largest))
         axes.set_ylim(-limit, limit)
-    if found.document.location is not None and found.document.location.onset_s is not None:
+    for _, at in moments(found.document.location):
         for axes in panels:
-            axes.axvline(found.document.location.onset_s, color="#333333", linestyle="--", linewidth=1.0)
+            axes.axvline(at, color="#333333", linestyle="--", linewidth=1.0)
     panels[-1].set_xlabel("time [s]")
     earlier = Line2D([], [], color=BEFORE, marker="o", markersize=4, label="before (health parameters alone)")
     handles = [

@@ -12,6 +12,7 @@ from dieseltwin.discovery.verdict.document import (
     FoundRegion,
     HealthValue,
 )
+from dieseltwin.discovery.verdict.when import clock, when_words
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.notes import listing
 from dieseltwin.report import quantities
@@ -150,11 +151,6 @@ def _sure(probability: float) -> str:
     return "more than 99 % sure" if percent > 99.0 else f"{percent:.0f} % sure"
 
 
-def clock(seconds: float) -> str:
-    """A time of the recording, `312 s`, with minutes beyond ten of them."""
-    return f"{seconds:.0f} s" + (f" ({seconds / 60:.1f} min)" if abs(seconds) >= 600.0 else "")
-
-
 def region_words(region: FoundRegion) -> str:
     """The columns that the region really restricts ("n_e 1200 to 1500 rpm"); empty where it restricts none."""
     parts = []
@@ -206,9 +202,7 @@ def _when_words(document: Discrepancy) -> str:
     location = document.location
     if location is None:
         return ""
-    text = "from the start" if location.onset_s is None else f"since {clock(location.onset_s)}"
-    if document.recordings:
-        text = _over_recordings(document)
+    text = _over_recordings(document) if document.recordings else when_words(location)
     confined = [r for r in location.regions if r.share_of_evidence >= _SHARE and region_words(r)]
     if confined:
         region = max(confined, key=lambda r: r.share_of_evidence)

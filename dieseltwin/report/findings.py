@@ -9,8 +9,9 @@ from markupsafe import Markup
 
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
+from dieseltwin.discovery.verdict.when import clock
 from dieseltwin.report import quantities
-from dieseltwin.report.discovery_words import clock, display_unit, magnitude_words, site_words
+from dieseltwin.report.discovery_words import display_unit, magnitude_words, site_words
 from dieseltwin.report.page import EMPTY, Table
 from dieseltwin.report.statistics import Z_90
 

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.curves import Discovery
+from dieseltwin.discovery.verdict.when import moments
 from dieseltwin.report import quantities, style
 from dieseltwin.report.over_time import extremes
 from dieseltwin.report.results import Results
@@ -157,11 +158,10 @@ def repair_panels(
 
 def discovery_series(found: Discovery) -> Series:
     """Readings, the fit of the health parameters alone and the repaired twin, channel by channel."""
-    curves, location = found.curves, found.document.location
+    curves = found.curves
     before = list(curves.before.T) if found.document.mismatch else None
     panels = repair_panels(curves.time_s, curves.channels, list(curves.measured.T), before, list(curves.after.T))
-    since = None if location is None or location.onset_date is not None else location.onset_s
-    return Series(panels, marks=() if since is None else (Mark("onset", since),))
+    return Series(panels, marks=tuple(Mark(name, at) for name, at in moments(found.document.location)))
 
 
 def results_series(results: Results) -> Series | None:

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
+from dieseltwin.discovery.verdict.when import moments
 from dieseltwin.petrol.calibrate import SubmodelFit
 from dieseltwin.petrol.discover import PetrolDiscovery
 from dieseltwin.petrol.effects import HYPOTHESES
@@ -86,9 +87,7 @@ def balances_over_time(found: PetrolDiscovery) -> Series:
                       for values, colour, label in states]
         stamps = found.time0_s + found.twin.time_s[kept]
         panels.append(Panel(f"misfit of the {TITLES[name]}", "%", stamps, tuple(lines)))
-    location = found.document.location
-    edges = () if location is None else (("the onset", location.onset_s), ("the end", location.until_s))
-    series = Series(tuple(panels), marks=tuple(Mark(words, at) for words, at in edges if at is not None))
+    series = Series(tuple(panels), marks=tuple(Mark(name, at) for name, at in moments(found.document.location)))
     words = COLOURS + " Dashed: the onset, and the end where it went again."
     told = ("residuals_over_time", "Misfit of the balances", words)
     return replace(series, drawn=still(series, told))

@@ -20,6 +20,7 @@ from dieseltwin.engine import load_engine, we2011
 from dieseltwin.engine.terms import LawTerm
 from dieseltwin.recordings.reader import read_recording
 from dieseltwin.recordings.reader import recording as reading
+from dieseltwin.report.discovery_words import sentence
 from tests.end_to_end.conftest import Answer, Ask
 from tests.end_to_end.engines import HEALTH, MACHINES, as_logged, recorded
 
@@ -182,3 +183,23 @@ def test_everything_beside_the_document_is_written(answer: Callable[[str], Answe
     assert pd.read_parquet(folder / "implied.parquet")["w_leak_im_kg_s"].median() > 0.004
     assert "boost_leak" in (folder / "report.html").read_text(encoding="utf-8")
     assert answer("leak").details["singles"][0]["names"] == ["boost_leak"]
+
+
+def test_a_fault_that_goes_again_is_told_so_and_undone_when_it_was_there(
+    recording: Callable[[str], Path], ask: Ask, tmp_path: Path
+) -> None:
+    table = pd.read_csv(recording("healthy"))
+    there = (table.time_s >= 100.0) & (table.time_s < 200.0)
+    table.loc[there, "w_c_kg_s"] *= 1.06
+    path = tmp_path / "goes.csv"
+    table.to_csv(path, index=False)
+    found = ask(path)
+    document = found.document
+    (effect,), location = document.effects, document.location
+    assert effect.name == "w_c_gain" and effect.magnitude == pytest.approx(0.06, abs=0.01) and location is not None
+    assert location.onset_s == pytest.approx(100.0, abs=3.0) and location.until_s == pytest.approx(200.0, abs=3.0)
+    words = f"from {location.onset_s:.0f} to {location.until_s:.0f} s, and gone since then"
+    assert words in sentence(document)
+    (term,) = load_engine(found.folder / "engine.yaml").terms
+    assert (term.onset_s, term.until_s) == (location.onset_s, location.until_s)
+    assert not ask(path, "--engine", found.folder / "engine.yaml").document.mismatch

@@ -16,6 +16,7 @@ from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each
 from dieseltwin.discovery.search.variants import SECOND_EDGE, Sums, Variant
 from dieseltwin.discovery.twins.interface import Array, Twin, WithCourses
+from dieseltwin.engine.courses import course
 
 _EDGES = 48  # that both ends of a span are looked for among; refits move them
 _GROWING_SHARE = 0.25  # of the recording that an effect must grow over: what grows faster is a step
@@ -37,27 +38,18 @@ def courses(at: Linearisation, scored: Sequence[Scored], least_share: float) -> 
     return sorted([*_spans(sums), *_growing(sums)], key=lambda v: -v.gain)[:_COUNT]
 
 
-def course(time_s: Array, onset_s: float, until_s: float | None = None, grows: bool = False) -> Array:
-    """(n,) factor of an effect's size over time.
-
-    Args:
-        time_s: (n,) [s].
-        onset_s: since when [s].
-        until_s: before when [s], None for to the end.
-        grows: evenly, to its whole size at the end.
-    """
-    acts = time_s >= onset_s
-    if until_s is not None:
-        acts &= time_s < until_s
+def schedule_of(twin: Twin, onset_s: float, until_s: float | None, grows: bool) -> Array:
+    """(n,) factor of an effect's size; what grows does so through gaps too, and has its whole size at the end."""
     if not grows:
-        return np.asarray(acts.astype(np.float64))
-    return np.asarray(np.clip((time_s - onset_s) / max(float(time_s[-1]) - onset_s, 1.0), 0.0, 1.0))
+        return course(twin.time_s, onset_s, until_s)
+    time_s = twin.recording_time_s
+    return course(time_s, float(time_s[np.searchsorted(twin.time_s, onset_s)]), None, float(time_s[-1]))
 
 
 def at_times(twin: Twin, variant: Variant, onset_s: float, until_s: float | None, grows: bool) -> Variant:
     """A variant with another course; its response stays that of the scan, near enough for a refit."""
     return replace(variant, onset_s=onset_s, until_s=until_s, grows=grows, edges=0 if until_s is None else 2,
-                   schedule=course(twin.time_s, onset_s, until_s, grows))  # fmt: skip
+                   schedule=schedule_of(twin, onset_s, until_s, grows))  # fmt: skip
 
 
 def moved(twin: Twin, variant: Variant, onsets: Sequence[float], ends: Sequence[float]) -> list[Variant]:
@@ -86,7 +78,7 @@ def first_of_each_course(variants: Sequence[Variant]) -> list[Variant]:
 
 def _variant(sums: Sums, h: int, gain: float, onset_s: float, until_s: float | None, grows: bool) -> Variant:
     item, twin = sums.items[h], sums.at.twin
-    schedule = course(twin.time_s, onset_s, until_s, grows)
+    schedule = schedule_of(twin, onset_s, until_s, grows)
     edges = 0 if until_s is None else 2
     response = schedule[:, None] * item.response
     return Variant(item.name, onset_s, None, schedule, response, gain, edges, None, until_s, grows)
@@ -124,7 +116,7 @@ def _growing(sums: Sums) -> list[Variant]:
     twin = sums.at.twin
     n, windows = twin.time_s.size, twin.starts.size
     group = sums.per_row(np.searchsorted(twin.starts, np.arange(n), side="right") - 1)
-    time_s = twin.time_s - twin.time_s[0]
+    time_s = twin.recording_time_s - twin.recording_time_s[0]
     of_row = np.zeros(sums.rows)
     channels = sums.at.residual.shape[1]
     of_row[: n * channels] = np.repeat(time_s, channels)

@@ -26,6 +26,7 @@ _PAIRS = 10
 VARIANTS = 6  # are refitted
 _OTHER_LEADS = 3  # of pairs, behind the best single effect
 _SECONDS = 4  # that join each of them
+_DATINGS = 2  # another effect that leads between the same edges has them moved for itself
 _ONSET_REACH_S = 8.0  # about the first estimate of an onset
 _RIVALS = 4  # other effects that act in the best region
 _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
@@ -48,18 +49,10 @@ def try_variants(found: Search) -> None:
         return
     if best.onset_s is not None:
         _date_anew(found)
-        for reach, count in ((_ONSET_REACH_S, 5), (2.0, 5)):
-            for best in first_of_each_course([variant for variant, _ in found.variants]):
-                near = [[] if edge is None else onset_candidates(found.twin, edge, reach, count)
-                        for edge in (best.onset_s, best.until_s)]
-                _refit_variants(found, moved(found.twin, best, *near))
-        best, _ = found.variants[0]
-        if best.until_s is not None or best.grows:  # the same from its onset on: it may not have been refitted yet
-            _refit_variants(found, [at_times(found.twin, best, float(best.onset_s or 0.0), None, False)])
-            best, _ = found.variants[0]  # the times are known by now: other effects at the same ones
-        others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
-        same = float(best.onset_s or 0.0), best.until_s, best.grows
-        _refit_variants(found, [at_times(found.twin, variant, *same) for variant in others.values()])
+        for _ in range(_DATINGS):
+            dated = _times_of_leader(found)
+            if found.variants[0][0].name == dated:
+                break
         _polish_variants(found)
         if found.settings.in_own_metrics(found.gain(found.variants[0][1])):
             _compare_leaders(found)
@@ -80,6 +73,23 @@ def try_variants(found: Search) -> None:
             if other.region != variant.region:
                 _refit_variants(found, [other], fit)
         _polish_variants(found)
+
+
+def _times_of_leader(found: Search) -> str:
+    """Move the edges of the leading effect until they fit best, and try the others between the same ones; its name."""
+    for reach, count in ((_ONSET_REACH_S, 5), (2.0, 5)):
+        for best in first_of_each_course([variant for variant, _ in found.variants]):
+            near = [[] if edge is None else onset_candidates(found.twin, edge, reach, count)
+                    for edge in (best.onset_s, best.until_s)]
+            _refit_variants(found, moved(found.twin, best, *near))
+    best, _ = found.variants[0]
+    if best.until_s is not None or best.grows:  # the same from its onset on: it may not have been refitted yet
+        _refit_variants(found, [at_times(found.twin, best, float(best.onset_s or 0.0), None, False)])
+        best, _ = found.variants[0]  # the times are known by now: other effects at the same ones
+    others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
+    same = float(best.onset_s or 0.0), best.until_s, best.grows
+    _refit_variants(found, [at_times(found.twin, variant, *same) for variant in others.values()])
+    return best.name
 
 
 def _date_anew(found: Search) -> None:

@@ -87,6 +87,7 @@ class EngineTwin:
 
     own_schedules = True
     """Lanes may have schedules of their own."""
+    courses = True
 
     def __init__(
         self,
@@ -336,9 +337,11 @@ class EngineTwin:
         for name, driven in self._driven.items():
             schedules[name] = driven * schedules.get(name, 1.0)
         for name, (magnitude, schedule) in self._known.items():
-            if name in magnitudes and schedule is not None:
-                raise InputError(f"effect {name}", "a term of the engine with onset or region", "one without",
-                                 "search for another effect, or take the term out of the engine file")
+            if name in magnitudes and (schedule is not None or name in schedules):  # either has times of its own
+                lane = magnitudes[name][:, None] * schedules.get(name, 1.0)
+                schedules[name] = lane + magnitude * (np.ones(self.time_s.size) if schedule is None else schedule)
+                magnitudes[name] = np.ones(lanes.size)
+                continue
             magnitudes[name] = magnitudes.get(name, np.zeros(lanes.size)) + magnitude
             if schedule is not None:
                 schedules[name] = schedule

@@ -105,10 +105,15 @@ def known_terms(
     known: dict[str, tuple[float, Array | None]] = {}
     for term in effect_terms(terms):
         driven = isinstance(term, Term) and EFFECTS[term.effect].follows is not None
-        limited = term.onset_s is not None or term.region is not None or driven
+        limited = not term.always or driven
         schedule = term.factor(time_s, float(time_s[0]), dict(conditions)) if limited else None
-        before = known.get(term.slot, (0.0, None))[0]
-        known[term.slot] = (before + term.magnitude, schedule)
+        before, earlier = known.get(term.slot, (0.0, None))
+        if before and (schedule is not None or earlier is not None):  # either has times of its own
+            always = np.ones(time_s.size)
+            parts = (before, earlier), (term.magnitude, schedule)
+            known[term.slot] = 1.0, sum(size * (always if factor is None else factor) for size, factor in parts)
+        else:
+            known[term.slot] = before + term.magnitude, schedule
     return known
 
 

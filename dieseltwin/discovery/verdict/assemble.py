@@ -26,6 +26,7 @@ from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
     Discrepancy,
     FoundCircumstance,
+    Location,
     OutOfTime,
     Provenance,
     RecordingInfo,
@@ -115,7 +116,7 @@ def assemble(
             recordings=judged(found, days, (parameters, covariance), since, sizes),
             circumstances=tuple(found_circumstance(item) for item in said.circumstances),
         )  # fmt: skip
-        terms = _terms(found, twin, said.fit) if mismatch else ()
+        terms = _terms(found, location, twin, said.fit) if location is not None else ()
         return Discovery(
             document, _engine(twin, parameters, terms), _engine(twin, null.fit.parameters, ()), curves, {}, details,
             starts, local, None if len(days) > 1 else observed(found, (parameters, covariance), since),
@@ -235,14 +236,16 @@ def _held_rows(found: Search) -> np.ndarray:
     return rows_of(found.twin, held_windows(found.twin))
 
 
-def _terms(found: Search, twin: EngineTwin | SeveralTwin, fit: Fit) -> tuple[Any, ...]:
+def _terms(found: Search, location: Location, twin: EngineTwin | SeveralTwin, fit: Fit) -> tuple[Any, ...]:
     if found.kind == "law":
         return () if found.law is None else law_terms_of(found.law, twin.points)
     P = len(twin.parameters)
     variant = found.variant if found.kind == "variant" else None
-    onset, share = None, 1.0  # of its size, on the last recording
-    if variant is not None and variant.onset_s is not None and not isinstance(twin, SeveralTwin):
-        onset = float(variant.onset_s - twin.time_s[0])
+    times: dict[str, float | None] = {}  # of a recording by itself
+    if not isinstance(twin, SeveralTwin):
+        end_s = float(twin.recording_time_s[-1] - twin.recording_time_s[0])
+        times = {"onset_s": location.onset_s, "until_s": location.until_s, "grown_s": end_s if location.grows else None}
+    share = 1.0  # of its size, on the last recording
     if variant is not None and variant.profile is not None:
         share = float(variant.schedule[-1])
     terms = []
@@ -250,7 +253,7 @@ def _terms(found: Search, twin: EngineTwin | SeveralTwin, fit: Fit) -> tuple[Any
         terms.append(
             Term(
                 effect=name, magnitude=float(np.clip(share * fit.magnitudes[j], *EFFECTS[name].limits)),
-                std=finite(share * float(fit.std[P + j])), onset_s=onset,
+                std=finite(share * float(fit.std[P + j])), **times,
                 region=dict(variant.region) if variant is not None and variant.region else None,
                 valid_for=findings.valid_for(found),
             )

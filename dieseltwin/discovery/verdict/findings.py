@@ -28,14 +28,18 @@ def finite(value: float | None) -> float | None:
 
 
 def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> Location:
-    """Site with its rivals, the driving that holds the evidence, and the onset."""
+    """Site with its rivals, the driving that holds the evidence, the onset and the end."""
     variant = found.variant if found.kind == "variant" else None
+    onset, until = (None, None) if variant is None else (variant.onset_s, variant.until_s)
+
+    def recorded(time_s: float) -> float:
+        return float(twin.recording_time_s[np.searchsorted(twin.time_s, time_s)] - twin.recording_time_s[0])
+
     return ranked_location(
         site_probabilities(found),
         regions=_regions(twin, evidence, variant.region if variant else None),
-        onset_s=None if variant is None or variant.onset_s is None else float(
-            twin.recording_time_s[np.searchsorted(twin.time_s, variant.onset_s)] - twin.recording_time_s[0]
-        ),
+        onset_s=None if onset is None or onset <= twin.time_s[0] else recorded(onset),
+        until_s=None if until is None else recorded(until), grows=variant is not None and variant.grows,
     )  # fmt: skip
 
 

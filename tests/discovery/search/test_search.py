@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from dieseltwin.discovery.likelihood.nuisance import (
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, chance, effect_responses, score, secant_sizes
 from dieseltwin.discovery.search import run as search
+from dieseltwin.discovery.search.courses import schedule_of
 from dieseltwin.discovery.search.explanations import choose
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.variants import Variant, scan
@@ -209,6 +211,20 @@ def test_onset_is_found() -> None:
     assert found.kind == "variant" and found.variant is not None
     assert found.best is not None and found.best.fit.candidate.names == ("leak",)
     assert found.variant.onset_s == pytest.approx(160.0, abs=4.0)
+
+
+@pytest.mark.parametrize(("until_s", "grows"), [(220.0, False), (None, True)])
+def test_the_end_or_the_growth_of_an_effect_is_found_where_the_twin_says_so(until_s: float | None, grows: bool) -> None:
+    toy = Toy()
+    toy.courses = True
+    schedule = schedule_of(cast(Twin, toy), 100.0, until_s, grows)
+    found = search.run(toy.record(leak=(0.08, schedule)), SETTINGS, laws=False)
+    assert found.kind == "variant" and found.variant is not None and found.best is not None
+    assert found.best.fit.candidate.names == ("leak",)
+    assert found.best.fit.magnitudes[0] == pytest.approx(0.08, abs=0.01)
+    assert found.variant.onset_s == pytest.approx(100.0, abs=25.0 if grows else 4.0)
+    assert found.variant.until_s == (None if until_s is None else pytest.approx(until_s, abs=4.0))
+    assert found.variant.grows == grows
 
 
 def test_region_is_found() -> None:

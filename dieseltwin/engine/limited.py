@@ -1,0 +1,82 @@
+"""When and where a term of an engine acts: since when and until when, growing or at once, in which driving."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Mapping
+from typing import Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from dieseltwin.engine.courses import course
+
+Region = dict[str, tuple[float, float]]
+"""Input column -> (low, high): where a term acts."""
+
+REGION_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
+
+
+def close_names(name: str, known: Collection[str]) -> str:
+    """The known names that are near to a wrong one, else all of them, in words."""
+    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    return f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known)}"
+
+
+class Limited(BaseModel):
+    """A term that may act in a part of the time or of the driving only."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    std: float | None = Field(None, ge=0, description="standard deviation of the magnitude [its unit]")
+    onset_s: float | None = Field(None, description="acts from this time of the recording on [s]; None: always")
+    until_s: float | None = Field(None, description="and before this time [s]; None: to the end")
+    grown_s: float | None = Field(
+        None, description="grows evenly from the onset to its magnitude at this time [s] and keeps it; None: at once"
+    )
+    region: Region | None = Field(None, description="acts only inside these ranges of input columns; None: everywhere")
+    valid_for: str | None = Field(None, description="domain of the data behind it, in words")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        since = 0.0 if self.onset_s is None else self.onset_s
+        for name, end in (("until_s", self.until_s), ("grown_s", self.grown_s)):
+            if end is not None and end <= since:
+                raise ValueError(f"{name} {end:g} s isn't after onset_s, {since:g} s")
+        return self
+
+    @property
+    def always(self) -> bool:
+        """Whether it acts with its whole magnitude at all times in all driving."""
+        return all(limit is None for limit in (self.onset_s, self.until_s, self.grown_s)) and not self.region
+
+    def later(self) -> Self | None:
+        """The term on a later recording: what began or grew is there from the start, what went again is gone (None)."""
+        return None if self.until_s is not None else self.model_copy(update={"onset_s": None, "grown_s": None})
+
+    @field_validator("region")
+    @classmethod
+    def _known_columns(cls, region: Region | None) -> Region | None:
+        for column, (low, high) in (region or {}).items():
+            if column not in REGION_COLUMNS:
+                raise ValueError(f"unknown region column {column!r}; {close_names(column, REGION_COLUMNS)}")
+            if not low <= high:
+                raise ValueError(f"region {column}: low {low:g} above high {high:g}")
+        return region
+
+    def factor(self, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Share of its magnitude that the term has, shape (n,); half of it over an interval in which a condition leaves
+        its region.
+
+        Args:
+            time_s: sample times [s], (n,); start_s: the recording's start, from which its times count.
+            conditions: the input columns of `REGION_COLUMNS`, (n,) each.
+        """
+        acts = np.ones(time_s.shape, dtype=bool)
+        for column, (low, high) in (self.region or {}).items():
+            acts &= (conditions[column] >= low) & (conditions[column] <= high)
+        since = 0.0 if self.onset_s is None else self.onset_s
+        factor = acts * course(time_s - start_s, since, self.until_s, self.grown_s)
+        if self.region:  # factors are held over the interval behind their sample; the edge lies somewhere inside
+            factor[:-1] = 0.5 * (factor[:-1] + factor[1:])
+        return factor

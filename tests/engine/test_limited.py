@@ -1,0 +1,33 @@
+"""When a term acts: from, until, growing; counted from the recording's start, also in a part of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from dieseltwin.engine.terms import Term
+
+TIME_S = np.arange(1000.0, 1010.0)
+CONDITIONS = {"n_e_rpm": np.full(10, 1200.0)}
+
+
+def _share(start_s: float = 1000.0, rows: slice = slice(None), **times: float) -> list[float]:
+    term = Term(effect="boost_leak", magnitude=2e-5, **times)  # type: ignore[arg-type]
+    return term.factor(TIME_S[rows], start_s, {name: values[rows] for name, values in CONDITIONS.items()}).tolist()
+
+
+def test_it_acts_from_its_onset_until_its_end() -> None:
+    assert _share(onset_s=3.0, until_s=6.0) == [0, 0, 0, 1, 1, 1, 0, 0, 0, 0]
+    assert _share(until_s=2.0) == [1, 1] + 8 * [0]
+
+
+def test_it_grows_evenly_and_keeps_its_size() -> None:
+    assert _share(onset_s=2.0, grown_s=6.0) == [0, 0, 0, 0.25, 0.5, 0.75, 1, 1, 1, 1]
+    assert _share(grown_s=8.0, rows=slice(4, 7)) == [0.5, 0.625, 0.75]  # a part counts from the recording's start
+
+
+@pytest.mark.parametrize("end", ["until_s", "grown_s"])
+def test_an_end_before_the_onset_is_refused(end: str) -> None:
+    with pytest.raises(ValidationError, match=f"{end} 240 s isn't after onset_s, 300 s"):
+        Term(effect="boost_leak", magnitude=2e-5, onset_s=300.0, **{end: 240.0})  # type: ignore[arg-type]
