@@ -20,7 +20,7 @@ from dieseltwin.challenge.sensors import NOISE_REL, SENSORS, SensorSet, shown
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, load_discrepancy
 from dieseltwin.engine import Inputs, simulate, we2011
 from dieseltwin.engine.engine_files import load_engine
-from dieseltwin.engine.terms import CorrectionTerm, OneTerm, Term
+from dieseltwin.engine.terms import CorrectionTerm, OneTerm, Term, as_later
 
 SETTLED_ROWS = 25  # of the start, left out
 
@@ -51,7 +51,7 @@ def law_error(result: Path, clean: pd.DataFrame, fault: Fault, health: Mapping[s
 
 def error_of(terms: Sequence[OneTerm], clean: pd.DataFrame, fault: Fault, health: Mapping[str, float]) -> float:
     """`law_error` of given terms; arguments as there."""
-    lasting = tuple(later for term in terms if (later := term.later()) is not None)
+    lasting = as_later(terms)
     driving = Driving(*(clean[name].to_numpy(dtype=float) for name in ("time_s", *INPUTS)))
     parameters: dict[str, Any] = {**we2011.PARAMETERS.model_dump(), **health}
     fault = fault.lasting()

@@ -23,8 +23,7 @@ from dieseltwin.challenge.seal import SEALED
 from dieseltwin.discovery.verdict.document import FILE_NAME, NONE_OF_THESE, Discrepancy, load_discrepancy
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.engine_files import load_engine
-from dieseltwin.engine.limited import Limited
-from dieseltwin.engine.terms import Term
+from dieseltwin.engine.terms import Term, as_later
 from dieseltwin.errors import InputError
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.reader import Recording, read_recording
@@ -342,5 +341,4 @@ def _stamp(result: Path) -> str:
 
 def _lasting(engine: EngineParameters) -> EngineParameters:
     """The engine on a later recording."""
-    terms = (term.later() if isinstance(term, Limited) else term for term in engine.terms)
-    return engine.model_copy(update={"terms": tuple(term for term in terms if term is not None)})
+    return engine.replace(terms=as_later(engine.terms))

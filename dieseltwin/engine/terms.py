@@ -330,6 +330,12 @@ def with_corrections(terms: Sequence[OneTerm], coefficients: np.ndarray) -> tupl
     return (*others, CorrectionTerm(coefficients=tuple(float(value) for value in coefficients)))
 
 
+def as_later(terms: Sequence[OneTerm]) -> tuple[OneTerm, ...]:
+    """The terms on a later recording, without those that went again."""
+    later = (term if isinstance(term, CorrectionTerm) else term.later() for term in terms)
+    return tuple(term for term in later if term is not None)
+
+
 def law_terms(terms: Sequence[OneTerm]) -> tuple[LawTerm, ...]:
     """Those that are found laws."""
     return tuple(term for term in terms if isinstance(term, LawTerm))

@@ -122,9 +122,9 @@ def evidence_time(found: Discovery) -> style.ReportFigure | None:
     if _held_out_spans(curves):
         handles.append(Patch(color="#ececec", label="held out"))
     for name, at in moments(location):
-        line = {"color": BEFORE, "linestyle": "--" if name == "onset" else ":"}
-        axes.axvline(at, **line)
-        handles.append(Line2D([], [], label=f"{name}, {clock(at)}", **line))
+        dashes = "--" if name == "onset" else ":"
+        axes.axvline(at, color=BEFORE, linestyle=dashes)
+        handles.append(Line2D([], [], color=BEFORE, linestyle=dashes, label=f"{name}, {clock(at)}"))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return style.ReportFigure("evidence_time", "Evidence over time", captions.EVIDENCE_TIME, figure)
 

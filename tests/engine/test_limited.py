@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from dieseltwin.engine.terms import Term
+from dieseltwin.engine.terms import Term, as_later
 
 TIME_S = np.arange(1000.0, 1010.0)
 CONDITIONS = {"n_e_rpm": np.full(10, 1200.0)}
@@ -31,3 +31,9 @@ def test_it_grows_evenly_and_keeps_its_size() -> None:
 def test_an_end_before_the_onset_is_refused(end: str) -> None:
     with pytest.raises(ValidationError, match=f"{end} 240 s isn't after onset_s, 300 s"):
         Term(effect="boost_leak", magnitude=2e-5, onset_s=300.0, **{end: 240.0})  # type: ignore[arg-type]
+
+
+def test_on_a_later_recording_what_began_stays_and_what_went_is_gone() -> None:
+    leak = Term(effect="boost_leak", magnitude=2e-5)
+    times = ({"onset_s": 3.0}, {"grown_s": 8.0}, {"onset_s": 3.0, "until_s": 6.0})
+    assert as_later([leak.model_copy(update=own) for own in times]) == (leak, leak)

@@ -111,7 +111,8 @@ def known_terms(
         if before and (schedule is not None or earlier is not None):  # either has times of its own
             always = np.ones(time_s.size)
             parts = (before, earlier), (term.magnitude, schedule)
-            known[term.slot] = 1.0, sum(size * (always if factor is None else factor) for size, factor in parts)
+            sizes = [size * (always if factor is None else factor) for size, factor in parts]
+            known[term.slot] = 1.0, sizes[0] + sizes[1]
         else:
             known[term.slot] = before + term.magnitude, schedule
     return known
