@@ -20,8 +20,8 @@ from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import prior_belief
-from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
+from dieseltwin.learning.belief import Further, prior_belief
+from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, uncertainty_along
 from dieseltwin.learning.files import UNSETTLED, LearnedEngine, distinct, learned_engine_of, save_learned
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
@@ -143,8 +143,9 @@ def _learn_diesel(
     prior = None
     if others:
         beliefs = [(one.believed, one.belief) for one in others]
-        roughness = float(np.mean([one.roughness for one in others]))
-        prior = belief_from_siblings(beliefs, base, size, settings.type_share, roughness)
+        rough = float(np.mean([one.further.rough for one in others]))
+        further = Further(rough, float(np.mean([one.further.of_ratio for one in others])))
+        prior = belief_from_siblings(beliefs, base, size, settings.type_share, further)
     known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in sources:
         _check_misfit(known, source, settings.misfit_max)
@@ -217,10 +218,13 @@ def summary(learned: LearnedEngine) -> list[str]:
         f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
-    if learned.roughness > 0.0:
-        further = 100.0 * learned.map_rms * learned.roughness**0.5
-        lines.append(f"  its maps are rougher than usual: further errors of {further:.2g} % with half the correlation "
+    rough, of_ratio = (100.0 * learned.map_rms * v**0.5 for v in (learned.further.rough, learned.further.of_ratio))
+    if rough > 0.0:
+        lines.append(f"  its maps are rougher than usual: further errors of {rough:.2g} % with half the correlation "
                      "are believed")  # fmt: skip
+    if of_ratio > 0.0:
+        lines.append("  its turbine's efficiency is off by more than speed and pressures say: further errors of "
+                     f"{of_ratio:.2g} % over the blade speed ratio are believed")  # fmt: skip
     known = {row.point: row for row in corrected_maps(learned)}
     for point in CORRECTED_POINTS:
         if point not in known:
@@ -256,7 +260,7 @@ class CorrectedMap:
 def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
     """Every map of which something was learned, where the belief was cut to less than half."""
     belief, functions = learned.belief, basis()
-    tables = functions.tables.reshape(len(functions.maps), -1)
+    tables = functions_on_maps(learned.base)
     uncertain = uncertainty_along(belief, tables)
     prior = uncertainty_along(prior_belief(learned.base, learned.map_rms), tables)
     rows = []

@@ -13,7 +13,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,15 @@ from dieseltwin.engine.learned_file import (
 )
 from dieseltwin.engine.terms import CorrectionTerm
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief, rougher
+from dieseltwin.learning.belief import (
+    NOTHING_FURTHER,
+    Belief,
+    Further,
+    coordinate_names,
+    coordinate_units,
+    prior_belief,
+    with_further,
+)
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -63,8 +71,8 @@ class LearnedEngine:
         domain: point -> lowest and highest of each argument where the belief was cut to less than half.
         misfits: hash -> squared whitened residual a reading.
         prior: what was believed before any recording, where engines of the same type say it; None for the usual.
-        roughness: variance of errors of half the correlation length, over that of the smooth ones, that the recordings
-            ask for; it is part of what is believed, and of no `prior` [-].
+        further: errors of the maps beyond the usual ones that the recordings ask for; they are part of what is
+            believed, and of no `prior`.
         clocks: column -> how late it is recorded, of those whose clock is off in these recordings [s].
         converged: whether the fit of all recordings came to rest; else the covariance may be too small.
     """
@@ -76,7 +84,7 @@ class LearnedEngine:
     domain: dict[str, dict[str, tuple[float, float]]]
     misfits: dict[str, float]
     prior: Belief | None = None
-    roughness: float = 0.0
+    further: Further = NOTHING_FURTHER
     clocks: Mapping[str, float] = field(default_factory=dict)
     converged: bool = True
 
@@ -84,7 +92,7 @@ class LearnedEngine:
     def believed(self) -> Belief:
         """What was believed before any recording, of maps as rough as these."""
         usual = prior_belief(self.base, self.map_rms) if self.prior is None else self.prior
-        return rougher(usual, self.map_rms, self.roughness)
+        return with_further(usual, self.map_rms, self.further)
 
     @property
     def engine(self) -> EngineParameters:
@@ -167,7 +175,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
     table = pa.table(columns)
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
-        "roughness": learned.roughness, "clocks": dict(learned.clocks), "converged": learned.converged,
+        "further": asdict(learned.further), "clocks": dict(learned.clocks), "converged": learned.converged,
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -210,7 +218,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
     return LearnedEngine(
         base, belief, float(about["map_rms"]), tuple(_recording(row, data, base) for row, data in known),
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
-        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, float(about["roughness"]),
+        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**about["further"]),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
     )  # fmt: skip
 
