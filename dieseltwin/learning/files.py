@@ -207,8 +207,8 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
     except (pa.ArrowException, OSError, KeyError, ValueError):
         raise InputError(str(where), "not readable", "what `dieseltwin learn` wrote", LEARN_AGAIN) from None
     if about["schema"] != SCHEMA or tuple(table["name"].to_pylist()) != coordinate_names():
-        version = f"written by version {about['code_version']}"
-        raise InputError(str(where), version, "this version's corrections", LEARN_AGAIN)
+        version = f"other corrections, written by version {about['code_version']}"
+        raise InputError(str(where), version, "those of this program", LEARN_AGAIN)
     belief = Belief(np.array(table["mean"]), np.array(table["covariance"].to_pylist()))
     base = EngineParameters(**about["base"])
     prior = None
