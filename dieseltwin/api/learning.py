@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Further, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, uncertainty_along
-from dieseltwin.learning.files import UNSETTLED, LearnedEngine, distinct, learned_engine_of, save_learned
+from dieseltwin.learning.files import LearnedEngine, distinct, learned_engine_of, save_learned
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
@@ -149,9 +149,8 @@ def _learn_diesel(
     known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in sources:
         _check_misfit(known, source, settings.misfit_max)
-    if not found.converged:
-        notes.append(f"note: {UNSETTLED}")
-    return LearnedResult(known, found, (*notes, *_far_off(known), *_doubts(found)))
+    known = replace(known, suspected=(*_far_off(known), *_suspected(found)))
+    return LearnedResult(known, found, (*notes, *(f"note: {doubt}" for doubt in known.doubts)))
 
 
 def known_engine(
@@ -288,13 +287,14 @@ def _far_off(known: LearnedEngine) -> list[str]:
     if off is None or off.corrected <= _FAR_OFF * known.map_rms:
         return []
     return [
-        f"note: the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.map_rms:g} %"
+        f"the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.map_rms:g} %"
         " is believed: another engine than the base, a sensor that reads wrongly or a fault in the reference; where "
         f"the maps may be off by so much, --map-error {min(off.corrected, MAP_ERRORS[1]):.2f} says so"
     ]
 
 
-def _doubts(found: Learned) -> list[str]:
+def _suspected(found: Learned) -> list[str]:
+    """By what the recordings look faulty themselves."""
     if not found.suspicions:
         return []
     first = found.suspicions[0]
@@ -302,6 +302,7 @@ def _doubts(found: Learned) -> list[str]:
     others = ", ".join(item.name for item in found.suspicions[1:4])
     told = f" (or {others})" if others else ""
     return [
-        f"note: the reference itself looks like {first.name} of {size}{told}: more than errors of maps explain "
-        f"({np.sqrt(first.gain):.1f} standard deviations); it is now part of what counts as healthy"
+        f"the reference itself looks like {first.name} of {size}{told}: more than errors of maps explain "
+        f"({np.sqrt(first.gain):.1f} standard deviations); it is now part of what counts as healthy, and its end would "
+        "look like a fault"
     ]

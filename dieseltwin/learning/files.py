@@ -75,6 +75,7 @@ class LearnedEngine:
             believed, and of no `prior`.
         clocks: column -> how late it is recorded, of those whose clock is off in these recordings [s].
         converged: whether the fit of all recordings came to rest; else the covariance may be too small.
+        suspected: by what the recordings look as if the engine hadn't been well, a sentence each.
     """
 
     base: EngineParameters
@@ -87,6 +88,7 @@ class LearnedEngine:
     further: Further = NOTHING_FURTHER
     clocks: Mapping[str, float] = field(default_factory=dict)
     converged: bool = True
+    suspected: tuple[str, ...] = ()
 
     @property
     def believed(self) -> Belief:
@@ -100,6 +102,11 @@ class LearnedEngine:
         health = {name: float(value) for name, value in zip(HEALTH, self.belief.health, strict=True)}
         term = CorrectionTerm(coefficients=tuple(float(value) for value in self.belief.coefficients))
         return self.base.replace(**health, terms=(*self.base.terms, term))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What is doubtful about what was learned, a sentence each: whoever is judged by it has to know."""
+        return (*(() if self.converged else (UNSETTLED,)), *self.suspected)
 
     @property
     def minutes(self) -> float:
@@ -176,6 +183,7 @@ def _parquet(learned: LearnedEngine) -> bytes:
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
         "further": asdict(learned.further), "clocks": dict(learned.clocks), "converged": learned.converged,
+        "suspected": list(learned.suspected),
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -220,6 +228,7 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
         {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**about["further"]),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
+        tuple(about.get("suspected", ())),
     )  # fmt: skip
 
 
