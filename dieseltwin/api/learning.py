@@ -133,7 +133,8 @@ def _learn_diesel(
     sources, notes = [], []
     for item in recordings:
         source = diesel_recording(item, channels, base, sensors=())
-        notes += [f"{source.path or 'recording'}: {note}" for note in check_recording(source, base, None)[1]]
+        where = f"note: {source.path or 'recording'}"
+        notes += [f"{where}: {note.removeprefix('note: ')}" for note in check_recording(source, base, None)[1]]
         sources.append(source)
     check_rows(*distinct([*sources, *(before.recordings if before is not None else ())]))
     settings = default_learn()
@@ -294,14 +295,20 @@ def _far_off(known: LearnedEngine) -> list[str]:
 
 
 def _suspected(found: Learned) -> list[str]:
-    """By what the recordings look faulty themselves."""
+    """By what the recordings look faulty themselves, or another engine's."""
+    strange = [
+        f"{item.column} of the reference would be {item.value:.4g} {item.unit}, {item.deviations:.1f} standard "
+        "deviations from what is believed: another displacement than the engine file's, or a sensor that reads wrongly"
+        for item in found.strange
+    ]
     if not found.suspicions:
-        return []
+        return strange
     first = found.suspicions[0]
     size = magnitude_words(first.name, first.magnitude, first.std, first.unit, extra=False, digits=2)
     others = ", ".join(item.name for item in found.suspicions[1:4])
     told = f" (or {others})" if others else ""
     return [
+        *strange,
         f"the reference itself looks like {first.name} of {size}{told}: more than errors of maps explain "
         f"({np.sqrt(first.gain):.1f} standard deviations); it is now part of what counts as healthy, and its end would "
         "look like a fault"

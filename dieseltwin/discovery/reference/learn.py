@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from dieseltwin.discovery.reference.conditions import clocks_of_all
+from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all
 from dieseltwin.discovery.reference.further import further_errors
 from dieseltwin.discovery.reference.part import Linear, Part
 from dieseltwin.discovery.twins.interface import Array
@@ -101,6 +101,7 @@ class Learned:
         further: errors of the maps beyond the usual ones, as the recordings ask for them.
         suspicions: effects by which the reference itself looks faulty, strongest first.
         clocks: column -> how late it is recorded, of those whose clock is off [s].
+        strange: weather and charge of a recording that lie where next to nobody drives.
     """
 
     belief: Belief
@@ -109,6 +110,7 @@ class Learned:
     further: Further
     suspicions: tuple[Suspicion, ...] = ()
     clocks: Mapping[str, float] = field(default_factory=dict)
+    strange: tuple[Weather, ...] = ()
 
 
 def learn_engine(
@@ -178,7 +180,7 @@ def learn(
             break
     evidence = joint.evidence()
     suspicions = joint.suspicions(settings.suspicious_gain)
-    return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks())
+    return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange())
 
 
 class _Joint:
@@ -253,6 +255,11 @@ class _Joint:
         """Column -> how late all recordings together show it to be [s]."""
         rows = zip(self.parts, self.at, self.residuals, strict=True)
         return clocks_of_all([part.clocks(at, rest) for part, at, rest in rows])
+
+    def strange(self) -> tuple[Weather, ...]:
+        """Weather and charge in which next to nobody drives."""
+        rows = zip(self.parts, self.at, self.residuals, strict=True)
+        return tuple(item for part, at, rest in rows for item in part.conditions.strange(at.conditions_at(rest)))
 
     def whiten_anew(self) -> None:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""
