@@ -13,7 +13,7 @@ import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
-from dieseltwin.api.reading import Channels, Made, Source, diesel_recording
+from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, several
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
@@ -88,12 +88,12 @@ class LearnedResult(Result):
 
 
 def learn(
-    recordings: Sequence[Source | Made],
+    recordings: Source | Made | Sequence[Source | Made],
     engine: Engine | str | Path | None = None,
     *,
     channels: Channels | None = None,
     map_error: float | None = None,
-    siblings: Sequence[str | Path] = (),
+    siblings: str | Path | Sequence[str | Path] = (),
 ) -> LearnedResult | PetrolCalibrated:
     """Learn an engine's own maps, health and sensors from ordinary driving.
 
@@ -110,6 +110,7 @@ def learn(
         InputError: a recording that can't be used or that isn't of this engine, none at all, another size of errors
             than the engine or a sibling was learned with, a sibling that nothing was learned of or of another base.
     """
+    recordings, siblings = several(recordings), several(siblings)
     if not recordings:
         raise InputError("HEALTHY", "no recording", "one or more of the engine when it was well", "name them")
     petrol = None if engine is None else petrol_base(engine)

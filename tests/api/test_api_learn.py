@@ -50,3 +50,16 @@ def test_recordings_that_are_together_more_than_memory_bears_are_refused(monkeyp
     parts = [drive(120.0, we2011.PARAMETERS, seed=seed) for seed in (1, 2)]
     with pytest.raises(InputError, match=r"2 recordings: got 12\d\d rows of running engine; allowed: at most 900"):
         dt.learn(parts)
+
+
+def test_one_recording_stands_for_itself(tmp_path: Path) -> None:
+    file = tmp_path / "short.csv"
+    short = drive(40.0, we2011.PARAMETERS)
+    short.to_csv(file, index=False)
+    for one in (str(file), file, short):
+        with pytest.raises(InputError, match="40 s of running engine"):
+            dt.learn(one)
+    with pytest.raises(InputError, match="40 s of running engine"):
+        dt.discover(drive(70.0, we2011.PARAMETERS), reference=str(file))
+    with pytest.raises(InputError, match=r"none\.yaml: got no learned engine"):
+        dt.learn(drive(70.0, we2011.PARAMETERS), siblings=str(tmp_path / "none.yaml"))
