@@ -10,7 +10,7 @@ from typing import TypeAlias
 from dieseltwin.api import driving, rigs
 from dieseltwin.api.engines import Engine, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Kind, Question
-from dieseltwin.api.reading import Channels, Made, Opened, Source, as_engine, opened, settled
+from dieseltwin.api.reading import Channels, Made, Opened, Source, as_engine, opened, settled, several
 from dieseltwin.discovery.verdict.explain import check_name
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.parameters import PetrolParameters
@@ -29,7 +29,7 @@ def discover(
     withhold: Sequence[str] | None = None,
     map_tolerance: float | None = None,
     seed: int = 0,
-    reference: Sequence[Source | Recording] = (),
+    reference: Source | Recording | Sequence[Source | Recording] = (),
     time_s: float | None = None,
 ) -> Discovered:
     """Find what physics the twin leaves out: where, what, how large, since when.
@@ -53,7 +53,7 @@ def discover(
     Raises:
         InputError: anything that can't be used, or that can't carry a verdict.
     """
-    asked = Asked(sensors, withhold, map_tolerance, seed, reference, time_s=time_s)
+    asked = Asked(sensors, withhold, map_tolerance, seed, several(reference), time_s=time_s)
     return ask(recording, engine, channels, asked).answer()
 
 
@@ -66,7 +66,7 @@ def ask(
     """Read and check all that `discover` needs, and search for nothing yet; the errors are those of it."""
     asked = asked or Asked()
     machine = _machine(engine, asked)
-    recordings = _several(recording)
+    recordings = several(recording)
     _refuse_the_same(recordings, asked.reference)
     if not recordings:
         raise InputError("RECORDING", "nothing", "a recording", "name the recording")
@@ -79,11 +79,6 @@ def ask(
     if asked.explain is not None:
         check_name(asked.explain, question.catalogue)
     return question
-
-
-def _several(recording: AnyRecording | Sequence[AnyRecording]) -> Sequence[AnyRecording]:
-    """Recordings, one of them for one."""
-    return recording if isinstance(recording, Sequence) and not isinstance(recording, str) else (recording,)
 
 
 def _machine(engine: Engine | str | Path | None, asked: Asked) -> Engine:

@@ -29,7 +29,7 @@ from dieseltwin.discovery.verdict.implied import implied_frame
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
-from dieseltwin.learning.files import UNSETTLED, LearnedEngine, learned_engine_of, overlap
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap
 from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
@@ -242,8 +242,8 @@ def ask(
     sources = [whole if most is None else liveliest(whole, minutes_of(whole, len(wholes), most)) for whole in wholes]
     days = in_time_order(sources) if len(sources) > 1 else ()
     notes: list[Note] = [*doubts, *_date_notes(days)]
-    if learned is not None and not learned.converged and not question.reference:  # else `learn` has said so
-        notes.append(Note(UNSETTLED, "reference"))
+    if learned is not None and not question.reference:  # else `learn` has said so
+        notes += [Note(doubt, "reference") for doubt in learned.doubts]
     sensors = []
     for source, whole in zip(sources, wholes, strict=True):
         used, own = check_recording(source, parameters, asked["sensors"])

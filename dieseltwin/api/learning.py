@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,16 +13,16 @@ import pandas as pd
 
 from dieseltwin.api.engines import Engine, diesel_engine, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
-from dieseltwin.api.reading import Channels, Made, Source, diesel_recording
+from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, several
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.discovery.reference.learn import Learned, learn_engine
 from dieseltwin.discovery.verdict.checks import check_recording, check_rows
 from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import prior_belief
-from dieseltwin.learning.domain import KNOWN_SHARE, uncertainty_along
-from dieseltwin.learning.files import UNSETTLED, LearnedEngine, distinct, learned_engine_of, save_learned
+from dieseltwin.learning.belief import Further, prior_belief
+from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, uncertainty_along
+from dieseltwin.learning.files import LearnedEngine, distinct, learned_engine_of, save_learned
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
@@ -88,12 +88,12 @@ class LearnedResult(Result):
 
 
 def learn(
-    recordings: Sequence[Source | Made],
+    recordings: Source | Made | Sequence[Source | Made],
     engine: Engine | str | Path | None = None,
     *,
     channels: Channels | None = None,
     map_error: float | None = None,
-    siblings: Sequence[str | Path] = (),
+    siblings: str | Path | Sequence[str | Path] = (),
 ) -> LearnedResult | PetrolCalibrated:
     """Learn an engine's own maps, health and sensors from ordinary driving.
 
@@ -110,6 +110,7 @@ def learn(
         InputError: a recording that can't be used or that isn't of this engine, none at all, another size of errors
             than the engine or a sibling was learned with, a sibling that nothing was learned of or of another base.
     """
+    recordings, siblings = several(recordings), several(siblings)
     if not recordings:
         raise InputError("HEALTHY", "no recording", "one or more of the engine when it was well", "name them")
     petrol = None if engine is None else petrol_base(engine)
@@ -133,7 +134,8 @@ def _learn_diesel(
     sources, notes = [], []
     for item in recordings:
         source = diesel_recording(item, channels, base, sensors=())
-        notes += [f"{source.path or 'recording'}: {note}" for note in check_recording(source, base, None)[1]]
+        where = f"note: {source.path or 'recording'}"
+        notes += [f"{where}: {note.removeprefix('note: ')}" for note in check_recording(source, base, None)[1]]
         sources.append(source)
     check_rows(*distinct([*sources, *(before.recordings if before is not None else ())]))
     settings = default_learn()
@@ -143,14 +145,14 @@ def _learn_diesel(
     prior = None
     if others:
         beliefs = [(one.believed, one.belief) for one in others]
-        roughness = float(np.mean([one.roughness for one in others]))
-        prior = belief_from_siblings(beliefs, base, size, settings.type_share, roughness)
+        rough = float(np.mean([one.further.rough for one in others]))
+        further = Further(rough, float(np.mean([one.further.of_ratio for one in others])))
+        prior = belief_from_siblings(beliefs, base, size, settings.type_share, further)
     known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in sources:
         _check_misfit(known, source, settings.misfit_max)
-    if not found.converged:
-        notes.append(f"note: {UNSETTLED}")
-    return LearnedResult(known, found, (*notes, *_far_off(known), *_doubts(found)))
+    known = replace(known, suspected=(*_far_off(known), *_suspected(found)))
+    return LearnedResult(known, found, (*notes, *(f"note: {doubt}" for doubt in known.doubts)))
 
 
 def known_engine(
@@ -217,10 +219,13 @@ def summary(learned: LearnedEngine) -> list[str]:
         f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
-    if learned.roughness > 0.0:
-        further = 100.0 * learned.map_rms * learned.roughness**0.5
-        lines.append(f"  its maps are rougher than usual: further errors of {further:.2g} % with half the correlation "
+    rough, of_ratio = (100.0 * learned.map_rms * v**0.5 for v in (learned.further.rough, learned.further.of_ratio))
+    if rough > 0.0:
+        lines.append(f"  its maps are rougher than usual: further errors of {rough:.2g} % with half the correlation "
                      "are believed")  # fmt: skip
+    if of_ratio > 0.0:
+        lines.append("  its turbine's efficiency is off by more than speed and pressures say: further errors of "
+                     f"{of_ratio:.2g} % over the blade speed ratio are believed")  # fmt: skip
     known = {row.point: row for row in corrected_maps(learned)}
     for point in CORRECTED_POINTS:
         if point not in known:
@@ -256,7 +261,7 @@ class CorrectedMap:
 def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
     """Every map of which something was learned, where the belief was cut to less than half."""
     belief, functions = learned.belief, basis()
-    tables = functions.tables.reshape(len(functions.maps), -1)
+    tables = functions_on_maps(learned.base)
     uncertain = uncertainty_along(belief, tables)
     prior = uncertainty_along(prior_belief(learned.base, learned.map_rms), tables)
     rows = []
@@ -284,20 +289,28 @@ def _far_off(known: LearnedEngine) -> list[str]:
     if off is None or off.corrected <= _FAR_OFF * known.map_rms:
         return []
     return [
-        f"note: the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.map_rms:g} %"
+        f"the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.map_rms:g} %"
         " is believed: another engine than the base, a sensor that reads wrongly or a fault in the reference; where "
         f"the maps may be off by so much, --map-error {min(off.corrected, MAP_ERRORS[1]):.2f} says so"
     ]
 
 
-def _doubts(found: Learned) -> list[str]:
+def _suspected(found: Learned) -> list[str]:
+    """By what the recordings look faulty themselves, or another engine's."""
+    strange = [
+        f"{item.column} of the reference would be {item.value:.4g} {item.unit}, {item.deviations:.1f} standard "
+        "deviations from what is believed: another displacement than the engine file's, or a sensor that reads wrongly"
+        for item in found.strange
+    ]
     if not found.suspicions:
-        return []
+        return strange
     first = found.suspicions[0]
     size = magnitude_words(first.name, first.magnitude, first.std, first.unit, extra=False, digits=2)
     others = ", ".join(item.name for item in found.suspicions[1:4])
     told = f" (or {others})" if others else ""
     return [
-        f"note: the reference itself looks like {first.name} of {size}{told}: more than errors of maps explain "
-        f"({np.sqrt(first.gain):.1f} standard deviations); it is now part of what counts as healthy"
+        *strange,
+        f"the reference itself looks like {first.name} of {size}{told}: more than errors of maps explain "
+        f"({np.sqrt(first.gain):.1f} standard deviations); it is now part of what counts as healthy, and its end would "
+        "look like a fault"
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, Union
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 
 import numpy as np
 import pandas as pd
@@ -38,6 +38,8 @@ Source: TypeAlias = Union[str, Path, pd.DataFrame, "xr.Dataset"]
 Made: TypeAlias = Recording | SteadyPoints | PetrolRecording | RigRecording
 """What `read` makes of one."""
 
+Item = TypeVar("Item")
+
 Opened: TypeAlias = Imported | Made
 """The columns of one, not yet checked, or what was made of them already."""
 
@@ -45,6 +47,11 @@ _MADE: Mapping[type, str] = {
     Recording: "one of a diesel engine", SteadyPoints: "settled points of a diesel engine",
     PetrolRecording: "one of a petrol engine", RigRecording: "one of a rig",
 }  # fmt: skip
+
+
+def several(items: Item | Sequence[Item]) -> Sequence[Item]:
+    """Some of a kind, or one that stands for itself: a file's name is no sequence of letters."""
+    return items if isinstance(items, Sequence) and not isinstance(items, str) else (items,)  # type: ignore[list-item]
 
 
 def read(

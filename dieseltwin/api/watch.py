@@ -13,7 +13,7 @@ import pandas as pd
 from dieseltwin.api.driving import DrivingDiscovered, DrivingQuestion, ask
 from dieseltwin.api.engines import NAMED, diesel_engine
 from dieseltwin.api.findings import Asked
-from dieseltwin.api.reading import Channels
+from dieseltwin.api.reading import Channels, several
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import atomic_folder
 from dieseltwin.errors import InputError
@@ -84,7 +84,7 @@ class Watched(Result):
 
 
 def watch(
-    recordings: Sequence[str | Path],
+    recordings: str | Path | Sequence[str | Path],
     engine: str | Path,
     history: str | Path,
     *,
@@ -112,7 +112,8 @@ def watch(
     added: dict[str, str] = {}  # name -> verdict
     known: list[str] = []
     refused: list[tuple[str, str]] = []
-    for path in map(Path, recordings):
+    files: Sequence[str | Path] = several(recordings)
+    for path in map(Path, files):
         try:
             if path.is_file() and store.holds(file_sha256(path)):
                 known.append(str(path))

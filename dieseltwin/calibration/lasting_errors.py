@@ -90,8 +90,8 @@ def map_corrections(
 
 
 def _smooth(m: int) -> NDArray[np.bool_]:
-    """(K,) which functions are the smooth ones of a map: settled points are too few for finer ones."""
-    return np.asarray((basis().maps == m) & ~basis().finer)
+    """(K,) which functions are the smooth ones of a map: settled points are too few for further ones."""
+    return np.asarray((basis().maps == m) & basis().usual)
 
 
 def _variables(points: SteadyPoints, model: SteadyModel, values: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import EFFECTS, effects_at
-from dieseltwin.engine.map_corrections import CORRECTED_POINTS, arguments_of, corrections_of, look_up
+from dieseltwin.engine.map_corrections import GRIDS, arguments_of, corrections_of, look_up
 from dieseltwin.engine.parameters import CONSTANT_NAMES, EngineParameters, parameter_batch
 from dieseltwin.engine.terms import (
     SENSOR_SLOTS,
@@ -271,8 +271,9 @@ class SteadyModel:
         bare = self._without(CorrectionTerm)
         variables = law_variables(points, bare.relations(points, x, values).quantities)
         entered = dict(self.signals)
-        for m, point in enumerate(CORRECTED_POINTS):
-            entered[point] = entered.get(point, 0.0) + look_up(tables[m], m, *arguments_of(point, variables))
+        for m, table in enumerate(tables):
+            point = GRIDS[m][0]
+            entered[point] = entered.get(point, 0.0) + look_up(table, m, *arguments_of(m, variables))
         return replace(bare, signals=entered).relations(points, x, values)
 
     def _without(self, kind: type[LawTerm | CorrectionTerm]) -> SteadyModel:

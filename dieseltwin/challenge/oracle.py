@@ -94,7 +94,7 @@ def with_plant_maps(engine: EngineParameters, maps: MapErrors) -> EngineParamete
     for m in range(len(maps.tables)):
         ends = [np.linspace(maps.low[m, k], maps.high[m, k], maps.tables.shape[1 + k]) for k in range(2)]
         x, y = (nodes.ravel() for nodes in np.meshgrid(*ends, indexing="ij"))
-        at = functions.maps == m
+        at = functions.grids == m
         values = look_up(functions.tables[at], m, x, y)
         gram = values @ values.T + _RIDGE * np.eye(len(values))
         coefficients[at] = np.linalg.solve(gram, values @ maps.tables[m].ravel())

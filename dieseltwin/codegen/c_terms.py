@@ -11,7 +11,7 @@ from dieseltwin.engine.courses import growing_s
 from dieseltwin.engine.effect import Entry
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, STATE_EFFECTS
 from dieseltwin.engine.limited import Limited
-from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, corrections_of
+from dieseltwin.engine.map_corrections import GRIDS, corrections_of
 from dieseltwin.engine.quantities import MapArguments, OperatingPoint
 from dieseltwin.engine.sensor_effects import slot_parts
 from dieseltwin.engine.terms import (
@@ -205,18 +205,19 @@ class TermsInC:
             name: "{" + ", ".join("{" + ", ".join(number(v) for v in pair) + "}" for pair in values) + "}"
             for name, values in (("low", learned.low), ("per_unit", learned.per_unit))
         }
-        count = len(CORRECTED_POINTS)
+        used = GRIDS[: len(learned.tables)]
         self.texts.append(
-            f"/* Learned relative corrections of the maps {', '.join(CORRECTED_POINTS)}, first node of both arguments, "
-            f"nodes a unit. */\nstatic const double CORRECTIONS[{count}][{nodes}][{nodes}] = {{\n{rows}\n}};\n"
-            f"static const double CORRECTION_LOW[{count}][2] = {ends['low']};\n"
-            f"static const double CORRECTION_PER_UNIT[{count}][2] = {ends['per_unit']};\n"
+            f"/* Learned relative corrections of {', '.join(point for point, _ in used)}, first node of both\n"
+            f"   arguments, nodes a unit. */\n"
+            f"static const double CORRECTIONS[{len(used)}][{nodes}][{nodes}] = {{\n{rows}\n}};\n"
+            f"static const double CORRECTION_LOW[{len(used)}][2] = {ends['low']};\n"
+            f"static const double CORRECTION_PER_UNIT[{len(used)}][2] = {ends['per_unit']};\n"
         )
         self.texts.append(_TABLE.format(nodes=nodes, last=nodes - 1))
         self.translation.need("map_arguments")
-        lines = ["const MapArguments at = map_arguments(x.p_im, x.p_em, x.omega_t, q.p_bc, q.p_es, c);"]
-        for m, point in enumerate(CORRECTED_POINTS):
-            x, y = (*(_ARGUMENTS_IN_C[name] for name in ARGUMENTS[point]), "0.0")[:2]
+        lines = ["const MapArguments at = map_arguments(x.p_im, x.p_em, x.omega_t, q.p_bc, q.p_es, q.T_em, c);"]
+        for m, (point, arguments) in enumerate(used):
+            x, y = (*(_ARGUMENTS_IN_C[name] for name in arguments), "0.0")[:2]
             lines.append(f"s.{point} += looked_up(CORRECTIONS[{m}], CORRECTION_LOW[{m}], CORRECTION_PER_UNIT[{m}],\n"
                          f"                       {x}, {y});")
         self._function(head, [*lines, "return s;"],

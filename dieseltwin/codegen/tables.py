@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dieseltwin.atomic import atomic_folder
 from dieseltwin.codegen.transpile import number
 from dieseltwin.engine.binding import Model, bind
-from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, corrections_of, look_up
+from dieseltwin.engine.map_corrections import GRIDS, OF_RATIO, arguments_of, corrections_of, look_up
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.parameters import EngineParameters, constants
 from dieseltwin.engine.terms import corrections_in
@@ -42,30 +42,33 @@ class Map:
 
     Attributes:
         arguments: names in the order of `formula`.
-        point: of `CORRECTED_POINTS`, whose learned correction multiplies the map; None: it has a table of its own.
+        grid: of `map_corrections.GRIDS`, whose learned correction multiplies the map; None: it has tables of its own.
         meaning: in words.
         formula: model, constants and arguments -> values.
     """
 
     arguments: tuple[str, ...]
-    point: str | None
+    grid: int | None
     meaning: str
     formula: Callable[..., Array]
 
 
 MAPS: dict[str, Map] = {
-    "eta_vol": Map(("p_im", "n_e"), "eta_vol", "volumetric efficiency [-] (A.6)",
+    "eta_vol": Map(("p_im", "n_e"), 0, "volumetric efficiency [-] (A.6)",
                    lambda m, c, p, n: m.eta_vol(p, n, c)),
-    "f_egr": Map(("u_egr",), "f_egr", "effective area ratio of the EGR valve [-] (A.23)",
+    "f_egr": Map(("u_egr",), 1, "effective area ratio of the EGR valve [-] (A.23)",
                  lambda m, c, u: m.f_egr(u, c)),
-    "F_vgt_Pi_t": Map(("u_vgt", "Pi_t"), "W_t", "VGT area ratio times choking function [-] (A.31)",
+    "F_vgt_Pi_t": Map(("u_vgt", "Pi_t"), 2, "VGT area ratio times choking function [-] (A.31)",
                       lambda m, c, u, Pi: m.F_vgt_Pi_t(u, Pi, c)),
-    "eta_tm": Map(("omega_t", "BSR"), None, "turbine efficiency with mechanical losses [-] (A.33); times the next",
+    "eta_tm": Map(("omega_t", "BSR"), None,
+                  "turbine efficiency with mechanical losses [-] (A.33); times the next two's sum less 1",
                   lambda m, c, w, BSR: m.eta_tm(w, BSR, 0.5, c)),
-    "eta_tm_learned": Map(("omega_t", "Pi_t"), "eta_tm", "learned factor of the turbine efficiency [-]; 1: none",
+    "eta_tm_learned": Map(("omega_t", "Pi_t"), 3, "learned factor of the turbine efficiency [-]; 1: none",
                           lambda m, c, w, Pi: np.ones_like(w)),
-    "eta_c": Map(("W_c", "Pi_c"), "eta_c", "compressor efficiency [-] (A.40)", lambda m, c, W, Pi: m.eta_c(W, Pi, c)),
-    "Phi_c": Map(("omega_t", "Pi_c"), "W_c", "volumetric flow coefficient of the compressor [-] (A.50)",
+    "eta_tm_learned_bsr": Map(("omega_t", "BSR"), OF_RATIO, "further learned factor of it [-]; 1: none",
+                              lambda m, c, w, BSR: np.ones_like(w)),
+    "eta_c": Map(("W_c", "Pi_c"), 4, "compressor efficiency [-] (A.40)", lambda m, c, W, Pi: m.eta_c(W, Pi, c)),
+    "Phi_c": Map(("omega_t", "Pi_c"), 5, "volumetric flow coefficient of the compressor [-] (A.50)",
                  lambda m, c, w, Pi: m.Phi_c(c.T_amb, Pi, w, c)),
 }  # fmt: skip
 
@@ -81,7 +84,8 @@ class Table:
 def tabulated(engine: EngineParameters) -> dict[str, Table]:
     """Every map of the engine on a grid, learned corrections applied; at the engine's ambient.
 
-    The turbine efficiency stands over speed and blade speed ratio, its learned factor over speed and pressure quotient.
+    The turbine efficiency stands over speed and blade speed ratio, its learned factors over speed and pressure quotient
+    and over speed and blade speed ratio; with both it is the efficiency times their sum less 1.
 
     Effects other than learned corrections don't change a map, and aren't in the tables.
     """
@@ -94,8 +98,8 @@ def tabulated(engine: EngineParameters) -> dict[str, Table]:
         nodes = {of: _nodes(of, ranges[of], c) for of in about.arguments}
         grid = dict(zip(nodes, np.meshgrid(*nodes.values(), indexing="ij"), strict=True))
         values = about.formula(model, c, *grid.values())
-        if learned is not None and about.point is not None:
-            values = values * (1.0 + _correction(learned, about.point, grid, model, c))
+        if learned is not None and about.grid is not None and about.grid < len(learned):
+            values = values * (1.0 + _correction(learned[about.grid], about.grid, grid, model, c))
         out[name] = Table(nodes, np.asarray(values, dtype=np.float64))
     return out
 
@@ -110,14 +114,11 @@ def _nodes(argument: str, ends: tuple[float, float], c: Constants) -> Array:
     return np.union1d(np.linspace(*ends, NODES), [value for value in kinks if ends[0] < value < ends[1]])
 
 
-def _correction(learned: Array, point: str, grid: dict[str, Array], model: Model, c: Constants) -> Array:
+def _correction(table: Array, m: int, grid: dict[str, Array], model: Model, c: Constants) -> Array:
     at = {name: values.ravel() for name, values in grid.items()}
-    if "Psi_c" in ARGUMENTS[point]:
+    if "Psi_c" in GRIDS[m][1]:
         at["Psi_c"] = model.energy_transfer_coefficient(c.T_amb, at["Pi_c"], at["omega_t"], c)
-    first = at[ARGUMENTS[point][0]]
-    second = at[ARGUMENTS[point][1]] if len(ARGUMENTS[point]) > 1 else np.zeros_like(first)
-    m = CORRECTED_POINTS.index(point)
-    return look_up(learned[m], m, first, second).reshape(next(iter(grid.values())).shape)
+    return look_up(table, m, *arguments_of(m, at)).reshape(next(iter(grid.values())).shape)
 
 
 def write_tables(engine: EngineParameters, name: str, folder: Path) -> list[Path]:

@@ -100,7 +100,12 @@ def _with_doubts(
     result: Discovery, found: Search, engine: EngineParameters, recordings: Sequence[Recording]
 ) -> Discovery:
     """What was done to the recordings on reading, and what is doubtful about the fit, in the document."""
-    doubts = [Note(note, "reading") for recording in recordings for note in recording.notes]
+    several = len(recordings) > 1
+    doubts = [
+        Note(f"{recording.path or 'recording'}: {note}" if several else note, "reading")
+        for recording in recordings
+        for note in recording.notes
+    ]
     doubts += fit_doubts(result.document)
     if found.unsettled and result.document.mismatch:
         leads = " and ".join(" + ".join(names) for names in dict.fromkeys(found.unsettled))

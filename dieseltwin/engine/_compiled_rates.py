@@ -23,13 +23,13 @@ from dieseltwin.engine._compiled import (
 )
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import STATE_EFFECTS, Magnitudes
-from dieseltwin.engine.map_corrections import CORRECTED_POINTS
+from dieseltwin.engine.map_corrections import GRIDS, OF_RATIO
 from dieseltwin.engine.quantities import Gas, OperatingPoint, Signals
 from dieseltwin.inner import inner
 from dieseltwin.sensors import READ
 
 N_EFFECTS, N_POINTS = len(STATE_EFFECTS), len(Signals._fields)
-N_CORRECTED = len(CORRECTED_POINTS)
+N_CORRECTED = len(GRIDS)
 N_STATES = 6  # p_im, p_em, omega_t, x_r, T_1, T_gas
 N_OUT = N_STATES + N_READ
 
@@ -43,9 +43,9 @@ T_EM, W_C = READING + READ.index("T_em"), READING + READ.index("W_c")
 EFFECT = READING + N_READ
 SIGNAL = EFFECT + N_EFFECTS  # value at the sample before
 SLOPE = SIGNAL + N_POINTS  # change until the sample after
-CORRECTION = SLOPE + N_POINTS  # relative, at `CORRECTED_POINTS`
-ARGUMENT = CORRECTION + N_CORRECTED  # of the corrections: u_egr, u_vgt, Pi_t, Pi_c, Psi_c
-FRACTION = ARGUMENT + 5  # of the interval between samples that has passed, for the signals
+CORRECTION = SLOPE + N_POINTS  # relative, on `map_corrections.GRIDS`
+ARGUMENT = CORRECTION + N_CORRECTED  # of the corrections: u_egr, u_vgt, Pi_t, Pi_c, Psi_c, BSR
+FRACTION = ARGUMENT + 6  # of the interval between samples that has passed, for the signals
 P_BC = FRACTION + 1  # before the compressor and behind the turbine, of the evaluation before
 P_ES = P_BC + 1
 CONSTANT = P_ES + 1
@@ -69,6 +69,7 @@ charge_constants = _model.charge_constants
 cylinder_sweep = _model.cylinder_sweep
 exhaust_to_intake_ratio = _model.exhaust_to_intake_ratio
 map_arguments = _model.map_arguments
+blade_speed_ratio = _model.blade_speed_ratio
 
 
 def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
@@ -76,7 +77,7 @@ def _loader(name: str, kind: Any, first: int, moving: bool = False) -> Any:
     if moving:
         slopes = [f"work[{FRACTION} * lanes + k] * work[{SLOPE + j} * lanes + k]" for j in range(len(fields))]
         fields = [f"{value} + {slope}" for value, slope in zip(fields, slopes, strict=True)]
-        for row, point in enumerate(CORRECTED_POINTS):
+        for row, (point, _) in enumerate(GRIDS):
             fields[Signals._fields.index(point)] += f" + work[{CORRECTION + row} * lanes + k]"
     scope: dict[str, Any] = {"Kind": kind, "__name__": __name__}
     exec(f"def {name}(work, k, lanes):\n    return Kind({', '.join(fields)})\n", scope)
@@ -115,11 +116,11 @@ def _look_up(work, tables, row, low, per_unit, at_x, at_y):  # type: ignore[no-u
 
 @numba.njit(**_OPTIONS)
 def correct_maps(work, tables, low, per_unit):  # type: ignore[no-untyped-def]
-    """Corrections of the maps at the lanes' own arguments (`map_corrections.ARGUMENTS`); no tables, no corrections.
+    """Corrections of the maps at the lanes' own arguments (`map_corrections.GRIDS`); no tables, no corrections.
 
     What follows from the flows among the arguments (the compressor's flow, pressures behind a filter and before a
-    silencer) is that of the evaluation before. The arguments come first, in a loop by themselves: with look-ups in it,
-    powers would be taken lane by lane.
+    silencer, the exhaust's temperature) is that of the evaluation before. The arguments come first, in a loop by
+    themselves: with look-ups in it, powers would be taken lane by lane.
     """
     if tables.shape[0] == 0:
         return
@@ -127,7 +128,8 @@ def correct_maps(work, tables, low, per_unit):  # type: ignore[no-untyped-def]
         c = load_constants(work, CONSTANT * LANES + k, LANES)
         m, s = load_magnitudes(work, k, LANES), load_signals(work, k, LANES)
         x = driven(load_point(work, k, LANES), m, s, c)
-        at = map_arguments(x.p_im, x.p_em, x.omega_t, work[P_BC * LANES + k], work[P_ES * LANES + k], c)
+        p_bc, p_es, T_em = work[P_BC * LANES + k], work[P_ES * LANES + k], work[GAS * LANES + k]
+        at = map_arguments(x.p_im, x.p_em, x.omega_t, p_bc, p_es, T_em, c)
         work[ARGUMENT * LANES + k] = x.u_egr
         work[(ARGUMENT + 1) * LANES + k] = x.u_vgt
         work[(ARGUMENT + 2) * LANES + k] = at.Pi_t
@@ -139,6 +141,12 @@ def correct_maps(work, tables, low, per_unit):  # type: ignore[no-untyped-def]
     _look_up(work, tables, 3, low, per_unit, 2, ARGUMENT + 2)
     _look_up(work, tables, 4, low, per_unit, W_C, ARGUMENT + 3)
     _look_up(work, tables, 5, low, per_unit, ARGUMENT + 4, 2)
+    if tables.shape[0] > OF_RATIO:
+        for k in range(LANES):
+            c = load_constants(work, CONSTANT * LANES + k, LANES)
+            omega_t, T_em, Pi_t = work[2 * LANES + k], work[GAS * LANES + k], work[(ARGUMENT + 2) * LANES + k]
+            work[(ARGUMENT + 5) * LANES + k] = blade_speed_ratio(omega_t, T_em, Pi_t, c)
+        _look_up(work, tables, OF_RATIO, low, per_unit, 2, ARGUMENT + 5)
 
 
 def _evaluate(work):  # type: ignore[no-untyped-def]

@@ -16,7 +16,7 @@ from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, STATE_EFFECTS, M
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.fixed_point import settled
 from dieseltwin.engine.inputs import Actuation
-from dieseltwin.engine.map_corrections import CORRECTED_POINTS, RANGES, arguments_of, corrections_of, look_up
+from dieseltwin.engine.map_corrections import GRIDS, RANGES, arguments_of, corrections_of, look_up
 from dieseltwin.engine.model import NO_SIGNALS
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.observations import Observations
@@ -221,13 +221,12 @@ def correction_signals(
 ) -> dict[str, Any]:
     """Point -> signal with the maps' corrections added, at variables as of `law_variables` (numpy arrays)."""
     out = dict(signals)
-    states = (variables[name] for name in ("p_im", "p_em", "omega_t", "p_bc", "p_es"))
+    states = (variables[name] for name in ("p_im", "p_em", "omega_t", "p_bc", "p_es", "T_em"))
     at = numpy_model().map_arguments(*states, c)._asdict()
     shape = np.shape(variables["p_im"])
     flat = {k: np.broadcast_to(v, shape).ravel() for k, v in {**variables, **at}.items() if k in RANGES}
-    tables = corrections_of(coefficients).tables
-    for m, point in enumerate(CORRECTED_POINTS):
-        value = look_up(tables[m], m, *arguments_of(point, flat)).reshape(shape)
+    for m, table in enumerate(corrections_of(coefficients).tables):
+        point, value = GRIDS[m][0], look_up(table, m, *arguments_of(m, flat)).reshape(shape)
         out[point] = out.get(point, 0.0) + value
     return out
 

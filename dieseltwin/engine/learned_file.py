@@ -77,5 +77,5 @@ def mean_coefficients(path: Path, document: Mapping[str, Any]) -> tuple[float, .
     except (pa.ArrowException, OSError, KeyError, ValueError, TypeError):
         raise InputError(str(document[LEARNED]), "not readable", "what `dieseltwin learn` wrote", LEARN_AGAIN) from None
     if any(name not in found for name in basis().names):
-        raise InputError(str(document[LEARNED]), "other corrections", "this version's corrections", LEARN_AGAIN)
+        raise InputError(str(document[LEARNED]), "other corrections", "those of this program", LEARN_AGAIN)
     return tuple(float(found[name]) for name in basis().names)

@@ -5,8 +5,10 @@ kernel (Rasmussen & Williams, 2006, sections 4.2 and 4.3) over fixed ranges of t
 for every recording and every engine, so that a coefficient learned on one keeps its meaning on the next. A coefficient
 of one is one standard deviation of a correction of 100 % rms.
 
-Finer functions stand behind them, for engines whose reference says that its maps are rougher: with the smooth ones they
-hold errors of half the correlation length.
+Further functions stand behind them, for engines whose reference asks for them. Finer ones, with the smooth ones, hold
+errors of half the correlation length. Functions of speed and blade speed ratio hold errors of the turbine's efficiency
+that change with the exhaust's temperature: its formula (A.33) is one of both, and at equal speed and pressures the
+ratio goes with the root of the temperature.
 """
 
 from __future__ import annotations
@@ -26,9 +28,18 @@ ARGUMENTS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Arguments of each map; of the valve's opening there is one."""
 
+GRIDS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    *((point, ARGUMENTS[point]) for point in CORRECTED_POINTS), ("eta_tm", ("omega_t", "BSR")),
+)  # fmt: skip
+"""Map and arguments of every grid that corrections are tables on: each map's own, and the further one."""
+
+OF_RATIO = len(CORRECTED_POINTS)
+"""Grid over the blade speed ratio, among `GRIDS`."""
+
 RANGES: dict[str, tuple[float, float]] = {
     "p_im": (0.9e5, 3.5e5), "n_e": (500.0, 2000.0), "u_egr": (0.0, 80.0), "u_vgt": (20.0, 100.0), "Pi_t": (0.3, 1.0),
     "omega_t": (1500.0, 12000.0), "W_c": (0.0, 0.6), "Pi_c": (1.0, 3.5), "Psi_c": (0.0, 1.6),
+    "BSR": (0.2, 1.2),
 }  # fmt: skip
 """Ranges of the arguments over which corrections are spread, held beyond: what the engine can reach [SI, rpm, %]."""
 
@@ -50,22 +61,34 @@ class Basis:
 
     Attributes:
         tables: (K, NODES, NODES) each on the grid of its map's arguments, of unit prior variance.
+        grids: (K,) index of each one's grid in `GRIDS`.
         maps: (K,) index of each one's map in `CORRECTED_POINTS`.
-        names: (K,) "W_t 1", "W_t 2", ..., then "W_t finer 1", ...
+        names: (K,) "W_t 1", "W_t 2", ..., then "W_t finer 1", ..., then "eta_tm over BSR 1", ...
         finer: (K,) whether it is one of the finer ones.
         finer_covariance: (K, K) of the coefficients of an error of unit rms and the finer length.
     """
 
     tables: np.ndarray
+    grids: np.ndarray
     maps: np.ndarray
     names: tuple[str, ...]
     finer: np.ndarray
     finer_covariance: np.ndarray
 
+    @property
+    def of_ratio(self) -> np.ndarray:
+        """(K,) whether it is one of the blade speed ratio."""
+        return np.asarray(self.grids == OF_RATIO)
+
+    @property
+    def usual(self) -> np.ndarray:
+        """(K,) whether it is one of the smooth ones that every engine has."""
+        return ~self.finer & ~self.of_ratio
+
 
 @lru_cache(maxsize=1)
 def basis() -> Basis:
-    """The fixed basis, most important functions of each map first, the finer ones of all maps behind the smooth."""
+    """The fixed basis: the smooth functions of all maps, most important ones first, then the further ones."""
     values, vectors = _modes(_kernel(CORRELATION_LENGTH))
     smooth = [(m, pair) for m in range(len(CORRECTED_POINTS)) for pair in _leading(m, values, _KEPT_VARIANCE)]
     orders = 1 + max(max(pair) for _, pair in smooth)
@@ -80,21 +103,23 @@ def basis() -> Basis:
         for m in range(len(CORRECTED_POINTS))
         for pair in _leading(m, np.diag(spread), _KEPT_OF_FINER, {p for n, p in known if n == m})
     ]
-    both = [*smooth, *finer]
-    maps, first, second = (np.array(column) for column in zip(*((m, *pair) for m, pair in both), strict=True))
+    of_ratio = [(OF_RATIO, pair) for pair in _leading(OF_RATIO, values, _KEPT_VARIANCE)]
+    all_of_them = [*smooth, *finer, *of_ratio]
+    grids, first, second = (np.array(column) for column in zip(*((m, *pair) for m, pair in all_of_them), strict=True))
+    is_finer = np.repeat([False, True, False], [len(smooth), len(finer), len(of_ratio)])
     sizes = np.sqrt([
-        _variance(values if k < len(smooth) else np.diag(spread), pair) for k, (_, pair) in enumerate(both)
+        _variance(np.diag(spread) if k else values, pair) for k, (_, pair) in zip(is_finer, all_of_them, strict=True)
     ])  # fmt: skip
     tables = [
         size * np.outer(vectors[:, i], vectors[:, j] if j >= 0 else np.ones(NODES))
-        for size, (_, (i, j)) in zip(sizes, both, strict=True)
+        for size, (_, (i, j)) in zip(sizes, all_of_them, strict=True)
     ]
     along_second = np.where(np.minimum.outer(second, second) >= 0, spread[np.ix_(second, second)], 1.0)
-    covariance = np.equal.outer(maps, maps) * spread[np.ix_(first, first)] * along_second
-    names = [*_numbered(smooth, ""), *_numbered(finer, "finer ")]
-    return Basis(
-        np.array(tables), maps, tuple(names), np.arange(len(both)) >= len(smooth), covariance / np.outer(sizes, sizes)
-    )
+    covariance = np.equal.outer(grids, grids) * spread[np.ix_(first, first)] * along_second
+    covariance[:, grids == OF_RATIO] = covariance[grids == OF_RATIO] = 0.0
+    names = (*_numbered(smooth, ""), *_numbered(finer, "finer "), *_numbered(of_ratio, "over BSR "))
+    maps = np.array([CORRECTED_POINTS.index(GRIDS[g][0]) for g in grids])
+    return Basis(np.array(tables), grids, maps, names, is_finer, covariance / np.outer(sizes, sizes))
 
 
 def _kernel(length: float) -> np.ndarray:
@@ -113,20 +138,20 @@ def _modes(kernel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _leading(
     m: int, values: np.ndarray, kept: float, known: Collection[tuple[int, int]] = ()
 ) -> list[tuple[int, int]]:
-    """Orders of the functions of a map, one of each argument, that with those known carry a share of the variance.
+    """Orders of the functions on a grid, one of each argument, that with those known carry a share of the variance.
 
     Args:
-        m: of the map; the second order of a map of one argument is -1.
+        m: of the grid; the second order of one of one argument is -1.
         values: variance along each order; kept: share that is carried.
         known: orders of functions that are there already.
     """
-    if len(ARGUMENTS[CORRECTED_POINTS[m]]) == 1:
+    if len(GRIDS[m][1]) == 1:
         pairs = [(i, -1) for i in range(values.size)]
     else:
         pairs = [(i, j) for i in range(values.size) for j in range(values.size)]
     shares = {pair: _variance(values, pair) for pair in pairs}
     # the variance of a function of unit variance is NODES, along each argument
-    whole = float(NODES) ** len(ARGUMENTS[CORRECTED_POINTS[m]])
+    whole = float(NODES) ** len(GRIDS[m][1])
     # rounded, so that the order of the pairs (i, j) and (j, i) is that of their names on every machine
     order = sorted((p for p in pairs if p not in known), key=lambda p: (-float(f"{shares[p]:.9g}"), p))
     carried = sum(shares[pair] for pair in known) + np.cumsum([shares[pair] for pair in order])
@@ -139,11 +164,11 @@ def _variance(of_order: np.ndarray, pair: tuple[int, int]) -> float:
 
 
 def _numbered(functions: Sequence[tuple[int, tuple[int, int]]], kind: str) -> Iterator[str]:
-    """Names of the functions of each map, in their order."""
-    count = dict.fromkeys(range(len(CORRECTED_POINTS)), 0)
+    """Names of the functions on each grid, in their order."""
+    count = dict.fromkeys(range(len(GRIDS)), 0)
     for m, _ in functions:
         count[m] += 1
-        yield f"{CORRECTED_POINTS[m]} {kind}{count[m]}"
+        yield f"{GRIDS[m][0]} {kind}{count[m]}"
 
 
 @dataclass(frozen=True)
@@ -151,8 +176,9 @@ class MapCorrections:
     """Relative corrections on grids, as the compiled simulator reads them.
 
     Attributes:
-        tables: (6, NODES, NODES) relative corrections [-] over both arguments; (0, ...) for none at all.
-        low: (6, 2) first node of each argument; per_unit: (6, 2) nodes a unit.
+        tables: (G, NODES, NODES) relative corrections [-] over both arguments, of the first G of `GRIDS`: of all, of
+            all but the further one, or of none.
+        low: (7, 2) first node of each argument; per_unit: (7, 2) nodes a unit.
     """
 
     tables: np.ndarray
@@ -162,7 +188,7 @@ class MapCorrections:
 
 def _grid() -> tuple[np.ndarray, np.ndarray]:
     ends = np.array(
-        [[RANGES.get(argument, (0.0, 1.0)) for argument in (*ARGUMENTS[name], "none")[:2]] for name in CORRECTED_POINTS]
+        [[RANGES.get(argument, (0.0, 1.0)) for argument in (*arguments, "none")[:2]] for _, arguments in GRIDS]
     )
     low, high = ends[..., 0], ends[..., 1]
     return np.ascontiguousarray(low), np.ascontiguousarray((NODES - 1) / (high - low))
@@ -177,22 +203,22 @@ NO_CORRECTIONS = MapCorrections(np.zeros((0, NODES, NODES)), _LOW, _PER_UNIT)
 def corrections_of(coefficients: np.ndarray) -> MapCorrections:
     """Corrections from coefficients (K,) of `basis()` [-]."""
     functions = basis()
-    tables = np.zeros((len(CORRECTED_POINTS), NODES, NODES))
+    tables = np.zeros((len(GRIDS), NODES, NODES))
     for m in range(len(tables)):
-        at = functions.maps == m
+        at = functions.grids == m
         tables[m] = np.tensordot(np.asarray(coefficients)[at], functions.tables[at], 1)
-    return MapCorrections(tables, _LOW, _PER_UNIT)
+    return MapCorrections(tables if tables[OF_RATIO].any() else tables[:OF_RATIO], _LOW, _PER_UNIT)
 
 
-def arguments_of(point: str, variables: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Both arguments of a map along a trajectory, (n,) each; zeros for the second of a map of one."""
-    names = ARGUMENTS[point]
+def arguments_of(m: int, variables: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Both arguments of grid m along a trajectory, (n,) each; zeros for the second of one of one argument."""
+    names = GRIDS[m][1]
     first = np.asarray(variables[names[0]], dtype=np.float64)
     return first, np.asarray(variables[names[1]], dtype=np.float64) if len(names) > 1 else np.zeros_like(first)
 
 
 def look_up(tables: np.ndarray, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear look-up as in the compiled simulator: tables (..., NODES, NODES) of map m at (n,) points -> (..., n)."""
+    """Bilinear look-up as in the compiled simulator: tables (..., NODES, NODES) of grid m at n points -> (..., n)."""
     last = NODES - 1
     a = np.clip((np.nan_to_num(x) - _LOW[m, 0]) * _PER_UNIT[m, 0], 0.0, last)
     b = np.clip((np.nan_to_num(y) - _LOW[m, 1]) * _PER_UNIT[m, 1], 0.0, last)
@@ -207,10 +233,10 @@ def basis_along(variables: Mapping[str, np.ndarray], which: np.ndarray | None = 
     """Functions of `basis()` along a trajectory, (F, n) [-]; `which` (K,) says whose, None: of all."""
     functions = basis()
     which = np.ones(len(functions.maps), dtype=bool) if which is None else which
-    tables, maps = functions.tables[which], functions.maps[which]
+    tables, grids = functions.tables[which], functions.grids[which]
     first = next(iter(ARGUMENTS.values()))[0]
-    out = np.empty((len(maps), len(variables[first])))
-    for m, point in enumerate(CORRECTED_POINTS):
-        at = maps == m
-        out[at] = look_up(tables[at], m, *arguments_of(point, variables))
+    out = np.empty((len(grids), len(variables[first])))
+    for m in np.unique(grids):
+        at = grids == m
+        out[at] = look_up(tables[at], m, *arguments_of(m, variables))
     return out

@@ -64,6 +64,7 @@ from dieseltwin.engine.quantities import (
 from dieseltwin.engine.turbocharger import (
     F_vgt_Pi_t,
     Phi_c,
+    blade_speed_ratio,
     compressor_flow,
     compressor_out_temperature,
     compressor_power,
@@ -266,13 +267,15 @@ def exhaust_side(
 
 
 def map_arguments(
-    p_im: Array, p_em: Array, omega_t: Array, p_bc: Array, p_es: Array, c: Constants
+    p_im: Array, p_em: Array, omega_t: Array, p_bc: Array, p_es: Array, T_em: Array, c: Constants
 ) -> MapArguments:
     """Where the maps of compressor and turbine are looked up, with p_bc [Pa] before the one and p_es [Pa] behind the
-    other: what restricts the flow there moves them."""
+    other: what restricts the flow there moves them; T_em [K] decides how fast the gas is before the wheel."""
     Pi_c = compressor_pressure_ratio(p_im, with_ambient_pressure(c, p_bc))
     Pi_t = turbine_pressure_ratio(p_em, with_ambient_pressure(c, p_es))
-    return MapArguments(Pi_t, Pi_c, energy_transfer_coefficient(c.T_amb, Pi_c, omega_t, c))
+    return MapArguments(
+        Pi_t, Pi_c, energy_transfer_coefficient(c.T_amb, Pi_c, omega_t, c), blade_speed_ratio(omega_t, T_em, Pi_t, c)
+    )
 
 
 def driver_quantities(q: Quantities, n_e: Array, p_im: Array, p_em: Array, c: Constants) -> DriverQuantities:

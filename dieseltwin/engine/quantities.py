@@ -152,11 +152,12 @@ class Quantities(NamedTuple):
 
 class MapArguments(NamedTuple):
     """What the maps of compressor and turbine are looked up at, besides states and inputs: pressure quotients Pi_t and
-    Pi_c, energy transfer coefficient Psi_c [-]."""
+    Pi_c, energy transfer coefficient Psi_c, blade speed ratio BSR [-]."""
 
     Pi_t: Any
     Pi_c: Any
     Psi_c: Any
+    BSR: Any
 
 
 class DriverQuantities(NamedTuple):

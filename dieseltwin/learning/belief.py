@@ -23,7 +23,23 @@ offset is a property of the sensor, not of what was driven."""
 
 
 HELD = 1e-6
-"""Standard deviation of a finer function's coefficient where maps are believed smooth: so small that none shows [-]."""
+"""Standard deviation of a further function's coefficient where none is believed: so small that none shows [-]."""
+
+
+@dataclass(frozen=True)
+class Further:
+    """Errors of the maps beyond the smooth ones over their usual arguments, as variances over that of these [-].
+
+    Attributes:
+        rough: of all maps, of half the correlation length.
+        of_ratio: of the turbine's efficiency, over speed and blade speed ratio.
+    """
+
+    rough: float = 0.0
+    of_ratio: float = 0.0
+
+
+NOTHING_FURTHER = Further()
 
 
 def coordinate_names() -> tuple[str, ...]:
@@ -107,28 +123,29 @@ class Belief:
         return (readings - self.offsets) / (1.0 + self.gains)
 
 
-def prior_belief(engine: EngineParameters, map_rms: float, roughness: float = 0.0) -> Belief:
+def prior_belief(engine: EngineParameters, map_rms: float, further: Further = NOTHING_FURTHER) -> Belief:
     """What is believed before any recording.
 
     Args:
         engine: gives the means of the health parameters.
         map_rms: size of the maps' smooth relative errors [-].
-        roughness: variance of further errors of half the correlation length, over that of the smooth ones [-].
+        further: errors of the maps beyond those.
     """
     health = np.array(engine.health())
     mean = np.zeros(OFFSETS_AT.stop)
     mean[HEALTH_AT] = health
     std = np.concatenate([
-        HEALTH_PRIOR * health, np.where(basis().finer, HELD, map_rms), np.full(len(MEASURED), SENSOR_GAIN),
+        HEALTH_PRIOR * health, np.where(basis().usual, map_rms, HELD), np.full(len(MEASURED), SENSOR_GAIN),
         SENSOR_OFFSET * np.array([sensor.usual for sensor in SENSORS]),
     ])  # fmt: skip
-    return rougher(Belief(mean, np.diag(std**2)), map_rms, roughness)
+    return with_further(Belief(mean, np.diag(std**2)), map_rms, further)
 
 
-def rougher(belief: Belief, map_rms: float, roughness: float) -> Belief:
-    """A belief with further errors of the maps, of half the correlation length; arguments as of `prior_belief`."""
-    if roughness == 0.0:
+def with_further(belief: Belief, map_rms: float, further: Further) -> Belief:
+    """A belief with further errors of the maps; arguments as of `prior_belief`."""
+    if further == NOTHING_FURTHER:
         return belief
-    covariance = belief.covariance.copy()
-    covariance[MAPS_AT, MAPS_AT] += roughness * map_rms**2 * basis().finer_covariance
+    covariance, functions = belief.covariance.copy(), basis()
+    of_unit_rms = further.rough * functions.finer_covariance + further.of_ratio * np.diag(functions.of_ratio)
+    covariance[MAPS_AT, MAPS_AT] += map_rms**2 * of_unit_rms
     return Belief(belief.mean, covariance)

@@ -10,11 +10,26 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, NODES, RANGES, basis, basis_along
+from dieseltwin.engine import EngineParameters, constants
+from dieseltwin.engine.binding import numpy_model
+from dieseltwin.engine.map_corrections import (
+    ARGUMENTS,
+    CORRECTED_POINTS,
+    NODES,
+    OF_RATIO,
+    RANGES,
+    basis,
+    basis_along,
+    look_up,
+)
+from dieseltwin.engine.turbocharger import PI_T_MAX
 from dieseltwin.learning.belief import HEALTH_AT, MAPS_AT, Array, Belief
 
 KNOWN_SHARE = 0.5
 """Of the standard deviation that was believed before, below which a map counts as known [-]."""
+
+EXHAUST = 700.0
+"""Exhaust temperature T_em for which the turbine's efficiency is told over speed and pressure ratio [K]: of driving."""
 
 
 def covariance_of_maps(belief: Belief) -> Array:
@@ -45,11 +60,25 @@ def known_along(belief: Belief, map_rms: float, variables: Mapping[str, Array]) 
     return uncertainty_along(belief, basis_along(variables)) < KNOWN_SHARE * map_rms
 
 
-def domain_of(belief: Belief, map_rms: float) -> dict[str, dict[str, tuple[float, float]]]:
-    """Map -> argument -> lowest and highest value at which anything of it is known; maps of which nothing is, are left
-    out."""
+def functions_on_maps(engine: EngineParameters) -> Array:
+    """Values (K, NODES * NODES) of the functions over the arguments of the maps that they are of [-].
+
+    Args:
+        engine: its turbine says which blade speed ratio goes with speed and pressure ratio, at `EXHAUST`.
+    """
     functions = basis()
-    known = uncertainty_along(belief, functions.tables.reshape(len(functions.maps), -1)) < KNOWN_SHARE * map_rms
+    tables = functions.tables.reshape(len(functions.maps), -1).copy()
+    nodes = [np.linspace(*RANGES[name], NODES) for name in ARGUMENTS["eta_tm"]]
+    omega_t, Pi_t = (some.ravel() for some in np.meshgrid(*nodes, indexing="ij"))
+    ratio = numpy_model().blade_speed_ratio(omega_t, EXHAUST, np.minimum(Pi_t, PI_T_MAX), constants(engine))
+    tables[functions.of_ratio] = look_up(functions.tables[functions.of_ratio], OF_RATIO, omega_t, ratio)
+    return tables
+
+
+def domain_of(belief: Belief, map_rms: float, engine: EngineParameters) -> dict[str, dict[str, tuple[float, float]]]:
+    """Map -> argument -> lowest and highest value at which anything of it is known; maps of which nothing is, are left
+    out. Arguments as of `uncertainty_along` and `functions_on_maps`."""
+    known = uncertainty_along(belief, functions_on_maps(engine)) < KNOWN_SHARE * map_rms
     found: dict[str, dict[str, tuple[float, float]]] = {}
     for m, point in enumerate(CORRECTED_POINTS):
         inside = known[m].reshape(NODES, NODES)

@@ -13,7 +13,7 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,15 @@ from dieseltwin.engine.learned_file import (
 )
 from dieseltwin.engine.terms import CorrectionTerm
 from dieseltwin.errors import InputError
-from dieseltwin.learning.belief import Belief, coordinate_names, coordinate_units, prior_belief, rougher
+from dieseltwin.learning.belief import (
+    NOTHING_FURTHER,
+    Belief,
+    Further,
+    coordinate_names,
+    coordinate_units,
+    prior_belief,
+    with_further,
+)
 from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.derived import Made
@@ -63,10 +71,11 @@ class LearnedEngine:
         domain: point -> lowest and highest of each argument where the belief was cut to less than half.
         misfits: hash -> squared whitened residual a reading.
         prior: what was believed before any recording, where engines of the same type say it; None for the usual.
-        roughness: variance of errors of half the correlation length, over that of the smooth ones, that the recordings
-            ask for; it is part of what is believed, and of no `prior` [-].
+        further: errors of the maps beyond the usual ones that the recordings ask for; they are part of what is
+            believed, and of no `prior`.
         clocks: column -> how late it is recorded, of those whose clock is off in these recordings [s].
         converged: whether the fit of all recordings came to rest; else the covariance may be too small.
+        suspected: by what the recordings look as if the engine hadn't been well, a sentence each.
     """
 
     base: EngineParameters
@@ -76,15 +85,16 @@ class LearnedEngine:
     domain: dict[str, dict[str, tuple[float, float]]]
     misfits: dict[str, float]
     prior: Belief | None = None
-    roughness: float = 0.0
+    further: Further = NOTHING_FURTHER
     clocks: Mapping[str, float] = field(default_factory=dict)
     converged: bool = True
+    suspected: tuple[str, ...] = ()
 
     @property
     def believed(self) -> Belief:
         """What was believed before any recording, of maps as rough as these."""
         usual = prior_belief(self.base, self.map_rms) if self.prior is None else self.prior
-        return rougher(usual, self.map_rms, self.roughness)
+        return with_further(usual, self.map_rms, self.further)
 
     @property
     def engine(self) -> EngineParameters:
@@ -92,6 +102,11 @@ class LearnedEngine:
         health = {name: float(value) for name, value in zip(HEALTH, self.belief.health, strict=True)}
         term = CorrectionTerm(coefficients=tuple(float(value) for value in self.belief.coefficients))
         return self.base.replace(**health, terms=(*self.base.terms, term))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What is doubtful about what was learned, a sentence each: whoever is judged by it has to know."""
+        return (*(() if self.converged else (UNSETTLED,)), *self.suspected)
 
     @property
     def minutes(self) -> float:
@@ -167,7 +182,8 @@ def _parquet(learned: LearnedEngine) -> bytes:
     table = pa.table(columns)
     about = {
         "schema": SCHEMA, "code_version": __version__, "map_rms": learned.map_rms, "domain": learned.domain,
-        "roughness": learned.roughness, "clocks": dict(learned.clocks), "converged": learned.converged,
+        "further": asdict(learned.further), "clocks": dict(learned.clocks), "converged": learned.converged,
+        "suspected": list(learned.suspected),
         "base": learned.base.model_dump(mode="json"),
         "recordings": [
             {
@@ -199,8 +215,8 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
     except (pa.ArrowException, OSError, KeyError, ValueError):
         raise InputError(str(where), "not readable", "what `dieseltwin learn` wrote", LEARN_AGAIN) from None
     if about["schema"] != SCHEMA or tuple(table["name"].to_pylist()) != coordinate_names():
-        version = f"written by version {about['code_version']}"
-        raise InputError(str(where), version, "this version's corrections", LEARN_AGAIN)
+        version = f"other corrections, written by version {about['code_version']}"
+        raise InputError(str(where), version, "those of this program", LEARN_AGAIN)
     belief = Belief(np.array(table["mean"]), np.array(table["covariance"].to_pylist()))
     base = EngineParameters(**about["base"])
     prior = None
@@ -210,8 +226,9 @@ def _parsed(content: bytes, where: Path) -> LearnedEngine:
     return LearnedEngine(
         base, belief, float(about["map_rms"]), tuple(_recording(row, data, base) for row, data in known),
         {point: {k: (v[0], v[1]) for k, v in ends.items()} for point, ends in about["domain"].items()},
-        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, float(about["roughness"]),
+        {row["sha256"]: float(row["misfit"]) for row, _ in known}, prior, Further(**about["further"]),
         dict(about.get("clocks", {})), bool(about.get("converged", True)),
+        tuple(about.get("suspected", ())),
     )  # fmt: skip
 
 

@@ -130,6 +130,7 @@ class History:
         """One transaction, whole or not at all."""
         try:
             with closing(sqlite3.connect(path or self.path, timeout=_WAIT_S, isolation_level=None)) as connection:
+                connection.text_factory = _text
                 connection.execute("PRAGMA synchronous = FULL")
                 connection.execute("BEGIN IMMEDIATE")
                 try:
@@ -139,6 +140,8 @@ class History:
                     connection.rollback()
                     raise
         except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode == sqlite3.SQLITE_ERROR:  # of a statement that every sound history answers
+                raise self._damaged(str(error)) from None
             raise InputError(str(self.path), str(error), "a history that can be written to",
                              "check the disk and the folder's permissions") from None
         except sqlite3.DatabaseError as error:
@@ -208,6 +211,11 @@ class History:
 def _holds(connection: sqlite3.Connection, sha256: str) -> bool:
     asked = "SELECT 1 FROM recordings WHERE sha256 = ?1 OR json_extract(row, '$.rows_sha256') = ?1"
     return connection.execute(asked, (sha256,)).fetchone() is not None
+
+
+def _text(raw: bytes) -> str:
+    """What isn't text any more is told by its checksum."""
+    return raw.decode(errors="replace")
 
 
 def _checksum(row: str) -> str:

@@ -14,14 +14,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from dieseltwin.engine import EngineParameters
-from dieseltwin.learning.belief import MAPS_AT, Array, Belief, prior_belief
+from dieseltwin.learning.belief import MAPS_AT, NOTHING_FURTHER, Array, Belief, Further, prior_belief
 
 _LEAST_SHARE = 1e-12  # where nothing is the type's
 
 
 def belief_from_siblings(
     siblings: Sequence[tuple[Belief, Belief]], engine: EngineParameters, map_rms: float, type_share: float,
-    roughness: float = 0.0,
+    further: Further = NOTHING_FURTHER,
 ) -> Belief:  # fmt: skip
     """What is believed of a new engine of a type of which some engines were learned.
 
@@ -30,9 +30,9 @@ def belief_from_siblings(
         engine: base of the new one, with the same published maps.
         map_rms: size of the maps' smooth relative errors [-].
         type_share: of their variance that is the type's, 0-1 [-].
-        roughness: of the maps of the type (`learning.belief.prior_belief`) [-].
+        further: errors of the maps of the type beyond the usual ones.
     """
-    prior = prior_belief(engine, map_rms, roughness)
+    prior = prior_belief(engine, map_rms, further)
     believed = prior.covariance[MAPS_AT, MAPS_AT]
     own = (1.0 - type_share) * believed
     count = len(believed)

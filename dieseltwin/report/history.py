@@ -37,12 +37,15 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     size = magnitude_words(alarm.name, alarm.size, alarm.std, alarm.unit, extra=False)
     or_others = f" or {', '.join(alarm.others)}" if alarm.others else ""
     way = "growing since" if alarm.grows else "there since"
+    perhaps = ""
+    if alarm.earliest.date() != alarm.latest.date():
+        perhaps = f" (at the earliest {alarm.earliest:{_DAY}}, at the latest {alarm.latest:{_DAY}})"
     # the evidence adds up linear estimates, which a strong fault bends; a recording's verdict was refitted
     alone = "" if last == "healthy" or alarm.name in last else f"; the last recording by itself shows {last}"
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
         f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size}, "
-        f"{way} {alarm.since:{_DAY}} ({_days(alarm.earliest, alarm.latest)}){alone}; {span}; {rate}. "
+        f"{way} {alarm.since:{_DAY}}{perhaps}{alone}; {span}; {rate}. "
         "`dieseltwin discover` on these recordings together says what it is."
     )
 

@@ -26,7 +26,10 @@ def year(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         engine = we2011.PARAMETERS.replace(A_egrmax=we2011.PARAMETERS.A_egrmax * (1.0 - 0.03 * k),
                                            terms=(LEAK,) if k == 2 else ())  # fmt: skip
         files.append(folder / f"2026-{month}-01.csv")
-        drive(90.0, engine, seed=30 + k).to_csv(files[-1], index=False)
+        frame = drive(90.0, engine, seed=30 + k)
+        if k == 0:
+            frame.loc[7, "t_em_k"] = -9999.0
+        frame.to_csv(files[-1], index=False)
     return [files[2], files[0], files[1]]
 
 
@@ -49,6 +52,8 @@ def test_a_leak_that_began_is_named_with_its_date(year: list[Path], tmp_path: Pa
     worn = [row["health"]["A_egrmax"]["value"] / we2011.PARAMETERS.A_egrmax for row in rows]
     assert worn == pytest.approx([1.0, 0.97, 0.94], abs=0.025)
     assert found.engine.terms[-1].effect == "boost_leak"
+    (of_reading,) = (item["text"] for item in document["warnings"] if "error code" in item["text"])
+    assert of_reading.startswith(f"{year[1]}: ")
     found.save(tmp_path)
     assert "From recording to recording" in (tmp_path / "report.html").read_text()
 

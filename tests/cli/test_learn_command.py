@@ -16,6 +16,7 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.cli.app import main
 from dieseltwin.engine import we2011
+from dieseltwin.learning.files import load_learned
 
 pytestmark = pytest.mark.usefixtures("no_pictures")
 LABORATORY = we2011.PARAMETERS.model_dump()
@@ -85,6 +86,18 @@ def test_a_fault_in_the_reference_is_said(folder: Path, tmp_path: Path, capsys: 
     assert main(["learn", str(tmp_path / "faulty.csv"), "--out", str(tmp_path / "mine.yaml")]) == 0
     said = capsys.readouterr().out
     assert "the reference itself looks like" in said and "boost_leak" in said
+    known = load_learned(tmp_path / "mine.yaml")
+    assert known is not None and any("the reference itself looks like" in text for text in known.doubts)
+
+
+def test_a_reference_of_a_larger_engine_is_told_by_its_charge(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    driving = draw_driving("random", 120.0, LABORATORY, np.random.default_rng(4))
+    larger = run_plant(driving, LABORATORY | {"V_d": 1.3 * LABORATORY["V_d"]})
+    read(larger, driving, (), SensorSet.perfect(), 6, np.random.default_rng(5)).to_csv(tmp_path / "a.csv", index=False)
+    assert main(["learn", str(tmp_path / "a.csv"), "--out", str(tmp_path / "mine.yaml")]) == 0
+    said = capsys.readouterr().out
+    assert "note: t_im_k of the reference would be 2" in said and "another displacement" in said
+    assert f"note: {tmp_path / 'a.csv'}: the engine breathes" in said
 
 
 def test_another_engine_is_no_reference(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -45,9 +45,8 @@ def _belief() -> Belief:
 
 def _learned(*recordings: Recording) -> LearnedEngine:
     kept, belief = distinct(recordings), _belief()
-    return LearnedEngine(
-        we2011.PARAMETERS, belief, 0.02, kept, domain_of(belief, 0.02), {item.sha256: 1.0 for item in kept}
-    )
+    domain = domain_of(belief, 0.02, we2011.PARAMETERS)
+    return LearnedEngine(we2011.PARAMETERS, belief, 0.02, kept, domain, {item.sha256: 1.0 for item in kept})
 
 
 @pytest.fixture

@@ -71,13 +71,15 @@ def test_a_kill_in_the_middle_loses_what_was_being_added_alone(tmp_path: Path):
     assert store.add(entry(1)) and len(store.entries()) == 2
 
 
-@pytest.mark.parametrize("damage", ["row", "number", "truncated", "other", "foreign"])
+@pytest.mark.parametrize("damage", ["row", "number", "no text", "no row", "truncated", "other", "foreign"])
 def test_a_damaged_history_is_refused_in_one_line(tmp_path: Path, damage: str):
     store, path = History(tmp_path, ENGINE), tmp_path / FILE_NAME
     for k in range(3):
         store.add(entry(k))
-    if damage in ("row", "number"):
-        change = {"row": "row = replace(row, '1.csv', '9.csv')", "number": "checksum = 'no'"}[damage]
+    changes = {"row": "row = replace(row, '1.csv', '9.csv')", "number": "checksum = 'no'",
+               "no text": "row = CAST(CAST(substr(row, 1, 90) AS BLOB) || x'ff3e' || substr(row, 93) AS TEXT)",
+               "no row": "row = substr(row, 2)"}  # fmt: skip
+    if change := changes.get(damage):
         with sqlite3.connect(path) as connection:
             connection.execute(f"UPDATE recordings SET {change}")
         connection.close()
@@ -91,8 +93,11 @@ def test_a_damaged_history_is_refused_in_one_line(tmp_path: Path, damage: str):
             connection.execute("CREATE TABLE about (key TEXT, value TEXT)")
         connection.close()
     with pytest.raises(InputError, match=FILE_NAME) as refused:
-        History(tmp_path, ENGINE).entries()
-    assert "\n" not in str(refused.value)
+        damaged = History(tmp_path, ENGINE)
+        damaged.holds("f" * 64)
+        damaged.entries()
+    said = str(refused.value)
+    assert "\n" not in said and "watch add" in said
 
 
 def test_a_file_that_was_emptied_is_refused_and_none_is_ever_begun_empty(tmp_path: Path):
@@ -147,3 +152,7 @@ def test_an_alarm_says_where_the_last_recording_by_itself_says_another_name() ->
     for verdict, said in (("boost_leak", True), ("healthy", False), ("exhaust_leak", False)):
         words = sentence([entries[0], replace(entries[1], verdict=verdict)], told, 0.02)
         assert ("by itself shows boost_leak" in words) is said and "most likely exhaust_leak" in words
+        first, second = (f"{item.moment:%Y-%m-%d}" for item in entries)
+        assert f"growing since {first} (at the earliest {first}, at the latest {second})" in words
+    sure = replace(told, alarm=replace(alarm, latest=alarm.earliest))
+    assert "at the latest" not in sentence(entries, sure, 0.02)

@@ -26,6 +26,7 @@ _FAR = 0.6  # of a prior's standard deviation (5 kPa, 9 K): nearer weather is le
 _NEAR = 0.15  # of a prior's standard deviation (1.2 kPa, 2 K, 0.02 s): farther, responses are others
 _SHARPEST = 0.005  # s; the middle clock, from which the others count, has no deviation of its own
 _SURE = 4.0  # standard deviations that a clock of the engine's recordings is off
+_STRANGE = 4.0  # standard deviations of its prior beyond which weather is another fault's (32 kPa, 60 K; a charge 40 K)
 
 
 def recorded_twin(recording: Recording, engine: EngineParameters, map_rms: float) -> LoggedTwin:
@@ -69,6 +70,21 @@ class Clock:
     std: float
 
 
+@dataclass(frozen=True)
+class Weather:
+    """Weather or charge of a recording as its readings ask for it.
+
+    Attributes:
+        column: that would give it; value: [unit]; unit: unit.
+        deviations: how many standard deviations of what is believed it lies away.
+    """
+
+    column: str
+    value: float
+    unit: str
+    deviations: float
+
+
 class Conditions:
     """The open circumstances of one recording, as directions of its likelihood.
 
@@ -101,6 +117,13 @@ class Conditions:
         other = twin.under({**twin.values, **{item.name: value for item, value in far}}, twin.opened, like=True)
         return other if any(other.values[item.name] != twin.values.get(item.name) for item, _ in far) else None
 
+    def strange(self, estimate: Array) -> tuple[Weather, ...]:
+        """Weather and charge that lie where next to nobody drives: estimate (K,) as of `moved`."""
+        return tuple(
+            Weather(item.column, item.assumed + item.std * float(at), item.unit, abs(float(at)))
+            for item, at in zip(self.items, estimate, strict=True) if not item.kind and abs(at) > _STRANGE
+        )  # fmt: skip
+
     def clocks(self, twin: LoggedTwin, metric: Metric, estimate: Array) -> tuple[Clock, ...]:
         """Clocks that are open, as a fit says them: `metric` with the responses, (K,) estimate as of `moved`."""
         if not any(item.kind == TIME_SHIFT for item in self.items):
@@ -127,4 +150,4 @@ def clocks_of_all(found: Sequence[Sequence[Clock]]) -> Mapping[str, float]:
     return late
 
 
-__all__ = ["Clock", "Conditions", "clocks_of_all", "open_of", "recorded_twin"]
+__all__ = ["Clock", "Conditions", "Weather", "clocks_of_all", "open_of", "recorded_twin"]

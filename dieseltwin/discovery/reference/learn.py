@@ -4,8 +4,8 @@ The unknowns are the coordinates of `learning.belief`. The maximum a posteriori 
 Gauss-Newton with the metric of discovery: initial states of the windows are free, the corrections are simulated with
 their own arguments, and convergence is judged by sensitivities taken there, since errors of 2-5 % bend. What remains
 of each recording is its information about that point (Laplace). Information of several recordings adds. Where the
-readings ask for rougher maps than are believed (`reference.roughness`), all is fitted anew with the belief that they
-ask for.
+readings ask for errors of the maps beyond those that are believed (`reference.further`), all is fitted anew with the
+belief that they ask for.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from dieseltwin.discovery.reference.conditions import clocks_of_all
+from dieseltwin.discovery.reference.conditions import Weather, clocks_of_all
+from dieseltwin.discovery.reference.further import further_errors
 from dieseltwin.discovery.reference.part import Linear, Part
-from dieseltwin.discovery.reference.roughness import roughness_of
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import EngineParameters
-from dieseltwin.learning.belief import HEALTH_AT, Belief, prior_belief, rougher
+from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, Further, prior_belief, with_further
 from dieseltwin.learning.domain import domain_of
 from dieseltwin.learning.files import LearnedEngine, distinct
 from dieseltwin.recordings.reader import Recording
@@ -98,17 +98,19 @@ class Learned:
         belief: after all of them.
         evidence: of each, linearised about what all say.
         converged: whether all fits did, and linearising anew changed nothing worth naming.
-        roughness: of the maps (`learning.belief.prior_belief`), as the recordings ask for it [-].
+        further: errors of the maps beyond the usual ones, as the recordings ask for them.
         suspicions: effects by which the reference itself looks faulty, strongest first.
         clocks: column -> how late it is recorded, of those whose clock is off [s].
+        strange: weather and charge of a recording that lie where next to nobody drives.
     """
 
     belief: Belief
     evidence: tuple[Evidence, ...]
     converged: bool
-    roughness: float
+    further: Further
     suspicions: tuple[Suspicion, ...] = ()
     clocks: Mapping[str, float] = field(default_factory=dict)
+    strange: tuple[Weather, ...] = ()
 
 
 def learn_engine(
@@ -134,9 +136,9 @@ def learn_engine(
     together = distinct(recordings)
     found = learn(together, base, map_rms, settings, prior)
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
-    domain = domain_of(found.belief, map_rms)
+    domain = domain_of(found.belief, map_rms, base)
     known_now = LearnedEngine(
-        base, found.belief, map_rms, together, domain, misfits, prior, found.roughness, found.clocks, found.converged
+        base, found.belief, map_rms, together, domain, misfits, prior, found.further, found.clocks, found.converged
     )
     return known_now, found
 
@@ -162,10 +164,10 @@ def learn(
     joint = _Joint([Part(item, engine, prior, map_rms) for item in sorted(recordings, key=lambda r: r.sha256)], prior)
     joint.fit(_ROUNDS, _NEAR)
     joint.whiten_anew()
-    roughness = roughness_of(prior, map_rms, *joint.of_all_functions())
-    if roughness > 0.0:
-        prior = rougher(prior, map_rms, roughness)
-        joint.begin(prior)  # the smooth maps' fit lies where steps stop short of a minimum
+    further = further_errors(prior, map_rms, *joint.of_all_functions())
+    if further != NOTHING_FURTHER:
+        prior = with_further(prior, map_rms, further)
+        joint.begin(prior)  # the usual maps' fit lies where steps stop short of a minimum
         joint.fit(_ROUNDS, _NEAR)
         joint.whiten_anew()
     converged = joint.fit(_ROUNDS)
@@ -178,7 +180,7 @@ def learn(
             break
     evidence = joint.evidence()
     suspicions = joint.suspicions(settings.suspicious_gain)
-    return Learned(combined(prior, evidence), evidence, converged, roughness, suspicions, joint.clocks())
+    return Learned(combined(prior, evidence), evidence, converged, further, suspicions, joint.clocks(), joint.strange())
 
 
 class _Joint:
@@ -213,7 +215,7 @@ class _Joint:
         (D,) to which it takes the coordinates' distance from the prior's mean [inverse units]."""
         information, vector = np.zeros_like(self.precision), np.zeros_like(self.x)
         for part, at, rest in zip(self.parts, self.at, self.projected, strict=True):
-            rows = at.projected / self.scale[:, None] + part.finer(at, self.x)
+            rows = at.projected / self.scale[:, None] + part.further(at, self.x)
             information += rows @ rows.T
             vector += rows @ (rest + at.projected.T @ self.x)
         return information, vector
@@ -253,6 +255,11 @@ class _Joint:
         """Column -> how late all recordings together show it to be [s]."""
         rows = zip(self.parts, self.at, self.residuals, strict=True)
         return clocks_of_all([part.clocks(at, rest) for part, at, rest in rows])
+
+    def strange(self) -> tuple[Weather, ...]:
+        """Weather and charge in which next to nobody drives."""
+        rows = zip(self.parts, self.at, self.residuals, strict=True)
+        return tuple(item for part, at, rest in rows for item in part.conditions.strange(at.conditions_at(rest)))
 
     def whiten_anew(self) -> None:
         """Estimate the noise of every recording from what the maps as corrected by now leave."""

@@ -170,7 +170,7 @@ class Part:
         metric = Metric(self.whitening, self.twin.starts, local, self.twin.state_scales, taken_out)
         return Linear(columns, local, conditions, self.conditions.applied(self.twin), metric, metric.project(columns))
 
-    def finer(self, here: Linear, x: Array) -> Array:
+    def further(self, here: Linear, x: Array) -> Array:
         """Responses (D, rows), in the metric of `here` about x, to a coefficient of one of the functions that aren't
         free; those of all other coordinates are nought.
 

@@ -36,14 +36,14 @@ def variables_along(
         W_egr, T_em, W_c = readings[:, _W_EGR], readings[:, _T_EM], readings[:, _W_C]
     n_e, u_delta = actuation.at_samples()[:2]
     p_bc, p_es = (getattr(q, name) * (1.0 + signals.get(name, 0.0)) for name in ("p_bc", "p_es"))
-    Pi_t, Pi_c, Psi_c = model.map_arguments(p_im, p_em, omega, p_bc, p_es, c)
+    Pi_t, Pi_c, Psi_c, BSR = model.map_arguments(p_im, p_em, omega, p_bc, p_es, T_em, c)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": n_e, "u_delta": u_delta,
         "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em, "T_im": q.T_im,
         "T_c": model.compressor_out_temperature(q.eta_c, q.Pi_c, c), "T_e": q.T_e, "p_es": q.p_es, "p_bc": q.p_bc,
         "W_c": W_c, "W_t": q.W_t, "W_egr": W_egr, "W_ei": q.W_ei, "W_eo": q.W_eo, "W_f": q.W_f, "Pi_c": Pi_c,
         "Pi_t": Pi_t, "eta_vol": q.eta_vol, "x_r": x_r, "T_1": T_1, "Pi_egr": p_im / p_em,
-        "Pi_e": model.exhaust_to_intake_ratio(p_em, p_im), "BSR": model.blade_speed_ratio(omega, T_em, Pi_t, c),
+        "Pi_e": model.exhaust_to_intake_ratio(p_em, p_im), "BSR": BSR,
         "Psi_c": Psi_c, "egr_share": W_egr / np.maximum(W_egr + W_c, 1e-6),
         "t": actuation.time_s - actuation.time_s[0], "p_amb": c.p_amb, "T_amb": c.T_amb,
     }  # fmt: skip

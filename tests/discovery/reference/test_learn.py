@@ -94,7 +94,7 @@ def test_a_window_in_which_a_response_runs_away_says_nothing_of_finer_maps(recor
         return columns
 
     monkeypatch.setattr(part_module, "map_columns", running_away)
-    rows = part.finer(here, x)[MAPS_AT][~prior.free]
+    rows = part.further(here, x)[MAPS_AT][~prior.free]
     assert np.any(rows != 0.0) and np.abs(rows).max() < 1e6
 
 

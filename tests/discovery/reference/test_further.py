@@ -1,4 +1,4 @@
-"""Rougher maps than are believed: the readings of a reference say so, and what is learned of them holds elsewhere."""
+"""Errors of maps beyond those believed of every engine: readings ask for them, and what is learned of them holds."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 
 from dieseltwin.challenge import map_errors
+from dieseltwin.discovery.reference.further import further_errors, log_evidence
 from dieseltwin.discovery.reference.learn import Evidence, combined
-from dieseltwin.discovery.reference.roughness import log_evidence, roughness_of
-from dieseltwin.engine import we2011
-from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, RANGES, basis, look_up
-from dieseltwin.learning.belief import HELD, MAPS_AT, Belief, prior_belief
+from dieseltwin.engine import constants, we2011
+from dieseltwin.engine.binding import numpy_model
+from dieseltwin.engine.map_corrections import (
+    ARGUMENTS,
+    CORRECTED_POINTS,
+    CORRELATION_LENGTH,
+    RANGES,
+    basis,
+    basis_along,
+    look_up,
+)
+from dieseltwin.learning.belief import HELD, MAPS_AT, NOTHING_FURTHER, Belief, Further, prior_belief
 
 RMS, NOISE = 0.02, 0.002
 MAP = CORRECTED_POINTS.index("eta_c")
@@ -51,8 +60,32 @@ def _left(belief: Belief, length: float) -> float:
 
 @pytest.mark.parametrize("length, rough", [(1.0 / 3.0, False), (1.0 / 6.0, True)])
 def test_readings_tell_how_rough_a_map_is(length: float, rough: bool):
-    roughness = roughness_of(prior_belief(we2011.PARAMETERS, RMS), RMS, *_read(length))
-    assert (roughness >= 0.3) if rough else (roughness == 0.0)
+    found = further_errors(prior_belief(we2011.PARAMETERS, RMS), RMS, *_read(length))
+    assert (found.rough >= 0.3) if rough else (found == NOTHING_FURTHER)
+    assert found.of_ratio == 0.0
+
+
+@pytest.mark.parametrize("second, of_ratio", [("Pi_t", False), ("BSR", True)])
+def test_readings_tell_whether_the_turbine_goes_with_its_blade_speed_ratio(second: str, of_ratio: bool):
+    """Driving in which the exhaust is hotter and colder at equal speed and pressures."""
+    rng = np.random.default_rng(5)
+    at = {"omega_t": rng.uniform(2500.0, 9000.0, 1500), "Pi_t": rng.uniform(0.4, 0.9, 1500)}
+    at["BSR"] = numpy_model().blade_speed_ratio(
+        at["omega_t"], rng.uniform(500.0, 900.0, 1500), at["Pi_t"], constants(we2011.PARAMETERS)
+    )
+    of_map = np.flatnonzero(basis().maps == CORRECTED_POINTS.index("eta_tm"))
+    which = np.isin(np.arange(len(basis().maps)), of_map)
+    functions = np.zeros((MAPS_AT.stop + 12, 1500))
+    along = {name: np.zeros(1500) for name in RANGES} | at
+    functions[MAPS_AT.start + of_map] = basis_along(along, which)
+    low, high = np.transpose([RANGES["omega_t"], RANGES[second]])
+    places = (np.stack([at["omega_t"], at[second]], axis=1) - low) / (high - low)
+    waves = rng.standard_normal((48, 2)) / CORRELATION_LENGTH
+    error = RMS * np.sqrt(2.0 / 48.0) * np.cos(places @ waves.T + rng.uniform(0.0, 6.28, 48)) @ rng.standard_normal(48)
+    readings = error + NOISE * rng.standard_normal(1500)
+    read = functions @ functions.T / NOISE**2, functions @ readings / NOISE**2
+    found = further_errors(prior_belief(we2011.PARAMETERS, RMS), RMS, *read)
+    assert (found.of_ratio > 0.0) == of_ratio and found.rough == 0.0
 
 
 def test_a_rough_map_is_learned_where_it_is_believed_rough():
@@ -60,7 +93,7 @@ def test_a_rough_map_is_learned_where_it_is_believed_rough():
     information, vector = _read(length)
     left = {}
     for roughness in (0.0, 1.0):
-        prior = prior_belief(we2011.PARAMETERS, RMS, roughness)
+        prior = prior_belief(we2011.PARAMETERS, RMS, Further(roughness))
         evidence = Evidence(information, vector + information @ prior.mean, 1.0, 1500, 0.0)
         left[roughness] = _left(combined(prior, [evidence]), length)
     assert left[1.0] < 0.5 * left[0.0]
@@ -68,9 +101,11 @@ def test_a_rough_map_is_learned_where_it_is_believed_rough():
 
 
 def test_functions_of_smooth_maps_are_the_smooth_ones():
-    smooth, rough = (prior_belief(we2011.PARAMETERS, RMS, roughness) for roughness in (0.0, 0.1))
-    assert np.array_equal(smooth.free, ~basis().finer) and rough.free.all()
-    assert np.sqrt(np.diag(smooth.covariance)[MAPS_AT][basis().finer]) == pytest.approx(HELD)
+    beliefs = (NOTHING_FURTHER, Further(rough=0.1), Further(of_ratio=0.3))
+    smooth, rough, of_ratio = (prior_belief(we2011.PARAMETERS, RMS, further) for further in beliefs)
+    assert np.array_equal(smooth.free, basis().usual)
+    assert np.array_equal(rough.free, ~basis().of_ratio) and np.array_equal(of_ratio.free, ~basis().finer)
+    assert np.sqrt(np.diag(smooth.covariance)[MAPS_AT][~basis().usual]) == pytest.approx(HELD)
     assert smooth.factor.shape == (smooth.mean.size, np.count_nonzero(smooth.open))
     covariance = smooth.factor @ smooth.factor.T
     assert covariance[np.ix_(smooth.open, smooth.open)] == pytest.approx(
