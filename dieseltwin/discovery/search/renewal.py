@@ -15,9 +15,10 @@ import numpy as np
 from dieseltwin.discovery.laws.features import generic_features, local_features, score_features
 from dieseltwin.discovery.likelihood.fit import Fit, fit_fully
 from dieseltwin.discovery.likelihood.learned import belief_of
-from dieseltwin.discovery.search.explanations import VARIANTS, leading_kind, try_variants
+from dieseltwin.discovery.search.explanations import leading_kind
 from dieseltwin.discovery.search.preparation import prepared_about
 from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.variant_fits import VARIANTS, try_variants
 from dieseltwin.discovery.search.variants import scan
 
 BENDS = 60.0

@@ -18,7 +18,6 @@ from dieseltwin.discovery.search.by_recording import Start, gained_elsewhere, re
 from dieseltwin.discovery.search.circumstances import ROUNDS, in_weather_of, under_circumstances
 from dieseltwin.discovery.search.courses import courses
 from dieseltwin.discovery.search.explanations import (
-    VARIANTS,
     beyond_law,
     choose,
     choose_so_far,
@@ -27,7 +26,6 @@ from dieseltwin.discovery.search.explanations import (
     polish,
     try_more_pairs,
     try_pairs,
-    try_variants,
 )
 from dieseltwin.discovery.search.preparation import (
     prepare,
@@ -38,6 +36,7 @@ from dieseltwin.discovery.search.preparation import (
 )
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.variant_fits import VARIANTS, try_variants
 from dieseltwin.discovery.search.variants import Variant, edge_cost, scan
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import Twin

@@ -1,0 +1,147 @@
+"""Fits of effects that begin in the middle, go again, grow, act in a part of the driving or differ by recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.refit import refit_all
+from dieseltwin.discovery.search.courses import at_times, first_of_each_course, moved
+from dieseltwin.discovery.search.preparation import in_own_metrics
+from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, redated, rescan, same_region
+
+VARIANTS = 6  # are refitted
+_DATINGS = 2  # another effect that leads between the same edges has them moved for itself
+_ONSET_REACH_S = 8.0  # about the first estimate of an onset
+_RIVALS = 4  # other effects that act in the best region
+_RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
+_POLISHED = 4  # of the leading effects
+_LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
+
+
+def try_variants(found: Search) -> None:
+    """Effects that begin in the middle or act in a part of the operating range only."""
+    top = found.gain(found.singles[0]) if found.singles else 0.0
+    variants = [v for v in found.scanned if v.gain > 0.5 * top]
+    if not variants:
+        return
+    _refit_variants(found, variants)
+    best, fit = found.variants[0]
+    if found.gain(fit) < top + 0.5 * freedom_cost(found, best):
+        return
+    if best.onset_s is not None:
+        _date_anew(found)
+        for _ in range(_DATINGS):
+            dated = _times_of_leader(found)
+            if found.variants[0][0].name == dated:
+                break
+        _polish_variants(found)
+        if found.settings.in_own_metrics(found.gain(found.variants[0][1])):
+            _compare_leaders(found)
+        return
+    known = {v.name for v, _ in found.variants}
+    rivals = same_region(found.null, found.scored, best)
+    _refit_variants(found, [v for v in rivals if v.name not in known and v.gain > 0.5 * best.gain][:_RIVALS])
+    _polish_variants(found)
+    for count, fine in _RESCANS:
+        if count == 1:  # the edges are known by now: other effects between the same ones
+            _refit_variants(found, [
+                v for v in same_region(found.null, found.scored, found.variants[0][0])
+                if v.name != found.variants[0][0].name
+            ][:_RIVALS])  # fmt: skip
+            _polish_variants(found)
+        for variant, fit in _leaders(found)[:count]:
+            other = rescan(found.null, variant, fit, fine)
+            if other.region != variant.region:
+                _refit_variants(found, [other], fit)
+        _polish_variants(found)
+
+
+def _times_of_leader(found: Search) -> str:
+    """Move the edges of the leading effect until they fit best, and try the others between the same ones; its name."""
+    for reach, count in ((_ONSET_REACH_S, 5), (2.0, 5)):
+        for best in first_of_each_course([variant for variant, _ in found.variants]):
+            near = [[] if edge is None else onset_candidates(found.twin, edge, reach, count)
+                    for edge in (best.onset_s, best.until_s)]
+            _refit_variants(found, moved(found.twin, best, *near))
+    best, _ = found.variants[0]
+    if best.until_s is not None or best.grows:  # the same from its onset on: it may not have been refitted yet
+        _refit_variants(found, [at_times(found.twin, best, float(best.onset_s or 0.0), None, False)])
+        best, _ = found.variants[0]  # the times are known by now: other effects at the same ones
+    others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
+    same = float(best.onset_s or 0.0), best.until_s, best.grows
+    _refit_variants(found, [at_times(found.twin, variant, *same) for variant in others.values()])
+    return best.name
+
+
+def _date_anew(found: Search) -> None:
+    """Onsets of the leading effects by their responses at the sizes found; the scan takes effects linearly."""
+    dated = []
+    for variant, fit in _leaders(found):
+        if variant.onset_s is not None and variant.until_s is None and not variant.grows:
+            other = redated(found.null, variant.name, float(fit.magnitudes[0]), found.settings.least_share)
+            if abs(float(other.onset_s or 0.0) - variant.onset_s) > _ONSET_REACH_S:
+                dated.append(other)
+    _refit_variants(found, dated)
+
+
+def freedom_cost(found: Search, variant: Variant) -> float:
+    """What a variant must be ahead of an effect of one size everywhere and always [units of gain]."""
+    if variant.profile is not None:
+        return found.settings.profile_gain
+    return found.settings.variant_gain + edge_cost(variant)
+
+
+def _in_order(found: Search, pairs: Sequence[tuple[Variant, Fit]]) -> list[tuple[Variant, Fit]]:
+    """Variants with their fits, best first."""
+    def cost(variant: Variant, fit: Fit) -> float:  # a large effect is never met exactly, least of all in a part
+        inside = variant.until_s is not None and float(variant.onset_s or 0.0) > found.twin.time_s[0]
+        share = found.settings.missing_share if inside else 0.0
+        return freedom_cost(found, variant) + share * max(found.gain(fit), 0.0)
+
+    return sorted(pairs, key=lambda pair: pair[1].objective + cost(*pair))
+
+
+def _leaders(found: Search) -> list[tuple[Variant, Fit]]:
+    """The best variant of each of the leading effects."""
+    best: dict[str, tuple[Variant, Fit]] = {}
+    for variant, fit in found.variants:
+        best.setdefault(variant.name, (variant, fit))
+    limit = _LEADING_SHARE * found.gain(found.variants[0][1])
+    return [pair for pair in best.values() if found.gain(pair[1]) > limit][:_POLISHED]
+
+
+def _polish_variants(found: Search) -> None:
+    leaders = _leaders(found)
+    rest = [pair for pair in found.variants if all(pair[1] is not fit for _, fit in leaders)]
+    fits = [
+        fit_fully(found.twin, found.whitening, fit, rounds=3, frozen=found.null).fit for _, fit in leaders
+    ]
+    polished = [(variant, fit) for (variant, _), fit in zip(leaders, fits, strict=True)]
+    found.variants = _in_order(found, [*rest, *polished])
+
+
+def _compare_leaders(found: Search) -> None:
+    """The leading variants in the order of their own metrics."""
+    leaders = _leaders(found)
+    rest = [pair for pair in found.variants if all(pair[1] is not fit for _, fit in leaders)]
+    variants = {variant.name: variant for variant, _ in leaders}
+    compared = in_own_metrics(found, [fit for _, fit in leaders])
+    same = {fit.candidate.names[0] for fit in compared}  # what they were beside has moved with them
+    rest = [pair for pair in rest if pair[0].name not in same]
+    found.variants = _in_order(found, [*((variants[f.candidate.names[0]], f) for f in compared), *rest])
+
+
+def _refit_variants(found: Search, variants: Sequence[Variant], near: Fit | None = None) -> None:
+    """Refits of variants, added to those that are known; `near`: the fit of a variant that is nearly the same."""
+    if not variants:
+        return
+    candidates = [Candidate((v.name,), {v.name: v.schedule}) for v in variants]
+    if near is None:
+        fits = refit_all(found.null, candidates, [v.response[None] for v in variants])
+    else:
+        base = Linearisation(found.twin, found.whitening, near, found.null)
+        response = base.jacobian[-1:]
+        fits = refit_all(base, candidates, [response for _ in variants])
+    found.variants = _in_order(found, [*found.variants, *zip(variants, fits, strict=True)])
