@@ -16,7 +16,6 @@ from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search.by_recording import Start, gained_elsewhere, refitted, starts_by_recording
 from dieseltwin.discovery.search.circumstances import ROUNDS, in_weather_of, under_circumstances
-from dieseltwin.discovery.search.courses import courses
 from dieseltwin.discovery.search.explanations import (
     beyond_law,
     choose,
@@ -36,8 +35,8 @@ from dieseltwin.discovery.search.preparation import (
 )
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.search.variant_fits import VARIANTS, try_variants
-from dieseltwin.discovery.search.variants import Variant, edge_cost, scan
+from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
+from dieseltwin.discovery.search.variants import Variant, edge_cost
 from dieseltwin.discovery.time_limit import OutOfTimeError, time_limit
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.settings.search import SearchSettings
@@ -144,9 +143,7 @@ def _explain(found: Search) -> None:
     """Everything beyond single effects but a law: what has no name, onsets and regions, two effects."""
     twin, settings = found.twin, found.settings
     found.stage = "terms without a name"
-    found.scanned = scan(found.null, found.scored, VARIANTS, settings.least_share)
-    found.scanned += courses(found.null, found.scored, settings.least_share)
-    found.scanned.sort(key=lambda variant: -variant.gain)
+    found.scanned = scan_all(found.null, found.scored, settings.least_share)
     tried = [*found.scanned, *(variant for variant, _ in found.variants)]
     hidden = any(variant.gain > _hidden_bar(found, variant) for variant in tried)
     base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null

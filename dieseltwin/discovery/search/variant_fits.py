@@ -6,18 +6,33 @@ from collections.abc import Sequence
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all
-from dieseltwin.discovery.search.courses import at_times, first_of_each_course, moved
+from dieseltwin.discovery.likelihood.score import Scored
+from dieseltwin.discovery.search.courses import at_times, courses, first_of_each_course, moved
 from dieseltwin.discovery.search.preparation import in_own_metrics
 from dieseltwin.discovery.search.state import Search
-from dieseltwin.discovery.search.variants import Variant, edge_cost, onset_candidates, redated, rescan, same_region
+from dieseltwin.discovery.search.variants import (
+    Variant,
+    edge_cost,
+    onset_candidates,
+    redated,
+    rescan,
+    same_region,
+    scan,
+)
 
-VARIANTS = 6  # are refitted
+_VARIANTS = 6  # that begin or act in a part of the driving are refitted
 _DATINGS = 2  # another effect that leads between the same edges has them moved for itself
 _ONSET_REACH_S = 8.0  # about the first estimate of an onset
 _RIVALS = 4  # other effects that act in the best region
 _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
 _POLISHED = 4  # of the leading effects
 _LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
+
+
+def scan_all(at: Linearisation, scored: Sequence[Scored], least_share: float) -> list[Variant]:
+    """The strongest variants of all kinds, strongest first; arguments as of `scan`."""
+    found = [*scan(at, scored, _VARIANTS, least_share), *courses(at, scored, least_share)]
+    return sorted(found, key=lambda variant: -variant.gain)
 
 
 def try_variants(found: Search) -> None:

@@ -349,12 +349,12 @@ def test_a_sensor_accused_by_name_and_by_term_is_named() -> None:
 def test_an_onset_that_only_the_linear_scan_promises_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
     """A strong promise on a healthy machine; its simulated refit gains nothing."""
     toy = Toy(900, 6, seed=3).record(seed=53)
-    real = search.scan
+    real = search.scan_all
 
     def promising(*given: object) -> list[Variant]:
         return [replace(variant, gain=500.0) for variant in real(*given)]  # type: ignore[arg-type]
 
-    monkeypatch.setattr(search, "scan", promising)
+    monkeypatch.setattr(search, "scan_all", promising)
     assert search.run(toy, SETTINGS, laws=False).kind == "healthy"
 
 
