@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
 from dieseltwin.discovery.verdict.when import moments
+from dieseltwin.engine.courses import course
 from dieseltwin.petrol.calibrate import SubmodelFit
 from dieseltwin.petrol.discover import PetrolDiscovery
 from dieseltwin.petrol.effects import HYPOTHESES
@@ -69,9 +70,8 @@ def _misfits(found: PetrolDiscovery, name: str) -> tuple[np.ndarray, list[tuple[
 def _acts(found: PetrolDiscovery, stamps: np.ndarray) -> np.ndarray:
     """Whether the effect acts at time stamps [s], as the document says it; everywhere without one."""
     location = found.document.location
-    since = None if location is None else location.onset_s
-    until = None if location is None else location.until_s
-    return (stamps >= (-np.inf if since is None else since)) & (stamps < (np.inf if until is None else until))
+    times = (None, None) if location is None else (location.onset_s, location.until_s)
+    return np.asarray(course(stamps, *times) > 0.0)
 
 
 def balances_over_time(found: PetrolDiscovery) -> Series:
