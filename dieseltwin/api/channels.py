@@ -17,7 +17,7 @@ from dieseltwin.recordings.derived import AMBIENT, DERIVATIONS, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts, signals_of
 from dieseltwin.recordings.guess.propose import Proposal, propose
 from dieseltwin.recordings.guess.words import COSTS, ORDER, channel_lines, guess_lines, map_text, missing, remarks
-from dieseltwin.recordings.importers.content import ENDINGS as ENDINGS
+from dieseltwin.recordings.importers.content import ENDINGS
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.report.over_time import overview
 from dieseltwin.symbols import symbol
@@ -25,7 +25,7 @@ from dieseltwin.symbols import symbol
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["AMBIENT", "STAND_IN_PA", "ChannelsFound", "Quantity", "channel_map", "channels", "quantities"]
+__all__ = ["AMBIENT", "ENDINGS", "STAND_IN_PA", "ChannelsFound", "Quantity", "channel_map", "channels", "quantities"]
 
 
 @dataclass(frozen=True)

@@ -339,7 +339,7 @@ class EngineTwin:
         for name, (magnitude, schedule) in self._known.items():
             if name in magnitudes and (schedule is not None or name in schedules):  # either has times of its own
                 lane = magnitudes[name][:, None] * schedules.get(name, 1.0)
-                schedules[name] = lane + magnitude * (np.ones(self.time_s.size) if schedule is None else schedule)
+                schedules[name] = lane + magnitude * (1.0 if schedule is None else schedule)
                 magnitudes[name] = np.ones(lanes.size)
                 continue
             magnitudes[name] = magnitudes.get(name, np.zeros(lanes.size)) + magnitude

@@ -109,10 +109,8 @@ def known_terms(
         schedule = term.factor(time_s, float(time_s[0]), dict(conditions)) if limited else None
         before, earlier = known.get(term.slot, (0.0, None))
         if before and (schedule is not None or earlier is not None):  # either has times of its own
-            always = np.ones(time_s.size)
-            parts = (before, earlier), (term.magnitude, schedule)
-            sizes = [size * (always if factor is None else factor) for size, factor in parts]
-            known[term.slot] = 1.0, sizes[0] + sizes[1]
+            own = term.magnitude * (1.0 if schedule is None else schedule)
+            known[term.slot] = 1.0, np.asarray(before * (1.0 if earlier is None else earlier) + own)
         else:
             known[term.slot] = before + term.magnitude, schedule
     return known

@@ -82,6 +82,7 @@ def assemble(
     sizes, differ = told_apart(found, days) if mismatch else ([], "")
     location = onset_of(findings.location(found, twin, evidence), found, days) if mismatch else None
     allowed, smallest = allowance(found, after), minimum_detectable(found.scored, found.settings.alarm_gain)
+    figures = fit_figures(found, after, allowed)
     rows = candidate_rows(found)
     curves = Curves(
         time_s=twin.recording_time_s, channels=twin.channels, measured=twin.measured, before=null.simulated,
@@ -109,7 +110,7 @@ def assemble(
             effects=with_words(findings.effects(found, said.fit), differ) if mismatch else (),
             more_is_missing=found.more_is_missing(),
             health=health_values(found, (parameters, covariance), since),
-            fit=fit_figures(found, after, allowed),
+            fit=figures,
             minimum_detectable=finite_only(smallest),
             provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
             out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
