@@ -13,6 +13,7 @@ from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.map_errors import CORRELATION_LENGTH, MapErrors
 from dieseltwin.challenge.own_engine import (
     CORRELATION,
+    OF_RATIO,
     REFERENCE_MIN,
     TIERS,
     draw_health,
@@ -29,7 +30,9 @@ from dieseltwin.challenge.sensors import SENSORS, SensorSet, read
 from dieseltwin.errors import InputError
 
 Kind = Literal["healthy", "withheld", "two", "partial", "single"]
-Tier = Literal["main", "one-percent", "own-engine", "own-engine-5", "own-engine-rough", "petrol", "points"]
+Tier = Literal[
+    "main", "one-percent", "own-engine", "own-engine-5", "own-engine-rough", "own-engine-ratio", "petrol", "points"
+]
 PETROL: Tier = "petrol"
 POINTS: Tier = "points"
 DRAWN: tuple[Tier, ...] = (PETROL, POINTS)
@@ -213,7 +216,7 @@ def build_case(
         "case": plan.name, "kind": plan.kind, "partial": plan.partial, "effects": [f.document() for f in faults],
         "withhold": list(plan.withhold), "tier": tier, "seed": seed, "route": plan.route, "held_out_route": later.kind,
         "health": {name: parameters[name] for name in HEALTH_SPREAD}, "sensors": sensor_set.document(),
-        "map_rms": {"mean": float(np.sqrt(np.mean(maps.tables**2)))},
+        "map_rms": {"mean": maps.rms},
     }  # fmt: skip
     if own:
         answers["since_reference"] = wear
@@ -230,7 +233,7 @@ def _draw_engine(
     if not own:
         for name, spread in HEALTH_SPREAD.items():
             parameters[name] = laboratory[name] * (1.0 + rng.uniform(-spread, spread))
-    maps = MapErrors.draw(MAP_RMS[tier], rng, CORRELATION.get(tier, CORRELATION_LENGTH))
+    maps = MapErrors.draw(MAP_RMS[tier], rng, CORRELATION.get(tier, CORRELATION_LENGTH), tier in OF_RATIO)
     return then, wear, parameters, maps
 
 

@@ -20,11 +20,16 @@ from dieseltwin.challenge.plant import PlantRun, run_plant
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SENSORS, SensorSet, read
 
-TIERS: Mapping[str, float] = {"own-engine": 0.02, "own-engine-5": 0.05, "own-engine-rough": 0.02}
+TIERS: Mapping[str, float] = {
+    "own-engine": 0.02, "own-engine-5": 0.05, "own-engine-rough": 0.02, "own-engine-ratio": 0.02,
+}  # fmt: skip
 """Tier -> size of the maps' errors, rms [-]."""
 
 CORRELATION: Mapping[str, float] = {"own-engine-rough": 0.5 * CORRELATION_LENGTH}
 """Tier -> their correlation length [of the map's range], where it isn't the usual one."""
+
+OF_RATIO = ("own-engine-ratio",)
+"""Tiers in which the turbine's efficiency errs over the blade speed ratio, not over the pressure ratio."""
 
 HEALTH_THEN = {"A_egrmax": 0.15, "A_vgtmax": 0.15, "eta_sc": 0.04, "h_tot": 0.15}  # uniform about the laboratory's
 WEAR = {"A_egrmax": (-0.15, 0.05), "A_vgtmax": (-0.15, 0.05), "eta_sc": (-0.04, 0.02), "h_tot": (-0.15, 0.05)}

@@ -99,7 +99,7 @@ def _turbine(p_em, T_em, position, p_es, c, errors, low, high):  # type: ignore[
 def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps, dy, out):  # type: ignore[no-untyped-def]
     """Right-hand side dy of y = (p_im, p_em, omega_t, lagged gas temperature); `carry` = (x_r, T_1, T_im).
 
-    e: magnitudes of `KERNEL_EFFECTS` in force now; errors (6, k, k) map errors over [low, high], each (6, 2);
+    e: magnitudes of `KERNEL_EFFECTS` in force now; errors (7, k, k) map errors over [low, high], each (7, 2);
     out: `OUTPUTS` but for the thermocouple's reading.
     """
     p_im, p_em, omega = y[0], y[1], y[2]
@@ -209,7 +209,8 @@ def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps,
     else:
         curvature = max(c.c_mlin * (omega - c.c_m1) / (c.omega_tlin - c.c_m1), 0.0)
     eta_tm = min(max(c.eta_tmmax - curvature * (bsr - c.BSR_opt) ** 2, 0.2), 1.0)
-    eta_tm *= (1.0 + _table(errors[3], low[3], high[3], omega, Pi_t)) * (1.0 - e[E_ETA_T])
+    off = _table(errors[3], low[3], high[3], omega, Pi_t) + _table(errors[6], low[6], high[6], omega, bsr)
+    eta_tm *= (1.0 + off) * (1.0 - e[E_ETA_T])
     P_t = eta_tm * W_t * c.c_pe * T_em * drop
     P_f = omega * omega * (e[E_FRICTION] + omega * e[E_WINDAGE])
 

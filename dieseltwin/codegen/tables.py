@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dieseltwin.atomic import atomic_folder
 from dieseltwin.codegen.transpile import number
 from dieseltwin.engine.binding import Model, bind
-from dieseltwin.engine.map_corrections import GRIDS, OF_RATIO, arguments_of, corrections_of, look_up
+from dieseltwin.engine.map_corrections import CORRECTED_POINTS, GRIDS, OF_RATIO, arguments_of, corrections_of, look_up
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.parameters import EngineParameters, constants
 from dieseltwin.engine.terms import corrections_in
@@ -53,22 +53,25 @@ class Map:
     formula: Callable[..., Array]
 
 
+_grid = CORRECTED_POINTS.index
+
 MAPS: dict[str, Map] = {
-    "eta_vol": Map(("p_im", "n_e"), 0, "volumetric efficiency [-] (A.6)",
+    "eta_vol": Map(("p_im", "n_e"), _grid("eta_vol"), "volumetric efficiency [-] (A.6)",
                    lambda m, c, p, n: m.eta_vol(p, n, c)),
-    "f_egr": Map(("u_egr",), 1, "effective area ratio of the EGR valve [-] (A.23)",
+    "f_egr": Map(("u_egr",), _grid("f_egr"), "effective area ratio of the EGR valve [-] (A.23)",
                  lambda m, c, u: m.f_egr(u, c)),
-    "F_vgt_Pi_t": Map(("u_vgt", "Pi_t"), 2, "VGT area ratio times choking function [-] (A.31)",
+    "F_vgt_Pi_t": Map(("u_vgt", "Pi_t"), _grid("W_t"), "VGT area ratio times choking function [-] (A.31)",
                       lambda m, c, u, Pi: m.F_vgt_Pi_t(u, Pi, c)),
     "eta_tm": Map(("omega_t", "BSR"), None,
                   "turbine efficiency with mechanical losses [-] (A.33); times the next two's sum less 1",
                   lambda m, c, w, BSR: m.eta_tm(w, BSR, 0.5, c)),
-    "eta_tm_learned": Map(("omega_t", "Pi_t"), 3, "learned factor of the turbine efficiency [-]; 1: none",
+    "eta_tm_learned": Map(("omega_t", "Pi_t"), _grid("eta_tm"), "learned factor of the turbine efficiency [-]; 1: none",
                           lambda m, c, w, Pi: np.ones_like(w)),
     "eta_tm_learned_bsr": Map(("omega_t", "BSR"), OF_RATIO, "further learned factor of it [-]; 1: none",
                               lambda m, c, w, BSR: np.ones_like(w)),
-    "eta_c": Map(("W_c", "Pi_c"), 4, "compressor efficiency [-] (A.40)", lambda m, c, W, Pi: m.eta_c(W, Pi, c)),
-    "Phi_c": Map(("omega_t", "Pi_c"), 5, "volumetric flow coefficient of the compressor [-] (A.50)",
+    "eta_c": Map(("W_c", "Pi_c"), _grid("eta_c"), "compressor efficiency [-] (A.40)",
+                 lambda m, c, W, Pi: m.eta_c(W, Pi, c)),
+    "Phi_c": Map(("omega_t", "Pi_c"), _grid("W_c"), "volumetric flow coefficient of the compressor [-] (A.50)",
                  lambda m, c, w, Pi: m.Phi_c(c.T_amb, Pi, w, c)),
 }  # fmt: skip
 

@@ -302,6 +302,7 @@ def _time_words(document: Discrepancy) -> list[str]:
 
 
 _BEYOND_CHANCE = 1e-4  # of all that was looked for at once; what is found, but below its tolerance, has such a p
+_ODD = 0.02  # a smaller p-value is said in words: beside "nothing is missing" it would ask a question
 _EXAMPLES = ("boost_leak", "back_pressure", "bearing_friction")
 
 
@@ -318,6 +319,10 @@ def _healthy(document: Discrepancy) -> str:
     elif beyond:
         text = ("Nothing as large as a fault was found: simulation and recording differ by more than chance "
                 f"({p_value}), but by less than what is believed of a healthy engine of this kind")
+    elif document.p_value < _ODD:
+        text = (f"No fault is shown beyond doubt, though one healthy recording in {1.0 / document.p_value:.0f} looks "
+                f"as odd by chance ({p_value}): noise, the four health parameters and the tolerances of the maps may "
+                "explain it")
     else:
         text = (f"Nothing is missing that {_these(len(document.recordings))} could show ({p_value}): noise, the four "
                 "health parameters and the tolerances of the maps explain it")

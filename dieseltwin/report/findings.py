@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
-from dieseltwin.discovery.verdict.when import clock
+from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import display_unit, magnitude_words, site_words
 from dieseltwin.report.page import EMPTY, Table
@@ -46,18 +46,13 @@ def findings(
         document: the verdict.
         shares: of the misfit; None: that of all together.
         unit: how sizes are shown.
-        timed: say since when.
+        timed: say when.
     """
     if not document.effects:
         return None
     heads = ("finding", "size ± std", "90 % interval", "probability", "misfit explained",
-             *(("since",) if timed else ()), "can't be told from")  # fmt: skip
-    location = document.location
-    since = "its start" if location is None or location.onset_s is None else clock(location.onset_s)
-    if location is not None and location.until_s is not None:
-        since += f", until {clock(location.until_s)}"
-    if location is not None and location.grows:
-        since += ", grown to this size at the end"
+             *(("when",) if timed else ()), "can't be told from")  # fmt: skip
+    when = "from the start" if document.location is None else when_words(document.location)
     rows = []
     for effect in document.effects:
         size, interval = _sizes(effect, unit)
@@ -65,7 +60,7 @@ def findings(
         if effect.equivalent_names and effect.split_by:
             equivalent += f"; {effect.split_by} would settle it"
         rows.append((effect.name, size, interval, probability(effect.probability), _share(document, effect, shares),
-                     *((since,) if timed else ()), equivalent))  # fmt: skip
+                     *((when,) if timed else ()), equivalent))  # fmt: skip
     return Table(heads, rows, words=(0, len(heads) - 1), long=(len(heads) - 1,))
 
 

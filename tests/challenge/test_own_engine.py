@@ -48,13 +48,15 @@ def test_the_table_has_a_line_for_the_change_since_the_reference():
     assert "since" not in {line.key for line in lines([CaseRow("case_0002", "healthy", None, "random", (), ())])}
 
 
-def test_an_oracle_meets_the_plants_maps():
+@pytest.mark.parametrize(("tier", "off"), [("own-engine", (0, 1, 2, 3, 4, 5)), ("own-engine-ratio", (0, 1, 2, 4, 5, 6))])
+def test_an_oracle_meets_the_plants_maps(tier: str, off: tuple[int, ...]):
     laboratory = we2011.PARAMETERS.model_dump()
-    maps = maps_of({"case": "case_0001", "seed": 3, "tier": "own-engine"}, laboratory)
+    maps = maps_of({"case": "case_0001", "seed": 3, "tier": tier}, laboratory)
+    assert [m for m in range(7) if maps.tables[m].any()] == list(off) and 0.01 < maps.rms < 0.03
     coefficients = corrections_in(with_plant_maps(we2011.PARAMETERS, maps).terms)
     assert coefficients is not None
     tables = corrections_of(np.array(coefficients)).tables
-    for m in range(6):
+    for m in off:
         ends = [np.linspace(maps.low[m, k], maps.high[m, k], maps.tables.shape[1 + k]) for k in range(2)]
         x, y = (nodes.ravel() for nodes in np.meshgrid(*ends, indexing="ij"))
         left = maps.tables[m].ravel() - look_up(tables[m], m, x, y)

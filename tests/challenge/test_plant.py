@@ -11,8 +11,9 @@ import pytest
 
 from dieseltwin.challenge import plant
 from dieseltwin.challenge.driving import Driving
-from dieseltwin.challenge.map_errors import MAPS, MapErrors
+from dieseltwin.challenge.map_errors import MAPS, TURBINE_OF_RATIO, MapErrors
 from dieseltwin.challenge.plant import PlantRun, run_plant
+from dieseltwin.challenge.plant_constants import plant_constants
 from dieseltwin.challenge.plant_effects import FAMILIES, FLAP, Fault
 from dieseltwin.challenge.routes import ECU, UNSTABLE_RPM, draw_driving
 from dieseltwin.challenge.sensors import SENSORS, SensorSet, ar1, quantised, read, shown
@@ -134,12 +135,31 @@ def test_half_the_step_changes_nothing(drive: Driving) -> None:
 def test_map_errors_have_their_rms_and_are_smooth() -> None:
     draws = [MapErrors.draw(0.003, np.random.default_rng(k)).tables for k in range(60)]
     rms = np.sqrt(np.mean(np.square(draws), axis=(0, 2, 3)))
+    assert rms[TURBINE_OF_RATIO] == 0.0
+    rms = rms[: len(MAPS)]
     assert rms == pytest.approx(np.full(len(MAPS), 0.003), rel=0.25)
     fields = np.array(draws)[:, 0]
     third = fields.shape[1] // 3
     near = np.mean(fields[:, 1:] * fields[:, :-1]) / np.mean(fields**2)
     far = np.mean(fields[:, third:] * fields[:, :-third]) / np.mean(fields**2)
     assert near > 0.99 and far == pytest.approx(np.exp(-0.5), abs=0.12)
+
+
+def test_an_error_over_the_blade_speed_ratio_changes_with_the_exhausts_temperature(drive: Driving) -> None:
+    """Of the turbine's efficiency alone, by what its table says at the ratio that speed, drop and temperature give."""
+    maps = MapErrors.none()
+    ratio = np.linspace(maps.low[TURBINE_OF_RATIO, 1], maps.high[TURBINE_OF_RATIO, 1], maps.tables.shape[2])
+    maps.tables[TURBINE_OF_RATIO] = 0.1 * (ratio - 0.6)
+    run = run_plant(drive, LABORATORY, (), maps, initial=START)
+    c, omega = plant_constants(LABORATORY), run["omega_t_rad_s"]
+    drop = 1.0 - (c.p_amb / run["p_em_pa"]) ** ((c.gamma_e - 1.0) / c.gamma_e)
+    of = np.minimum(c.R_t * omega / np.sqrt(2.0 * c.c_pe * run["t_em_k"] * drop), 2.0 * c.BSR_opt)
+    turning = omega > c.omega_tlin
+    curvature = c.c_m0 * (omega - c.c_m1)[turning] ** c.c_m2
+    plain = np.clip(c.eta_tmmax - curvature * (of[turning] - c.BSR_opt) ** 2, 0.2, 1.0)
+    off = 0.1 * (np.clip(of[turning], ratio[0], ratio[-1]) - 0.6)
+    assert np.ptp(off) > 0.01 and turning.mean() > 0.5
+    assert run["eta_tm"][turning] == pytest.approx(plain * (1.0 + off), rel=1e-9)
 
 
 def test_noise_is_what_it_says() -> None:

@@ -42,6 +42,11 @@ def test_what_is_beyond_chance_but_below_its_tolerance_is_not_called_nothing() -
     assert "(p = 2e-11)" in text
 
 
+def test_an_odd_p_value_without_an_alarm_is_put_in_words() -> None:
+    text = sentence(Discrepancy.model_validate({**synthetic.healthy_content(), "p_value": 0.0014}))
+    assert text.startswith("No fault is shown beyond doubt, though one healthy recording in 714 looks as odd by chance")
+
+
 def test_none_of_these_with_and_without_a_law() -> None:
     text = sentence(synthetic.document(effects=[synthetic.UNNAMED]))
     assert "leaves out something, in the intake mass balance" in text

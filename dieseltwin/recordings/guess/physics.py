@@ -32,8 +32,8 @@ MOVES = 0.06  # relative standard deviation from which a channel says something
 TURBO_AGREES = 0.4  # rank correlation with the pressure ratio
 HEAT = (4.6, 16.0)  # K per mg/cycle and litre of a cylinder, real engines (see `plausibility`)
 SHARES_SPREAD, LINE_HOLDS = 1.5, 0.8  # of fuel in the gas, 95 over 5 %; correlation of temperature with it
-COLD_LINE, HOT_LINE = 275.0, 480.0
-"""K without fuel: 300 to 400 of engines; 90 to 260 of degC and degF taken as K, 530 and 670 of degF and K as degC."""
+COLD_LINE, HOT_LINE = 260.0, 480.0
+"""K without fuel: 268 to 400 of engines; 90 to 260 of degC and degF taken as K, 530 and 670 of degF and K as degC."""
 HOT_PER_SHARE, IMPOSSIBLE_PER_SHARE = 1.85e4, 2.8e4
 """K per fuel share in the gas, where it is above its median: 11,000 to 15,000 of engines, and all heat makes 37,000."""
 LEAST_LOADED_MG, FULL_LOAD_MG_L = 20.0, 60.0  # below, no load at all; a diesel's full load per litre of cylinder
