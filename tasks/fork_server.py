@@ -26,7 +26,8 @@ from typing import TextIO
 # Libraries worth loading beforehand, where the step's code imports them. `torch._dynamo` is a second that torch's
 # optimisers load when the first one is made.
 HEAVY = (
-    "numpy", "scipy.optimize", "pandas", "numba", "torch", "torch._dynamo", "matplotlib.backends.backend_agg",
+    "numpy", "scipy.optimize", "scipy.signal", "scipy.stats", "pandas", "pyarrow.dataset", "pydantic", "numba", "torch",
+    "torch._dynamo", "matplotlib.figure", "matplotlib.backends.backend_agg",
 )  # fmt: skip
 
 _MESSAGE_BYTES = 4096

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -70,14 +71,28 @@ class Relations:
 
     Attributes:
         residual: (B, n, R) logarithm of measured over predicted, NaN where a reading is missing.
-        measured, predicted: row name -> (B, n) [unit of the quantity].
-        quantities: every intermediate quantity by the paper's symbol -> (B, n) [SI].
+        pairs: row name -> what was measured and what is predicted, as far as lanes differ.
+        intermediate: as `quantities`, as far as lanes differ.
     """
 
     residual: Array
-    measured: Mapping[str, Array]
-    predicted: Mapping[str, Array]
-    quantities: Mapping[str, Array]
+    pairs: Mapping[str, tuple[Any, Any]]
+    intermediate: Mapping[str, Any]
+
+    @cached_property
+    def measured(self) -> Mapping[str, Array]:
+        """Row name -> (B, n) [unit of the quantity]."""
+        return {name: _spread(values, self.residual.shape[:2]) for name, (values, _) in self.pairs.items()}
+
+    @cached_property
+    def predicted(self) -> Mapping[str, Array]:
+        """Row name -> (B, n) [unit of the quantity]."""
+        return {name: _spread(values, self.residual.shape[:2]) for name, (_, values) in self.pairs.items()}
+
+    @cached_property
+    def quantities(self) -> Mapping[str, Array]:
+        """Every intermediate quantity by the paper's symbol -> (B, n) [SI]."""
+        return {name: _spread(values, self.residual.shape[:2]) for name, values in self.intermediate.items()}
 
 
 @dataclass(frozen=True)
@@ -220,9 +235,7 @@ class SteadyModel:
         for name in self.extra:
             pairs[EXTRA_ROWS[name]] = (points[name], implied[EXTRA_ROWS[name]])
         shape = np.broadcast_shapes((lanes, points.size), x.shape[:-1])
-        measured = {k: _spread(v[0], shape) for k, v in pairs.items()}
-        predicted = {k: _spread(v[1], shape) for k, v in pairs.items()}
-        residual = np.stack([_log_ratio(measured[k], predicted[k]) for k in self.rows], axis=-1)
+        residual = np.stack([_spread(_log_ratio(*pairs[k]), shape) for k in self.rows], axis=-1)
         # The compressor's map is judged in its implicit form (A.46): solved for the flow, a flat speed line would
         # turn 1 % of pressure into 30 % of flow.
         psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c) - c.c_psi2
@@ -238,8 +251,7 @@ class SteadyModel:
             "u_vgt": u_vgt, "BSR": _eq.blade_speed_ratio(omega, T_em, Pi_t, c_t),
             "Psi_c": _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c),
         }  # fmt: skip
-        return Relations(residual, measured, predicted,
-                         {k: _spread(v, shape) for k, v in quantities.items()})
+        return Relations(residual, pairs, quantities)
 
     def _entered(self, points: SteadyPoints, values: Mapping[str, Any], lanes: int) -> dict[str, Array]:
         """Signals by insertion point, with the smooth errors of maps; points without their columns are elsewhere and

@@ -48,7 +48,9 @@ def test_the_table_has_a_line_for_the_change_since_the_reference():
     assert "since" not in {line.key for line in lines([CaseRow("case_0002", "healthy", None, "random", (), ())])}
 
 
-@pytest.mark.parametrize(("tier", "off"), [("own-engine", (0, 1, 2, 3, 4, 5)), ("own-engine-ratio", (0, 1, 2, 4, 5, 6))])
+@pytest.mark.parametrize(
+    ("tier", "off"), [("own-engine", (0, 1, 2, 3, 4, 5)), ("own-engine-ratio", (0, 1, 2, 4, 5, 6))]
+)
 def test_an_oracle_meets_the_plants_maps(tier: str, off: tuple[int, ...]):
     laboratory = we2011.PARAMETERS.model_dump()
     maps = maps_of({"case": "case_0001", "seed": 3, "tier": tier}, laboratory)
