@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tasks.failures import StepFailed
-from tasks.run_context import Pending, current, step
+from tasks.run_context import Pending, Progress, current, step
 from tasks.store import MANIFEST, RUNTIME, Artifact
 
 SUMMARY = "summary.txt"
@@ -20,7 +20,7 @@ COMPARED = ("discrepancy.json", "engine.yaml", "implied.parquet")
 @step("discover", "discovery", expected_s=60.0, sections=("discover", "learn"))
 def discover(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     recording: Path,
     kind: str,

@@ -11,7 +11,7 @@ from typing import Any
 
 from dieseltwin.settings.methods import find, in_order
 from tasks.identify import rests_on
-from tasks.run_context import Step, step
+from tasks.run_context import Progress, Step, step
 from tasks.store import RUNTIME
 
 ESTIMATES = "estimates.npz"
@@ -84,7 +84,7 @@ def _write(out: Path, estimates: list[Any], seconds: float) -> None:
 )
 def baseline(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     method: str,
     field: Path,
@@ -126,7 +126,7 @@ def baseline(
 )
 def multi_stage(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     method: str,
     field: Path,
@@ -169,7 +169,7 @@ OWN_STEPS: dict[str, Step] = {"baseline": baseline, "multi-stage": multi_stage}
 
 def members(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     method: str,
     field: Path,
@@ -214,7 +214,7 @@ STEPS = steps_of_all()
 @step("training-operators", "repeated training, actuator operators", expected_s=80.0)
 def operators_training(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     lab: Path,
     field: Path,
@@ -248,7 +248,7 @@ def operators_training(
 
 
 @step("training-bodies", "repeated training, multi-head bodies", expected_s=60.0)
-def bodies_training(out: Path, progress: Any, *, lab: Path, config: dict[str, Any], seed: int, kind: str) -> None:
+def bodies_training(out: Path, progress: Progress, *, lab: Path, config: dict[str, Any], seed: int, kind: str) -> None:
     """``errors.json`` of one training of the bodies as printed: training errors."""
     import json
 

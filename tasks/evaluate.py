@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tasks.run_context import step
+from tasks.run_context import Progress, step
 
 TABLES = ("cells", "beside_paper", "scores", "operators", "bodies", "maps", "calibration", "over_epochs",
           "identifiability", "variants")  # fmt: skip
@@ -18,7 +18,7 @@ METRICS = "metrics.json"
 @step("ensemble", "members together", expected_s=10.0)
 def ensemble(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     field: Path,
     settings: dict[str, Any],
@@ -93,7 +93,7 @@ def ensemble(
 @step("evaluation-tables", "the paper's tables", expected_s=10.0)
 def tables(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     errors: Path,
     field: Path,
@@ -162,7 +162,7 @@ def _linked(parts: dict[str, Path]) -> Iterator[Path]:
 @step("evaluation-page", "page of the evaluation", expected_s=60.0)
 def page(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     field: Path,
     common: Path,

@@ -10,7 +10,7 @@ from typing import Any
 
 from dieseltwin.settings.methods import Method, in_order
 from dieseltwin.surrogates.files import CLASSES, files_of
-from tasks.run_context import Step, step
+from tasks.run_context import Progress, Step, step
 
 
 def _config(settings: dict[str, Any]) -> Any:
@@ -56,7 +56,7 @@ def problems_of(field: Path, settings: dict[str, Any]) -> tuple[list[Any], Any]:
 
 def identified(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     method: str,
     field: Path,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from tasks.run_context import step
+from tasks.run_context import Progress, step
 from tasks.store import Artifact
 
 ERRORS = "errors.json"
@@ -64,7 +64,9 @@ def _write_json(path: Path, content: Any) -> None:
 
 
 @step("eta-tm-labels", "labels of eta_tm, 40 Hz", expected_s=15.0)
-def eta_tm_labels(out: Path, progress: Any, *, sets: Path, driving: dict[str, Any], engine: dict[str, Any]) -> None:
+def eta_tm_labels(
+    out: Path, progress: Progress, *, sets: Path, driving: dict[str, Any], engine: dict[str, Any]
+) -> None:
     """The training cases of the maps, sampled finer, with the columns that the maps need."""
     from types import SimpleNamespace
 
@@ -85,7 +87,7 @@ def eta_tm_labels(out: Path, progress: Any, *, sets: Path, driving: dict[str, An
 @step("maps", "empirical maps", expected_s=40.0)
 def maps(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     lab: Path,
     fine: Path,
@@ -127,7 +129,7 @@ def maps(
 @step("operators", "actuator operators (DeepONets)", expected_s=110.0)
 def operators(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     lab: Path,
     field: Path,
@@ -184,7 +186,7 @@ def _symbol(column: str) -> str:
 @step("bodies", "multi-head bodies", expected_s=60.0)
 def bodies(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     lab: Path,
     kind: str,

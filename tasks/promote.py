@@ -12,7 +12,7 @@ from dieseltwin.settings.methods import find
 from tasks.failures import StepFailed
 from tasks.identify import rests_on
 from tasks.registry import CHAMPION, Candidate, Decision, Registry, Version, decide
-from tasks.run_context import Pending, current, step
+from tasks.run_context import Pending, Progress, current, step
 from tasks.tracking import Tracker
 
 RECORDING = "validation.parquet"
@@ -27,7 +27,7 @@ KNOWN_ENGINE = find("few-shot-newton")  # the method that finds it, with all tha
 
 @step("validation-driving", "driving to compare networks on", expected_s=10.0)
 def validation_driving(
-    out: Path, progress: Any, *, driving: dict[str, Any], engine: dict[str, Any], seed: int, minutes: float
+    out: Path, progress: Progress, *, driving: dict[str, Any], engine: dict[str, Any], seed: int, minutes: float
 ) -> None:
     """``validation.parquet``: a clean recording of random driving, not Case-V; ``engine.json``: health of its own."""
     import json
@@ -59,7 +59,7 @@ def _loaded(load: Callable[[Path], Any], path: Path) -> Any:
 
 
 @step("network-validation", "validation of the networks", expected_s=15.0)
-def validate(out: Path, progress: Any, *, recording: Path, networks: Path) -> None:
+def validate(out: Path, progress: Progress, *, recording: Path, networks: Path) -> None:
     """``validation.json``: relative L2 error [%] of every map, operator and body on the recording."""
     import json
 
@@ -86,7 +86,7 @@ def validate(out: Path, progress: Any, *, recording: Path, networks: Path) -> No
 
 @step("acceptance", "physical tests of the networks", expected_s=30.0, entries=rests_on(KNOWN_ENGINE))
 def acceptance(
-    out: Path, progress: Any, *, recording: Path, networks: Path, limits: dict[str, Any], identify: dict[str, Any]
+    out: Path, progress: Progress, *, recording: Path, networks: Path, limits: dict[str, Any], identify: dict[str, Any]
 ) -> None:
     """``acceptance.json``: figure, limit and sentence of every physical test of the networks."""
     import json
@@ -112,7 +112,7 @@ def acceptance(
 
 
 @step("served-model", "the model that MLflow serves", expected_s=10.0)
-def served_model(out: Path, progress: Any, *, recording: Path, networks: Path, code: Path) -> None:
+def served_model(out: Path, progress: Progress, *, recording: Path, networks: Path, code: Path) -> None:
     """``model/``: an MLflow model of the networks, with the code that runs them, signature and an input example."""
     import pandas as pd
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tasks.run_context import step
+from tasks.run_context import Progress, step
 from tasks.store import Artifact
 
 # Files of a score that two equal runs make alike (run times are in the others).
@@ -29,7 +29,7 @@ _LOOKED_UP = ("discover", "learn")
 
 @step("benchmark", "concealed recordings", expected_s=60.0)
 def benchmark(
-    out: Path, progress: Any, *, cases: int, seed: int, tier: str, sensors: int, duration_s: float, jobs: int
+    out: Path, progress: Progress, *, cases: int, seed: int, tier: str, sensors: int, duration_s: float, jobs: int
 ) -> None:
     """``benchmark/``: ``case_0001/recording.csv`` ..., ``manifest.json`` with the salted hashes, ``sealed/``."""
     from dieseltwin.challenge.make import make_challenge
@@ -47,7 +47,7 @@ def benchmark(
 
 
 @step("case", "discovery", expected_s=60.0, many=True, sections=_LOOKED_UP)
-def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list[str], tier: str) -> None:
+def case(out: Path, progress: Progress, *, recording: Path, kind: str, withhold: list[str], tier: str) -> None:
     """What ``challenge run`` writes of one case (``kind``): discrepancy.json, engine.yaml, ... or failed.json."""
     import json
     from contextlib import chdir
@@ -80,7 +80,7 @@ def case(out: Path, progress: Any, *, recording: Path, kind: str, withhold: list
 
 
 @step("opened", "seal opened, oracle", expected_s=30.0, many=True, sections=_LOOKED_UP)
-def opened(out: Path, progress: Any, *, benchmark: Path, result: Path, kind: str) -> None:
+def opened(out: Path, progress: Progress, *, benchmark: Path, result: Path, kind: str) -> None:
     """``scored.json`` of one case: held-out scores before and after, the oracle's, separability, the law's error."""
     from dieseltwin.challenge.records import Scoring, case_row
     from dieseltwin.challenge.run import RESULTS, read_manifest
@@ -101,7 +101,7 @@ _SCORED = "scored.json"
 
 
 @step("baseline-bands", "bands of the baselines", expected_s=150.0, sections=_LOOKED_UP)
-def bands(out: Path, progress: Any, *, benchmark: Path, jobs: int) -> None:
+def bands(out: Path, progress: Progress, *, benchmark: Path, jobs: int) -> None:
     """``baselines/bands.json``: what healthy machines reach; the baselines alarm beyond it."""
     from dieseltwin.challenge.baselines import write_bands
 
@@ -111,7 +111,7 @@ def bands(out: Path, progress: Any, *, benchmark: Path, jobs: int) -> None:
 
 
 @step("baseline", "baselines", expected_s=15.0, many=True, sections=_LOOKED_UP)
-def baseline(out: Path, progress: Any, *, benchmark: Path, bands: Path, kind: str) -> None:
+def baseline(out: Path, progress: Progress, *, benchmark: Path, bands: Path, kind: str) -> None:
     """What ``challenge baselines`` writes of one case, as it lies below the benchmark's folder."""
     import shutil
 
@@ -127,7 +127,7 @@ BASELINES_FOLDER = "baselines"
 
 
 @step("score", "score", expected_s=20.0, sections=_LOOKED_UP)
-def score(out: Path, progress: Any, *, benchmark: Path, **parts: Path) -> None:
+def score(out: Path, progress: Progress, *, benchmark: Path, **parts: Path) -> None:
     """The table (score.json, score.md, lines.csv), every case (rows.json), failures.csv, figures/, metrics.json.
 
     ``parts``: result_NAME, opened_NAME and baseline_NAME of the cases.

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tasks.run_context import current, step
+from tasks.run_context import Progress, current, step
 from tasks.store import RUNTIME, Artifact, content_hash
 
 PAGE = "index.html"
@@ -19,7 +19,7 @@ _BETWEEN_COLUMNS = r"\s{2,}"
 
 
 @step("driving-pictures", "pictures of the driving", expected_s=15.0)
-def driving_pictures(out: Path, progress: Any, *, sets: Path, driving: dict[str, Any], dpi: int) -> None:
+def driving_pictures(out: Path, progress: Progress, *, sets: Path, driving: dict[str, Any], dpi: int) -> None:
     """``set_i.png`` ...: what each set looks like."""
     import pandas as pd
 
@@ -43,7 +43,7 @@ def _linked(folder: Path, methods: dict[str, Path]) -> None:
 @step("comparison", "comparison of the methods", expected_s=10.0)
 def comparison(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     field: Path,
     errors: Path,
@@ -100,7 +100,7 @@ def _finite(value: float) -> float | None:
 @step("report", "report", expected_s=20.0)
 def report(
     out: Path,
-    progress: Any,
+    progress: Progress,
     *,
     common: Path,
     pictures: Path,

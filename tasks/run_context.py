@@ -50,6 +50,9 @@ TIMING = f"step/{RUNTIME}"
 # The argument of a step that its function doesn't get: its process finds it in the environment.
 _SECTIONS = "sections"
 
+Progress = Callable[[float, float], None]
+"""What a step tells of itself: how much is done, and of how much."""
+
 STEPS: dict[str, Step] = {}
 
 
@@ -109,8 +112,8 @@ def use(context: RunContext | None) -> None:
 class Step:
     """A function ``(out, progress, **inputs, **parameters) -> None`` that writes its result into the folder ``out``.
 
-    ``progress(done, total)`` may be called or not. Arguments given as :class:`Artifact` reach the function as paths;
-    all others must be plain JSON values. The function imports what it computes with inside itself.
+    ``progress`` (:data:`Progress`) may be called or not. Arguments given as :class:`Artifact` reach the function as
+    paths; all others must be plain JSON values. The function imports what it computes with inside itself.
 
     ``sections`` names the sections of params.yaml that the library looks up by itself when the function runs. They are
     an argument ``sections`` of the call (:meth:`sections_of`), part of the key, and stand for the file's in the step's

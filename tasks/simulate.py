@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tasks.run_context import step
+from tasks.run_context import Progress, step
 
 # What the pictures of the sets show.
 _RESPONSE_COLUMNS = (
@@ -37,7 +37,7 @@ def _settings(**sections: dict[str, Any]) -> Any:
 
 
 @step("driving-sets", "driving: Set-I to Set-IV", expected_s=30.0)
-def driving_sets(out: Path, progress: Any, *, driving: dict[str, Any], engine: dict[str, Any]) -> None:
+def driving_sets(out: Path, progress: Progress, *, driving: dict[str, Any], engine: dict[str, Any]) -> None:
     """``set_i.parquet`` ...: the inputs of every set; ``response/``: what the engine did while they were made."""
     from dieseltwin.paper.datasets import drive_set, laboratory_parameters
     from dieseltwin.recordings.reader import write_recording
@@ -56,7 +56,7 @@ def driving_sets(out: Path, progress: Any, *, driving: dict[str, Any], engine: d
 
 @step("recordings", "recordings: Cases I to VII", expected_s=20.0)
 def case_recordings(
-    out: Path, progress: Any, *, sets: Path, driving: dict[str, Any], engine: dict[str, Any], noise: dict[str, Any]
+    out: Path, progress: Progress, *, sets: Path, driving: dict[str, Any], engine: dict[str, Any], noise: dict[str, Any]
 ) -> None:
     """``lab/case_*.parquet`` and, for the field engine, ``field/case_v_clean.parquet`` (with truth), ``..._noisy``."""
     import pandas as pd

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from tasks.failures import StepFailed
-from tasks.run_context import current, step
+from tasks.run_context import Progress, current, step
 from tasks.store import Artifact
 
 ENTRY = "entry.json"
@@ -23,7 +23,7 @@ _SETTLED_S = 30.0  # since a file was last written to: what is still being copie
 
 @step("watched", "recording for the history", expected_s=40.0, sections=("discover", "learn"))
 def watched(
-    out: Path, progress: Any, *, recording: Path, kind: str, name: str, engine: Path, learned: Path, beside: str
+    out: Path, progress: Progress, *, recording: Path, kind: str, name: str, engine: Path, learned: Path, beside: str
 ) -> None:
     """entry.json, the recording's row of the history; ``kind`` and ``name`` are its name, which may hold its date.
 

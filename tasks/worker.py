@@ -13,13 +13,12 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
 from tasks.failures import end_with_parent
 from tasks.fork_server import serve
-from tasks.run_context import find_step
+from tasks.run_context import Progress, find_step
 
 # A progress message at most this often [s]: a callback in an inner loop must not cost.
 _MESSAGE_INTERVAL_S = 0.2
@@ -50,7 +49,7 @@ def _kinds(error: Exception) -> list[str]:
     return [f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__]
 
 
-def _reporter(channel: TextIO) -> Callable[[float, float], None]:
+def _reporter(channel: TextIO) -> Progress:
     last = [-_MESSAGE_INTERVAL_S]
 
     def report(done: float, total: float) -> None:

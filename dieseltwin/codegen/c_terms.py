@@ -16,10 +16,9 @@ from dieseltwin.engine.quantities import MapArguments, OperatingPoint
 from dieseltwin.engine.sensor_effects import slot_parts
 from dieseltwin.engine.terms import (
     SENSOR_SLOTS,
-    ActuatorTerm,
+    EffectTerm,
     LawTerm,
     OneTerm,
-    SensorTerm,
     Term,
     corrections_in,
     effect_terms,
@@ -99,7 +98,7 @@ class TermsInC:
 
     # Where a term acts
 
-    def _acting(self, term: Term | SensorTerm | ActuatorTerm | LawTerm) -> str:
+    def _acting(self, term: EffectTerm | LawTerm) -> str:
         """Factor of a term over an interval, "" where it always acts wholly."""
         conditions = [] if term.onset_s is None else [f"t >= {number(term.onset_s)}"]
         conditions += [] if term.until_s is None else [f"t < {number(term.until_s)}"]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from dieseltwin.engine._compiled import follow_lanes
-from dieseltwin.engine.array_namespace import positive_power
+from dieseltwin.engine.array_namespace import Array, positive_power
 from dieseltwin.engine.binding import Model, numpy_model
 from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.extended import Extension, simulate_extended
@@ -25,8 +24,11 @@ from dieseltwin.engine.quantities import POINTS, Gas, OperatingPoint, Quantities
 from dieseltwin.engine.sensor_effects import apply_sensor_effects
 from dieseltwin.engine.terms import (
     SENSOR_SLOTS,
+    EffectTerm,
     LawTerm,
+    Nozzle,
     OneTerm,
+    Power,
     amounts,
     corrections_in,
     effect_terms,
@@ -48,8 +50,6 @@ GAS_SWEEPS = 4
 """Rounds of the fixed point between the gas temperature and the EGR that it heats, from a cold start."""
 
 Terms = Sequence[OneTerm]
-Power = Callable[[Any, Any], Any]
-Nozzle = Callable[[Any, Any, Any], Any]
 
 
 def conditions_of(actuation: Actuation) -> dict[str, np.ndarray]:
@@ -158,7 +158,7 @@ def simulate_lanes(
     return Observations(states, measured)
 
 
-def _is_constant(term: Any) -> bool:
+def _is_constant(term: EffectTerm) -> bool:
     drifts = term.slot in EFFECTS and EFFECTS[term.slot].drifts
     return bool(term.always) and not drifts
 
@@ -184,7 +184,7 @@ def _with_laws(
     points = list(dict.fromkeys(law.point for law in law_terms(batch.terms)))
     shape = (batch.size, actuation.time_s.size)
 
-    def simulated(signals: Mapping[str, Any]) -> Observations:
+    def simulated(signals: Mapping[str, Array]) -> Observations:
         entered = extension
         if signals and batch.size == 1:
             rows = np.zeros((len(POINTS), shape[1]))
@@ -199,7 +199,7 @@ def _with_laws(
             )
         return simulate_extended(actuation, batch, entered, starts, threads)
 
-    def answer(signals: Mapping[str, Any]) -> dict[str, Any]:
+    def answer(signals: Mapping[str, Array]) -> dict[str, Array]:
         _, s = along(simulated(signals).states, actuation, batch.terms, batch.constants(), laws_only=True)
         return {point: getattr(s, point) for point in points}
 
@@ -207,18 +207,18 @@ def _with_laws(
 
 
 def signals_of(
-    laws: Sequence[LawTerm], factors: Sequence[Any], variables: Mapping[str, Any], power: Power, nozzle: Nozzle
-) -> dict[str, Any]:
+    laws: Sequence[LawTerm], factors: Sequence[Array], variables: Mapping[str, Array], power: Power, nozzle: Nozzle
+) -> dict[str, Array]:
     """Point -> signal of the law terms there at given variables; factors: onset and region of each law."""
-    values: dict[str, Any] = {}
+    values: dict[str, Array] = {}
     for law, factor in zip(laws, factors, strict=True):
         values[law.point] = values.get(law.point, 0.0) + factor * law.signal(variables, power, nozzle)
     return values
 
 
 def correction_signals(
-    coefficients: np.ndarray, variables: Mapping[str, Any], c: Constants, signals: Mapping[str, Any]
-) -> dict[str, Any]:
+    coefficients: np.ndarray, variables: Mapping[str, Array], c: Constants, signals: Mapping[str, Array]
+) -> dict[str, Array]:
     """Point -> signal with the maps' corrections added, at variables as of `law_variables` (numpy arrays)."""
     out = dict(signals)
     states = (variables[name] for name in ("p_im", "p_em", "omega_t", "p_bc", "p_es", "T_em"))
@@ -231,7 +231,7 @@ def correction_signals(
     return out
 
 
-def law_variables(q: Quantities, states: Mapping[str, Any], c: Constants) -> dict[str, Any]:
+def law_variables(q: Quantities, states: Mapping[str, Array], c: Constants) -> dict[str, Array]:
     """Variables that a law may depend on; states: p_im, p_em, omega_t, x_r, T_1, n_e, u_delta, u_egr, u_vgt, t."""
     p_im, p_em = states["p_im"], states["p_em"]
     return {
@@ -242,9 +242,9 @@ def law_variables(q: Quantities, states: Mapping[str, Any], c: Constants) -> dic
 
 
 def quantities_under(
-    model: Model, states: Mapping[str, Any], gas: Gas, m: Any, laws: Sequence[LawTerm], factors: Sequence[Any],
-    c: Constants, power: Power = positive_power, sweeps: int = POINT_SWEEPS, secant: bool = False,
-    corrections: np.ndarray | None = None,
+    model: Model, states: Mapping[str, Array], gas: Gas, m: Magnitudes, laws: Sequence[LawTerm],
+    factors: Sequence[Array], c: Constants, power: Power = positive_power, sweeps: int = POINT_SWEEPS,
+    secant: bool = False, corrections: np.ndarray | None = None,
 ) -> tuple[Quantities, Signals]:  # fmt: skip
     """`quantities_extended` with law terms evaluated on its own quantities.
 
@@ -261,11 +261,11 @@ def quantities_under(
     """
     x = OperatingPoint(*(states[name] for name in OperatingPoint._fields))
 
-    def under(signals: Mapping[str, Any]) -> tuple[Quantities, Signals]:
+    def under(signals: Mapping[str, Array]) -> tuple[Quantities, Signals]:
         s = NO_SIGNALS._replace(**signals)
         return model.quantities_extended(x, gas, m, s, c), s
 
-    def answer(signals: Mapping[str, Any]) -> dict[str, Any]:
+    def answer(signals: Mapping[str, Array]) -> dict[str, Array]:
         variables = law_variables(under(signals)[0], states, c)
         signals = signals_of(laws, factors, variables, power, model.nozzle_flow_factor)
         return signals if corrections is None else correction_signals(corrections, variables, c, signals)
@@ -274,7 +274,7 @@ def quantities_under(
     return under(settled(answer, {}, rounds=rounds, secant=secant))
 
 
-def magnitudes_at(actuation: Actuation, terms: Terms) -> Any:
+def magnitudes_at(actuation: Actuation, terms: Terms) -> Magnitudes:
     """Magnitudes of the effects in the right-hand side at the samples, (n,) each, drifts as rate times time."""
     rows = acting(actuation, partial(amounts, terms, STATE_EFFECTS))
     rows[np.array(DRIFTS)] *= np.maximum(actuation.time_s - actuation.inputs.recording_start_s, 0.0)

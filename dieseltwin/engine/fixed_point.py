@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 
-Signals = dict[str, Any]
+from dieseltwin.engine.array_namespace import Array
+
+Signals = dict[str, Array]
 """Name -> array or tensor."""
 
 _LEAST_CHANGE = 1e-30
@@ -16,8 +17,8 @@ _STEEPEST = 2.0 / 3.0  # slope of a law against its own signal that a secant ste
 
 
 def settled(
-    answer: Callable[[Signals], Mapping[str, Any]], start: Mapping[str, Any], *, rounds: int, tolerance: float = 0.0,
-    least: int = 1, secant: bool = False,
+    answer: Callable[[Signals], Mapping[str, Array]], start: Mapping[str, Array], *, rounds: int,
+    tolerance: float = 0.0, least: int = 1, secant: bool = False,
 ) -> Signals:  # fmt: skip
     """Signals at which `answer` gives the signals that it is asked with.
 
@@ -44,12 +45,12 @@ def settled(
     return now
 
 
-def by_secant(s_0: Any, f_0: Any, s_1: Any, f_1: Any) -> Any:
+def by_secant(s_0: Array, f_0: Array, s_1: Array, f_1: Array) -> Array:
     """Next signal from two pairs of a signal and what its law then says; at most three times a plain step."""
     change = s_1 - s_0
     slope = np.minimum((f_1 - f_0) * change / (change * change + _LEAST_CHANGE), _STEEPEST)
     return s_1 + (f_1 - s_1) / (1.0 - slope)
 
 
-def _change(before: Any, now: Any) -> float:
+def _change(before: Array, now: Array) -> float:
     return float(np.max(np.abs(now - before))) / max(float(np.max(np.abs(now))), _LEAST_SIZE)

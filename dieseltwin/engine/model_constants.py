@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from dieseltwin.engine.array_namespace import Array
 from dieseltwin.engine.nozzle import choking_quotient
 
 
@@ -15,88 +16,88 @@ class Constants(NamedTuple):
     Every field is a float, or an array or tensor that broadcasts against the states.
     """
 
-    c_pa: Any
-    c_va: Any
-    c_pe: Any
-    R_a: Any
-    R_e: Any
-    gamma_a: Any
-    gamma_e: Any
-    T_amb: Any
-    p_amb: Any
-    T_im: Any
-    V_im: Any
-    V_em: Any
-    V_d: Any
-    r_c: Any
-    n_cyl: Any
-    q_HV: Any
-    eta_sc: Any
-    x_cv: Any
-    h_tot: Any
-    d_pipe: Any
-    l_pipe: Any
-    n_pipe: Any
-    c_vol1: Any
-    c_vol2: Any
-    c_vol3: Any
-    A_egrmax: Any
-    Pi_egropt: Any
-    c_egr1: Any
-    c_egr2: Any
-    c_egr3: Any
-    tau_egr1: Any
-    tau_egr2: Any
-    K_egr: Any
-    tau_degr: Any
-    A_vgtmax: Any
-    K_t: Any
-    c_f1: Any
-    c_f2: Any
-    c_vgt1: Any
-    c_vgt2: Any
-    tau_vgt: Any
-    tau_dvgt: Any
-    J_t: Any
-    R_t: Any
-    R_c: Any
-    eta_tmmax: Any
-    BSR_opt: Any
-    c_m1: Any
-    c_m2: Any
-    c_m3: Any
-    omega_tlin: Any
-    c_mlin: Any
-    eta_cmax: Any
-    a_1: Any
-    a_2: Any
-    a_3: Any
-    W_copt: Any
-    pi_copt: Any
-    c_pi: Any
-    c_omega_psi1: Any
-    c_omega_psi2: Any
-    c_omega_psi3: Any
-    c_omega_phi1: Any
-    c_omega_phi2: Any
-    c_omega_phi3: Any
-    c_psi2: Any
-    c_phi2: Any
-    AF_s: Any
-    gamma_cyl: Any
-    eta_igch: Any
-    c_fric1: Any
-    c_fric2: Any
-    c_fric3: Any
-    inverse_gamma_a: Any
-    compression_heating: Any
-    pipe_area: Any
-    turbine_exponent: Any
-    wheel_volume: Any
-    u_egr_vertex: Any
-    otto_efficiency: Any
-    choking_a: Any
-    choking_e: Any
+    c_pa: Array
+    c_va: Array
+    c_pe: Array
+    R_a: Array
+    R_e: Array
+    gamma_a: Array
+    gamma_e: Array
+    T_amb: Array
+    p_amb: Array
+    T_im: Array
+    V_im: Array
+    V_em: Array
+    V_d: Array
+    r_c: Array
+    n_cyl: Array
+    q_HV: Array
+    eta_sc: Array
+    x_cv: Array
+    h_tot: Array
+    d_pipe: Array
+    l_pipe: Array
+    n_pipe: Array
+    c_vol1: Array
+    c_vol2: Array
+    c_vol3: Array
+    A_egrmax: Array
+    Pi_egropt: Array
+    c_egr1: Array
+    c_egr2: Array
+    c_egr3: Array
+    tau_egr1: Array
+    tau_egr2: Array
+    K_egr: Array
+    tau_degr: Array
+    A_vgtmax: Array
+    K_t: Array
+    c_f1: Array
+    c_f2: Array
+    c_vgt1: Array
+    c_vgt2: Array
+    tau_vgt: Array
+    tau_dvgt: Array
+    J_t: Array
+    R_t: Array
+    R_c: Array
+    eta_tmmax: Array
+    BSR_opt: Array
+    c_m1: Array
+    c_m2: Array
+    c_m3: Array
+    omega_tlin: Array
+    c_mlin: Array
+    eta_cmax: Array
+    a_1: Array
+    a_2: Array
+    a_3: Array
+    W_copt: Array
+    pi_copt: Array
+    c_pi: Array
+    c_omega_psi1: Array
+    c_omega_psi2: Array
+    c_omega_psi3: Array
+    c_omega_phi1: Array
+    c_omega_phi2: Array
+    c_omega_phi3: Array
+    c_psi2: Array
+    c_phi2: Array
+    AF_s: Array
+    gamma_cyl: Array
+    eta_igch: Array
+    c_fric1: Array
+    c_fric2: Array
+    c_fric3: Array
+    inverse_gamma_a: Array
+    compression_heating: Array
+    pipe_area: Array
+    turbine_exponent: Array
+    wheel_volume: Array
+    u_egr_vertex: Array
+    otto_efficiency: Array
+    choking_a: Array
+    choking_e: Array
 
 
 CONSTANT_NAMES = Constants._fields
@@ -106,7 +107,7 @@ DERIVED = Constants._fields[Constants._fields.index("inverse_gamma_a") :]
 PUBLISHED = tuple(name for name in CONSTANT_NAMES if name not in DERIVED)
 
 
-def derived(v: Mapping[str, Any]) -> dict[str, Any]:
+def derived(v: Mapping[str, Array]) -> dict[str, Array]:
     """Factors of parameters alone, computed once instead of at every right-hand side."""
     return {
         "inverse_gamma_a": 1.0 / v["gamma_a"],

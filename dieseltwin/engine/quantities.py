@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from dieseltwin.engine.array_namespace import Array
 
 POINTS = (
     "eta_vol", "W_eo", "T_e", "T_em", "f_egr", "W_t", "eta_tm", "p_es", "W_c", "eta_c", "p_bc", "T_im",
@@ -24,26 +26,26 @@ class OperatingPoint(NamedTuple):
     u~_egr, u~_vgt behind dead time and lags [%].
     """
 
-    p_im: Any
-    p_em: Any
-    omega_t: Any
-    x_r: Any
-    T_1: Any
-    n_e: Any
-    u_delta: Any
-    u_egr: Any
-    u_vgt: Any
+    p_im: Array
+    p_em: Array
+    omega_t: Array
+    x_r: Array
+    T_1: Array
+    n_e: Array
+    u_delta: Array
+    u_egr: Array
+    u_vgt: Array
 
 
 class Charge(NamedTuple):
     """What decides the charge's temperature: eta_vol [-], compressor flow W_c and EGR flow W_egr [kg/s], temperature
     behind the compressor T_c and of the recirculated gas T_em [K]."""
 
-    eta_vol: Any
-    W_c: Any
-    W_egr: Any
-    T_c: Any
-    T_em: Any
+    eta_vol: Array
+    W_c: Array
+    W_egr: Array
+    T_c: Array
+    T_em: Array
 
 
 class Signals(NamedTuple):
@@ -53,25 +55,25 @@ class Signals(NamedTuple):
     egr_opening [-, share of the largest area, beside f_egr].
     """
 
-    eta_vol: Any
-    W_eo: Any
-    T_e: Any
-    T_em: Any
-    f_egr: Any
-    W_t: Any
-    eta_tm: Any
-    p_es: Any
-    W_c: Any
-    eta_c: Any
-    p_bc: Any
-    T_im: Any
-    intake_balance: Any
-    exhaust_balance: Any
-    shaft_power: Any
-    u_delta: Any
-    u_egr: Any
-    u_vgt: Any
-    egr_opening: Any
+    eta_vol: Array
+    W_eo: Array
+    T_e: Array
+    T_em: Array
+    f_egr: Array
+    W_t: Array
+    eta_tm: Array
+    p_es: Array
+    W_c: Array
+    eta_c: Array
+    p_bc: Array
+    T_im: Array
+    intake_balance: Array
+    exhaust_balance: Array
+    shaft_power: Array
+    u_delta: Array
+    u_egr: Array
+    u_vgt: Array
+    egr_opening: Array
 
 
 class Gas(NamedTuple):
@@ -81,88 +83,88 @@ class Gas(NamedTuple):
     lag's exact solution over part of a step.
     """
 
-    T: Any
-    gain: Any
-    carry: Any
+    T: Array
+    gain: Array
+    carry: Array
 
 
 class Sweep(NamedTuple):
     """One sweep of the cylinder's fixed point: residual gas fraction [-] and temperatures [K]."""
 
-    x_r: Any
-    T_1: Any
-    T_e: Any
+    x_r: Array
+    T_1: Array
+    T_e: Array
 
 
 class IntakeSide(NamedTuple):
     """What is known before the cylinder: compressor, charge temperature, flows (units as in `Quantities`)."""
 
-    p_bc: Any
-    Pi_c: Any
-    Phi_c: Any
-    W_c: Any
-    eta_c: Any
-    P_c: Any
-    T_c: Any
-    T_im: Any
-    f_egr: Any
-    A_egr: Any
-    Psi_egr: Any
-    eta_vol: Any
-    W_ei: Any
-    W_f: Any
-    W_eo: Any
+    p_bc: Array
+    Pi_c: Array
+    Phi_c: Array
+    W_c: Array
+    eta_c: Array
+    P_c: Array
+    T_c: Array
+    T_im: Array
+    f_egr: Array
+    A_egr: Array
+    Psi_egr: Array
+    eta_vol: Array
+    W_ei: Array
+    W_f: Array
+    W_eo: Array
 
 
 class Quantities(NamedTuple):
     """All algebraic quantities of the model, SI units; rates dp_im, dp_em [Pa/s], domega_t [rad/s2]."""
 
-    eta_vol: Any
-    W_ei: Any
-    W_f: Any
-    W_eo: Any
-    T_e: Any
-    T_em: Any
-    x_r_next: Any
-    T_1_next: Any
-    f_egr: Any
-    W_egr: Any
-    Pi_t: Any
-    F_vgt_Pi_t: Any
-    W_t: Any
-    eta_tm: Any
-    P_t_eta_m: Any
-    Pi_c: Any
-    Phi_c: Any
-    W_c: Any
-    eta_c: Any
-    P_c: Any
-    dp_im: Any
-    dp_em: Any
-    domega_t: Any
-    T_em_static: Any
-    p_es: Any
-    p_bc: Any
-    T_im: Any
-    T_c: Any
-    W_leak_im: Any
-    W_leak_em: Any
-    P_f: Any
+    eta_vol: Array
+    W_ei: Array
+    W_f: Array
+    W_eo: Array
+    T_e: Array
+    T_em: Array
+    x_r_next: Array
+    T_1_next: Array
+    f_egr: Array
+    W_egr: Array
+    Pi_t: Array
+    F_vgt_Pi_t: Array
+    W_t: Array
+    eta_tm: Array
+    P_t_eta_m: Array
+    Pi_c: Array
+    Phi_c: Array
+    W_c: Array
+    eta_c: Array
+    P_c: Array
+    dp_im: Array
+    dp_em: Array
+    domega_t: Array
+    T_em_static: Array
+    p_es: Array
+    p_bc: Array
+    T_im: Array
+    T_c: Array
+    W_leak_im: Array
+    W_leak_em: Array
+    P_f: Array
 
 
 class MapArguments(NamedTuple):
     """What the maps of compressor and turbine are looked up at, besides states and inputs: pressure quotients Pi_t and
     Pi_c, energy transfer coefficient Psi_c, blade speed ratio BSR [-]."""
 
-    Pi_t: Any
-    Pi_c: Any
-    Psi_c: Any
-    BSR: Any
+    Pi_t: Array
+    Pi_c: Array
+    Psi_c: Array
+    BSR: Array
 
 
 class DriverQuantities(NamedTuple):
     """What a driver or a calibrator reads off: air/fuel ratio lambda [-], EGR fraction [-], torque [N m]."""
 
-    air_fuel_ratio: Any
-    egr_fraction: Any
-    torque: Any
+    air_fuel_ratio: Array
+    egr_fraction: Array
+    torque: Array

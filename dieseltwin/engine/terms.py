@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator, model_validator
 
-from dieseltwin.engine.array_namespace import positive_power
+from dieseltwin.engine.array_namespace import Array, positive_power
 from dieseltwin.engine.effect import Entry, Operator
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.limited import Limited, close_names
@@ -27,6 +27,12 @@ LAW_VARIABLES = (
 """What a law may depend on: pressures [Pa], omega_t [rad/s], n_e [rpm], u_delta [mg/cycle], actuated positions u_egr,
 u_vgt [%], temperatures [K], flows [kg/s], pressure quotients [-] (Pi_egr = p_im/p_em, Pi_e = p_em/p_im), time since the
 recording's start t [s]."""
+
+Power = Callable[[Array, Array], Array]
+"""`positive_power` of a backend."""
+
+Nozzle = Callable[[Array, Array, Array], Array]
+"""`nozzle_flow_factor` of a backend."""
 
 
 class Term(Limited):
@@ -206,7 +212,9 @@ class LawGroup(BaseModel):
                 raise ValueError(f"unknown variable {variable!r}; {close_names(variable, LAW_VARIABLES)}")
         return self
 
-    def value(self, variables: Any, power: Any = positive_power, nozzle: Any = nozzle_flow_factor) -> Any:
+    def value(
+        self, variables: Mapping[str, Array], power: Power = positive_power, nozzle: Nozzle = nozzle_flow_factor
+    ) -> Array:
         """At arrays or tensors by name; `power`, `nozzle` (`positive_power`, `nozzle_flow_factor`): their backend's."""
         x = variables[self.variables[0]]
         if self.kind == "above_one":
@@ -223,7 +231,7 @@ class LawGroup(BaseModel):
         choked = nozzle_flow_factor(_CRITICAL, _NOZZLE_GAMMA, _CRITICAL)
         return (nozzle(y / x, _NOZZLE_GAMMA, _CRITICAL) - nozzle(x / y, _NOZZLE_GAMMA, _CRITICAL)) / choked
 
-    def _signed(self, z: Any, power: Any) -> Any:
+    def _signed(self, z: Array, power: Power) -> Array:
         return z if self.exponent == 1.0 else z * power(abs(z) + 1e-12, self.exponent - 1.0)
 
 
@@ -264,9 +272,11 @@ class LawTerm(Limited):
                 raise ValueError(f"{variable}: reference must be positive, exponent finite")
         return self
 
-    def signal(self, variables: Any, power: Any = positive_power, nozzle: Any = nozzle_flow_factor) -> Any:
+    def signal(
+        self, variables: Mapping[str, Array], power: Power = positive_power, nozzle: Nozzle = nozzle_flow_factor
+    ) -> Array:
         """Value at arrays or tensors by name; `power` (0 where a valve overshoots), `nozzle`: of their backend."""
-        value: Any = self.coefficient
+        value: Array = self.coefficient
         for variable, reference, exponent in self.factors:
             value = value * power(variables[variable] / reference, exponent)
         for group in self.groups:
@@ -310,10 +320,13 @@ AnyTerm = Annotated[
 ]  # fmt: skip
 """A term of any kind; in a file a law is what has a `point`, a fault of a sensor or actuator what has such a field."""
 
-OneTerm = Term | LawTerm | SensorTerm | ActuatorTerm | CorrectionTerm
+EffectTerm = Term | SensorTerm | ActuatorTerm
+"""A term with a magnitude."""
+
+OneTerm = EffectTerm | LawTerm | CorrectionTerm
 
 
-def effect_terms(terms: Sequence[OneTerm]) -> tuple[Term | SensorTerm | ActuatorTerm, ...]:
+def effect_terms(terms: Sequence[OneTerm]) -> tuple[EffectTerm, ...]:
     """Those with a magnitude: effects of the catalogue, and faults of sensors and actuators that act like them."""
     return tuple(term for term in terms if not isinstance(term, LawTerm | CorrectionTerm))
 

@@ -23,6 +23,8 @@ from typing import Any, Literal
 
 import torch
 from torch import Tensor
+from torch.fx import Graph, GraphModule, Node
+from torch.fx.node import Argument
 
 from dieseltwin.paper.loops.c_library import BLOCK, NotCompiledError, load, networks_source
 from dieseltwin.paper.loops.network_functions import NetworkFunctions
@@ -49,7 +51,7 @@ class PointLoops:
         NotCompiledError: see there.
     """
 
-    def __init__(self, graph: torch.fx.Graph, arguments: Sequence[Tensor], n: int) -> None:
+    def __init__(self, graph: Graph, arguments: Sequence[Tensor], n: int) -> None:
         text = _Text(graph, arguments, n)
         self.run = load(networks_source(arguments[0].dtype) + text.source()).run
         self.run.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
@@ -61,11 +63,11 @@ def pointers(tensors: Sequence[Tensor]) -> Any:
     return (ctypes.c_void_p * len(tensors))(*(t.data_ptr() for t in tensors))
 
 
-def lift(recorded: Any) -> list[Tensor]:
+def lift(recorded: GraphModule) -> list[Tensor]:
     """Make arguments of the tensors that a recorded module holds: data must not be part of the code."""
     graph = recorded.graph
     last = [node for node in graph.nodes if node.op == "placeholder"][-1]
-    inputs: dict[int, Any] = {}
+    inputs: dict[int, Node] = {}
     lifted: list[Tensor] = []
     for node in [node for node in graph.nodes if node.op == "get_attr"]:
         tensor = getattr(recorded, node.target)
@@ -86,17 +88,17 @@ When = Literal["lane", "sum"] | int
 class _Text:
     """The C text of a graph. A value is its C expression and when it is known."""
 
-    def __init__(self, graph: torch.fx.Graph, arguments: Sequence[Tensor], n: int) -> None:
+    def __init__(self, graph: Graph, arguments: Sequence[Tensor], n: int) -> None:
         self.n, self.lanes = n, next(int(t.shape[0]) for t in arguments if t.dim() == 2 and t.shape[1] == n)
         self.block = min(n, BLOCK)
         self.parts: dict[str, list[str]] = {"lane": [], "sum": [], "start": []}
         self.passes: list[list[str]] = [[]]
         self.calls: list[list[str]] = [[]]
         self.functions = NetworkFunctions()
-        self.values: dict[Any, tuple[str, When]] = {}
-        self.tensors: dict[Any, tuple[int, Tensor]] = {}
-        self.networks: dict[Any, tuple[str, int]] = {}
-        self.firsts: dict[Any, str] = {}
+        self.values: dict[Node, tuple[str, When]] = {}
+        self.tensors: dict[Node, tuple[int, Tensor]] = {}
+        self.networks: dict[Node, tuple[str, int]] = {}
+        self.firsts: dict[Node, str] = {}
         self.known: dict[tuple[When, str], str] = {}
         self.born: dict[str, tuple[int, str]] = {}
         self.loads: set[str] = set()
@@ -167,7 +169,7 @@ class _Text:
             self.calls.append([])
         return self.passes[number]
 
-    def _outputs(self, nodes: Sequence[Any]) -> None:
+    def _outputs(self, nodes: Sequence[Node]) -> None:
         for number, node in enumerate(nodes):
             value, when = self._value(node)
             self.parts["start"].append(f"real* restrict const o{number} = out[{number}] + lane * stride[{number}];")
@@ -176,7 +178,7 @@ class _Text:
             else:
                 self.parts["sum"].append(f"o{number}[0] = {value};")
 
-    def _value(self, argument: Any) -> tuple[str, When]:
+    def _value(self, argument: Argument) -> tuple[str, When]:
         if isinstance(argument, (int, float)):
             return (f"((real){float(argument)!r})" if math.isfinite(argument) else "((real)INFINITY)"), "lane"
         if argument in self.values:
@@ -201,7 +203,7 @@ class _Text:
             raise NotCompiledError(f"tensor of shape {shape}")
         return self._name("lane", f"*({where})"), "lane"
 
-    def _node(self, node: Any) -> None:
+    def _node(self, node: Node) -> None:
         name = str(node.target)
         name = name.split(".")[1] if name.startswith(("aten.", "dieseltwin.")) else name
         source = node.args[0] if node.args and isinstance(node.args[0], torch.fx.Node) else None
@@ -216,7 +218,7 @@ class _Text:
         else:
             self.values[node] = self._written(node, name)
 
-    def _network(self, node: Any) -> None:
+    def _network(self, node: Node) -> None:
         """The call behind the pass that knows the inputs; value and slopes are rows that the next pass reads."""
         inputs, weights, widths, activation = node.args
         values = [self._value(v) for v in inputs]
@@ -233,7 +235,7 @@ class _Text:
         self.calls[when].append(f"{function}({place} + lane * {tensor.stride(0)}L, x{mark}, y{mark});")
         self.networks[node] = f"y{mark}", when + 1
 
-    def _written(self, node: Any, name: str) -> tuple[str, When]:
+    def _written(self, node: Node, name: str) -> tuple[str, When]:
         if node.args and node.args[0] in self.networks:  # getitem: value, then slopes
             row, number = self.networks[node.args[0]]
             return self._name(number, f"{row}[{node.args[1]} * BLOCK + b]", load=True), number
@@ -267,7 +269,7 @@ class _Text:
             raise NotCompiledError("a point depends on a sum over time")
         return "sum" if "sum" in found else max(passes) if passes else "lane"
 
-    def _expression(self, name: str, a: list[str], node: Any, when: When) -> str:
+    def _expression(self, name: str, a: list[str], node: Node, when: When) -> str:
         if name in _BINARY:
             if "rounding_mode" in node.kwargs:
                 raise NotCompiledError("rounded division")
@@ -308,7 +310,7 @@ class _Text:
         share = self._name(when, f"(real)1 / ((real)1 + {small})")
         return self._name(when, f"{x} >= 0 ? {share} : {small} * {share}")
 
-    def _power(self, a: list[str], exponent: Any, when: When) -> str:
+    def _power(self, a: list[str], exponent: Argument, when: When) -> str:
         if isinstance(exponent, (int, float)):
             if exponent in (0, 1, 2, 3):
                 return " * ".join([a[0]] * int(exponent)) or "(real)1"
@@ -316,7 +318,7 @@ class _Text:
                 return f"pow({a[0]}, {a[1]})"
         return f"exp_of({a[1]} * {self._name(when, f'log_of({a[0]})')})"
 
-    def _sum(self, node: Any, name: str) -> tuple[str, When]:
+    def _sum(self, node: Node, name: str) -> tuple[str, When]:
         value, when = self._value(node.args[0])
         shape = tuple(node.args[0].meta["val"].shape)
         dims = node.args[1] if len(node.args) > 1 else None
@@ -329,7 +331,7 @@ class _Text:
         self._pass(when if isinstance(when, int) else 0).append(f"{total} += {added};")
         return (total if name == "sum" else self._name("sum", f"{total} / (real){self.n}")), "sum"
 
-    def _first(self, node: Any) -> tuple[str, When]:
+    def _first(self, node: Node) -> tuple[str, When]:
         """The value at the first point, known before the loop: what it takes is written once more."""
         if tuple(node.args[1:]) != (1, 0):
             raise NotCompiledError("other points than the first")
