@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
+from dieseltwin.calibration.relations import Relations, log_ratio, spread
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import EFFECTS, effects_at
 from dieseltwin.engine.map_corrections import GRIDS, arguments_of, corrections_of, look_up
@@ -44,7 +44,6 @@ EXTRA_ROWS: Mapping[str, str] = {"t_im_k": "T_im", "t_c_k": "T_c", "p_es_pa": "p
 IMPLIED = ("p_es", "p_bc", "T_im", "T_c")
 WORK_ROW = "compressor_work"
 T_CHARGE = 310.0  # K, temperature at which eta_vol's map is meant
-SMALL_FLOW = 0.05  # of the median flow: relative residuals are damped below
 SHARE_OF_HEAD = 0.25  # where the flow has no part in the ellipse, an error of the head counts as four of the flow
 ELLIPSE_MIN = 1e-4  # limiter of the implicit compressor map: keeps the logarithm of trial states finite
 T_ES_MIN = 200.0  # K, limiter: keeps trial states physical
@@ -63,36 +62,6 @@ _SINCE = frozenset({*EFFECTS, *SENSOR_SLOTS, *WEAR.values()})
 """What may have come since a reference; coefficients and beliefs were there before."""
 
 _eq = bind("numpy")
-
-
-@dataclass(frozen=True)
-class Relations:
-    """What the balances say at B parameter sets and n points.
-
-    Attributes:
-        residual: (B, n, R) logarithm of measured over predicted, NaN where a reading is missing.
-        pairs: row name -> what was measured and what is predicted, as far as lanes differ.
-        intermediate: as `quantities`, as far as lanes differ.
-    """
-
-    residual: Array
-    pairs: Mapping[str, tuple[Any, Any]]
-    intermediate: Mapping[str, Any]
-
-    @cached_property
-    def measured(self) -> Mapping[str, Array]:
-        """Row name -> (B, n) [unit of the quantity]."""
-        return {name: _spread(values, self.residual.shape[:2]) for name, (values, _) in self.pairs.items()}
-
-    @cached_property
-    def predicted(self) -> Mapping[str, Array]:
-        """Row name -> (B, n) [unit of the quantity]."""
-        return {name: _spread(values, self.residual.shape[:2]) for name, (_, values) in self.pairs.items()}
-
-    @cached_property
-    def quantities(self) -> Mapping[str, Array]:
-        """Every intermediate quantity by the paper's symbol -> (B, n) [SI]."""
-        return {name: _spread(values, self.residual.shape[:2]) for name, values in self.intermediate.items()}
 
 
 @dataclass(frozen=True)
@@ -235,7 +204,7 @@ class SteadyModel:
         for name in self.extra:
             pairs[EXTRA_ROWS[name]] = (points[name], implied[EXTRA_ROWS[name]])
         shape = np.broadcast_shapes((lanes, points.size), x.shape[:-1])
-        residual = np.stack([_spread(_log_ratio(*pairs[k]), shape) for k in self.rows], axis=-1)
+        residual = np.stack([spread(log_ratio(*pairs[k]), shape) for k in self.rows], axis=-1)
         # The compressor's map is judged in its implicit form (A.46): solved for the flow, a flat speed line would
         # turn 1 % of pressure into 30 % of flow.
         psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c) - c.c_psi2
@@ -384,24 +353,3 @@ class _Terms:
     def work_coefficient(self, volume: Any, Pi_c: Any) -> Any:
         """Euler work over tip speed squared [-]: falls with the flow at the wheel's exit (backsweep)."""
         return self("work_0") * (1.0 - self("work_slope") * volume * Pi_c ** -0.36)
-
-
-def _spread(values: Any, shape: tuple[int, ...]) -> Array:
-    """`np.broadcast_to`, which takes longer than an equation, where it has something to do."""
-    return values if np.shape(values) == shape else np.broadcast_to(values, shape)
-
-
-def _middle(values: Array) -> float:
-    """`np.nanmedian` of all values without its overhead; there is one."""
-    known = values[~np.isnan(values)]
-    half = known.size // 2
-    if known.size % 2:
-        return float(np.partition(known, half)[half])
-    low, high = np.partition(known, (half - 1, half))[half - 1 : half + 1]
-    return float((low + high) / 2.0)
-
-
-def _log_ratio(measured: Array, predicted: Array) -> Array:
-    middle = _middle(np.abs(measured)) if np.isfinite(measured).any() else 1.0
-    floor = SMALL_FLOW * middle + 1e-9
-    return np.log((np.maximum(measured, 0.0) + floor) / (np.maximum(predicted, 0.0) + floor))
