@@ -43,6 +43,9 @@ LAW_SWEEPS = 8
 POINT_SWEEPS = 4
 """Rounds of the fixed point between laws and quantities at given states."""
 
+_UNCHANGED = 1e-15
+"""Change of a correction, relative to the largest, that a further round can't make smaller."""
+
 LAW_SETTLED = 1e-4
 """Change of a signal, relative to its size, that ends the rounds."""
 
@@ -270,8 +273,10 @@ def quantities_under(
         signals = signals_of(laws, factors, variables, power, model.nozzle_flow_factor)
         return signals if corrections is None else correction_signals(corrections, variables, c, signals)
 
-    rounds = sweeps if laws or corrections is not None else 0
-    return under(settled(answer, {}, rounds=rounds, secant=secant))
+    if laws:
+        return under(settled(answer, {}, rounds=sweeps, secant=secant))
+    # a map's arguments depend on few other maps' corrections (eta_c's on that of W_c): plain rounds end by themselves
+    return under(settled(answer, {}, rounds=0 if corrections is None else sweeps, tolerance=_UNCHANGED))
 
 
 def magnitudes_at(actuation: Actuation, terms: Terms) -> Magnitudes:
