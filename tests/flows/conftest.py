@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+import shutil
+import sqlite3
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 import tiny_settings
 from toy_library import fresh_context, write_toylib
 
-from tasks import run_context
+from tasks import run_context, tracking
 from tasks.progress import Display
 from tasks.run_context import RunContext
 from tasks.workspace import PROJECT, Workspace, quiet_settings
@@ -24,6 +27,23 @@ def no_context_left() -> Iterator[None]:
     """The run context of a test isn't the next one's."""
     yield
     run_context.use(None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def tables_made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[Path], None]]:
+    """MLflow's tables are made for the first workspace and copied for the others: migrations take seconds. Gives what
+    makes them."""
+    template, make = tmp_path_factory.mktemp("databases") / "mlflow.db", tracking._make_database
+
+    def made(path: Path) -> None:
+        if not template.exists():
+            make(template)
+            tiny_settings.FRESH[Path("mlruns") / "mlflow.db"] = template
+        shutil.copy(template, path)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tracking, "_make_database", made)
+        yield make
 
 
 @pytest.fixture
@@ -69,9 +89,20 @@ def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     refresh_global_settings_context()  # another test may have imported Prefect with other settings
 
     with prefect_test_harness(server_startup_timeout=180):
+        _keep_tables(home / "prefect.db")
         yield
     os.environ.clear()
     os.environ.update(saved)
+
+
+def _keep_tables(copy: Path) -> None:
+    """Tables of Prefect's database, for servers that a test starts itself: `tiny_settings.write_params` copies them."""
+    from prefect.settings import PREFECT_SERVER_DATABASE_CONNECTION_URL
+
+    database = str(PREFECT_SERVER_DATABASE_CONNECTION_URL.value()).partition(":///")[2]
+    with closing(sqlite3.connect(database)) as made, closing(sqlite3.connect(copy)) as kept:
+        made.backup(kept)
+    tiny_settings.FRESH[Path(".prefect") / "prefect.db"] = copy
 
 
 @pytest.fixture(scope="session")

@@ -173,8 +173,8 @@ def test_tables_page_and_records_come_out_and_a_second_run_computes_nothing(
     from flows.simulate import simulate
     from tasks.tracking import Tracker
 
-    write_tiny(tmp_path)
     shutil.copytree(chain[0] / ".cache", tmp_path / ".cache")
+    write_tiny(tmp_path)
     trained = new_context(tmp_path)
     simulate("tiny")
     pretrain("tiny")

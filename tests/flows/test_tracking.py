@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from tasks import tracking
 from tasks.tracking import Curve, Record, Tracker, flat
 from tasks.workspace import Workspace
 
@@ -74,7 +76,10 @@ def test_a_moved_checkout_keeps_its_artifacts(tracked: tuple[Path, str, str], tm
     assert (moved / "mlruns" / "artifacts" / uri.removeprefix("mlflow-artifacts:/") / "figures/violin.svg").exists()
 
 
-def test_a_database_that_was_being_made_at_a_kill_is_not_used(tmp_path: Path) -> None:
+def test_a_database_that_was_being_made_at_a_kill_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tables_made_once: Callable[[Path], None]
+) -> None:
+    monkeypatch.setattr(tracking, "_make_database", tables_made_once)
     half = tmp_path / "mlruns" / "mlflow.db.1.partial"
     half.parent.mkdir()
     half.write_bytes(b"half a database")

@@ -43,20 +43,20 @@ TINY = {
 }
 
 
-_known: list[Path] = []
+FRESH: dict[Path, Path] = {}
+"""File of a workspace -> one as it is where nothing was done yet, but for what takes seconds each time."""
+
+_CODE = Path(".cache") / "code.json"  # what the library's modules say
 
 
 def write_params(root: Path) -> Path:
-    """The project's params.yaml with the profile ``tiny`` in the workspace ``root``.
-
-    What the library's modules say is taken over from an earlier workspace: reading 400 of them takes seconds.
-    """
-    code = Path(".cache") / "code.json"
-    read = next((other / code for other in reversed(_known) if (other / code).exists()), None)
-    if read is not None and not (root / code).exists():
-        (root / code).parent.mkdir(exist_ok=True)
-        shutil.copy(read, root / code)
-    _known.append(root)
+    """The project's params.yaml with the profile ``tiny`` in the workspace ``root``, and what is `FRESH`."""
+    for place, template in FRESH.items():
+        if template.exists() and not (root / place).exists():
+            (root / place).parent.mkdir(exist_ok=True)
+            shutil.copy(template, root / place)
+    if not (_CODE in FRESH and FRESH[_CODE].exists()):
+        FRESH[_CODE] = root / _CODE
     settings = yaml.safe_load((PROJECT / "params.yaml").read_text(encoding="utf-8"))
     settings["profiles"]["tiny"] = TINY
     path = root / "params.yaml"
