@@ -352,10 +352,11 @@ def _consequence(d: Discrepancy) -> str:
     if worst is not None:
         level = d.health[worst]
         if abs(level.before - level.value) > TOLD_LEVEL:
-            text = f" Unrepaired, {worst} would read {100 * level.before:+.1f} % instead of {100 * level.value:+.1f} %."
-    before, after = d.fit.held_out_nll_before, d.fit.held_out_nll_after
-    if before is not None and after is not None:
-        text += f" Held-out negative log-likelihood {before:.2f} before, {after:.2f} after."
+            before, after = (f"{round(100 * v, 1) + 0.0:+.1f} %" for v in (level.before, level.value))  # no -0.0
+            text = f" Unrepaired, {worst} would read {before} instead of {after}."
+    first, second = d.fit.held_out_nll_before, d.fit.held_out_nll_after
+    if first is not None and second is not None:
+        text += f" Held-out negative log-likelihood {first:.2f} before, {second:.2f} after."
     return text
 
 
