@@ -134,7 +134,7 @@ def test_learned_from_references_in_one_go(
     assert "of its rows are in the reference" in capsys.readouterr().err
     mine = save_petrol(load_petrol(tmp_path / "out" / "engine.yaml"), tmp_path / "mine.yaml")
     assert main([*base[:3], str(mine), *base[4:], "--reference", healthy.path]) == 2
-    assert "--reference: got beside liu_petrol, which has its maps already" in capsys.readouterr().err
+    assert f"--reference: got beside {mine}, which has its maps already" in capsys.readouterr().err
 
 
 def test_calibrated_anew_is_learned(
