@@ -80,6 +80,11 @@ def petrol_base(source: Engine | str | Path) -> PetrolParameters | None:
     return None
 
 
+def named(source: Engine | str | Path | None, parameters: PetrolParameters) -> str:
+    """A petrol engine as the user named it: by its file, else by its own name."""
+    return str(source) if isinstance(source, str | Path) else parameters.name
+
+
 def diesel_engine(source: Engine | str | Path | None) -> EngineParameters:
     """A diesel engine as `engine` takes it; None is the published one.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, diesel_engine, petrol_base
+from dieseltwin.api.engines import Engine, diesel_engine, named, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, learn_petrol
 from dieseltwin.api.reading import Channels, Made, Source, diesel_recording, several
 from dieseltwin.api.results import Result, drawn
@@ -26,6 +26,7 @@ from dieseltwin.learning.files import LearnedEngine, distinct, learned_engine_of
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
+from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
@@ -116,6 +117,9 @@ def learn(
     petrol = None if engine is None else petrol_base(engine)
     if petrol is not None:
         refuse_options({"--map-error": map_error, "--siblings": siblings or None}, "for a petrol engine")
+        if petrol.calibrated:
+            raise InputError("--engine", f"{named(engine, petrol)}, which has its maps", "a petrol engine without maps",
+                             f"name {PetrolParameters().name} or the file of volumes, and all recordings at once")
         return learn_petrol(recordings, petrol, channels)
     return _learn_diesel(recordings, engine, channels, map_error, siblings)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from dieseltwin.api.engines import Engine, petrol_base
+from dieseltwin.api.engines import Engine, named, petrol_base
 from dieseltwin.api.findings import Asked, Discovered, Question, channels_sha256, machine
 from dieseltwin.api.reading import Channels, Made, Opened, Source, petrol_recording
 from dieseltwin.api.results import Result, drawn
@@ -143,10 +143,10 @@ def ask(
     question.check(HYPOTHESES, options.search.withhold)
     _check(options)
     judged = petrol_recording(recording, absent=_left_out(options))
-    notes: tuple[Note, ...] = ()
+    notes = tuple(alarms_when_learned(parameters))
     reference = [petrol_recording(item, channels) for item in question.reference]
     if reference and parameters.calibrated:
-        raise InputError("--reference", f"beside {parameters.name}, which has its maps already",
+        raise InputError("--reference", f"beside {named(engine, parameters)}, which has its maps already",
                          "an engine without maps, which are learned from the references first",
                          f"leave --reference out, or name {PetrolParameters().name} or the file of volumes as --engine")
     if reference:
@@ -156,8 +156,9 @@ def ask(
         parameters, engine_file = learned.engine, None
         notes = tuple(Note(note["text"], "reference") for note in learned.warnings)
     if not parameters.calibrated:
-        raise InputError("--engine", f"{parameters.name}, which isn't calibrated yet", "a petrol engine with its maps",
-                         f"`dieseltwin learn HEALTHY --engine {engine} --out FILE` first and name FILE, or give a "
+        told = named(engine, parameters)
+        raise InputError("--engine", f"{told}, which isn't calibrated yet", "a petrol engine with its maps",
+                         f"`dieseltwin learn HEALTHY --engine {told} --out FILE` first and name FILE, or give a "
                          "fault-free recording as --reference")  # fmt: skip
     content = parameters.model_dump_json().encode() if engine_file is None else engine_file.read_bytes()
     asked = {
@@ -215,10 +216,7 @@ class PetrolCalibrated(Result):
     @property
     def warnings(self) -> list[dict[str, Any]]:
         """Of the recording, and alarms on pieces that ought to be without fault."""
-        alarms = sum(piece.alarm for piece in self.engine.pieces)
-        said = [Note(f"{alarms} of {len(self.engine.pieces)} pieces of this recording raise an alarm: it isn't without "
-                     "fault, or the maps don't hold", "false_alarms")] if alarms else []  # fmt: skip
-        return warnings_of([*self.notes, *said])
+        return warnings_of([*self.notes, *alarms_when_learned(self.engine)])
 
     @property
     def sentence(self) -> str:
@@ -244,7 +242,18 @@ class PetrolCalibrated(Result):
         return ()
 
     def lines(self) -> list[str]:
-        return [*pages.calibration_lines(self.fits, self.engine.pieces), *self.notes]
+        said = [*self.notes, *alarms_when_learned(self.engine)]
+        return [*pages.calibration_lines(self.fits, self.engine.pieces), *said]
+
+
+def alarms_when_learned(engine: PetrolParameters) -> list[Note]:
+    """What is doubtful about the recordings that an engine was learned from: pieces of them that raise an alarm."""
+    alarms, pieces = sum(piece.alarm for piece in engine.pieces), len(engine.pieces)
+    if not alarms:
+        return []
+    raise_one = "raises" if alarms == 1 else "raise"
+    return [Note(f"{alarms} of {pieces} pieces that the engine was learned from {raise_one} an alarm: not all of them "
+                 "are without fault, or its maps don't hold", "false_alarms")]  # fmt: skip
 
 
 def calibrate_petrol(
@@ -266,12 +275,8 @@ def learn_petrol(
     Effects among the terms of the base are left out of the new engine: recordings of when it was well hold none.
 
     Raises:
-        InputError: an engine that was learned before, recordings that are too short together, have no idling or lack
-            columns.
+        InputError: recordings that are too short together, share driving, have no idling or lack columns.
     """
-    if base.calibrated:
-        raise InputError("--engine", f"{base.name}, which has its maps", "a petrol engine's geometry",
-                         "name liu_petrol or the file of volumes, and all recordings at once")
     sources = [petrol_recording(item, channels) for item in recordings]
     together = pooled(sources)
     engine, fits = calibrated(together.signals, base.model_copy(update={"terms": ()}), together.sha256)

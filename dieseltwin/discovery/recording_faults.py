@@ -130,7 +130,7 @@ def suspicions(at: Linearisation, faults: list[RecordingFault]) -> list[Suspicio
     for fault, vector in zip(faults, projected, strict=True):
         information = float(vector @ vector)
         if information > 0.0:
-            push = float(vector @ at.projected_residual)
+            push = float(vector @ at.pulled_residual)
             gain = push * push / information
             found.append(Suspicion(fault, push / information, information**-0.5, gain, gain * spread(at, vector)))
     return sorted(found, key=lambda item: -item.gain)

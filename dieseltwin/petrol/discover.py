@@ -132,11 +132,24 @@ def judge(
         engine = engine.model_copy(update={"tolerances": t})
     twin = PetrolTwin(engine, signals, options.sensors)
     found = shared.run(twin, options.search.asked(options.withhold, options.seed), laws=False)
+    next_single(found)
     if found.best is not None and not found.of_interest(found.best.fit):
         found.kind, found.best, found.variant = "healthy", None, None
     _one_fault_a_sensor(found)
     _likelier_first(found)
     return twin, found
+
+
+def next_single(found: Search) -> None:
+    """Where the size of the best single effect goes as soon as the tolerances are those about itself, it explained
+    nothing: the next one that raises an alarm and keeps its size."""
+    while found.kind == "single" and found.best is not None and not found.of_interest(found.best.fit):
+        rest = [fit for fit in found.singles if fit.candidate.names != found.best.fit.candidate.names]
+        if not rest or not shared.raises_alarm(found, rest[0]):
+            return
+        found.singles = rest
+        found.best = recentred(found, rest[0])
+        set_probabilities(found, "single")
 
 
 def _one_fault_a_sensor(found: Search) -> None:
@@ -339,10 +352,11 @@ def _consequence(d: Discrepancy) -> str:
     if worst is not None:
         level = d.health[worst]
         if abs(level.before - level.value) > TOLD_LEVEL:
-            text = f" Unrepaired, {worst} would read {100 * level.before:+.1f} % instead of {100 * level.value:+.1f} %."
-    before, after = d.fit.held_out_nll_before, d.fit.held_out_nll_after
-    if before is not None and after is not None:
-        text += f" Held-out negative log-likelihood {before:.2f} before, {after:.2f} after."
+            before, after = (f"{round(100 * v, 1) + 0.0:+.1f} %" for v in (level.before, level.value))  # no -0.0
+            text = f" Unrepaired, {worst} would read {before} instead of {after}."
+    first, second = d.fit.held_out_nll_before, d.fit.held_out_nll_after
+    if first is not None and second is not None:
+        text += f" Held-out negative log-likelihood {first:.2f} before, {second:.2f} after."
     return text
 
 

@@ -20,6 +20,7 @@ from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, stora
 from dieseltwin.recordings.channels import ChannelMap
 from dieseltwin.recordings.derived import STAND_IN_PA
 from dieseltwin.recordings.named_columns import Imported, named_columns
+from dieseltwin.recordings.shared_rows import MOST_SHARED, share_known
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
@@ -147,14 +148,24 @@ def read_petrol(
 
 
 def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
-    """Several recordings of one engine as one with gaps, in an order of its own; one that comes twice counts once.
+    """Several recordings of one engine as one with gaps, in an order of its own; copies with the same rows count once.
 
     Args:
         recordings: one at least.
+
+    Raises:
+        InputError: one that is, in part, driving of another.
     """
-    once = sorted({r.sha256: r for r in recordings}.values(), key=lambda r: r.sha256)
+    ordered = sorted(recordings, key=lambda r: r.sha256, reverse=True)
+    same = {rows_of(r.signals).tobytes() + r.signals.time_s.tobytes(): r for r in ordered}
+    once = sorted(same.values(), key=lambda r: r.sha256)
     if len(once) == 1:
         return once[0]
+    for k, recording in enumerate(once):
+        share = share_known(rows_of(recording.signals), (rows_of(other.signals) for other in once[:k]))
+        if share > MOST_SHARED:
+            raise InputError(recording.path, f"{100 * share:.0f} % of its rows in another of the recordings",
+                             "recordings that share no driving", "leave one of them out")
     names = [f.name for f in fields(Signals) if getattr(once[0].signals, f.name) is not None]
     values = {name: np.concatenate([getattr(r.signals, name) for r in once]) for name in names}
     ends = np.cumsum([0.0, *(r.signals.time_s[-1] + APART_S for r in once[:-1])])

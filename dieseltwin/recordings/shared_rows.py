@@ -11,7 +11,7 @@ from dieseltwin.errors import InputError
 
 Rows = NDArray[np.float64]
 
-_MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
+MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
 
 
 def share_known(rows: Rows, known: Iterable[Rows]) -> float:
@@ -26,7 +26,7 @@ def refuse_shared(where: str, share: float) -> None:
     Raises:
         InputError: it is.
     """
-    if share > _MOST_SHARED:
+    if share > MOST_SHARED:
         raise InputError(
             where, f"{100 * share:.0f} % of its rows are in the reference",
             "driving that the engine wasn't learned from", "judge another recording, or learn without this one",

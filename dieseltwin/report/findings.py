@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from markupsafe import Markup
 
 from dieseltwin.discovery.verdict.curves import Candidate
-from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect
+from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect, HealthValue
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import display_unit, magnitude_words, site_words
@@ -102,6 +102,14 @@ def places(document: Discrepancy) -> Table:
     return Table(("place", "probability"), rows)
 
 
+def _unrepaired(name: str, entry: HealthValue, shift: bool) -> str:
+    """The value without the repair [shown unit]; what is near 0 with the decimals of its standard deviation."""
+    value = entry.before * quantities.factor(name)
+    if shift or entry.std is None:
+        return quantities.significant(value, 4).replace("-", "−")
+    return f"{value:.{quantities.decimals_for(entry.std * quantities.factor(name))}f}".replace("-", "−")
+
+
 def levels(document: Discrepancy, head: str, units: Mapping[str, str] | None = None, shift: bool = True) -> Table:
     """Health parameters, levels or a machine's own parameters, with what they would be without the repair.
 
@@ -122,7 +130,7 @@ def levels(document: Discrepancy, head: str, units: Mapping[str, str] | None = N
         row: tuple[str | Markup, ...] = (
             label, quantities.value_with_std(name, entry.value, std, with_unit=False).replace("-", "−"))
         if document.mismatch:
-            row += (quantities.significant(entry.before * quantities.factor(name), 4).replace("-", "−"),)
+            row += (_unrepaired(name, entry, shift),)
             if shift:
                 off = entry.before / entry.value - 1.0 if entry.value else math.nan
                 row += (quantities.percent(off, signed=True),)

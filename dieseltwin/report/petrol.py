@@ -31,10 +31,14 @@ SHOWN = ("cylinder", "throttle", "boost")
 CLIP = 0.25  # of a residual in the figures [-]
 SMOOTH_BLOCKS = 15  # running median: structure, not tip-ins
 PALE = {BEFORE: "#f2c4a5", AFTER: "#a9cce3"}
-OVER_TIME = ("Misfit of the balances against the calibrated maps: as read, and with the explanation and the levels "
-             "fitted beside it taken back. Seconds as points (cut at 25 %), running median over 15 s as lines.")
-OVER_PRESSURE = "Seconds in which it acts over p_im. A gain shifts evenly, a leak most at low load."
-COLOURS = "Orange: as read; blue: repaired."
+DRAWN = "Seconds as points (cut at 25 %), running median over 15 s as lines."
+OVER_TIME = {True: "Misfit of the balances against the calibrated maps: as read, and with the explanation and the "
+                   f"levels fitted beside it taken back. {DRAWN}",
+             False: f"Misfit of the balances against the calibrated maps, as read. {DRAWN}"}  # fmt: skip
+OVER_PRESSURE = {True: "Seconds in which it acts over p_im. A gain shifts evenly, a leak most at low load.",
+                 False: "All seconds over p_im. A gain would shift evenly, a leak most at low load."}
+COLOURS = {True: "Orange: as read; blue: repaired.", False: "Blue: as read."}
+"""What a figure shows, with a mismatch and without."""
 VISIBLE = "Smallest size that this recording shows, had the effect begun after a tenth of it."
 MEANINGS = {
     "throttle_offset": "The throttle stands elsewhere than its position says, everywhere by as much.",
@@ -88,8 +92,9 @@ def balances_over_time(found: PetrolDiscovery) -> Series:
         stamps = found.time0_s + found.twin.time_s[kept]
         panels.append(Panel(f"misfit of the {TITLES[name]}", "%", stamps, tuple(lines)))
     series = Series(tuple(panels), marks=tuple(Mark(name, at) for name, at in moments(found.document.location)))
-    words = COLOURS + " Dashed: the onset, and the end where it went again."
-    told = ("residuals_over_time", "Misfit of the balances", words)
+    words = COLOURS[found.document.mismatch]
+    dashed = " Dashed: the onset, and the end where it went again." if series.marks else ""
+    told = ("residuals_over_time", "Misfit of the balances", words + dashed)
     return replace(series, drawn=still(series, told))
 
 
@@ -101,14 +106,14 @@ def candidates(found: PetrolDiscovery) -> ReportFigure:
     axes = figure.subplots()
     names = {e.name for e in found.document.effects}
     for row, c in enumerate(rows):
-        gain = max(2.0 * (c["log_likelihood_gain"] or 0.0), 0.0)
+        gain = max(c["log_likelihood_gain"] or 0.0, 0.0)
         axes.barh(row, gain, color=BEFORE if c["name"] in names else style.MEASURED)
         axes.annotate(_size(c["magnitude"] or 0.0, found.twin.hypotheses[c["name"]].unit), (gain, row), xytext=(4, 0),
                       textcoords="offset points", va="center", fontsize=9)
-    axes.axvline(found.threshold, color=LIMIT, ls="--", lw=1.0)
+    axes.axvline(0.5 * found.threshold, color=LIMIT, ls="--", lw=1.0)
     axes.set_yticks(range(len(rows)), [c["name"] for c in rows])
     axes.margins(x=0.15)
-    axes.set_xlabel("decrease of -2 log likelihood; dashed: alarm of an effect that is there all along")
+    axes.set_xlabel("log-likelihood gained [–]; dashed: alarm of an effect that is there all along")
     caption = "The leading effects, each refitted by itself, with its onset where it has one."
     return ReportFigure("candidates", "What was weighed", caption, figure)
 
@@ -127,7 +132,8 @@ def over_pressure(found: PetrolDiscovery) -> Series:
         x = 1e-3 * found.twin.blocks.p_im[kept][late]
         panels.append(over(f"misfit of the {name} balance", "%", ("p_im", "kPa"), x, lines))
     series = Series(tuple(panels), linked=False)
-    return replace(series, drawn=still(series, ("over_pressure", "Misfit over the manifold pressure", COLOURS)))
+    told = ("over_pressure", "Misfit over the manifold pressure", COLOURS[found.document.mismatch])
+    return replace(series, drawn=still(series, told))
 
 
 def told(effect: FoundEffect) -> Told | None:
@@ -147,8 +153,10 @@ def petrol_page(found: PetrolDiscovery) -> Page:
     said = found.document
     units = {name: known.unit for name, known in found.twin.hypotheses.items()}
     sections = (
-        Section("readings-over-time", "The balances over time", words=OVER_TIME, series=balances_over_time(found)),
-        Section("law-of-it", "Over the operating range", words=OVER_PRESSURE, series=over_pressure(found)),
+        Section("readings-over-time", "The balances over time", words=OVER_TIME[said.mismatch],
+                series=balances_over_time(found)),
+        Section("law-of-it", "Over the operating range", words=OVER_PRESSURE[said.mismatch],
+                series=over_pressure(found)),
         Section("doubts", "What is doubtful", tables=(findings.doubts(said),)),
         Section("weighed", "Candidates", (candidates(found),), tables=(findings.weighed(found.candidates, units),)),
         Section("visible", "What could be seen", words=VISIBLE, tables=(findings.visible(said, units),)),

@@ -10,13 +10,15 @@ import pandas as pd
 import pytest
 
 import dieseltwin as dt
+from dieseltwin.api.discovery import ask
+from dieseltwin.api.petrol import PetrolQuestion
 from dieseltwin.challenge.petrol_plant import drive
 from dieseltwin.cli.app import main
 from dieseltwin.discovery.verdict.document import load_discrepancy
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import calibrate
-from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm, load_petrol, save_petrol
-from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, read_petrol
+from dieseltwin.petrol.parameters import FaultFreePiece, PetrolParameters, PetrolTerm, load_petrol, save_petrol
+from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, read_petrol
 from dieseltwin.recordings.channels import channel_map
 from tests.pages import check_page
 
@@ -89,7 +91,29 @@ def test_learned_from_two_recordings_in_any_order(
     assert files[0].read_bytes() == files[1].read_bytes()
     assert load_petrol(files[0]).calibrated and "takes it\n" in capsys.readouterr().out
     assert main(["learn", first.path, "--engine", str(files[0]), "--out", str(tmp_path / "more.yaml")]) == 2
-    assert "all recordings at once" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"got {files[0]}, which has its maps" in said and "all recordings at once" in said
+
+
+def test_rows_of_a_reference_count_once(record: Recorder, tmp_path: Path) -> None:
+    first, second = record(21, 120.0), record(22, 120.0)
+    crlf = tmp_path / "crlf.csv"
+    crlf.write_bytes(Path(first.path).read_bytes().replace(b"\n", b"\r\n"))
+    together, copied = pooled([first, second]), pooled([read_petrol(crlf), second, first])
+    assert len(copied.signals.time_s) == len(together.signals.time_s)
+    piece = read_petrol(_written(pd.read_csv(first.path).iloc[:1800], tmp_path))
+    with pytest.raises(InputError, match="of its rows in another of the recordings"):
+        pooled([first, second, piece])
+
+
+def test_an_alarm_in_the_reference_is_said_by_every_discovery(engine: PetrolParameters, record: Recorder) -> None:
+    alarmed = FaultFreePiece(start_s=0.0, end_s=300.0, gain=551.0, name="w_af_gain", alarm=True)
+    doubted = engine.model_copy(update={"pieces": (alarmed, alarmed.model_copy(update={"alarm": False}))})
+    question = ask(record(23, 120.0), doubted)
+    assert isinstance(question, PetrolQuestion)
+    assert "1 of 2 pieces that the engine was learned from raises an alarm" in " ".join(question.notes)
+    sure = ask(record(23, 120.0), engine)
+    assert isinstance(sure, PetrolQuestion) and sure.notes == ()
 
 
 def test_learned_from_references_in_one_go(
@@ -110,7 +134,7 @@ def test_learned_from_references_in_one_go(
     assert "of its rows are in the reference" in capsys.readouterr().err
     mine = save_petrol(load_petrol(tmp_path / "out" / "engine.yaml"), tmp_path / "mine.yaml")
     assert main([*base[:3], str(mine), *base[4:], "--reference", healthy.path]) == 2
-    assert "--reference: got beside liu_petrol, which has its maps already" in capsys.readouterr().err
+    assert f"--reference: got beside {mine}, which has its maps already" in capsys.readouterr().err
 
 
 def test_calibrated_anew_is_learned(

@@ -17,6 +17,7 @@ from dieseltwin.petrol.discover import discover_petrol
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm, load_petrol
 from dieseltwin.petrol.recording import PetrolRecording, read_petrol
 from dieseltwin.petrol.terms import active_sizes
+from dieseltwin.report.findings import levels
 
 Recorder = Callable[..., PetrolRecording]
 FIRST_S, LENGTH_S, SINCE_S, UNTIL_S = 1000.0, 700.0, 250.0, 450.0
@@ -43,7 +44,10 @@ def test_a_fault_that_goes_again(
     assert effect.name == name and effect.magnitude == pytest.approx(size, abs=0.01) and location is not None
     assert location.onset_s == pytest.approx(FIRST_S + SINCE_S, abs=3.0)
     assert location.until_s == pytest.approx(FIRST_S + UNTIL_S, abs=3.0)
-    assert f"from {location.onset_s:.0f} to {location.until_s:.0f} s" in found.sentence
+    minutes = f"({location.onset_s / 60:.1f} to {location.until_s / 60:.1f} min)"
+    assert f"from {location.onset_s:.0f} to {location.until_s:.0f} s {minutes}" in found.sentence
+    for _, fitted, unrepaired in levels(found.document, "level", shift=False).rows:
+        assert len(fitted.split(" ")[0].partition(".")[2]) == len(unrepaired.partition(".")[2])
     found.save(tmp_path / "out")
     assert json.loads((tmp_path / "out" / "discrepancy.json").read_text())["location"]["until_s"] == location.until_s
     repaired = load_petrol(tmp_path / "out" / "engine.yaml")

@@ -13,15 +13,20 @@ import pytest
 
 from dieseltwin.api.petrol import recording_notes
 from dieseltwin.challenge.petrol_plant import ONSET_S
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.likelihood.score import best_of_each, score
+from dieseltwin.discovery.search.variants import redated
 from dieseltwin.discovery.twins.interface import Lanes
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Discrepancy
+from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.petrol.calibrate import fit_maps, pieces
-from dieseltwin.petrol.discover import discover_petrol
+from dieseltwin.petrol.discover import discover_petrol, judge, next_single
 from dieseltwin.petrol.effects import HYPOTHESES
 from dieseltwin.petrol.parameters import PetrolParameters, load_petrol, save_petrol
 from dieseltwin.petrol.recording import PetrolRecording, gaps, read_petrol
 from dieseltwin.petrol.simulate import simulate_petrol
 from dieseltwin.petrol.twin import PetrolTwin
+from dieseltwin.report.petrol import petrol_page
 
 Recorder = Callable[..., PetrolRecording]
 CASES = [
@@ -45,14 +50,48 @@ def test_planted_fault(engine: PetrolParameters, record: Recorder, fault: dict, 
     assert d.location.onset_s == pytest.approx(ONSET_S, abs=8.0)
     assert d.fit.held_out_nll_after is not None and d.fit.held_out_nll_before is not None
     assert d.fit.held_out_nll_after < d.fit.held_out_nll_before
-    assert name in found.sentence
+    assert name in found.sentence and "-0.0 %" not in found.sentence
 
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_healthy(engine: PetrolParameters, record: Recorder, seed: int) -> None:
-    d = discover_petrol(record(seed), engine).document
+    found = discover_petrol(record(seed), engine)
+    d = found.document
     assert not d.mismatch and d.effects == () and d.location is None
     assert d.minimum_detectable["p_ic_gain"] < 0.05
+    page = petrol_page(found)
+    words = " ".join(s.words + ("" if s.series is None else s.series.drawn.caption) for s in page.sections)
+    assert "as read" in words and not any(word in words for word in ("repaired", "Orange", "it acts", "Dashed"))
+
+
+def test_an_effect_that_strains_a_level_is_scored_as_its_refit_is(
+    engine: PetrolParameters, record: Recorder
+) -> None:
+    """A level within a narrow prior takes up most of a wrong p_ic; what that costs counts in the linear scores too."""
+    healthy = record(5, 300.0).signals
+    _, found = judge(engine, replace(healthy, p_ic=1.05 * healthy.p_ic))
+    refit = next(fit for fit in found.singles if fit.candidate.names == ("p_ic_gain",))
+    scored = best_of_each([item for item in found.scored if item.name == "p_ic_gain"])[0]
+    assert found.gain(refit) > 100.0 and scored.gain == pytest.approx(found.gain(refit), rel=0.1)
+    since = redated(found.null, "p_ic_gain", 0.05, found.settings.least_share)
+    assert since.gain == pytest.approx(score(found.null, [("p_ic_gain", 0.05)], since.response[None])[0].gain, rel=0.01)
+
+
+def test_a_name_whose_size_goes_in_its_own_metric_makes_way(engine: PetrolParameters, record: Recorder) -> None:
+    healthy = record(5, 300.0).signals
+    _, found = judge(engine, replace(healthy, W_af=1.1 * healthy.W_af))
+    wrong = replace(found.singles[1], magnitudes=np.zeros(1))
+    found.singles, found.kind = [wrong, *found.singles], "single"
+    found.best = Linearisation(found.twin, found.whitening, wrong, found.null)
+    next_single(found)
+    assert found.best is not None and found.best.fit.candidate.names == ("w_af_gain",)
+    assert found.of_interest(found.best.fit) and wrong not in found.singles
+
+
+def test_what_is_not_chosen_is_not_compared_with_a_choice(engine: PetrolParameters, record: Recorder) -> None:
+    _, found = judge(engine, record(2, W_af_kg_s=0.10).signals)
+    found.kind, found.best, found.equivalent = "healthy", None, [("w_af_gain",), ("p_im_gain",)]
+    assert not any("the chosen one" in row["reason"] for row in candidate_rows(found))
 
 
 SENSORS = [("p_im_gain", "p_im", -0.1), ("p_ic_gain", "p_ic", 0.1), ("w_af_gain", "W_af", 0.2),

@@ -195,7 +195,7 @@ def _scored(at: Linearisation, features: Sequence[Feature], responses: Array) ->
     for feature, direction, vector, response in zip(features, directions, projected, responses, strict=True):
         information = float(vector @ vector)
         if information > apart**2 * float(direction @ direction):
-            push = float(vector @ at.projected_residual)
+            push = float(vector @ at.pulled_residual)
             if feature.behind and push <= 0.0:
                 continue
             gain = push * push / information

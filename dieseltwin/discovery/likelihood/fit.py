@@ -173,6 +173,8 @@ class Linearisation:
         residual: (n, C) readings minus simulation.
         jacobian: (P + m, n, C) responses to parameters and to the fit's own effects [per unit].
         projected: (P + m, rows) the same in the metric.
+        pulled_residual: (rows + P + m,) the residual in the metric, and how far the priors pull: what directions
+            without the parameters' (`score.without_parameters`) are held against.
         loadings: (K, D) of nuisances that were learned, in the coordinates of the belief; None for others.
 
     Args:
@@ -208,6 +210,7 @@ class Linearisation:
         self.projected = self.metric.project(self.jacobian)
         self.projected_residual = self.metric.project(np.nan_to_num(self.residual)[None])[0]
         self.precision = prior_precision(twin, len(fit.candidate.names))
+        self.pulled_residual = np.concatenate([self.projected_residual, np.sqrt(self.precision) * self._offset(fit)])
         information = self.projected @ self.projected.T + np.diag(self.precision)
         self.covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         ran = np.isfinite(self.simulated[whitening.present]).all()  # a run without an end explains nothing
@@ -220,12 +223,14 @@ class Linearisation:
 
     def step(self) -> tuple[Array, float]:
         """Gauss-Newton step of parameters and magnitudes, and the decrease that it predicts."""
-        offset = np.zeros(len(self.precision))
-        P = len(self.twin.parameters)
-        offset[:P] = np.array([p.value for p in self.twin.parameters]) - self.fit.parameters
-        gradient = self.projected @ self.projected_residual + self.precision * offset
+        gradient = self.projected @ self.projected_residual + self.precision * self._offset(self.fit)
         step = self.covariance @ gradient
         return step, float(gradient @ step)
+
+    def _offset(self, fit: Fit) -> Array:
+        """(P + m,) from a fit's parameters to the centres of their priors; effects have none."""
+        centres = np.array([p.value for p in self.twin.parameters])
+        return np.concatenate([centres - fit.parameters, np.zeros(len(fit.candidate.names))])
 
     def local_step(self, change: Array) -> Array:
         """Change of the initial states that goes with a change of parameters and magnitudes, (W, S)."""

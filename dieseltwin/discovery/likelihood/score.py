@@ -23,7 +23,7 @@ class Scored:
         name: of the effect.
         size: magnitude at which the secant was taken [unit].
         response: (n, C) response of the readings per unit of magnitude.
-        projected: (rows,) the same in the metric, parameters taken out too.
+        projected: (rows + P,) the same in the metric, parameters taken out too; see `without_parameters`.
         magnitude, std: linear estimate and its standard deviation [unit].
         gain: decrease of -2 log likelihood that the linear estimate gives, 0 on the wrong side of a one-sided limit.
     """
@@ -65,9 +65,13 @@ def secant_sizes(twin: Twin, names: Sequence[str]) -> list[tuple[str, float]]:
 
 
 def without_parameters(at: Linearisation, projected: Array) -> Array:
-    """Vectors (K, rows) in the metric with the parameters' (and the fit's own effects') directions taken out."""
+    """Vectors (K, rows) in the metric with the parameters' (and the fit's own effects') directions taken out.
+
+    (K, rows + P + m): a parameter that moves for an effect costs what its prior says, in a row of its own. Without
+    these an effect that a narrow prior lets the parameters take up, strained, would seem to gain nothing.
+    """
     weights = (projected @ at.projected.T) @ at.covariance
-    return projected - weights @ at.projected
+    return np.hstack([projected - weights @ at.projected, -weights * np.sqrt(at.precision)])
 
 
 def score(at: Linearisation, wanted: Sequence[tuple[str, float]], responses: Array) -> list[Scored]:
@@ -80,7 +84,7 @@ def score(at: Linearisation, wanted: Sequence[tuple[str, float]], responses: Arr
         if information <= 0.0:
             found.append(Scored(name, size, response, vector, 0.0, np.inf, 0.0))
             continue
-        estimate = float(vector @ at.projected_residual) / information
+        estimate = float(vector @ at.pulled_residual) / information
         allowed = float(np.clip(estimate, low, high))
         gain = information * allowed * (2.0 * estimate - allowed)
         found.append(Scored(name, size, response, vector, allowed, information**-0.5, max(gain, 0.0)))
@@ -99,11 +103,11 @@ def spread(at: Linearisation, vector: Array) -> float:
     """
     n, channels = at.residual.shape
     starts = at.twin.starts * channels
-    push, information = float(vector @ at.projected_residual), float(vector @ vector)
+    push, information = float(vector @ at.pulled_residual), float(vector @ vector)
     if starts.size < 2 or push == 0.0:
         return 1.0
     own = vector[: n * channels]
-    pushes = np.add.reduceat(own * at.projected_residual[: n * channels], starts)
+    pushes = np.add.reduceat(own * at.pulled_residual[: n * channels], starts)
     informations = np.add.reduceat(own * own, starts)
     rest = np.maximum(information - informations, 1e-9 * information)
     return min(1.0, float(np.min((push - pushes) ** 2 / rest)) * information / push**2)

@@ -163,7 +163,7 @@ def _linear_gain(at: Linearisation, twin: WithCircumstances, items: Sequence[Cir
     responses = twin.circumstance_responses(at.fit.lanes(), at.simulated, [item.name for item in items])
     responses *= np.array([item.std for item in items])[:, None, None]
     vectors = without_parameters(at, at.metric.project(responses))
-    push = vectors @ at.projected_residual
+    push = vectors @ at.pulled_residual
     return float(push @ np.linalg.solve(vectors @ vectors.T + np.eye(len(items)), push))
 
 

@@ -35,7 +35,7 @@ def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Sco
     """Linear gain of every pair of hypotheses at the health-only fit, strongest first."""
     vectors = np.stack([s.projected for s in items])
     gram = vectors @ vectors.T
-    push = vectors @ found.null.projected_residual
+    push = vectors @ found.null.pulled_residual
     sided = [found.twin.hypotheses[s.name].limits[0] >= 0.0 for s in items]
     out = []
     for i in range(len(items)):

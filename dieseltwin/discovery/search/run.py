@@ -85,7 +85,7 @@ def carry_on(found: Search, *, laws: bool = True, time_s: float | None = None) -
                 _law(found, laws)
     except OutOfTimeError:
         found.unfinished = STAGES[STAGES.index(found.stage) :]
-        if found.kind != "law" and (found.kind != "healthy" or _alarm(found, found.singles[0])):
+        if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
             choose_so_far(found)
     return found
 
@@ -119,7 +119,7 @@ def _about_leading_name(found: Search, starts: Sequence[Start] = ()) -> Search:
 def _in_own_weather(found: Search) -> Search:
     """The search again in the weather that the best name asks for, where that name isn't enough in the weather of
     before; that search where it is enough there, else the first one."""
-    if found.kind != "law" or not _alarm(found, found.singles[0]):
+    if found.kind != "law" or not raises_alarm(found, found.singles[0]):
         return found  # two names are left as they are: weather takes the place of a true second one as readily
     more = [item.gain for item in (*found.nameless()[:1], *found.local[:1])]
     if max(more, default=0.0) > _WITHIN * found.gain(found.singles[0]):
@@ -152,7 +152,7 @@ def _explain(found: Search) -> None:
     found.local = score_features(base, local_features(twin, found.null.fit))
     found.seconds["structure"] = time.perf_counter() - clock
     unnamed = _unnamed(found)
-    alarm = _alarm(found, found.singles[0]) or (unnamed is not None and _explained_by_catalogue(found, unnamed))
+    alarm = raises_alarm(found, found.singles[0]) or (unnamed is not None and _explained_by_catalogue(found, unnamed))
     clock = time.perf_counter()
     if alarm or hidden:
         found.stage = "onsets and regions"
@@ -305,7 +305,8 @@ def _explained_by_catalogue(found: Search, item: Structure) -> bool:
     )  # fmt: skip
 
 
-def _alarm(found: Search, fit: Fit) -> bool:
+def raises_alarm(found: Search, fit: Fit) -> bool:
+    """Whether one effect of one size is beyond chance and as large as is of interest."""
     gain = found.gain(fit)
     threshold = max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
     return bool(gain >= threshold and found.of_interest(fit))

@@ -73,12 +73,14 @@ class Sums:
         self.rows = self.vectors.shape[1]
         self.residual = metric.without_local(np.nan_to_num(at.residual)[None])[0]
         information = at.projected @ at.projected.T + np.diag(at.precision)
-        parameters = solve_triangular(cholesky(information, lower=True), at.projected, lower=True)
-        bases = [parameters[:, : self.rows]]
+        held = np.hstack([at.projected, np.diag(np.sqrt(at.precision))])  # each by its prior, in a row of its own
+        parameters = solve_triangular(cholesky(information, lower=True), held, lower=True)
+        bases, pull = [parameters[:, : self.rows]], [parameters[:, -len(held):] @ at.pulled_residual[-len(held):]]
         if metric.nuisance_basis is not None:
             bases.append(metric.nuisance_basis[:, : self.rows])
+            pull.append(np.zeros(len(bases[-1])))
         self.basis = np.vstack(bases)  # (K, rows): tolerances and parameters
-        self.known = self.basis @ self.residual
+        self.known = self.basis @ self.residual + np.concatenate(pull)
         limits = np.array([at.twin.hypotheses[item.name].limits for item in items])
         self.low, self.high = limits[:, 0], limits[:, 1]
 
@@ -336,7 +338,7 @@ def rescan(null: Linearisation, variant: Variant, fit: Fit, fine: float) -> Vari
         trials = [replace(fit, candidate=Candidate((variant.name,), {variant.name: _schedule(acts)})) for acts in slabs]
         responses = (simulate_fits(twin, trials) - at.simulated) / magnitude
         vectors = without_parameters(at, at.metric.project(responses))
-        gram, push = vectors @ vectors.T, vectors @ at.projected_residual
+        gram, push = vectors @ vectors.T, vectors @ at.pulled_residual
         low, high = twin.hypotheses[variant.name].limits
         best = -np.inf
         for a in range(len(slabs)):

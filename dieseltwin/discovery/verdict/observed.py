@@ -73,10 +73,10 @@ def _score(found: Search, at: Linearisation, item: Scored, turned: Array) -> Sco
     information = float(item.projected @ item.projected)
     if not np.isfinite(item.std) or information <= 0.0:
         return None
-    shared = turned @ (-item.projected[at.metric.rows :] / information)
+    shared = turned @ (-item.projected[at.metric.rows :][: turned.shape[1]] / information)
     variance = max(1.0 / information - float(shared @ shared), 0.0)
     hypothesis = found.twin.hypotheses[item.name]
-    estimate = float(item.projected @ at.projected_residual) / information
+    estimate = float(item.projected @ at.pulled_residual) / information
     return Score(
         item.name, hypothesis.site, hypothesis.unit, hypothesis.tolerance, hypothesis.limits[0] >= 0.0, estimate,
         float(np.sqrt(variance)), shared,

@@ -19,7 +19,7 @@ def candidate_rows(found: Search) -> list[Candidate]:
     """Every effect that was weighed, strongest first, with the reason of its fate."""
     P = len(found.twin.parameters)
     chosen = set(found.best.fit.candidate.names) if found.best is not None and found.kind != "law" else set()
-    equivalent = {name for names in found.equivalent for name in names} - chosen
+    equivalent = {name for names in found.equivalent for name in names} - chosen if found.kind != "healthy" else set()
     top = found.gain(found.singles[0]) if found.singles else 0.0
     rows: list[Candidate] = []
     fitted: dict[str, Fit] = {fit.candidate.names[0]: fit for fit in found.singles}

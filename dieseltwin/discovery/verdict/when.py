@@ -10,13 +10,20 @@ def clock(seconds: float) -> str:
     return f"{seconds:.0f} s" + (f" ({seconds / 60:.1f} min)" if abs(seconds) >= 600.0 else "")
 
 
+def _span(first_s: float, last_s: float) -> str:
+    """Two times of the recording, `from 300 to 420 s`, both with minutes beyond ten of them."""
+    minutes = f" ({first_s / 60:.1f} to {last_s / 60:.1f} min)" if abs(last_s) >= 600.0 else ""
+    return f"from {first_s:.0f} to {last_s:.0f} s{minutes}"
+
+
 def when_words(where: Location) -> str:
     """Since when, until when, and whether it grows, on one recording."""
     onset, until = where.onset_s, where.until_s
     if where.grows:
         return f"at the end, grown evenly from nothing since {'the start' if onset is None else clock(onset)}"
     if until is not None:
-        return f"{'until' if onset is None else f'from {onset:.0f} to'} {clock(until)}, and gone since then"
+        span = f"until {clock(until)}" if onset is None else _span(onset, until)
+        return f"{span}, and gone since then"
     return "from the start" if onset is None else f"since {clock(onset)}"
 
 

@@ -175,7 +175,8 @@ def _pressure(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> 
     judged = _judged_gauge(found, facts, gauge, column)
     if gauge is None and found.entry.via is None and column == "p_em_pa":
         other = found.entry.model_copy(update={"via": "gauge"})
-        text = f"taken as gauge, because absolute it would lie below p_im; its lowest value is {facts.low:.4g}"
+        text = ("taken as gauge, because absolute it would lie below p_im; its lowest value is "
+                f"{in_our_unit(found.entry, facts.low) / 1e3:.4g} kPa")
         judged = replace(judged, alternatives=(*judged.alternatives, Reading(other, 0.8, (), (text,))))
     return judged
 

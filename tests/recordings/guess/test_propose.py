@@ -298,7 +298,9 @@ def test_gauge_exhaust_pressure_is_told_by_physics(tmp_path, known):
     })  # fmt: skip
     frame.to_csv(tmp_path / "drive.csv", index=False)
     guess = propose(read_raw(tmp_path / "drive.csv")).guesses["p_em_pa"].reading
-    assert guess.entry.via == "gauge" and any("gauge" in warning for warning in guess.warnings)
+    assert guess.entry.via == "gauge" and any(
+        "gauge" in warning and warning.endswith(" kPa") for warning in guess.warnings
+    )
 
 
 def test_a_flow_computed_by_the_control_unit_is_suspected(tmp_path, known):
