@@ -71,6 +71,7 @@ class RigTwin(SimpleTwin):
     """
 
     exact_responses = True  # integrated with steps far below what any force changes in
+    strained = True  # without its friction an axis is fitted with twice its mass
 
     def __init__(self, rig: RigParameters, recording: RigRecording, window_s: float | None = None) -> None:
         none = np.full(len(recording.time_s), np.nan)

@@ -10,7 +10,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.time_limit import check_time
-from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, rows_of, single
+from dieseltwin.discovery.twins.interface import Array, Lanes, Strained, Twin, rows_of, single
 
 _DIFFERENCE = 1e-4  # of a scale, for sensitivities
 _TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what matters, large against rounding
@@ -210,7 +210,8 @@ class Linearisation:
         self.projected = self.metric.project(self.jacobian)
         self.projected_residual = self.metric.project(np.nan_to_num(self.residual)[None])[0]
         self.precision = prior_precision(twin, len(fit.candidate.names))
-        self.pulled_residual = np.concatenate([self.projected_residual, np.sqrt(self.precision) * self._offset(fit)])
+        pull = 0.0 if isinstance(twin, Strained) and twin.strained else np.sqrt(self.precision) * self._offset(fit)
+        self.pulled_residual = np.append(self.projected_residual, np.broadcast_to(pull, self.precision.shape))
         information = self.projected @ self.projected.T + np.diag(self.precision)
         self.covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         ran = np.isfinite(self.simulated[whitening.present]).all()  # a run without an end explains nothing

@@ -269,6 +269,14 @@ class WithCourses(Twin, Protocol):
 
 
 @runtime_checkable
+class Strained(Twin, Protocol):
+    """A twin that says whether a fit without what is missing may strain its parameters so far (a mass twice its own)
+    that no straight line leads back: how far the priors pull then says nothing of an effect's gain."""
+
+    strained: bool
+
+
+@runtime_checkable
 class OverRecordings(Twin, Protocol):
     """A twin over R recordings, in which an effect's size may differ from one to the next.
 
