@@ -22,6 +22,7 @@ import os
 import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
@@ -253,8 +254,9 @@ def _stamps(folder: Path) -> dict[str, tuple[int, int]]:
         folders[:] = [name for name in folders if name != "__pycache__"]
         for name in names:
             path = os.path.join(place, name)
-            about = os.stat(path)
-            found[path] = about.st_mtime_ns, about.st_size
+            with suppress(FileNotFoundError):  # an editor's lock is a link to nothing; what goes meanwhile is gone
+                about = os.stat(path)
+                found[path] = about.st_mtime_ns, about.st_size
     return found
 
 

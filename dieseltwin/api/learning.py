@@ -22,12 +22,13 @@ from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Further, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, uncertainty_along
-from dieseltwin.learning.files import LearnedEngine, distinct, learned_engine_of, save_learned
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, save_learned
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.shared_rows import distinct
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
 from dieseltwin.settings.names import refuse_options

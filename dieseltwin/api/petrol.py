@@ -216,7 +216,11 @@ class PetrolCalibrated(Result):
     @property
     def warnings(self) -> list[dict[str, Any]]:
         """Of the recording, and alarms on pieces that ought to be without fault."""
-        return warnings_of([*self.notes, *alarms_when_learned(self.engine)])
+        return warnings_of(self._said)
+
+    @property
+    def _said(self) -> list[Note]:
+        return [*self.notes, *alarms_when_learned(self.engine)]
 
     @property
     def sentence(self) -> str:
@@ -242,8 +246,7 @@ class PetrolCalibrated(Result):
         return ()
 
     def lines(self) -> list[str]:
-        said = [*self.notes, *alarms_when_learned(self.engine)]
-        return [*pages.calibration_lines(self.fits, self.engine.pieces), *said]
+        return [*pages.calibration_lines(self.fits, self.engine.pieces), *self._said]
 
 
 def alarms_when_learned(engine: PetrolParameters) -> list[Note]:

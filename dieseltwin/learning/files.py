@@ -249,9 +249,3 @@ def overlap(recordings: Sequence[Recording], other: Recording) -> float:
 
 def _rows(item: Recording, names: Sequence[str]) -> np.ndarray:
     return np.stack([item.columns[name] for name in names], axis=1)
-
-
-def distinct(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Each recording once, sorted by hash; of copies with the same rows the one whose hash comes first."""
-    ordered = sorted(recordings, key=lambda item: item.sha256, reverse=True)
-    return tuple(sorted({item.rows_sha256: item for item in ordered}.values(), key=lambda item: item.sha256))

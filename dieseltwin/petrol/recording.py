@@ -19,8 +19,8 @@ from dieseltwin.errors import InputError
 from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
 from dieseltwin.recordings.channels import ChannelMap
 from dieseltwin.recordings.derived import STAND_IN_PA
-from dieseltwin.recordings.named_columns import Imported, named_columns
-from dieseltwin.recordings.shared_rows import MOST_SHARED, share_known
+from dieseltwin.recordings.named_columns import Imported, columns_sha256, named_columns
+from dieseltwin.recordings.shared_rows import MOST_SHARED, distinct, share_known
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
@@ -93,6 +93,11 @@ class PetrolRecording:
     sha256: str
     columns: tuple[str, ...]
 
+    @property
+    def rows_sha256(self) -> str:
+        """Hash of the rows, the same for a copy with other line ends or in another format."""
+        return columns_sha256({name: value for name, value in vars(self.signals).items() if value is not None})
+
 
 def read_petrol(
     source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None,
@@ -156,13 +161,12 @@ def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
     Raises:
         InputError: one that is, in part, driving of another.
     """
-    ordered = sorted(recordings, key=lambda r: r.sha256, reverse=True)
-    same = {rows_of(r.signals).tobytes() + r.signals.time_s.tobytes(): r for r in ordered}
-    once = sorted(same.values(), key=lambda r: r.sha256)
+    once = distinct(recordings)
     if len(once) == 1:
         return once[0]
+    rows = [rows_of(r.signals) for r in once]
     for k, recording in enumerate(once):
-        share = share_known(rows_of(recording.signals), (rows_of(other.signals) for other in once[:k]))
+        share = share_known(rows[k], rows[:k])
         if share > MOST_SHARED:
             raise InputError(recording.path, f"{100 * share:.0f} % of its rows in another of the recordings",
                              "recordings that share no driving", "leave one of them out")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,25 @@ from dieseltwin.errors import InputError
 Rows = NDArray[np.float64]
 
 MOST_SHARED = 0.01  # of the rows with the reference: readings at rest may repeat
+
+
+class Hashed(Protocol):
+    """A recording that is known by its file and by its rows."""
+
+    @property
+    def sha256(self) -> str: ...
+
+    @property
+    def rows_sha256(self) -> str: ...
+
+
+H = TypeVar("H", bound=Hashed)
+
+
+def distinct(recordings: Sequence[H]) -> tuple[H, ...]:
+    """Each recording once, sorted by hash; of copies with the same rows the one whose hash comes first."""
+    ordered = sorted(recordings, key=lambda item: item.sha256, reverse=True)
+    return tuple(sorted({item.rows_sha256: item for item in ordered}.values(), key=lambda item: item.sha256))
 
 
 def share_known(rows: Rows, known: Iterable[Rows]) -> float:

@@ -183,6 +183,16 @@ def test_a_new_field_of_the_report_leaves_pretraining_alone(library: Path) -> No
     assert after == before
 
 
+def test_a_written_file_touches_the_sources_and_an_editors_lock_is_none(library: Path) -> None:
+    package = library / "toylib"
+    (package / ".#maps.py").symlink_to("somebody@elsewhere")
+    sources = LibrarySources(library, "toylib")
+    assert not sources.touched()
+    written = sorted(package.glob("[a-z]*.py"))[0]
+    written.write_text(written.read_text() + "# a remark\n")
+    assert sources.touched()
+
+
 def test_the_engine_does_not_rest_on_the_report() -> None:
     sources = LibrarySources(PROJECT)
     modules = sources.collect(["dieseltwin.settings.params"]).modules

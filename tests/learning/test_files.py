@@ -16,8 +16,9 @@ from dieseltwin.errors import InputError
 from dieseltwin.learning import files
 from dieseltwin.learning.belief import MAPS_AT, Belief, prior_belief
 from dieseltwin.learning.domain import domain_of
-from dieseltwin.learning.files import LearnedEngine, distinct, load_learned, overlap, save_learned
+from dieseltwin.learning.files import LearnedEngine, load_learned, overlap, save_learned
 from dieseltwin.recordings.reader import Recording, recording
+from dieseltwin.recordings.shared_rows import distinct
 
 
 def _recording(seed: int) -> Recording:

@@ -23,8 +23,9 @@ from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.belief import HEALTH_AT, NOTHING_FURTHER, Belief, Further, prior_belief, with_further
 from dieseltwin.learning.domain import domain_of
-from dieseltwin.learning.files import LearnedEngine, distinct
+from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.shared_rows import distinct
 from dieseltwin.settings.discovery import LearnConfig
 from dieseltwin.settings.params import default_learn
 
