@@ -41,7 +41,7 @@ OUTPUTS = (
 _E = {name: k for k, name in enumerate(KERNEL_EFFECTS)}
 (E_BOOST_LEAK, E_EXHAUST_LEAK, E_BACK_PRESSURE, E_FILTER, E_COOLER, E_EGR_HEATING, E_FRICTION, E_GAS_LAG, E_VALVE_LEAK,
  E_CLOGGING, E_VGT_OFFSET, E_INJECTOR, E_ETA_C, E_ETA_T, E_W_C, E_ETA_VOL, E_BLOW_BY, E_COUPLE_LAG, E_WINDAGE,
- E_PORT_HEAT, E_AFTERBURN, E_PICKUP) = range(len(KERNEL_EFFECTS))  # fmt: skip
+ E_PORT_HEAT, E_AFTERBURN, E_PICKUP, E_EGR_OFFSET) = range(len(KERNEL_EFFECTS))  # fmt: skip
 
 
 @inner(forceinline=True, error_model="numpy")
@@ -139,7 +139,7 @@ def rates(y, carry, n_e, u_delta, u_egr, u_vgt, c, e, errors, low, high, sweeps,
     eta_vol = c.c_vol0 * np.sqrt(p_im) + c.c_vol1 * np.sqrt(n_e) + c.c_vol2
     eta_vol *= 1.0 + _table(errors[0], low[0], high[0], p_im, n_e)
     eta_vol *= (1.0 - e[E_ETA_VOL] * (p_em / p_im - 1.0)) * (1.0 - e[E_PORT_HEAT] * (1.0 - n_e / 2000.0))
-    u = min(u_egr, -c.c_egr1 / (2.0 * c.c_egr0))
+    u = min(u_egr + e[E_EGR_OFFSET], -c.c_egr1 / (2.0 * c.c_egr0))
     f_egr = max(c.c_egr2 + u * (c.c_egr1 + u * c.c_egr0), 0.0) * (1.0 + errors_1d(errors[1], low[1], high[1], u))
     A_egr = c.A_egrmax * (f_egr + e[E_VALVE_LEAK]) * (1.0 - e[E_CLOGGING])
     Pi_egr = min(max(p_im / p_em, c.Pi_egropt), 1.0)

@@ -19,6 +19,7 @@ KERNEL_EFFECTS = (
     "bearing_friction", "exhaust_thermal_inertia", "egr_valve_leak", "egr_clogging", "vgt_offset", "injector_drift",
     "compressor_efficiency_loss", "turbine_efficiency_loss", "compressor_flow_loss", "volumetric_efficiency_residual",
     "blow_by", "thermocouple_lag", "disc_windage", "port_heating", "afterburning", "intake_heat_pickup",
+    "egr_offset",
 )  # fmt: skip
 """Effects inside the right-hand side, in the order of the kernel's magnitudes."""
 
@@ -97,6 +98,7 @@ FAMILIES: Mapping[str, Family] = {
         Family("egr_dead_time", "egr_actuator", "s", 0.05, 0.5),
         Family("vgt_dead_time", "vgt_actuator", "s", 0.05, 0.5),
         Family("intake_heat_pickup", "intake_temperature", "W/K", 4.0, 40.0, dealt=False),
+        Family("egr_offset", "egr_actuator", "%", 1.0, 10.0, signed=True, dealt=False),
         Family("fuel_lag", "fuel_injection", "s", 0.1, 1.0, dealt=False),
         Family(FLAP, "turbine_flow", "Pa/(kg/s)^2", 2e4, 2e5, onset=False, dealt=False),
         # in no catalogue: P_f = k omega_t^3; eta_vol (1 - k (1 - n_e/2000 rpm)); T_em + k q_HV W_f/(c_pe W_eo)

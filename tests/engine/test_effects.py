@@ -36,6 +36,7 @@ SIGNS: dict[str, tuple[int | None, ...]] = {
     "intake_heat_pickup": (1, None, None, None, 1, 0),
     "bearing_friction": (0, 0, -1, 0, 0, 0),
     "egr_valve_leak": (1, -1, 0, 1, 0, 0),
+    "egr_offset": (1, -1, 0, 1, 0, 0),
     "egr_clogging": (-1, 1, 0, -1, 0, 0),
     "vgt_offset": (0, -1, 1, 0, 0, 0),
     "injector_drift": (-1, 1, None, -1, 1, 0),

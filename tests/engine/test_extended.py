@@ -152,7 +152,8 @@ def test_lane_signal_is_a_shared_signal(drive) -> None:  # type: ignore[no-untyp
 @pytest.mark.parametrize(
     ("point", "name", "unit"),
     [("eta_sc", "T_e", 1.0), ("W_c", "compressor_flow_loss", -1.0), ("eta_c", "compressor_efficiency_loss", -1.0),
-     ("eta_tm", "turbine_efficiency_loss", -1.0), ("u_delta", "injector_drift", 1.0), ("u_vgt", "vgt_offset", 1.0)],
+     ("eta_tm", "turbine_efficiency_loss", -1.0), ("u_delta", "injector_drift", 1.0), ("u_vgt", "vgt_offset", 1.0),
+     ("u_egr", "egr_offset", 1.0)],
 )  # fmt: skip
 def test_constant_signal_is_its_effect(drive, point: str, name: str, unit: float) -> None:  # type: ignore[no-untyped-def]
     _, actuation, initial = drive
