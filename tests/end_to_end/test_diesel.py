@@ -145,7 +145,7 @@ def test_held_and_rounded_channels_count_at_their_own_readings(name: str, effect
     """Counted in every row, they raise the twin's chi-square to 1.4 and put `blow_by` beside the leak."""
     document = discover(reading(as_logged(recorded(MACHINES[name]))), we2011.PARAMETERS).document
     assert [found.names for found in document.effects] == ([(effect,)] if effect else [])
-    assert all(abs(error) < 0.015 for error in _health_off(document).values())
+    assert all(abs(error) < 0.02 for error in _health_off(document).values())  # h_tot is stated to 2.3 %
     assert document.fit.chi2_per_sample_after == pytest.approx(1.03, abs=0.08)
     if effect:
         assert document.effects[0].magnitude == pytest.approx(3.86e-5, abs=0.5 * 2.32e-6)

@@ -150,14 +150,19 @@ def signal_responses(
     return twin.simulate(lanes) - simulated
 
 
-def nuisance_responses(twin: Twin, base: Lanes, simulated: Array, nuisances: Sequence[Nuisance]) -> Array:
-    """Responses (K, n, C) of the readings to every direction next to `base` (one lane), whose simulation is known."""
+def nuisance_responses(
+    twin: Twin, base: Lanes, simulated: Array, nuisances: Sequence[Nuisance], linear: bool = False
+) -> Array:
+    """Responses (K, n, C) of the readings to every direction next to `base` (one lane), whose simulation is known.
+
+    `linear`: as of `signal_responses`.
+    """
     out = np.empty((len(nuisances), *simulated.shape))
     at = [k for k, nuisance in enumerate(nuisances) if nuisance.point is not None]
     if at:
         points = [int(nuisances[k].point) for k in at]  # type: ignore[arg-type]
         signals = np.stack([nuisances[k].signal for k in at])  # type: ignore[misc]
-        out[at] = signal_responses(twin, base, simulated, points, signals)
+        out[at] = signal_responses(twin, base, simulated, points, signals, linear)
     for k, nuisance in enumerate(nuisances):
         if nuisance.response is not None:
             out[k] = nuisance.response

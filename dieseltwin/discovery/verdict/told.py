@@ -90,7 +90,7 @@ def _places(found: Search, at: Linearisation, residual: Array | None) -> list[To
     if len(own) * at.simulated.size > _MOST_NUMBERS:
         return places
     try:
-        responses = nuisance_responses(at.twin, at.fit.lanes(), at.simulated, own)
+        responses = nuisance_responses(at.twin, at.fit.lanes(), at.simulated, own, linear=True)
         fine = fit_fully(at.twin, at.whitening, at.fit, responses, rounds=_ROUNDS)
         while len(places) < _PLACES[0] or (len(places) < _PLACES[1] and _apart(*places[-2:]) > _SETTLED):
             estimate = fine.metric.nuisance_estimate(np.nan_to_num(fine.residual))
@@ -116,7 +116,7 @@ def _responses_about(
     simulated = there.simulate(lanes)[0]
     first = len(own) - len(open_circumstances(twin))  # they are the last
     own = [*own[:first], *circumstance_nuisances(there, lanes, simulated)]
-    return own, nuisance_responses(there, lanes, simulated, own)
+    return own, nuisance_responses(there, lanes, simulated, own, linear=True)
 
 
 def _apart(before: Told, after: Told) -> float:
