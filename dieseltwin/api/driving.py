@@ -37,7 +37,7 @@ from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
 from dieseltwin.recordings.liveliest import liveliest, minutes_of
 from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording, read_recording
-from dieseltwin.recordings.shared_rows import refuse_shared
+from dieseltwin.recordings.shared_rows import refuse_overlapping, refuse_shared
 from dieseltwin.report.beside import begin_ahead, begin_beside, ready_beside
 from dieseltwin.report.circumstance_words import alike_words, circumstances_words
 from dieseltwin.report.discovery_words import sentence as in_words
@@ -241,6 +241,7 @@ def ask(
     most = question.settings.minutes_max
     sources = [whole if most is None else liveliest(whole, minutes_of(whole, len(wholes), most)) for whole in wholes]
     days = in_time_order(sources) if len(sources) > 1 else ()
+    refuse_overlapping(wholes, overlap)
     notes: list[Note] = [*doubts, *_date_notes(days)]
     if learned is not None and not question.reference:  # else `learn` has said so
         notes += [Note(doubt, "reference") for doubt in learned.doubts]

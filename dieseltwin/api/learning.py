@@ -22,13 +22,13 @@ from dieseltwin.engine.map_corrections import ARGUMENTS, CORRECTED_POINTS, basis
 from dieseltwin.errors import InputError
 from dieseltwin.learning.belief import Further, prior_belief
 from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, uncertainty_along
-from dieseltwin.learning.files import LearnedEngine, learned_engine_of, save_learned
+from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap, save_learned
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
 from dieseltwin.notes import Note, counted
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.reader import Recording
-from dieseltwin.recordings.shared_rows import distinct
+from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
 from dieseltwin.settings.names import refuse_options
@@ -142,10 +142,14 @@ def _learn_diesel(
         where = f"note: {source.path or 'recording'}"
         notes += [f"{where}: {note.removeprefix('note: ')}" for note in check_recording(source, base, None)[1]]
         sources.append(source)
-    check_rows(*distinct([*sources, *(before.recordings if before is not None else ())]))
+    earlier = () if before is None else before.recordings
+    known_rows = {item.rows_sha256 for item in earlier}
+    together = [*earlier, *(item for item in distinct(sources) if item.rows_sha256 not in known_rows)]
+    check_rows(*together)
+    refuse_overlapping(together, overlap, first=len(earlier))
     settings = default_learn()
     size = before.map_rms if before is not None else settings.map_error if map_error is None else map_error
-    own = {item.sha256 for item in (*sources, *(before.recordings if before is not None else ()))}
+    own = {item.sha256 for item in (*sources, *earlier)}
     others = _siblings(siblings, base, size, own)
     prior = None
     if others:

@@ -30,9 +30,13 @@ class Limited(BaseModel):
 
     std: float | None = Field(None, ge=0, description="standard deviation of the magnitude [its unit]")
     onset_s: float | None = Field(None, description="acts from this time of the recording on [s]; None: always")
-    until_s: float | None = Field(None, description="and before this time [s]; None: to the end")
+    # Files leave these two out where they say nothing: most terms don't need them.
+    until_s: float | None = Field(
+        None, description="and before this time [s]; None: to the end", exclude_if=lambda end: end is None
+    )
     grown_s: float | None = Field(
-        None, description="grows evenly from the onset to its magnitude at this time [s] and keeps it; None: at once"
+        None, description="grows evenly from the onset to its magnitude at this time [s] and keeps it; None: at once",
+        exclude_if=lambda end: end is None,
     )
     region: Region | None = Field(None, description="acts only inside these ranges of input columns; None: everywhere")
     valid_for: str | None = Field(None, description="domain of the data behind it, in words")

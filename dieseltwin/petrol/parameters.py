@@ -134,8 +134,8 @@ class PetrolTerm(StrictModel):
     magnitude: float
     std: float | None = Field(None, ge=0)
     onset_s: float | None = None
-    until_s: float | None = None
-    grown_s: float | None = None
+    until_s: float | None = Field(None, exclude_if=lambda end: end is None)
+    grown_s: float | None = Field(None, exclude_if=lambda end: end is None)
     found_in: str = ""
     valid_for: str = ""
 
@@ -198,13 +198,8 @@ def load_petrol(path: str | Path) -> PetrolParameters:
 
 def save_petrol(parameters: PetrolParameters, path: str | Path) -> Path:
     """Write the engine file atomically; numbers with six digits."""
-    content = parameters.model_dump(mode="json")
-    for term in content["terms"]:
-        for key in ("until_s", "grown_s"):
-            if term[key] is None:  # as engines have always been written, so that older versions read them
-                del term[key]
-    text = yaml.safe_dump(_rounded(content), sort_keys=False, default_flow_style=None,
-                          width=118)
+    content = _rounded(parameters.model_dump(mode="json"))
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=118)
     return write_text(path, sealed_text(text))
 
 

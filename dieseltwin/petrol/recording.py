@@ -20,7 +20,7 @@ from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, stora
 from dieseltwin.recordings.channels import ChannelMap
 from dieseltwin.recordings.derived import STAND_IN_PA
 from dieseltwin.recordings.named_columns import Imported, columns_sha256, named_columns
-from dieseltwin.recordings.shared_rows import MOST_SHARED, distinct, share_known
+from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping, share_known
 from dieseltwin.settings.strict import listed
 
 Array = NDArray[np.float64]
@@ -164,12 +164,9 @@ def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
     once = distinct(recordings)
     if len(once) == 1:
         return once[0]
-    rows = [rows_of(r.signals) for r in once]
-    for k, recording in enumerate(once):
-        share = share_known(rows[k], rows[:k])
-        if share > MOST_SHARED:
-            raise InputError(recording.path, f"{100 * share:.0f} % of its rows in another of the recordings",
-                             "recordings that share no driving", "leave one of them out")
+    refuse_overlapping(
+        once, lambda others, one: share_known(rows_of(one.signals), [rows_of(other.signals) for other in others])
+    )
     names = [f.name for f in fields(Signals) if getattr(once[0].signals, f.name) is not None]
     values = {name: np.concatenate([getattr(r.signals, name) for r in once]) for name in names}
     ends = np.cumsum([0.0, *(r.signals.time_s[-1] + APART_S for r in once[:-1])])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -25,7 +26,15 @@ class Hashed(Protocol):
     def rows_sha256(self) -> str: ...
 
 
+class Located(Protocol):
+    """A recording that says which file it is of, if it is of one."""
+
+    @property
+    def path(self) -> str | Path | None: ...
+
+
 H = TypeVar("H", bound=Hashed)
+R = TypeVar("R", bound=Located)
 
 
 def distinct(recordings: Sequence[H]) -> tuple[H, ...]:
@@ -35,9 +44,32 @@ def distinct(recordings: Sequence[H]) -> tuple[H, ...]:
 
 
 def share_known(rows: Rows, known: Iterable[Rows]) -> float:
-    """Share of rows (n, C) that stand, to the bit, among others of the same C columns, 0-1."""
-    seen = {row.tobytes() for others in known for row in others}
-    return sum(row.tobytes() in seen for row in rows) / max(len(rows), 1)
+    """Share of rows (n, C) that stand, to the bit, among others of the same C columns, 0-1.
+
+    Rows that are alike count once: an engine that stands gives the same row over and over.
+    """
+    own = {row.tobytes() for row in rows}
+    return len(own & {row.tobytes() for others in known for row in others}) / max(len(own), 1)
+
+
+def refuse_overlapping(recordings: Sequence[R], share: Callable[[Sequence[R], R], float], first: int = 0) -> None:
+    """Refuse recordings one of which is, in part, driving of another: its rows would count twice.
+
+    Args:
+        recordings: no two alike.
+        share: of the rows of a recording that are in others, 0-1.
+        first: of those that are asked about; the ones before it are known not to overlap.
+
+    Raises:
+        InputError: more than a little of one is in those before it.
+    """
+    for k in range(first, len(recordings)):
+        part = share(recordings[:k], recordings[k])
+        if part > MOST_SHARED:
+            raise InputError(
+                str(recordings[k].path or "recording"), f"{100 * part:.0f} % of its rows in another of the recordings",
+                "recordings that share no driving", "leave one of them out",
+            )  # fmt: skip
 
 
 def refuse_shared(where: str, share: float) -> None:

@@ -117,6 +117,21 @@ def test_too_short_a_reference_is_refused(folder: Path, tmp_path: Path, capsys: 
     assert "s" in capsys.readouterr().err and not (tmp_path / "mine.yaml").exists()
 
 
+def test_driving_that_two_recordings_share_is_no_reference(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """Its rows would count twice; so they would in several recordings that are judged together."""
+    whole, part = str(folder / "healthy.csv"), str(tmp_path / "part.csv")
+    pd.read_csv(whole).iloc[200:].to_csv(part, index=False)
+    assert main(["learn", whole, part, "--out", str(tmp_path / "mine.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "of its rows in another of the recordings" in said
+    assert main(["learn", part, "--engine", str(folder / "mine.yaml"), "--out", str(tmp_path / "mine.yaml")]) == 2
+    assert f"{part}: got 100 % of its rows in another of the recordings" in capsys.readouterr().err
+    assert main(["discover", whole, part, "--out", str(tmp_path / "found")]) == 2
+    assert "recordings that share no driving" in capsys.readouterr().err
+
+
 def test_siblings_are_learned_engines(folder: Path, capsys: pytest.CaptureFixture[str]):
     plain = folder / "plain.yaml"
     plain.write_text("eta_sc: 1.1\n")

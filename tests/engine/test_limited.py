@@ -37,3 +37,9 @@ def test_on_a_later_recording_what_began_stays_and_what_went_is_gone() -> None:
     leak = Term(effect="boost_leak", magnitude=2e-5)
     times = ({"onset_s": 3.0}, {"grown_s": 8.0}, {"onset_s": 3.0, "until_s": 6.0})
     assert as_later([leak.model_copy(update=own) for own in times]) == (leak, leak)
+
+
+def test_a_file_holds_ends_and_growth_only_of_terms_that_have_them() -> None:
+    leak = Term(effect="boost_leak", magnitude=2e-5, onset_s=3.0)
+    assert not {"until_s", "grown_s"} & set(leak.model_dump())
+    assert leak.model_copy(update={"until_s": 6.0}).model_dump(mode="json")["until_s"] == 6.0
