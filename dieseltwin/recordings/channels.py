@@ -328,4 +328,7 @@ def foreign_hint(missing: str, columns: Iterable[str]) -> str:
     hint = did_you_mean(missing, available)
     if hint.startswith("did you mean"):
         return f"{hint} rename it or give a channel map (--channels)"
+    if missing == TIME:
+        return ("add the times or name them in a channel map (--channels); settled points have none: they are for "
+                "`calibrate`, `discover` and `imply`")  # fmt: skip
     return "add this column or name it in a channel map (--channels); `dieseltwin channels FILE` writes a first one"
