@@ -1,7 +1,7 @@
 """Points far off what all the others say: which rows they are, and which reading would have to be another one.
 
-A fit that is robust bounds what such a point does, but doesn't end it: one p_em ten times too high among 60 points moved
-a boost leak by one and a half of its deviations.
+A fit that is robust bounds what such a point does, but doesn't end it: one p_em ten times too high among 60 points
+moved a boost leak by one and a half of its deviations.
 """
 
 from __future__ import annotations

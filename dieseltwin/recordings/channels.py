@@ -329,6 +329,5 @@ def foreign_hint(missing: str, columns: Iterable[str]) -> str:
     if hint.startswith("did you mean"):
         return f"{hint} rename it or give a channel map (--channels)"
     if missing == TIME:
-        return ("add the times or name them in a channel map (--channels); settled points have none: they are for "
-                "`calibrate`, `discover` and `imply`")  # fmt: skip
+        return "add the times (--channels); settled points are for `calibrate`, `discover` and `imply`"
     return "add this column or name it in a channel map (--channels); `dieseltwin channels FILE` writes a first one"
