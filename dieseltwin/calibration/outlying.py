@@ -11,16 +11,17 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from dieseltwin.calibration.likelihood import FLOOR, balance_deviation
+from dieseltwin.calibration.likelihood import FLOOR, NOISE, balance_deviation, reading_noise
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.notes import Note, listing
-from dieseltwin.recordings.steady_points import JUDGED, STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import JUDGED, LEAST, STATES, SteadyPoints
 
 Array = NDArray[np.float64]
 
 FAR_OFF = 15.0  # deviations of a balance; 145 points of an engine whose flap the model lacks come to 10
 FEW = 0.05  # of the points: where more of them are far off it is no slip of single readings
 CURED = 1.0 / 3.0  # a reading is wrong if another one alone lowers the worst balance to this; map errors are left
+OF_NOISE = 4.0  # deviations of a reading: what they explain is no slip
 TRIED = 120  # values of a reading, evenly spaced on a logarithmic scale,
 BEYOND = 1.5  # from the points' lowest by this factor less to their highest by this factor more
 
@@ -41,8 +42,11 @@ def without_slips(model: SteadyModel, points: SteadyPoints,
     if not 0 < rows.size <= max(1.0, FEW * points.size):
         return points, []
     keep, notes = np.ones(points.size, dtype=bool), []
+    noise = np.nan_to_num(reading_noise(points.states(), np.array([NOISE[name] for name in STATES])))
     for i in rows:
-        instead = _would_fit(model, points, values, int(i), np.median(deviation, axis=0))
+        instead = _would_fit(model, points, values, int(i), np.median(deviation, axis=0), noise[i])
+        if instead is None:
+            continue
         keep[i] = not instead
         balances = [model.rows[k].replace("_", " ") for k in np.argsort(-off[i]) if off[i, k] > FAR_OFF]
         notes.append(_note(points, int(i), balances, instead))
@@ -60,28 +64,37 @@ def _note(points: SteadyPoints, i: int, balances: list[str], instead: Mapping[st
 
 
 def _would_fit(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], i: int,
-               deviation: Array) -> dict[str, float]:  # fmt: skip
+               deviation: Array, noise: Array) -> dict[str, float] | None:  # fmt: skip
     """Readings of a point of which each alone would cure all its balances, if it were another one [its unit].
+
+    None where the noise of one reading cures them: beside a kink a balance is bent, and its slope says nothing of the
+    other side (p_em read below p_im, where no EGR flows).
 
     Args:
         deviation: (R,) what a balance may usually be off by [-].
+        noise: (6,) relative standard deviation of each reading [-].
     """
-    here, readings = points.take(np.array([i])), points.states()
+    readings = points.states()
 
-    def worst(x: Array) -> Array:
-        residual = np.nan_to_num(model.relations(here, x, values).residual[:, 0])
+    def worst(lanes: Array) -> Array:
+        """Of the point's balances, (B,), at B sets of its readings (B, 6); a small flow is one beside the others."""
+        x = np.repeat(readings[None], len(lanes), axis=0)
+        x[:, i] = lanes
+        residual = np.nan_to_num(model.relations(points, x, values).residual[:, i])
         return np.max(np.abs(residual) / deviation, axis=1)
 
-    now = float(worst(readings[[i]])[0])
+    cured = CURED * float(worst(readings[[i]])[0])
+    step = OF_NOISE * np.diag(noise)
+    if worst(np.maximum(readings[i] * (1.0 + np.concatenate([step, -step])), LEAST)).min() < cured:
+        return None
     found = {}
-    for j, name in enumerate(STATES):
+    for j in np.flatnonzero(np.isfinite(readings[i])):
         others = np.delete(readings[:, j], i)
-        tried = np.geomspace(np.nanmin(others) / BEYOND, np.nanmax(others) * BEYOND, TRIED)
-        x = np.repeat(readings[[i]][None], TRIED, axis=0)
-        x[:, 0, j] = tried
-        off = worst(x)
-        if np.isfinite(readings[i, j]) and off.min() < CURED * now:
-            found[name] = float(tried[np.argmin(off)])
+        lanes = np.repeat(readings[[i]], TRIED, axis=0)
+        lanes[:, j] = np.geomspace(np.nanmin(others) / BEYOND, np.nanmax(others) * BEYOND, TRIED)
+        off = worst(lanes)
+        if off.min() < cured:
+            found[STATES[j]] = float(lanes[np.argmin(off), j])
     return found
 
 

@@ -72,6 +72,23 @@ def test_one_wild_reading_hides_no_direction_and_is_named(few: SteadyPoints) -> 
     assert instead == pytest.approx(few["p_em_pa"][7], rel=0.1)
 
 
+def test_noise_about_a_kink_is_no_slip(few: SteadyPoints) -> None:
+    """Where p_em is read below p_im the model has no EGR flow, and no slope that tells it from one."""
+    p_em = few["p_em_pa"].copy()
+    nearest = int(np.argmin(p_em / few["p_im_pa"]))
+    p_im = few["p_im_pa"].copy()
+    p_im[nearest] = 1.001 * p_em[nearest]
+    flow = few["w_egr_kg_s"].copy()
+    flow[nearest] = np.median(flow)
+    air = few["w_c_kg_s"] + few["w_egr_kg_s"] - flow
+    model = SteadyModel(TRUTH)
+    bent = few.with_columns(p_im_pa=p_im, w_egr_kg_s=flow, w_c_kg_s=air)
+    residual = model.relations(bent, bent.states(), {}).residual[0, nearest, ROWS.index("egr_flow")]
+    assert residual > 1.0
+    kept, notes = without_slips(model, bent, {})
+    assert kept.size == few.size and notes == []
+
+
 def test_a_missing_reading_is_in_no_balance(few: SteadyPoints) -> None:
     """The compressor's power at a missing p_im was a number, 0 W, and the error of the balance 170 %."""
     x = few.states()
