@@ -55,6 +55,7 @@ _TABLE: tuple[Symbol, ...] = (
     Symbol("u_delta", "u_delta_mg", "mg/cycle", 0.0, 500.0, "input", r"u_\delta", "fuel per cylinder and cycle"),
     Symbol("u_egr", "u_egr_pct", "%", 0.0, 100.0, "input", "u_{egr}", "EGR valve position, 0 shut"),
     Symbol("u_vgt", "u_vgt_pct", "%", 0.0, 100.0, "input", "u_{vgt}", "VGT position, 100 open"),
+    Symbol("u_flap", "u_flap_pct", "%", 0.0, 100.0, "input", "u_{flap}", "exhaust flap position, 100 open"),
     # manifolds and shaft
     Symbol("p_im", "p_im_pa", "Pa", 5e4, 1e6, "A.1", "p_{im}", "intake manifold pressure"),
     Symbol("p_em", "p_em_pa", "Pa", 6e4, 1.2e6, "A.2", "p_{em}", "exhaust manifold pressure"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +27,7 @@ from dieseltwin.calibration.saved import (
     base_and_geometry,
     calibration_sidecar,
     load_answers,
+    other_points,
     write_calibration,
     write_repaired,
 )
@@ -214,8 +215,9 @@ class PointsDiscovered(Discovered):
 
     def lines(self) -> list[str]:
         tried = [
-            f"round {k}: {name:32s} gain {item.found.gain(fit):8.1f}  {fit.magnitudes[0]:.4g}"
-            f"{'  taken' if item.taken and name in item.names else ''}"
+            f"round {k}: {name:32s} gain {item.found.gain(fit):8.1f}  {fit.magnitudes[0]:.4g} "
+            f"{item.found.twin.hypotheses[name].unit.strip('-')}"
+            f"{'  taken' if item.taken and name in item.names else ''}".rstrip()
             for k, item in enumerate(self.found.rounds, 1) for fit in item.found.singles[:SHOWN]
             for name in fit.candidate.names
         ]  # fmt: skip
@@ -288,6 +290,8 @@ def ask(
     question.check(EFFECTS, search.withhold)
     options = Options(sensors or None, tuple(question.withhold or ()), question.seed, search=search)
     source = settled_points(points, channels, geometry, NEEDED)
+    if isinstance(engine, str | Path) and not question.reference:
+        source = replace(source, notes=(*source.notes, *other_points(Path(engine), source)))
     well = [settled_points(reference, channels, geometry, NEEDED) for reference in question.reference]
     used = beside_reference(source, well) if well else source
     return PointsQuestion(used, base, geometry, question.seed, options)

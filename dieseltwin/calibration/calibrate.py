@@ -14,6 +14,7 @@ from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr
 from dieseltwin.calibration.coefficients import Coefficient, engine_coefficients, wear_coefficients, with_scalars
 from dieseltwin.calibration.lasting_errors import sensor_errors, with_lasting_errors
 from dieseltwin.calibration.likelihood import Estimate, estimate
+from dieseltwin.calibration.outlying import without_slips
 from dieseltwin.calibration.steady_model import EXTRA_ROWS, MAP_MODE, ROWS, SENSOR_ERROR, SteadyModel, term_values
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
@@ -192,6 +193,11 @@ def calibrate(
     start = {**fixed, **{c.name: c.mean for c in free}, **term_values(engine.terms)}
     mask = split(points, seed)
     trained, _ = _fit(model, points.take(~mask), free, start, noise, seed)
+    kept, slips = without_slips(model, points, {**start, **trained.values()})
+    notes += slips
+    if kept.size < points.size:
+        points, mask = kept, split(kept, seed)
+        trained, _ = _fit(model, points.take(~mask), free, {**start, **trained.values()}, noise, seed, staged=False)
     if JUDGED in points and believed is not None:
         points, errors = with_lasting_errors(points, model, {**start, **trained.values()}, believed)
         free = [*free, *errors]
@@ -321,7 +327,8 @@ def fit_of(residual: Array, measured: Array, predicted: Array, mask: NDArray[np.
     held = mask & good
     variance = float(np.var(measured[held])) if held.any() else 0.0
     moves = variance > (STANDS_STILL * float(np.mean(predicted[held]))) ** 2 if held.any() else False
-    determination = 1.0 - float(np.mean((measured - predicted)[held] ** 2)) / variance if moves else float("nan")
+    error = measured * np.expm1(-residual)  # not of the flow that the compressor's map is solved for: see there
+    determination = 1.0 - float(np.mean(error[held] ** 2)) / variance if moves else float("nan")
     median = float(100.0 * np.median(np.abs(residual[held]))) if held.any() else float("nan")
     return Fit(rms(~mask), rms(mask), median, determination, tolerance)
 

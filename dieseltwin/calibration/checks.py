@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import rankdata
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints, once_each
 
 Array = NDArray[np.float64]
 
@@ -52,21 +53,21 @@ class Actuator:
 
 
 def check_points(points: SteadyPoints, where: str) -> SteadyPoints:
-    """Refuse what can't be calibrated from; drop rows without any sensor.
+    """Refuse what can't be calibrated from; drop copies and rows that lack more than one reading.
 
     Raises:
         InputError: too few points, columns that are swapped.
     """
-    complete = np.isfinite(points.states()).sum(axis=1) >= len(STATES) - 1
-    if complete.sum() < FEWEST_POINTS:
-        raise InputError(where, f"{int(complete.sum())} usable points", f"at least {FEWEST_POINTS}; 60 or more to tell "
-                         "the maps' coefficients", "measure more points over speed, load, EGR and VGT")
-    points = points.take(complete)
+    points = points.take(np.isfinite(points.states()).sum(axis=1) >= len(STATES) - 1)
     different = np.unique(np.round(np.stack([points[name] for name in INPUTS], axis=1), _SAME_DIGITS), axis=0)
-    if len(different) < FEWEST_POINTS // 2:
+    if points.size >= FEWEST_POINTS and len(different) < FEWEST_POINTS // 2:
         raise InputError(where, f"{len(different)} different operating points in {points.size} rows",
                          f"at least {FEWEST_POINTS // 2}; 60 or more to tell the maps' coefficients",
                          "measure points over speed, load, EGR and VGT")
+    points = once_each(points)
+    if points.size < FEWEST_POINTS:
+        raise InputError(where, f"{points.size} usable points", f"at least {FEWEST_POINTS}; 60 or more to tell "
+                         "the maps' coefficients", "measure more points over speed, load, EGR and VGT")
     _swapped(points, where)
     return points
 
@@ -136,15 +137,21 @@ def egr_shut(points: SteadyPoints) -> bool:
 
 
 def _slope(u: Array, area: Array, points: SteadyPoints) -> float:
-    """t-value of the slope of ln area over u, the pressure quotient and the speed carried along."""
+    """t-value of the slope of ln area over u, the pressure quotient and the speed carried along.
+
+    All by their ranks: the p_em of one point, read ten times too high, would else hide which way the turbine opens.
+    """
     good = np.isfinite(area) & np.isfinite(u)
-    quotient = np.log(points["p_em_pa"] / points["p_amb_pa"])
-    A = np.stack([np.ones(good.sum()), u[good], quotient[good], np.log(points["n_e_rpm"][good])], axis=1)
-    solution, _, rank, _ = np.linalg.lstsq(A, area[good], rcond=None)
-    if rank < A.shape[1] or good.sum() <= A.shape[1] + 2:
+    if good.sum() <= len(INPUTS) + 2:
         return 0.0
-    error = area[good] - A @ solution
-    variance = np.linalg.inv(A.T @ A)[1, 1] * np.sum(error**2) / (good.sum() - A.shape[1])
+    quotient = points["p_em_pa"] / points["p_amb_pa"]
+    area, *columns = (rankdata(values[good]) for values in (area, u, quotient, points["n_e_rpm"]))
+    A = np.stack([np.ones(area.size), *columns], axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(A, area, rcond=None)
+    if rank < A.shape[1]:
+        return 0.0
+    error = area - A @ solution
+    variance = np.linalg.inv(A.T @ A)[1, 1] * np.sum(error**2) / (area.size - A.shape[1])
     return float(solution[1] / np.sqrt(max(variance, 1e-30)))
 
 

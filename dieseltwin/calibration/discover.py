@@ -103,7 +103,6 @@ class PointsDiscovery:
         effects: name (or fault of a sensor) -> magnitude and standard deviation [its unit], in the order of finding.
         nll_before, nll_after: negative log-likelihood per held-out point.
         fits_before, fits_after: per submodel, of coefficients that never saw the held-out third.
-        chi2_before, chi2_after: mean squared residual over the scale of the repaired model.
         law: of the last round, where no name explains what it sees and a law foretells held-out points better.
         law_terms: the same as terms, with which all coefficients of `repaired` were fitted.
         scatter: where the points differ by what nobody recorded, if more is missing.
@@ -121,8 +120,6 @@ class PointsDiscovery:
     nll_after: float
     fits_before: Mapping[str, Fit]
     fits_after: Mapping[str, Fit]
-    chi2_before: float
-    chi2_after: float
     law: Law | None
     law_terms: tuple[OneTerm, ...]
     scatter: Scatter | None
@@ -235,11 +232,9 @@ def discover_points(calibration: Calibration, options: Options | None = None) ->
         scatter = scatter_of(here.model, points, here.start, options.search.submodels)
     std = here.estimate.std()
     values = here.estimate.values()
-    scale = _scales(here.model, points, here.start)
     return PointsDiscovery(
         calibration, here, tuple(rounds), {name: (values[name], std[name]) for name in names}, nll_before, nll,
         _all_fits(calibration.model, points, mask, trained_before), _all_fits(here.model, points, mask, trained),
-        _chi2(calibration.model, points, calibration.start, scale), _chi2(here.model, points, here.start, scale),
         law, terms, scatter, options, _formulations(here, free, options.search.submodels), time.perf_counter() - clock,
         before_law,
     )  # fmt: skip
@@ -377,11 +372,6 @@ def _scales(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float
         weight = (DEGREES + 1.0) / (DEGREES + r**2 / s2)
         s2 = np.nanmean(weight * r**2, axis=0) + 1e-6
     return np.asarray(np.sqrt(s2))
-
-
-def _chi2(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float], scale: Array) -> float:
-    r = model.relations(points, points.states(), values).residual[0][:, : len(ROWS)]
-    return float(np.nanmean(np.minimum((r / scale) ** 2, 1e4)))
 
 
 def _all_fits(model: SteadyModel, points: SteadyPoints, mask: NDArray[np.bool_],

@@ -113,6 +113,18 @@ def reading_covariance(model: SteadyModel, points: SteadyPoints, x: Array, value
     return np.asarray(C + np.eye(C.shape[1]) * (CURVATURE * bent)[:, None, :] ** 2)
 
 
+def balance_deviation(model: SteadyModel, points: SteadyPoints, values: Mapping[str, float],
+                      errors: Array) -> Array:  # fmt: skip
+    """What each balance may be off by, (n, R) [-]: the noise of its readings, large where pressures nearly agree, and
+    its own errors (R,)."""
+    x = points.states()
+    known = np.isfinite(x)
+    x = np.where(known, x, np.nanmedian(x, axis=0))
+    sigma = np.where(known, reading_noise(x, np.array([NOISE[name] for name in STATES])), 0.0)
+    noise = np.einsum("nii->ni", reading_covariance(model, points, x, values, sigma))
+    return np.asarray(np.sqrt(noise + errors**2))
+
+
 @dataclass(frozen=True)
 class _Linear:
     whiten: Array  # (n, R, R) L^-1

@@ -106,6 +106,18 @@ def base_and_geometry(path: Path) -> tuple[EngineParameters, EngineParameters]:
         raise _broken(sidecar, error) from None
 
 
+def other_points(engine_file: Path, points: SteadyPoints) -> list[str]:
+    """A sentence where an engine was calibrated from other points, which a judgement without `--reference` forgets."""
+    sidecar = calibration_sidecar(engine_file)
+    if not sidecar.is_file():
+        return []
+    known = _read(sidecar, FORMAT).get("points", {})
+    if not known.get("sha256") or known["sha256"] == points.sha256:
+        return []
+    return [f"{engine_file.name} was calibrated from other points ({Path(known['path']).name}); its coefficients are "
+            "fitted anew to these, which takes up most of a fault: give those points as --reference to judge by them"]
+
+
 def write_repaired(result: PointsDiscovery, path: Path) -> list[Path]:
     """The repaired machine: an engine file with its terms, and the sidecar that `imply` reads."""
     written = [write_engine(result.engine(), path, "Repaired by `dieseltwin discover`; --engine accepts it. What is "

@@ -35,9 +35,9 @@ def root(x: Array) -> Array:
 
 
 def positive_power(x: Array, exponent: Array) -> Array:
-    """max(x, 0)**exponent; 0 for x <= 0."""
-    positive = np.asarray(x) > 0.0
-    return np.where(positive, np.power(np.where(positive, x, 1.0), exponent), 0.0)
+    """max(x, 0)**exponent; 0 for x <= 0, and NaN stays NaN: a missing reading must not become a number."""
+    nothing = np.asarray(x) <= 0.0
+    return np.where(nothing, 0.0, np.power(np.where(nothing, 1.0, x), exponent))
 
 
 def maximum(a: Array, b: Array) -> Array:

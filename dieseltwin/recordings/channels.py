@@ -328,4 +328,6 @@ def foreign_hint(missing: str, columns: Iterable[str]) -> str:
     hint = did_you_mean(missing, available)
     if hint.startswith("did you mean"):
         return f"{hint} rename it or give a channel map (--channels)"
+    if missing == TIME:
+        return "add the times (--channels); settled points are for `calibrate`, `discover` and `imply`"
     return "add this column or name it in a channel map (--channels); `dieseltwin channels FILE` writes a first one"

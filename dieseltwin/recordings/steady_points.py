@@ -19,16 +19,20 @@ from scipy.stats import rankdata
 from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
+from dieseltwin.notes import counted
 from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.named_columns import Imported, import_columns
-from dieseltwin.recordings.plausibility import check_plausible
+from dieseltwin.recordings.plausibility import check_plausible, mask_wild
 from dieseltwin.recordings.reader import check_time
 from dieseltwin.recordings.unit_checks import unit_notes
 from dieseltwin.settings.strict import listed
 
 STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em_k")
 """Measured quantities of a point that the balances join, in the order of every array that holds them."""
+
+NEVER_NOUGHT = tuple(name for name in STATES if name != "w_egr_kg_s")
+"""What an engine that runs has at every point: 0 or less is no reading of it."""
 
 JUDGED = "judged"
 """Column of 1 for points that are judged and 0 for those of the reference; without it all are judged."""
@@ -133,9 +137,13 @@ def points(
             raise InputError(f"{where}: column {name}, data row {row + 1}", repr(raw.iloc[row]),
                              "numbers with a decimal point", "mend or empty this cell")
         columns[name] = np.where(np.isfinite(values), values, np.nan)
+        if name in NEVER_NOUGHT and (nought := int(np.count_nonzero(values <= 0.0))) <= values.size // 2 and nought:
+            columns[name] = np.where(values <= 0.0, np.nan, columns[name])
+            notes.append(f"{counted(nought, 'value')} of {name} at or below 0 count as missing")
         infinite = int(np.count_nonzero(np.isinf(values)))
         if infinite and name in {*needed, *INPUTS, *STATES, "p_amb_pa", "t_amb_k"}:
             notes.append(f"{infinite} infinite values of {name} count as missing")
+    notes.extend(mask_wild(columns))
     size = len(next(iter(columns.values()))) if columns else 0
     for name, value in (("p_amb_pa", engine.p_amb), ("t_amb_k", engine.T_amb)):
         columns[name] = np.where(np.isnan(columns[name]), value, columns[name]) if name in columns \
@@ -171,6 +179,17 @@ def beside_reference(judged: SteadyPoints, references: Sequence[SteadyPoints]) -
     notes = tuple(note for part in parts for note in part.notes)
     return replace(judged, columns=Columns(columns), row=np.concatenate([part.row for part in parts]),
                    notes=notes)  # fmt: skip
+
+
+def once_each(points: SteadyPoints) -> SteadyPoints:
+    """Without rows whose inputs and readings are those of an earlier row: the same point again tells nothing new, and
+    a copy among the held-out points would be foretold by what it is a copy of."""
+    _, first = np.unique([row.tobytes() for row in _as_rows(points)], return_index=True)
+    if first.size == points.size:
+        return points
+    copies = points.size - first.size
+    note = f"{copies} of {points.size} points are copies of others, digit by digit, and count once"
+    return replace(points.take(np.sort(first)), notes=(*points.notes, note))
 
 
 def _as_rows(points: SteadyPoints) -> np.ndarray:

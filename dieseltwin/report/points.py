@@ -19,6 +19,7 @@ from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import LawTerm, OneTerm, SensorTerm, Term
+from dieseltwin.recordings.steady_points import JUDGED
 from dieseltwin.report import findings, quantities
 from dieseltwin.report.calibration import TITLES, parity
 from dieseltwin.report.discovery_words import magnitude_words, site_words
@@ -33,6 +34,8 @@ LIGHT = "#b8b8b8"
 MOST_MOVED = 3  # submodels that are drawn over a law's argument
 ERRORS = ("100 times the logarithm of measured over predicted at each point, without and with what was found, all "
           "coefficients fitted to all points.")  # fmt: skip
+MAPS_BEND = (" The maps are fitted to these very points and can take up a fault that acts in all of them: beside "
+             "points from when the engine was well (--reference) a far smaller one shows.")
 BELIEVED = ("Where the points can't tell, stated beliefs decide; the tables hold them, and intervals hold what the "
             "formulations disagree about.")  # fmt: skip
 
@@ -41,8 +44,9 @@ def sentence(result: PointsDiscovery) -> str:
     """Where, what, how large, how much the held-out fit improved, and what could not be told apart."""
     points = result.calibration.points.judged
     if not result.mismatch:
+        alone = "" if JUDGED in result.calibration.points else MAPS_BEND
         return (f"The {points.size} points call for nothing beyond the mean-value model "
-                f"(held-out negative log-likelihood {result.nll_before:.2f} per point).")
+                f"(held-out negative log-likelihood {result.nll_before:.2f} per point).{alone}")
     said = document(result)
     parts = []
     for effect in said.effects:

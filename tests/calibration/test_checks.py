@@ -10,10 +10,12 @@ import pytest
 from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate, read_geometry
 from dieseltwin.calibration.checks import actuators, check_points, egr_shut
+from dieseltwin.calibration.outlying import without_slips
+from dieseltwin.calibration.steady_model import ROWS, SteadyModel
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
-from dieseltwin.recordings.steady_points import SteadyPoints, points
-from tests.calibration.simulated import GEOMETRY, made_points
+from dieseltwin.recordings.steady_points import STATES, SteadyPoints, points
+from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +55,67 @@ def test_directions_are_found(few: SteadyPoints) -> None:
     egr, vgt = actuators(few.with_columns(u_egr_pct=100.0 - few["u_egr_pct"], u_vgt_pct=100.0 - few["u_vgt_pct"]))
     assert (egr.opens, vgt.opens) == (-1, -1)
     assert "closes" in egr.sentence()
+
+
+def test_one_wild_reading_hides_no_direction_and_is_named(few: SteadyPoints) -> None:
+    """p_em of one point read ten times too high: by least squares the VGT's direction is lost (0.9 deviations)."""
+    wild = few["p_em_pa"].copy()
+    wild[7] *= 10.0
+    slipped = few.with_columns(p_em_pa=wild)
+    assert actuators(slipped)[1].opens == 1
+    model = SteadyModel(TRUTH)
+    assert without_slips(model, few, {})[1] == []
+    kept, (note,) = without_slips(model, slipped, {})
+    assert set(few.row) - set(kept.row) == {few.row[7]}
+    assert note.affects == ("p_em_pa",) and f"data row {few.row[7]} lies far off" in note
+    instead = float(note.split("p_em_pa at about ")[1].split()[0])
+    assert instead == pytest.approx(few["p_em_pa"][7], rel=0.1)
+
+
+def test_noise_about_a_kink_is_no_slip(few: SteadyPoints) -> None:
+    """Where p_em is read below p_im the model has no EGR flow, and no slope that tells it from one."""
+    p_em = few["p_em_pa"].copy()
+    nearest = int(np.argmin(p_em / few["p_im_pa"]))
+    p_im = few["p_im_pa"].copy()
+    p_im[nearest] = 1.001 * p_em[nearest]
+    flow = few["w_egr_kg_s"].copy()
+    flow[nearest] = np.median(flow)
+    air = few["w_c_kg_s"] + few["w_egr_kg_s"] - flow
+    model = SteadyModel(TRUTH)
+    bent = few.with_columns(p_im_pa=p_im, w_egr_kg_s=flow, w_c_kg_s=air)
+    residual = model.relations(bent, bent.states(), {}).residual[0, nearest, ROWS.index("egr_flow")]
+    assert residual > 1.0
+    kept, notes = without_slips(model, bent, {})
+    assert kept.size == few.size and notes == []
+
+
+def test_a_missing_reading_is_in_no_balance(few: SteadyPoints) -> None:
+    """The compressor's power at a missing p_im was a number, 0 W, and the error of the balance 170 %."""
+    x = few.states()
+    x[0, STATES.index("p_im_pa")] = np.nan
+    x[1, STATES.index("p_em_pa")] = np.nan
+    balances = SteadyModel(TRUTH).relations(few, x, {}).residual[0]
+    missing = {row: np.isnan(balances[:2, i]).tolist() for i, row in enumerate(ROWS)}
+    assert missing == {"cylinder_flow": [True, False], "turbine_flow": [False, True], "turbo_power": [True, True],
+                       "compressor_flow": [True, False], "egr_flow": [True, True], "exhaust_temperature": [True, True]}
+    assert np.isfinite(balances[2:]).all()
+
+
+def test_a_turbo_at_rest_and_an_error_code_are_no_readings(few: SteadyPoints) -> None:
+    speed, flow = few["omega_t_rad_s"].copy(), few["w_egr_kg_s"].copy()
+    speed[3], flow[4] = 0.0, -9999.0
+    made = points({**few.columns, "omega_t_rad_s": speed, "w_egr_kg_s": flow})
+    assert np.isnan(made["omega_t_rad_s"][3]) and np.isnan(made["w_egr_kg_s"][4])
+    assert [word for word in ("omega_t_rad_s", "w_egr_kg_s") if any(word in note for note in made.notes)] == [
+        "omega_t_rad_s", "w_egr_kg_s"]  # fmt: skip
+
+
+def test_copies_count_once(few: SteadyPoints) -> None:
+    copied = check_points(few.take(np.tile(np.arange(30), 2)), "points.csv")
+    assert copied.row.tolist() == few.row[:30].tolist()
+    assert copied.notes == ("30 of 60 points are copies of others, digit by digit, and count once",)
+    with pytest.raises(InputError, match="15 usable points; allowed: at least 20"):
+        check_points(few.take(np.tile(np.arange(15), 4)), "points.csv")
 
 
 def test_constant_vgt_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:

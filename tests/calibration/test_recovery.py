@@ -13,7 +13,7 @@ import pytest
 from dieseltwin.calibration.calibrate import Calibration, calibrate, read_geometry
 from dieseltwin.calibration.coefficients import scalar
 from dieseltwin.calibration.likelihood import NOISE
-from dieseltwin.calibration.saved import calibration_sidecar, write_calibration
+from dieseltwin.calibration.saved import calibration_sidecar, other_points, write_calibration
 from dieseltwin.calibration.steady_twin import SteadyTwin
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.twins.interface import Twin
@@ -52,6 +52,8 @@ def test_held_out_fit_is_noise(found: Calibration) -> None:
     assert found.fits["cylinder_flow"].held_out < 2.5
     assert found.fits["turbine_flow"].held_out < 3.0
     assert found.fits["exhaust_temperature"].held_out < 2.0
+    # the share that is explained is of the same error: solved for the flow, flat speed lines made it negative
+    assert found.fits["compressor_flow"].coefficient_of_determination > 0.98
 
 
 def test_saved_engine_is_read_back(found: Calibration, tmp_path: Path) -> None:
@@ -59,6 +61,12 @@ def test_saved_engine_is_read_back(found: Calibration, tmp_path: Path) -> None:
     write_calibration(found, file)
     assert load_engine(file) == found.engine
     assert calibration_sidecar(file).is_file()
+    assert other_points(file, found.points) == []  # of a table there is no telling; of files there is
+    read = replace(found, points=replace(found.points, path=tmp_path / "well.csv", sha256="1" * 64))
+    write_calibration(read, file)
+    assert other_points(file, read.points) == []
+    (said,) = other_points(file, replace(read.points, sha256="2" * 64))
+    assert "calibrated from other points (well.csv)" in said and "--reference" in said
 
 
 def test_balances_of_the_twin_answer_effects(found: Calibration) -> None:

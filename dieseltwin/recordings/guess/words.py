@@ -6,14 +6,14 @@ from collections.abc import Iterator, Mapping
 
 import yaml
 
-from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, TIME
+from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, OPTIONAL_INPUTS, TIME
 from dieseltwin.recordings.derived import DIESEL_KG_L, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.propose import Candidate, Proposal
 from dieseltwin.sensors import MEASURED, SENSORS
 from dieseltwin.symbols import symbol
 
-ORDER = (*INPUTS, *MEASURED, INTAKE, *AMBIENT, "torque_nm")
+ORDER = (*INPUTS, *OPTIONAL_INPUTS, *MEASURED, INTAKE, *AMBIENT, "torque_nm")
 NAME_WIDTH = 44
 
 # What the twin cannot tell without a channel.
@@ -118,9 +118,10 @@ def map_text(proposal: Proposal) -> str:
     """The channel map as YAML with comments, ready to edit and to give to `--channels`."""
     raw = proposal.raw
     name = " ".join(raw.path.name.split())  # a comment ends with its line
+    command = "calibrate" if proposal.clock is None and raw.table is not None else "identify"  # points have no time
     lines = [
         f"# Channel map of {name} ({raw.kind}), a first guess of `dieseltwin channels`.",
-        f"# Check every line, then: dieseltwin identify {name} --channels THIS_FILE ...",
+        f"# Check every line, then: dieseltwin {command} {name} --channels THIS_FILE ...",
         "# unit: of the channel; scale, offset: ours = scale * theirs + offset; via: a formula (docs/formats.md).",
     ]
     if proposal.database is not None:

@@ -320,6 +320,26 @@ def test_a_wrong_unit_in_the_file_is_noticed(tmp_path, known):
 
 
 @pytest.mark.parametrize(
+    ("name", "column"),
+    [("Abgasklappe [%]", "u_flap_pct"), ("ExhThrottlePos", "u_flap_pct"), ("Position Auspuffklappe", "u_flap_pct"),
+     ("AGR-Klappe", "u_egr_pct"), ("Drosselklappe [%]", None), ("Engine throttle", None),
+     ("Exhaust pressure before flap", "p_em_pa")],
+)  # fmt: skip
+def test_an_exhaust_flap_is_told_from_other_flaps(name, column):
+    scores = {m.column: m.score(name, words_of(name), None) for m in vocabulary().meanings}
+    best = max(scores, key=lambda each: scores[each])
+    assert (best if scores[best] > 0.5 else None) == column
+
+
+def test_the_map_of_settled_points_names_a_command_that_takes_them(tmp_path, known):
+    file = ALL["an OBD app on a phone"]
+    points = pd.DataFrame({"n_e_rpm": known["n_e_rpm"][::50], "p_im_pa": known["p_im_pa"][::50]})
+    points.to_csv(tmp_path / "points.csv", index=False)
+    assert "then: dieseltwin calibrate points.csv" in map_text(propose(read_raw(tmp_path / "points.csv")))
+    assert "then: dieseltwin identify drive.csv" in map_text(proposed(file, known, tmp_path))
+
+
+@pytest.mark.parametrize(
     ("name", "words"),
     [("InjCtl_qSetUnBal", "inj ctl q set un bal"), ("AGR-Ventil [%]", "agr ventil"), ("pBoost", "p boost"),
      ("EngTurbo1Speed", "eng turbo 1 speed"), ("T_31", "t 31"), ("Kühlmittel", "kuehlmittel"), ("MAF", "maf")],
