@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import synthetic_discovery as synthetic
 
-from dieseltwin.api.driving import _column_notes
+from dieseltwin.api.driving import _column_notes, circumstance_notes
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundCircumstance, fit_doubts, with_warnings
 from dieseltwin.engine.effects import EFFECTS, SITES
 from dieseltwin.notes import Note
@@ -175,3 +175,16 @@ def test_no_deviation_of_a_circumstance_reads_as_zero() -> None:
     assert circumstance_words(FoundCircumstance.model_validate(hill)) == (
         "the ambient pressure is 93.120 ± 0.031 kPa, not 101.3"
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("p_amb_pa", "which is no fault of the engine"), ("t_im_k", "may be the weather, the charge cooler or how well")],
+)
+def test_a_charge_at_another_temperature_is_not_said_to_be_no_fault(name: str, said: str) -> None:
+    # a loss of eta_vol of 4 % was told as a charge 10 K hotter, "which is no fault of the engine"
+    off = {"name": name, "value": 310.0, "std": 2.0, "assumed": 300.0, "unit": "K", "off": True}
+    document = Discrepancy.model_validate({**synthetic.healthy_content(), "circumstances": [off]})
+    notes = [str(note) for note in circumstance_notes(document)]
+    assert said in sentence(document) and said in notes[0]
+    assert ("no fault" in sentence(document)) == ("no fault" in notes[0]) == (name != "t_im_k")
