@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +25,9 @@ def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
     table = found.table()
     assert len(table) > 0 and (table["known_to_pct"] < 0.5 * table["believed_pct"]).all()
     assert found.sentence.startswith("Learned from 2.5 minutes") and "<table" in found._repr_html_()
+    said = "\n".join(found.lines())  # kPa and mm², no powers of ten
+    assert " mm² +-" in said and re.search(r"for p_im [\d.]+ to [\d.]+ kPa, n_e \d+ to \d+ rpm\n", said)
+    assert "e+" not in said and "e-" not in said
     assert len(found.plot().axes) == 1
     file = found.save(tmp_path / "mine.yaml")
     assert dt.engine(file) == found.engine
