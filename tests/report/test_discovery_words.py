@@ -56,6 +56,14 @@ def test_none_of_these_with_and_without_a_law() -> None:
     assert "(no law for it could be resolved)" in text
 
 
+def test_a_law_that_leaves_much_is_not_sure_of_its_site() -> None:
+    # a leak that came and went twice was "in the compressor power (more than 99 % sure)", five times the noise left
+    for more in (False, True):
+        text = sentence(synthetic.document(effects=[synthetic.UNNAMED], more_is_missing=more))
+        assert ("intake mass balance (the likeliest place)" in text) is more
+        assert ("% sure" in text) is not more
+
+
 def test_two_effects_say_their_own_places() -> None:
     text = sentence(synthetic.document(effects=[synthetic.LEAK, synthetic.FRICTION]))
     assert ("a boost leak of 41.0 ± 2.0 mm², and, in the power balance of the turbo shaft, bearing friction of the "
