@@ -39,7 +39,7 @@ from dieseltwin.recordings.named_columns import Imported
 from dieseltwin.recordings.reader import Recording, read_recording
 from dieseltwin.recordings.shared_rows import refuse_overlapping, refuse_shared
 from dieseltwin.report.beside import begin_ahead, begin_beside, ready_beside
-from dieseltwin.report.circumstance_words import alike_words, circumstances_words
+from dieseltwin.report.circumstance_words import alike_words, blameless_words, circumstances_words
 from dieseltwin.report.discovery_words import sentence as in_words
 from dieseltwin.report.discovery_words import visible_table
 from dieseltwin.sealed import sealed_json, sealed_text
@@ -305,7 +305,7 @@ def circumstance_notes(document: Discrepancy) -> list[Note]:
     """What the recording was made under and doesn't say, and what looks like an effect that was found."""
     off = tuple(dict.fromkeys(item.name.rpartition(":")[2] for item in document.circumstances if item.off))
     words = circumstances_words(document)
-    notes = [Note(f"{words}; judged as such, no fault of the engine", "circumstances", off)] if off else []
+    notes = [Note(f"{words}; judged as such, {blameless_words(document)}", "circumstances", off)] if off else []
     return [*notes, *(Note(text, "circumstances") for text in alike_words(document))]
 
 

@@ -29,6 +29,7 @@ from dieseltwin.notes import Note, counted
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping
+from dieseltwin.report import quantities
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.learned import corrections
 from dieseltwin.settings.names import refuse_options
@@ -225,7 +226,8 @@ def summary(learned: LearnedEngine) -> list[str]:
     std = np.sqrt(np.diag(health_covariance(learned)))
     lines = [f"learned from {learned.minutes:.1f} minutes of {counted(len(learned.recordings), 'recording')}"]
     lines += [
-        f"  {name:<10}{value:>12.4g} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % from the base"
+        f"  {name:<10}{_in_its_unit(name, value):>17} +- {100 * s / value:.2g} %, {100 * (value / then - 1):+.1f} % "
+        "from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
     rough, of_ratio = (100.0 * learned.map_rms * v**0.5 for v in (learned.further.rough, learned.further.of_ratio))
@@ -242,12 +244,23 @@ def summary(learned: LearnedEngine) -> list[str]:
             continue
         row = known[point]
         ranges = ", ".join(
-            f"{argument} {low:.4g} to {high:.4g}"
+            f"{argument} {_as_read(argument, low)} to {_in_its_unit(argument, high)}"
             for argument, (low, high) in ((a, learned.domain[point][a]) for a in ARGUMENTS[point])
         )
         lines.append(f"  {point:<10}corrected by {100 * row.corrected:.1f} % rms, known to {100 * row.known_to:.2g} %, "
                      f"for {ranges}")  # fmt: skip
     return lines
+
+
+def _as_read(name: str, value: float) -> str:
+    """A value [SI] of the nomenclature in the unit that an engineer reads, four digits: "10160" rad/s."""
+    return f"{float(f'{value * quantities.factor(name):.4g}'):g}"
+
+
+def _in_its_unit(name: str, value: float) -> str:
+    """The same with its unit, "425.6 mm²"."""
+    unit = quantities.unit(name)
+    return _as_read(name, value) + ("" if unit in ("", "–") else f" {unit}")
 
 
 @dataclass(frozen=True)

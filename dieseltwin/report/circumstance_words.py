@@ -52,10 +52,23 @@ def circumstances_words(document: Discrepancy) -> str:
     return listing(off) if off else ""
 
 
+def blameless_words(document: Discrepancy) -> str:
+    """What circumstances that are others than assumed mean for the engine.
+
+    Weather and clocks are none of its faults. A charge at another temperature may be one: the air that the cylinders
+    take in and the exhaust's temperature tell it, and these a loss of eta_vol beside one of eta_sc changes as well.
+    """
+    if any(item.off and item.name == "t_im_k" for item in document.circumstances):
+        return ("which may be the weather, the charge cooler or how well the cylinders fill: a column of the charge's "
+                "temperature (t_im_k) would tell")  # fmt: skip
+    return "which is no fault of the engine"
+
+
 def recorded_words(document: Discrepancy) -> list[str]:
     """What was put right before anything was judged."""
     words = circumstances_words(document)
-    return [f"as the recording shows and doesn't say, {words}, which is no fault of the engine"] if words else []
+    return [f"as the recording shows, though its columns don't say so, {words}, {blameless_words(document)}"
+            ] if words else []  # fmt: skip
 
 
 def alike_words(document: Discrepancy) -> list[str]:

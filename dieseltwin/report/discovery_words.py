@@ -234,9 +234,19 @@ def _apart_words(document: Discrepancy) -> str:
         parts.append(f"it could also sit in {listing(where, 'or')}")
     if not parts:
         unnamed = any(not effect.named for effect in document.effects)
-        parts.append("no other site comes into question" if unnamed
-                     else "no other effect of the catalogue explains the recording as well")
+        if _may_sit_elsewhere(document):
+            parts.append("no law at another site explains as much")
+        else:
+            parts.append("no other site comes into question" if unnamed
+                         else "no other effect of the catalogue explains the recording as well")
     return " and ".join(parts)
+
+
+def _may_sit_elsewhere(document: Discrepancy) -> bool:
+    """Whether a law is all that there is and leaves more than noise: laws were compared, and the right one wasn't among
+    them, so that a probability of its site says little. (A leak that came and went twice was "the compressor power".)
+    """
+    return document.more_is_missing and any(not effect.named and effect.law for effect in document.effects)
 
 
 def _placed(effects: Sequence[FoundEffect], site: str) -> str:
@@ -279,7 +289,8 @@ def _what_words(document: Discrepancy) -> str:
     location = document.location
     if location is None:
         return ""
-    where = f"in {site_words(location.site)} ({_sure(location.probability)})"
+    sure = "the likeliest place" if _may_sit_elsewhere(document) else _sure(location.probability)
+    where = f"in {site_words(location.site)} ({sure})"
     named = [effect for effect in document.effects if effect.named]
     unnamed = [effect for effect in document.effects if not effect.named]
     off = is_sensor(location.site)

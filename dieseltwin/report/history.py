@@ -44,8 +44,8 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
     alone = "" if last == "healthy" or alarm.name in last else f"; the last recording by itself shows {last}"
     return (
         f"Alarm with the recording of {entries[alarm.at].moment:{_DAY}}: in {site_words(alarm.site)} something has "
-        f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size}, "
-        f"{way} {alarm.since:{_DAY}}{perhaps}{alone}; {span}; {rate}. "
+        f"changed, most likely {alarm.name} ({100 * alarm.share:.0f} % of the evidence){or_others}, about {size} by "
+        f"then, {way} {alarm.since:{_DAY}}{perhaps}{alone}; {span}; {rate}. "
         "`dieseltwin discover` on these recordings together says what it is."
     )
 

@@ -11,6 +11,7 @@ import pytest
 import dieseltwin as dt
 from dieseltwin.api.discovery import ask
 from dieseltwin.api.driving import DrivingQuestion
+from dieseltwin.api.learning import _in_its_unit
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import UNSETTLED, load_learned, save_learned
@@ -24,9 +25,18 @@ def test_an_engine_is_learned_saved_and_taken(tmp_path: Path) -> None:
     table = found.table()
     assert len(table) > 0 and (table["known_to_pct"] < 0.5 * table["believed_pct"]).all()
     assert found.sentence.startswith("Learned from 2.5 minutes") and "<table" in found._repr_html_()
+    assert any(line.startswith("  A_egrmax") and " mm² +-" in line for line in found.lines())
     assert len(found.plot().axes) == 1
     file = found.save(tmp_path / "mine.yaml")
     assert dt.engine(file) == found.engine
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [("p_im", 278_500.0, "278.5 kPa"), ("omega_t", 10_160.0, "10160 rad/s"), ("u_egr", 8.0, "8 %")],
+)
+def test_where_a_map_is_known_is_said_in_the_units_that_an_engineer_reads(name: str, value: float, said: str) -> None:
+    assert _in_its_unit(name, value) == said
 
 
 def test_what_is_doubtful_about_an_engine_is_said_when_a_recording_is_judged_by_it(tmp_path: Path) -> None:

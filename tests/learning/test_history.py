@@ -153,6 +153,6 @@ def test_an_alarm_says_where_the_last_recording_by_itself_says_another_name() ->
         words = sentence([entries[0], replace(entries[1], verdict=verdict)], told, 0.02)
         assert ("by itself shows boost_leak" in words) is said and "most likely exhaust_leak" in words
         first, second = (f"{item.moment:%Y-%m-%d}" for item in entries)
-        assert f"growing since {first} (at the earliest {first}, at the latest {second})" in words
+        assert f"by then, growing since {first} (at the earliest {first}, at the latest {second})" in words
     sure = replace(told, alarm=replace(alarm, latest=alarm.earliest))
     assert "at the latest" not in sentence(entries, sure, 0.02)

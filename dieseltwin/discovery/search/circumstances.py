@@ -25,9 +25,9 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.score import score, without_parameters
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import scan
-from dieseltwin.discovery.twins.interface import Array, Twin
+from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
 from dieseltwin.recordings.channels import AMBIENT
-from dieseltwin.recordings.circumstances import DRIFT, SCALE, Circumstance
+from dieseltwin.recordings.circumstances import DRIFT, SCALE, TIME_SHIFT, Circumstance
 
 ROUNDS = 3  # of looking again under what was found
 
@@ -39,6 +39,7 @@ _MOVED_UNREAD = 0.15  # of ambient or charge that no column gives: 3.6 kPa and 1
 _BESIDE = 2.0  # times as far beside an effect
 _LINEAR = 0.7  # of a gain that shifts reach by simulation, at least, is seen in their responses
 _UNSETTLED = 0.03  # of a prior's standard deviation (0.2 kPa, 0.5 K): beside a name weather is followed up to here
+_FARTHEST = 3.0  # standard deviations of its prior that a sensor's clock is looked for by whole rows
 _CATALOGUE = 2  # effects at once that the catalogue explains by itself
 
 
@@ -196,18 +197,20 @@ def _plainly_off(
 ) -> Twin | None:
     """The twin under the circumstances that add more to the best single effect than any other; None where none do."""
     lead = leading(found)
+    by_rows = _clocks_by_rows(lead, twin, rest)
     linear = _linear_gain(lead, twin, rest)
-    if linear < twin.beliefs.evidence:
+    if linear < twin.beliefs.evidence and not by_rows:
         return None
-    needed = _ahead_of_rivals(found, twin, lead, linear / _LINEAR)
-    if linear / _LINEAR < needed:
+    reached = np.inf if by_rows else linear / _LINEAR
+    needed = _ahead_of_rivals(found, twin, lead, reached)
+    if reached < needed:
         return None
-    best = _chosen(found, twin, lead.fit, rest)
+    best = _chosen(found, twin, lead.fit, rest, by_rows)
     if best is None or _evidence(lead) - best[0].evidence < needed:
         return None
     settled, chosen = best
     if lead is not found.null:  # the effect itself may be nothing but these circumstances
-        alone = _chosen(found, twin, found.null.fit, rest)
+        alone = _chosen(found, twin, found.null.fit, rest, _clocks_by_rows(found.null, twin, rest))
         if alone is not None and alone[0].evidence < settled.evidence + found.settings.alarm_gain:
             settled, chosen = alone
     if not well and _said_by_catalogue(chosen, settled.values):
@@ -255,21 +258,49 @@ def _delay(settled: Settled, chosen: Sequence[Circumstance], other: Twin) -> Cir
     return next((item for item in chosen if gone & set(item.effects)), None)
 
 
+def _clocks_by_rows(at: Linearisation, twin: WithCircumstances, rest: Sequence[Circumstance]) -> dict[str, float]:
+    """Name -> value [s] of sensors' clocks with which readings moved by whole rows meet a fit better than as recorded.
+
+    Readings are put right by whole rows, and beside an effect a clock's response may not promise half of one: a flow
+    0.25 s late was fitted as 0.04 s, where from a row on it explains 700 more.
+    """
+    parts = at.twin.parts if isinstance(at.twin, OverRecordings) else (at.twin,)
+    ends = np.cumsum([part.time_s.size for part in parts])
+    measured, starts = at.residual + at.simulated, {}
+
+    def misfit(rows: int) -> Array:
+        moved = np.nan_to_num(np.roll(measured, -rows, axis=0) - at.simulated)
+        return at.whitening.apply(moved).reshape(moved.shape) ** 2
+
+    for item in rest:
+        if item.kind != TIME_SHIFT or item.column not in at.twin.channels:
+            continue
+        part, end = parts[item.recording or 0], int(ends[item.recording or 0])
+        row_s, channel = float(np.median(np.diff(part.time_s))), at.twin.channels.index(item.column)
+        most = int(_FARTHEST * item.std / row_s)
+        inside = slice(end - part.time_s.size + most, end - most)
+        misfits = {rows: float(misfit(rows)[inside, channel].sum()) for rows in range(-most, most + 1)}
+        best = min(misfits, key=lambda rows: misfits[rows])
+        if misfits[0] - misfits[best] > twin.beliefs.evidence:
+            starts[item.name] = twin.values.get(item.name, item.assumed) + best * row_s
+    return starts
+
+
 def _chosen(
-    found: Search, twin: WithCircumstances, start: Fit, rest: Sequence[Circumstance]
+    found: Search, twin: WithCircumstances, start: Fit, rest: Sequence[Circumstance], near: Mapping[str, float]
 ) -> tuple[Settled, list[Circumstance]] | None:
-    """Fit with those circumstances that the marginal likelihood wants; None where it wants none.
+    """Fit with those circumstances that the marginal likelihood wants, from near some; None where it wants none.
 
     Where it wants several clocks, none of the others is trusted to be in time either.
     """
     unknown = _movable(twin)
-    everything = _settled(found, twin, start, [*unknown, *rest], {})
+    everything = _settled(found, twin, start, [*unknown, *rest], near)
     chosen = _needed(everything, rest)
     if not chosen:
         return None
     if len(chosen) >= twin.beliefs.several:
         return everything, list(rest)
-    near = {item.name: everything.values[item.name] for item in unknown}
+    near = {name: everything.values[name] for name in (*(item.name for item in unknown), *near)}
     return _settled(found, twin, everything.at.fit, [*unknown, *chosen], near), chosen
 
 

@@ -275,12 +275,24 @@ def _hidden_bar(found: Search, variant: Variant) -> float:
 
 def _unnamed(found: Search) -> Structure | None:
     """The strongest term without a name that raises an alarm by itself, None where none does."""
-    settings = found.settings
+    settings, needed = found.settings, _named_already(found)
     for item in found.lasting():
         bar = settings.unnamed_gain if item.feature.channel is None else settings.unnamed_sensor_gain
-        if item.gain > bar:
+        if item.gain > max(bar, needed):
             return item
-    return found.local_ahead(0.0)
+    return found.local_ahead(needed)
+
+
+def _named_already(found: Search) -> float:
+    """Gain that a term without a name must have where a name that is too small to be of interest is beyond chance.
+
+    The misfit has a name then, and a term must be ahead of it as a law of a name of interest: half a tolerance of
+    back pressure, 29, was "none of these, in the reading T_em", which explained 27.
+    """
+    lead = found.singles[0]
+    if not _beyond_chance(found, lead) or found.of_interest(lead):
+        return 0.0
+    return found.gain(lead) + found.settings.law_gain
 
 
 def _shown_by_simulation(found: Search) -> bool:
@@ -293,7 +305,7 @@ def _shown_by_simulation(found: Search) -> bool:
     linear = max((item.gain for item in found.nameless() if item.feature.form is not None), default=0.0)
     if settings.unnamed_simulated_from is None or linear < settings.unnamed_simulated_from:
         return False
-    return one_term_gains(found, settings.unnamed_gain)
+    return one_term_gains(found, max(settings.unnamed_gain, _named_already(found)))
 
 
 def _explained_by_catalogue(found: Search, item: Structure) -> bool:
@@ -307,6 +319,10 @@ def _explained_by_catalogue(found: Search, item: Structure) -> bool:
 
 def raises_alarm(found: Search, fit: Fit) -> bool:
     """Whether one effect of one size is beyond chance and as large as is of interest."""
-    gain = found.gain(fit)
+    return _beyond_chance(found, fit) and found.of_interest(fit)
+
+
+def _beyond_chance(found: Search, fit: Fit) -> bool:
+    """Whether what a fit explains is an alarm if its sizes are of interest."""
     threshold = max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
-    return bool(gain >= threshold and found.of_interest(fit))
+    return bool(found.gain(fit) >= threshold)

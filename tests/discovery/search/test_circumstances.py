@@ -29,6 +29,7 @@ from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.circumstances import Settled, _delay, in_weather_of
 from dieseltwin.discovery.search.preparation import prepare, recentred
+from dieseltwin.discovery.search.run import looked_at
 from dieseltwin.discovery.twins import diesel_circumstances
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.verdict.document import Discrepancy
@@ -42,6 +43,7 @@ from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording, read_recording, recording
 from dieseltwin.report.discovery_words import sentence
 from dieseltwin.sensors import MEASURED
+from dieseltwin.settings.params import default_search
 
 LATE_S = 0.28
 
@@ -315,3 +317,15 @@ def test_a_delay_of_a_command_whose_clock_is_open_is_no_finding() -> None:
         kinds = {p.name: {factor.kind for factor in operators(p, "%")} for p in twin.points if p.unit == "%"}
         assert ("dead_time" in kinds["u_egr"]) is delayed and "play" in kinds["u_egr"]
         assert {"dead_time", "lag", "play"} <= kinds["u_vgt"]
+
+
+def test_sensors_late_by_more_than_their_responses_reach_are_found_beside_a_fault() -> None:
+    """Readings 0.4 s late beside a leak were a thermocouple's lag, and no clock was off."""
+    frame, late = _leaking(120.0), ("w_egr_kg_s", "t_em_k")
+    for column in late:
+        frame[column] = frame[column].shift(2, fill_value=frame[column].iloc[0])
+    found = looked_at(prepare(LoggedTwin(recording(frame), we2011.PARAMETERS), default_search().driving))
+    twin = found.twin
+    assert isinstance(twin, LoggedTwin) and twin.opened == {f"time_shift:{column}" for column in late}
+    assert [twin.values[f"time_shift:{column}"] for column in late] == pytest.approx([0.4, 0.4])
+    assert found.singles[0].candidate.names == ("exhaust_leak",)

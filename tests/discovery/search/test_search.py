@@ -346,6 +346,20 @@ def test_a_sensor_accused_by_name_and_by_term_is_named() -> None:
     assert found.best.fit.candidate.names == ("x_offset",)
 
 
+def test_a_fault_too_small_to_be_of_interest_is_not_called_one_without_a_name() -> None:
+    """A name explains all that is beyond chance, of a size that no one asks for: no term takes its place."""
+    toy = Toy(900, 6)
+    toy.hypotheses = {name: replace(effect, tolerance=1.0) for name, effect in toy.hypotheses.items()}
+    found = search.run(toy.record(leak=0.02), SETTINGS, laws=False)
+    lead, term = found.singles[0], found.lasting()[0]
+    assert lead.candidate.names == ("leak",) and not found.of_interest(lead)
+    assert found.gain(lead) > SETTINGS.alarm_gain and term.gain > SETTINGS.unnamed_gain
+    assert found.kind == "healthy"
+    withheld = search.run(toy, SETTINGS.asked(("leak", "drag"), 0), laws=False)
+    assert withheld.gain(withheld.singles[0]) + SETTINGS.law_gain < withheld.lasting()[0].gain
+    assert withheld.kind == "law"
+
+
 def test_an_onset_that_only_the_linear_scan_promises_is_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
     """A strong promise on a healthy machine; its simulated refit gains nothing."""
     toy = Toy(900, 6, seed=3).record(seed=53)
