@@ -319,7 +319,9 @@ _EXAMPLES = ("boost_leak", "back_pressure", "bearing_friction")
 
 def _healthy(document: Discrepancy) -> str:
     p_value = f"p = {document.p_value:.2g}"
-    known = document.minimum_detectable
+    small = document.too_small
+    seen = () if small is None else (small.name, *small.equivalent_names)
+    known = {name: least for name, least in document.minimum_detectable.items() if name not in seen}
     shown = list(filter(None, (least_words(name, known[name]) for name in _EXAMPLES if name in known)))
     beyond = document.p_value < _BEYOND_CHANCE
     if document.out_of_time is not None and beyond:
@@ -337,6 +339,10 @@ def _healthy(document: Discrepancy) -> str:
     else:
         text = (f"Nothing is missing that {_these(len(document.recordings))} could show ({p_value}): noise, the four "
                 "health parameters and the tolerances of the maps explain it")
+    if small is not None:
+        rivals = [name.replace("_", " ") for name in small.equivalent_names]
+        others = f" (or {listing(rivals, 'or')})" if rivals else ""
+        text += f"; what explains it best is {effect_words(small)}{others}, too small to be of interest"
     if document.fit.beyond_tolerances and not beyond:
         text += (f", though not all of it: {document.fit.chi2_per_sample_after:.2f} of chi-square per sample is left"
                  " where noise leaves 1, more than those tolerances take up")

@@ -42,6 +42,19 @@ def test_what_is_beyond_chance_but_below_its_tolerance_is_not_called_nothing() -
     assert "(p = 2e-11)" in text
 
 
+def test_what_was_seen_but_is_too_small_is_named() -> None:
+    size = {"magnitude": 1.0e4, "std": 1.9e3, "unit": "Pa/(kg/s)^2", "law": "p_es = p_amb + k W_t^2"}
+    small = {"name": "back_pressure", "probability": 0.97, **size}
+    content = {**synthetic.healthy_content(), "p_value": 2e-11, "too_small": small}
+    document = Discrepancy.model_validate(content)
+    text = sentence(document)
+    assert "; what explains it best is a back-pressure behind the turbine of 10.0 ± 1.9 kPa/(kg/s)²" in text
+    assert ", too small to be of interest;" in text
+    assert "back-pressure" not in text.split("too small")[1]  # nor is a larger one said to be invisible
+    assert document.to_json()["too_small"]["name"] == "back_pressure"
+    assert "too_small" not in Discrepancy.model_validate(synthetic.healthy_content()).to_json()
+
+
 def test_an_odd_p_value_without_an_alarm_is_put_in_words() -> None:
     text = sentence(Discrepancy.model_validate({**synthetic.healthy_content(), "p_value": 0.0014}))
     assert text.startswith("No fault is shown beyond doubt, though one healthy recording in 714 looks as odd by chance")

@@ -290,7 +290,7 @@ def _named_already(found: Search) -> float:
     back pressure, 29, was "none of these, in the reading T_em", which explained 27.
     """
     lead = found.singles[0]
-    if not _beyond_chance(found, lead) or found.of_interest(lead):
+    if not found.beyond_chance(lead) or found.of_interest(lead):
         return 0.0
     return found.gain(lead) + found.settings.law_gain
 
@@ -319,10 +319,4 @@ def _explained_by_catalogue(found: Search, item: Structure) -> bool:
 
 def raises_alarm(found: Search, fit: Fit) -> bool:
     """Whether one effect of one size is beyond chance and as large as is of interest."""
-    return _beyond_chance(found, fit) and found.of_interest(fit)
-
-
-def _beyond_chance(found: Search, fit: Fit) -> bool:
-    """Whether what a fit explains is an alarm if its sizes are of interest."""
-    threshold = max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
-    return bool(found.gain(fit) >= threshold)
+    return found.beyond_chance(fit) and found.of_interest(fit)

@@ -134,6 +134,10 @@ class Search:
         """The lasting terms that no hypothesis says."""
         return [item for item in self.lasting() if not self.known_by_name(item)]
 
+    def beyond_chance(self, fit: Fit) -> bool:
+        """Whether what a fit explains is an alarm if its sizes are of interest."""
+        return bool(self.gain(fit) >= max(self.settings.alarm_gain, self.chance.threshold(self.settings.alarm_level)))
+
     def of_interest(self, fit: Fit) -> bool:
         """Whether the largest magnitude is near its tolerance of interest or above, and no other far below."""
         sizes = [

@@ -108,7 +108,7 @@ def assemble(
             p_value=p_value(found),
             location=location,
             effects=with_words(findings.effects(found, said.fit), differ) if mismatch else (),
-            more_is_missing=found.more_is_missing(),
+            more_is_missing=found.more_is_missing(), too_small=findings.too_small(found),
             health=health_values(found, (parameters, covariance), since),
             fit=figures,
             minimum_detectable=finite_only(smallest),

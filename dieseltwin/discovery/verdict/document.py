@@ -34,6 +34,11 @@ Name = Annotated[str, Field(min_length=1)]
 Range = tuple[float, float]
 
 
+def _where_told(usual: Any = None) -> Any:
+    """A field that stands in the file only where it says something else than usual."""
+    return Field(default=usual, exclude_if=lambda value: value == usual)
+
+
 class RecordingInfo(FrozenModel):
     """The recording that was judged: where it lies, its SHA-256, its length [s], the sensor columns that were used."""
 
@@ -81,8 +86,8 @@ class Location(FrozenModel):
     alternatives: tuple[Alternative, ...] = ()
     regions: tuple[FoundRegion, ...] = ()
     onset_s: float | None = None
-    until_s: float | None = None
-    grows: bool = False
+    until_s: float | None = _where_told()
+    grows: bool = _where_told(False)
     onset_date: str | None = None
     onset_after: str | None = None
 
@@ -153,7 +158,7 @@ class HealthValue(FrozenModel):
     value: float
     std: NotNegative | None
     before: float
-    since_reference: SinceReference | None = None
+    since_reference: SinceReference | None = _where_told()
 
 
 class Reference(FrozenModel):
@@ -255,7 +260,8 @@ class Discrepancy(FrozenModel):
     """The whole document. Healthy: `mismatch` false, no effects, no location. Two effects: strongest first.
 
     `out_of_time`: the search was ended before it was through; None where it was. `more_is_missing`: what the effects
-    leave is beyond noise and tolerances; something else is left out as well.
+    leave is beyond noise and tolerances; something else is left out as well. `too_small`: of a healthy one, the name
+    that explains what differs by more than chance, and is smaller than what is of interest.
     """
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -269,11 +275,12 @@ class Discrepancy(FrozenModel):
     fit: Fit
     minimum_detectable: dict[Name, NotNegative]
     provenance: Provenance
-    reference: Reference | None = None
-    circumstances: tuple[FoundCircumstance, ...] = ()
-    recordings: tuple[JudgedRecording, ...] = ()
+    too_small: FoundEffect | None = _where_told()
+    reference: Reference | None = _where_told()
+    circumstances: tuple[FoundCircumstance, ...] = _where_told(())
+    recordings: tuple[JudgedRecording, ...] = _where_told(())
     warnings: tuple[Doubt, ...] = ()
-    out_of_time: OutOfTime | None = None
+    out_of_time: OutOfTime | None = _where_told()
 
     @model_validator(mode="after")
     def _consistent(self) -> Discrepancy:
@@ -283,28 +290,15 @@ class Discrepancy(FrozenModel):
             raise ValueError("without a mismatch there is no location and no effect")
         if self.more_is_missing and not self.mismatch:
             raise ValueError("without a mismatch nothing more is missing")
+        if self.too_small is not None and self.mismatch:
+            raise ValueError("a mismatch is an effect as large as is of interest")
         _no_repeats([effect.name for effect in self.effects], "effect")
         return self
 
     def to_json(self) -> dict[str, Any]:
-        """The document as JSON types, keys as in the file; what needs a reference, several recordings or a time limit
-        is there with those alone."""
-        content = self.model_dump(mode="json", by_alias=True)
-        for name in ("reference", "out_of_time"):
-            if content[name] is None:
-                del content[name]
-        if content["location"]:
-            for key, usual in (("until_s", None), ("grows", False)):
-                if content["location"][key] is usual:
-                    del content["location"][key]
-        if not content["circumstances"]:  # of other machines
-            del content["circumstances"]
-        for part in (content, *content["recordings"]):
-            for value in part["health"].values():
-                if value["since_reference"] is None:
-                    del value["since_reference"]
-        if not content["recordings"]:
-            del content["recordings"]
+        """The document as JSON types, keys as in the file; what is told of several recordings is there with those."""
+        content: dict[str, Any] = self.model_dump(mode="json", by_alias=True)
+        if not self.recordings:
             for item in content.get("circumstances", ()):
                 del item["recording"]
             for part in (*content["effects"], *([content["location"]] if content["location"] else [])):

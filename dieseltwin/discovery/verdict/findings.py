@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -137,12 +137,10 @@ def effects(found: Search, fit: Fit | None = None) -> tuple[FoundEffect, ...]:
         if found.best is None:
             return ()
         fit = found.best.fit
-    P = len(found.twin.parameters)
     entries = []
     names = fit.candidate.names
     pool = found.equivalent
-    for j, name in enumerate(names):
-        effect = found.twin.hypotheses[name]
+    for name in names:
         partners = tuple(n for n in names if n != name)
         equivalents = []
         for other in pool:
@@ -155,16 +153,34 @@ def effects(found: Search, fit: Fit | None = None) -> tuple[FoundEffect, ...]:
         probability = sum(
             value for key, value in found.probabilities.items() if name in key.split(" + ")
         )
-        entries.append(
-            FoundEffect(
-                name=name, probability=float(min(probability, 1.0)), equivalent_names=tuple(equivalents),
-                law=effect.law, magnitude=float(fit.magnitudes[j]),
-                std=finite(float(fit.std[P + j])), unit=effect.unit, valid_for=valid_for(found),
-                split_by=split_by(found, name, equivalents) if equivalents else None,
-            )
-        )
+        entries.append(_named(found, fit, name, probability, equivalents))
     alone = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
     return tuple(sorted(entries, key=lambda entry: -alone.get(entry.name, 0.0)))
+
+
+def too_small(found: Search) -> FoundEffect | None:
+    """The name that explains, beyond chance, what differs where nothing is as large as is of interest."""
+    if found.kind != "healthy" or not found.singles:
+        return None
+    lead = found.singles[0]
+    if not found.beyond_chance(lead) or found.of_interest(lead):
+        return None
+    gains = {fit.candidate.names[0]: found.gain(fit) for fit in found.singles}
+    name, *others = gains
+    alike = [other for other in others if gains[other] > gains[name] - found.settings.equivalent_gain]
+    weights = np.exp(0.5 * (np.array(list(gains.values())) - gains[name]))
+    return _named(found, lead, name, float(1.0 / weights.sum()), alike)
+
+
+def _named(found: Search, fit: Fit, name: str, probability: float, equivalents: Sequence[str]) -> FoundEffect:
+    """A name of a fit with its size there."""
+    effect, j = found.twin.hypotheses[name], fit.candidate.names.index(name)
+    return FoundEffect(
+        name=name, probability=min(probability, 1.0), equivalent_names=tuple(equivalents), law=effect.law,
+        magnitude=float(fit.magnitudes[j]), std=finite(float(fit.std[len(found.twin.parameters) + j])),
+        unit=effect.unit, valid_for=valid_for(found),
+        split_by=split_by(found, name, equivalents) if equivalents else None,
+    )  # fmt: skip
 
 
 def valid_for(found: Search) -> str:

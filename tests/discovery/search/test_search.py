@@ -26,6 +26,7 @@ from dieseltwin.discovery.search.explanations import choose
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.variants import Variant, scan
 from dieseltwin.discovery.twins.interface import Twin
+from dieseltwin.discovery.verdict.findings import too_small
 from dieseltwin.recordings.noise import Noise, estimate_noise
 from tests.discovery.toy import SETTINGS, Toy
 
@@ -355,6 +356,10 @@ def test_a_fault_too_small_to_be_of_interest_is_not_called_one_without_a_name() 
     assert lead.candidate.names == ("leak",) and not found.of_interest(lead)
     assert found.gain(lead) > SETTINGS.alarm_gain and term.gain > SETTINGS.unnamed_gain
     assert found.kind == "healthy"
+    small = too_small(found)
+    assert small is not None and small.name == "leak" and small.probability > 0.9
+    assert small.magnitude == pytest.approx(0.02, rel=0.2)
+    assert too_small(search.run(Toy(900, 6).record(), SETTINGS, laws=False)) is None
     withheld = search.run(toy, SETTINGS.asked(("leak", "drag"), 0), laws=False)
     assert withheld.gain(withheld.singles[0]) + SETTINGS.law_gain < withheld.lasting()[0].gain
     assert withheld.kind == "law"
