@@ -157,7 +157,9 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
         units = {state.nearest: state.unit for state in result.repaired.states.values()}  # a sensor shows its state
         shown = (f"{c} {b:.3g} -> {a:.3g} {units.get(c, '')}".removesuffix(" -").rstrip() for c, b, a in errors)
         text += f" Free runs no fit has seen, rms: {', '.join(shown)}"
-        text += f", {100.0 * (found.fit.share_explained or 0.0):.0f} % of the squared error explained."
+        percent = round(100.0 * (found.fit.share_explained or 0.0))
+        text += (f", {percent} % of the squared error explained." if percent
+                 else ": what was found fits better where it was fitted, and foretells these no better.")
     return text
 
 

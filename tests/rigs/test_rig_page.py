@@ -53,6 +53,10 @@ def test_the_sentence_has_units_and_says_what_is_missing_apart_from_the_names(le
     assert f"; beside this {MORE}." in sentence(found.found, both)
     alone = found.document.model_copy(update={"effects": (left,)})
     assert f": {MORE}." in sentence(found.found, alone)
+    fit = found.document.fit.model_copy(update={"share_explained": 0.0})
+    useless = found.document.model_copy(update={"fit": fit})
+    assert " % of the squared error explained." in found.sentence
+    assert sentence(found.found, useless).endswith("foretells these no better.")
 
 
 def test_every_effect_of_the_examples_has_an_equation() -> None:
