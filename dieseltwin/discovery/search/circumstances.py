@@ -266,23 +266,27 @@ def _clocks_by_rows(at: Linearisation, twin: WithCircumstances, rest: Sequence[C
     """
     parts = at.twin.parts if isinstance(at.twin, OverRecordings) else (at.twin,)
     ends = np.cumsum([part.time_s.size for part in parts])
-    measured, starts = at.residual + at.simulated, {}
-
-    def misfit(rows: int) -> Array:
+    measured, channels = at.residual + at.simulated, at.twin.channels
+    clocks = [item for item in rest if item.kind == TIME_SHIFT and item.column in channels]
+    row_s = {item.name: float(np.median(np.diff(parts[item.recording or 0].time_s))) for item in clocks}
+    most = {item.name: int(_FARTHEST * item.std / row_s[item.name]) for item in clocks}
+    misfits: dict[str, dict[int, float]] = {item.name: {} for item in clocks}
+    farthest = max(most.values(), default=0)
+    for rows in range(-farthest, farthest + 1):
         moved = np.nan_to_num(np.roll(measured, -rows, axis=0) - at.simulated)
-        return at.whitening.apply(moved).reshape(moved.shape) ** 2
-
-    for item in rest:
-        if item.kind != TIME_SHIFT or item.column not in at.twin.channels:
-            continue
-        part, end = parts[item.recording or 0], int(ends[item.recording or 0])
-        row_s, channel = float(np.median(np.diff(part.time_s))), at.twin.channels.index(item.column)
-        most = int(_FARTHEST * item.std / row_s)
-        inside = slice(end - part.time_s.size + most, end - most)
-        misfits = {rows: float(misfit(rows)[inside, channel].sum()) for rows in range(-most, most + 1)}
-        best = min(misfits, key=lambda rows: misfits[rows])
-        if misfits[0] - misfits[best] > twin.beliefs.evidence:
-            starts[item.name] = twin.values.get(item.name, item.assumed) + best * row_s
+        misfit = at.whitening.apply(moved).reshape(moved.shape) ** 2
+        for item in clocks:
+            if abs(rows) > most[item.name]:
+                continue
+            part, end = parts[item.recording or 0], int(ends[item.recording or 0])
+            inside = slice(end - part.time_s.size + most[item.name], end - most[item.name])
+            misfits[item.name][rows] = float(misfit[inside, channels.index(item.column)].sum())
+    starts = {}
+    for item in clocks:
+        own = misfits[item.name]
+        best = min(own, key=lambda rows: own[rows])
+        if own[0] - own[best] > twin.beliefs.evidence:
+            starts[item.name] = twin.values.get(item.name, item.assumed) + best * row_s[item.name]
     return starts
 
 
