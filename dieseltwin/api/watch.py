@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -91,6 +91,7 @@ def watch(
     channels: Channels | None = None,
     sensors: Sequence[str] | None = None,
     settings: WatchConfig | None = None,
+    progress: Callable[[int, int, str], object] | None = None,
 ) -> Watched:
     """Judge recordings one by one, add them to the history of their engine, and say whether it has changed.
 
@@ -103,6 +104,7 @@ def watch(
         channels: channel map of the recordings.
         sensors: columns to use; None is all that there are.
         settings: when to raise an alarm; `watch` of params.yaml.
+        progress: is told of every recording when it is through: how many are, of how many, its name.
 
     Raises:
         InputError: an engine of which nothing was learned, a history of another engine, a damaged one.
@@ -113,23 +115,30 @@ def watch(
     known: list[str] = []
     refused: list[tuple[str, str]] = []
     files: Sequence[str | Path] = several(recordings)
-    for path in map(Path, files):
+    for k, path in enumerate(map(Path, files), 1):
         try:
-            if path.is_file() and store.holds(file_sha256(path)):
+            there = path.is_file() and store.holds(file_sha256(path))
+            verdict = None if there else _added(store, *_asked(path, engine, learned, channels, sensors))
+            if verdict is None:
                 known.append(str(path))
-                continue
-            question, day = _asked(path, engine, learned, channels, sensors)
-            entry = None if store.holds(day.recording.rows_sha256) else _entry(question.answer(), day)
-            if entry is not None and store.add(entry):
-                added[str(path)] = entry.verdict
             else:
-                known.append(str(path))
+                added[str(path)] = verdict
         except InputError as error:
             refused.append((str(path), str(error)))
+        if progress is not None:
+            progress(k, len(files), path.name)
     found = _watched(store, settings)
     return replace(
         found, added=tuple(added), verdicts=tuple(added.values()), known=tuple(known), refused=tuple(refused)
     )
+
+
+def _added(store: History, question: DrivingQuestion, day: Dated) -> str | None:
+    """What a recording shows by itself, now in the history; None where its rows were there already."""
+    if store.holds(day.recording.rows_sha256):
+        return None
+    entry = _entry(question.answer(), day)
+    return entry.verdict if store.add(entry) else None
 
 
 def judge(

@@ -57,7 +57,10 @@ def add_command(
     from dieseltwin.api.watch import watch
 
     settings = _settings(params, profile, alarms_per_year)
-    found = watch(recordings, engine, history, channels=channels, sensors=names(sensors), settings=settings)
+    found = watch(
+        recordings, engine, history, channels=channels, sensors=names(sensors), settings=settings,
+        progress=lambda done, total, name: progress(f"{done} of {total}: {name}"),
+    )  # fmt: skip
     if found.refused and len(recordings) == 1:
         raise Refused(found.refused[0][1])
     say(found.lines())

@@ -77,7 +77,9 @@ def test_so_many_recordings_that_memory_runs_out_are_refused_before_they_are_jud
 def test_a_history_grows_once_by_each_recording_in_any_order(year: list[Path], mine: Path, tmp_path: Path):
     bad = tmp_path / "2026-10-01.csv"
     bad.write_text("time_s,n_e_rpm\n0,1000\n")
-    found = dt.watch([year[0], bad, year[1]], mine, tmp_path / "history")
+    through: list[tuple[int, int, str]] = []
+    found = dt.watch([year[0], bad, year[1]], mine, tmp_path / "history", progress=lambda *at: through.append(at))
+    assert through == [(k, 3, path.name) for k, path in enumerate([year[0], bad, year[1]], 1)]
     assert len(found.added) == 2 and not found.known and found.refused[0][0] == str(bad)
     again = dt.watch(year, mine, tmp_path / "history")
     assert again.added == (str(year[2]),) and len(again.known) == 2
