@@ -259,8 +259,7 @@ def _as_read(name: str, value: float) -> str:
 
 def _in_its_unit(name: str, value: float) -> str:
     """The same with its unit, "425.6 mm²"."""
-    unit = quantities.unit(name)
-    return _as_read(name, value) + ("" if unit in ("", "–") else f" {unit}")
+    return quantities.before_unit(name, _as_read(name, value))
 
 
 @dataclass(frozen=True)

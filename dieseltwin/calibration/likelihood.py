@@ -80,14 +80,14 @@ class Estimate:
         return {c.name: float(s) for c, s in zip(self.coefficients, np.sqrt(np.diag(self.covariance)), strict=True)}
 
 
-def reading_noise(x: Array, relative: Array) -> Array:
+def reading_noise(x: Array, noise: Mapping[str, float] | None = None) -> Array:
     """Standard deviation of readings over what they read, (n, 6) [-]: near nought a sensor is as unsure as at `FLAT`.
 
     Args:
         x: (n, 6) readings, nan where there is none.
-        relative: (6,) standard deviation of each in the middle of its range and above [-].
+        noise: relative standard deviation of each in the middle of its range and above [-]; None: `NOISE`.
     """
-    size = np.abs(x)
+    size, relative = np.abs(x), np.array([(noise or NOISE)[name] for name in STATES])
     least = FLAT * np.nanmedian(size, axis=0)
     return np.asarray(relative * np.maximum(1.0, least / np.where(size > 0.0, size, np.inf)))
 
@@ -120,7 +120,7 @@ def balance_deviation(model: SteadyModel, points: SteadyPoints, values: Mapping[
     x = points.states()
     known = np.isfinite(x)
     x = np.where(known, x, np.nanmedian(x, axis=0))
-    sigma = np.where(known, reading_noise(x, np.array([NOISE[name] for name in STATES])), 0.0)
+    sigma = np.where(known, reading_noise(x), 0.0)
     noise = np.einsum("nii->ni", reading_covariance(model, points, x, values, sigma))
     return np.asarray(np.sqrt(noise + errors**2))
 
@@ -172,7 +172,7 @@ def estimate(
     theta = np.clip(np.array([values.get(c.name, c.mean) for c in coefficients]), low, high)
     values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})
     measured = points.states()
-    sigma = reading_noise(measured, np.array([(noise or NOISE)[k] for k in NOISE]))
+    sigma = reading_noise(measured, noise)
     x = np.where(np.isfinite(measured), measured, np.nanmedian(measured, axis=0))
     S = np.array([(discrepancy or {}).get(name, 0.02) for name in model.rows])
     least = np.array([(floors or {}).get(name, FLOOR) for name in model.rows])
@@ -305,7 +305,7 @@ def log_density(model: SteadyModel, points: SteadyPoints, values: Mapping[str, f
     known = np.isfinite(x)
     x = np.where(known, x, np.nanmedian(x, axis=0))
     r = np.clip(np.nan_to_num(model.relations(points, x, values).residual[0]), -FAR, FAR)
-    sigma = np.where(known, reading_noise(x, np.array([NOISE[name] for name in STATES])), UNKNOWN)
+    sigma = np.where(known, reading_noise(x), UNKNOWN)
     root = np.linalg.cholesky(reading_covariance(model, points, x, values, sigma) + np.diag(errors**2))
     white = np.linalg.solve(root, r[..., None])[..., 0]
     return np.asarray(np.sum(log_student(white) - np.log(np.einsum("nii->ni", root)), axis=1))

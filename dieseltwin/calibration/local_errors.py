@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from dieseltwin.calibration.likelihood import NOISE, reading_covariance, reading_noise
+from dieseltwin.calibration.likelihood import reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
 from dieseltwin.recordings.channels import INPUTS
-from dieseltwin.recordings.steady_points import STATES, SteadyPoints
+from dieseltwin.recordings.steady_points import SteadyPoints
 
 Array = NDArray[np.float64]
 
@@ -137,7 +137,7 @@ def local_errors(
     r = model.relations(points, x, values).residual[0]
     measured = np.isfinite(points.states()).all(axis=1)
     seen = np.isfinite(r) & (np.abs(np.nan_to_num(r)) < FAR) & measured[:, None]
-    sigma = reading_noise(x, np.array([NOISE[name] for name in STATES]))
+    sigma = reading_noise(x)
     reading = np.einsum("nii->ni", reading_covariance(model, points, x, values, sigma))
     found = LocalErrors(model, points, *places, smoothness or {}, seen, reading)
     if smoothness is None:

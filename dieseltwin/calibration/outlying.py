@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from dieseltwin.calibration.likelihood import FLOOR, NOISE, balance_deviation, reading_noise
+from dieseltwin.calibration.likelihood import FLOOR, balance_deviation, reading_noise
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.notes import Note, listing
 from dieseltwin.recordings.steady_points import JUDGED, LEAST, STATES, SteadyPoints
@@ -42,7 +42,7 @@ def without_slips(model: SteadyModel, points: SteadyPoints,
     if not 0 < rows.size <= max(1.0, FEW * points.size):
         return points, []
     keep, notes = np.ones(points.size, dtype=bool), []
-    noise = np.nan_to_num(reading_noise(points.states(), np.array([NOISE[name] for name in STATES])))
+    noise = np.nan_to_num(reading_noise(points.states()))
     for i in rows:
         instead = _would_fit(model, points, values, int(i), np.median(deviation, axis=0), noise[i])
         if instead is None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from dieseltwin.calibration.likelihood import NOISE, log_student, reading_covariance, reading_noise
+from dieseltwin.calibration.likelihood import log_student, reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
 from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.settings.search import SubmodelErrors
@@ -63,7 +63,7 @@ def scatter_of(
         None where no balance scatters more than is believed.
     """
     x = points.states()
-    sigma = reading_noise(x, np.array(list(NOISE.values())))
+    sigma = reading_noise(x)
     rows = len(ROWS)
     C = reading_covariance(model, points, x, values, sigma)[:, :rows, :rows]
     C = C + np.diag([beliefs.error(row) ** 2 for row in ROWS])

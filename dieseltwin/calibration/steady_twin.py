@@ -24,7 +24,7 @@ import numpy as np
 from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.calibration.lasting_errors import SUBMODEL_OF, sensor_errors
-from dieseltwin.calibration.likelihood import NOISE, reading_covariance, reading_noise
+from dieseltwin.calibration.likelihood import reading_covariance, reading_noise
 from dieseltwin.calibration.steady_model import MAP_MODE, SteadyModel, law_variables
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
@@ -141,7 +141,7 @@ class SteadyTwin(TwinDefaults):
         self._whiten = np.zeros((self.data.size, len(self.channels), len(self.channels)))
         start = self.values(np.array([p.first for p in self.parameters]))
         scatter = np.array([errors.scatter(row) for row in self.channels])
-        sigma = reading_noise(self._x, np.array([NOISE[name] for name in STATES]))
+        sigma = reading_noise(self._x)
         covariance = reading_covariance(self.model, self.data, self._x, start, np.where(known, sigma, 1.0))
         covariance = covariance + np.diag(scatter**2)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariance))

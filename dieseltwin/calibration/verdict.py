@@ -154,6 +154,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
     points = result.calibration.points.judged
     first = result.rounds[0].found
     health = _health(result)
+    chi2_before, chi2_after = _chi2(result)
     made = Discrepancy(
         schema=1,  # type: ignore[call-arg]  # the alias of schema_version
         recording=RecordingInfo(path=str(points.path.name if points.path else "points"), sha256=points.sha256,
@@ -166,8 +167,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
         reference=_reference(result),
         health=health,
         fit=Fit(held_out_nll_before=result.nll_before, held_out_nll_after=result.nll_after,
-                chi2_per_sample_before=_chi2(result, result.calibration),
-                chi2_per_sample_after=_chi2(result, result.repaired),
+                chi2_per_sample_before=chi2_before, chi2_per_sample_after=chi2_after,
                 rmse_before=_rmse(result, before=True), rmse_after=_rmse(result, before=False),
                 share_explained=sum(share for _, share in shares(result)) if result.effects else None),
         minimum_detectable={name: float(size) for name, size in
@@ -280,17 +280,21 @@ def _rmse(result: PointsDiscovery, before: bool) -> dict[str, float]:
             for row in ROWS if row in _COLUMN}
 
 
-def _chi2(result: PointsDiscovery, machine: Calibration) -> float:
-    """Mean square of the judged points' balances over what they may be off by in the repaired machine [-].
+def _chi2(result: PointsDiscovery) -> tuple[float, float]:
+    """Mean square of the judged points' balances before and after, over what they may be off by afterwards [-].
 
     Over one deviation for all points a few small EGR flows, of which a reading tells little, made it 4 on a healthy
     engine.
     """
     points, rows = result.calibration.points.judged, slice(len(ROWS))
     repaired = result.repaired
-    residual = machine.model.relations(points, points.states(), machine.start).residual[0, :, rows]
     deviation = balance_deviation(repaired.model, points, repaired.start, repaired.estimate.discrepancy)[:, rows]
-    return float(np.nanmean(np.minimum((residual / deviation) ** 2, MOST_CHI2)))
+
+    def of(machine: Calibration) -> float:
+        residual = machine.model.relations(points, points.states(), machine.start).residual[0, :, rows]
+        return float(np.nanmean(np.minimum((residual / deviation) ** 2, MOST_CHI2)))
+
+    return of(result.calibration), of(repaired)
 
 
 def _region(result: PointsDiscovery) -> FoundRegion:

@@ -63,7 +63,7 @@ def refuse_overlapping(recordings: Sequence[R], share: Callable[[Sequence[R], R]
     Raises:
         InputError: more than a little of one is in those before it.
     """
-    for k in range(first, len(recordings)):
+    for k in range(max(first, 1), len(recordings)):  # the first has none before it
         part = share(recordings[:k], recordings[k])
         if part > MOST_SHARED:
             raise InputError(

@@ -137,7 +137,8 @@ def points(
             raise InputError(f"{where}: column {name}, data row {row + 1}", repr(raw.iloc[row]),
                              "numbers with a decimal point", "mend or empty this cell")
         columns[name] = np.where(np.isfinite(values), values, np.nan)
-        if name in NEVER_NOUGHT and (nought := int(np.count_nonzero(values <= 0.0))) <= values.size // 2 and nought:
+        nought = int(np.count_nonzero(values <= 0.0)) if name in NEVER_NOUGHT else 0
+        if 0 < nought <= values.size // 2:
             columns[name] = np.where(values <= 0.0, np.nan, columns[name])
             notes.append(f"{counted(nought, 'value')} of {name} at or below 0 count as missing")
         infinite = int(np.count_nonzero(np.isinf(values)))

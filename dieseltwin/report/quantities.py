@@ -96,11 +96,15 @@ def value_with_std(name: str, mean: float, std: float, *, with_unit: bool = True
     if not math.isfinite(mean):
         return _EMPTY
     scale = factor(name)
-    suffix = f" {unit(name)}" if with_unit and unit(name) not in ("", "–") else ""
-    if not math.isfinite(std):
-        return f"{significant(mean * scale, 4)}{suffix}"
     digits = decimals_for(std * scale)
-    return f"{mean * scale:.{digits}f} ± {std * scale:.{digits}f}{suffix}"
+    known_to = math.isfinite(std)
+    text = f"{mean * scale:.{digits}f} ± {std * scale:.{digits}f}" if known_to else significant(mean * scale, 4)
+    return before_unit(name, text) if with_unit else text
+
+
+def before_unit(name: str, text: str) -> str:
+    """A number's text with the shown unit of ``name`` behind it, if it has one."""
+    return f"{text} {unit(name)}" if unit(name) not in ("", "–") else text
 
 
 def significant(value: float, digits: int = 3) -> str:
