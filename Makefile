@@ -52,7 +52,8 @@ help:  ## this list
 
 setup: $(READY)  ## .venv with the exact versions of requirements.lock
 
-# The stamp is a copy of the lock, written last: an interrupted set-up is done again.
+# The stamp is a copy of the lock, written last: an interrupted set-up is done again. What is installed is compiled on
+# all cores, where pip takes one; a package's templates that aren't Python are no error.
 $(READY): requirements.lock pyproject.toml
 	@if ! { cmp -s $@ requirements.lock && $(BIN)/python -c "" 2>/dev/null; }; then \
 		rm -f $@; \
@@ -62,7 +63,8 @@ $(READY): requirements.lock pyproject.toml
 		}; \
 		echo "Setting up $(VENV) from requirements.lock (about 3 minutes, once) ..."; \
 		$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV) || exit 1; \
-		$(BIN)/python -m pip install -qq -r requirements.lock || exit 1; \
+		$(BIN)/python -m pip install -qq --no-compile -r requirements.lock || exit 1; \
+		$(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true; \
 	fi
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation -e .
 	@$(BIN)/python -m compileall -q dieseltwin flows tasks  # as pip does: some machines forbid Python to keep it later

@@ -11,7 +11,7 @@ not bias the coefficients, and a valve with a small pressure difference counts a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,7 @@ FLAT = 0.5  # of the middle reading: below, a sensor's error no longer falls wit
 STATE_STEP = 5e-4  # relative, of central differences in the states
 COEFFICIENT_STEP = 1e-4  # of a prior standard deviation
 STEEPEST = 200.0  # d ln r/d ln x is cut there: a speed line that is flat
+STEP = 1e-4  # of coefficients and of the cost, relative: a step of the minimiser that changes less is the last one
 SETTLED = 0.03  # prior standard deviations: an iteration that changes less is the last one
 CURVATURE = 1.0  # second-order error of a relation over the square of the noise that it carries [-]
 LARGEST_SHIFT = 0.3  # of ln x in one iteration
@@ -125,6 +126,30 @@ def balance_deviation(model: SteadyModel, points: SteadyPoints, values: Mapping[
     return np.asarray(np.sqrt(noise + errors**2))
 
 
+class _WithSlopes:
+    """Residual and slopes of one call for a minimiser that asks for them apart.
+
+    It takes nearly every step that it tries, and then wants the slopes there; a residual alone costs half as much.
+    """
+
+    def __init__(self, both: Callable[[Array], tuple[Array, Array]]) -> None:
+        self._both = both
+        self._last: tuple[Array, tuple[Array, Array]] | None = None
+
+    def residual(self, z: Array) -> Array:
+        """At z (P,)."""
+        return self._at(z)[0]
+
+    def slopes(self, z: Array) -> Array:
+        """At z (P,), one column for each of its numbers."""
+        return self._at(z)[1]
+
+    def _at(self, z: Array) -> tuple[Array, Array]:
+        if self._last is None or not np.array_equal(self._last[0], z):
+            self._last = z.copy(), self._both(z)
+        return self._last[1]
+
+
 @dataclass(frozen=True)
 class _Linear:
     whiten: Array  # (n, R, R) L^-1
@@ -190,23 +215,19 @@ def estimate(
             r = np.where(np.isfinite(r) & keep, r + linear.shift, 0.0)
             return (linear.whiten @ np.clip(r, -FAR, FAR)[..., None])[..., 0] * scale
 
-        def residuals(z: Array, whitened=whitened) -> Array:  # type: ignore[no-untyped-def]
-            columns = {c.name: float(v) for c, v in zip(coefficients, z * std + mean, strict=True)}
-            parts = [whitened(columns)[0].ravel()]
-            return np.concatenate([*parts, z]) if use_prior else parts[0]
-
-        def jacobian(z: Array, whitened=whitened) -> Array:  # type: ignore[no-untyped-def]
+        def with_slopes(z: Array, whitened=whitened) -> tuple[Array, Array]:  # type: ignore[no-untyped-def]
             shifts = np.concatenate([np.zeros((1, P)), np.eye(P)]) * COEFFICIENT_STEP
             lanes = (z + shifts) * std + mean
             columns = {c.name: lanes[:, i] for i, c in enumerate(coefficients)}
             all_lanes = whitened(columns).reshape(P + 1, -1)
-            J = ((all_lanes[1:] - all_lanes[0]) / COEFFICIENT_STEP).T
-            return np.vstack([J, np.eye(P)]) if use_prior else J
+            r, J = all_lanes[0], ((all_lanes[1:] - all_lanes[0]) / COEFFICIENT_STEP).T
+            return (np.concatenate([r, z]), np.vstack([J, np.eye(P)])) if use_prior else (r, J)
 
+        at = _WithSlopes(with_slopes)
         z_low, z_high = (low - mean) / std, (high - mean) / std
         z = np.clip((theta - mean) / std, z_low + 1e-9, z_high - 1e-9)
-        solution = least_squares(residuals, z, jacobian, bounds=(z_low, z_high),
-                                 max_nfev=FIRST_STEPS if iteration == 0 else MORE_STEPS, x_scale=1.0)
+        solution = least_squares(at.residual, z, at.slopes, bounds=(z_low, z_high), x_scale=1.0, xtol=STEP, ftol=STEP,
+                                 max_nfev=FIRST_STEPS if iteration == 0 else MORE_STEPS)
         change = float(np.max(np.abs(solution.x - z))) if P else 0.0
         theta = solution.x * std + mean
         values.update({c.name: float(t) for c, t in zip(coefficients, theta, strict=True)})

@@ -31,6 +31,7 @@ from dieseltwin.discovery.verdict.document import (
     with_warnings,
 )
 from dieseltwin.discovery.verdict.explain import plain
+from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.discovery.verdict.findings import finite, none_of_these, ranked_location, valid_for
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.engine.effects import EFFECTS
@@ -183,10 +184,11 @@ def _health(result: PointsDiscovery) -> dict[str, HealthValue]:
     """Health as it is now, and against the reference where there is one.
 
     A law without a name is held as it was found, and health trades off against it: with a turbine flow that falls by
-    16 % comes a turbine that is opened by 20 %. So what health changes by with the law counts as its deviation, too.
+    16 % comes a turbine that is opened by 20 %. So what health changes by with the law counts as its deviation, too,
+    and what it would change by with an effect that is nearly beyond chance.
     """
     engine, before = result.engine(), worn(result.calibration.engine, result.calibration.start)
-    apart = apart_by_law(result)
+    apart = apart_by_law(result) or _apart_by_what_goes_unseen(result)
     found = result.repaired.estimate
     place = {c.name: i for i, c in enumerate(found.coefficients)}
     health = {}
@@ -214,6 +216,18 @@ def apart_by_law(result: PointsDiscovery) -> dict[str, tuple[float, float]]:
     ways = [(worn(each.engine, each.start), each.start) for each in (result.repaired, without)]
     return {name: (float(getattr(ways[0][0], name) - getattr(ways[1][0], name)),
                    float(ways[0][1].get(wear, 0.0) - ways[1][1].get(wear, 0.0))) for name, wear in WEAR.items()}
+
+
+def _apart_by_what_goes_unseen(result: PointsDiscovery) -> dict[str, tuple[float, float]]:
+    """The same as `apart_by_law` for an effect that may be there without an alarm; none where more is missing."""
+    found = result.rounds[-1].found
+    if found.kind != "healthy":
+        return {}
+    names = [parameter.name for parameter in found.twin.parameters]
+    moved = dict(zip(names, map(float, disagreement(found, found.null)), strict=True))
+    return {name: (moved[name], 0.0) if name in moved else
+            (getattr(result.repaired.engine, name) * moved.get(wear, 0.0), moved.get(wear, 0.0))
+            for name, wear in WEAR.items()}  # fmt: skip
 
 
 def _law_notes(result: PointsDiscovery, health: Mapping[str, HealthValue]) -> list[Note]:

@@ -92,6 +92,18 @@ def _schedules(extension: Extension, lanes: int, n: int) -> tuple[np.ndarray, np
     return schedules, of_lane
 
 
+def _input_of_kernel(value: np.ndarray | float) -> np.ndarray | float:
+    """An array as all of them are given to the kernels: contiguous, and not to be written to.
+
+    Any other layout is a type of its own, for which numba compiles the whole kernel again (20 s).
+    """
+    if not isinstance(value, np.ndarray):
+        return value
+    given = np.ascontiguousarray(value).view()
+    given.flags.writeable = False
+    return given
+
+
 def _pieces(rows: np.ndarray, lagging: np.ndarray, restarts: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Pieces of some lanes as `_integrate_extended` takes them, (M, 5): windows, or a recording in one."""
     places = 2 * np.concatenate([[0], np.cumsum(steps)])[restarts]
@@ -161,14 +173,17 @@ def simulate_extended(
     restricted = ((magnitudes[implicit] != 0.0) & acting).any(axis=0)
     lagging = magnitudes[STATE_EFFECTS.index(GAS_LAG)] != 0.0  # gas that lags carries its temperature over restarts
     threads = thread_count() if threads is None else threads
+    inputs = [
+        _input_of_kernel(array) for array in (
+            grids, grid_of_lane, first.steps, time, start, batch.values, magnitudes, schedules, schedule_of_lane,
+            signals, lane_point, lane_signal, restarts, starts, late, corrections.tables, corrections.low,
+            corrections.per_unit,
+        )
+    ]  # fmt: skip
 
     def run(task: tuple[Callable[..., None], np.ndarray]) -> None:
         integrate, pieces = task
-        integrate(
-            grids, grid_of_lane, first.steps, time, start, batch.values, magnitudes, schedules, schedule_of_lane,
-            signals, lane_point, lane_signal, restarts, starts, late, corrections.tables, corrections.low,
-            corrections.per_unit, pieces, out,
-        )  # fmt: skip
+        integrate(*inputs, pieces, out)
 
     tasks = []
     for integrate, rows in (

@@ -17,6 +17,7 @@ from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_p
 from dieseltwin.calibration.saved import write_repaired
 from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
 from dieseltwin.calibration.verdict import document
+from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import CorrectionTerm, corrections_in
 from dieseltwin.recordings.steady_points import STATES, beside_reference
@@ -92,12 +93,33 @@ def test_health_that_a_law_without_a_name_moves_is_less_well_known(bent: PointsD
     opened = 0.2
     before = replace(here, start={**here.start, wear: here.start.get(wear, 0.0) - opened})
     alone, beside = document(bent), document(replace(bent, before_law=before))
+    own = here.estimate.std()
     for name, now in beside.health.items():
         then = alone.health[name]
         assert now.since_reference is not None and then.since_reference is not None
         moved = opened if name == "A_vgtmax" else 0.0
         assert now.since_reference.value == then.since_reference.value
-        assert now.since_reference.std == pytest.approx(np.hypot(then.since_reference.std, moved))
+        assert now.since_reference.std == pytest.approx(np.hypot(own[WEAR[name]], moved))
     (told,) = (doubt for doubt in beside.warnings if doubt.code == "health_or_law")
     assert "A_vgtmax" in told.text and "A_egrmax" not in told.text
     assert "health_or_law" not in {doubt.code for doubt in alone.warnings}
+
+
+def test_health_holds_what_an_effect_would_change_that_is_nearly_an_alarm(bent: PointsDiscovery) -> None:
+    """Half of an injector's drift may be said to be health; at the gain of an alarm it is as likely there as not."""
+    found = bent.rounds[-1].found
+    lead = min(found.singles, key=lambda fit: fit.objective)
+    moved = np.abs(lead.parameters - found.null.fit.parameters)
+
+    def deviation(alarm: float) -> np.ndarray:
+        settings = found.settings.model_copy(update={"alarm_gain": alarm, "alarm_level": 1.0})
+        return disagreement(replace(found, settings=settings), found.null)
+
+    assert found.kind == "healthy" and (moved > 0.0).any()
+    nearly, far = deviation(found.gain(lead)), deviation(found.gain(lead) + 40.0)
+    alone = replace(found, singles=[lead])
+    settings = found.settings.model_copy(update={"alarm_gain": found.gain(lead), "alarm_level": 1.0})
+    assert disagreement(replace(alone, settings=settings), found.null) == pytest.approx(np.sqrt(0.5) * moved)
+    assert (nearly >= 0.3 * moved).all() and (far < 1e-3 * nearly.max()).all()
+    after = [health.since_reference.std for health in document(bent).health.values() if health.since_reference]
+    assert (np.array(after) >= [bent.repaired.estimate.std()[wear] for wear in WEAR.values()]).all()
