@@ -95,7 +95,7 @@ def _schedules(extension: Extension, lanes: int, n: int) -> tuple[np.ndarray, np
 def _input_of_kernel(value: np.ndarray | float) -> np.ndarray | float:
     """An array as all of them are given to the kernels: contiguous, and not to be written to.
 
-    Any other layout is a type of its own, for which numba compiles the whole kernel again (20 s).
+    Any other layout is a type of its own, for which numba compiles the whole kernel again (4 to 20 s).
     """
     if not isinstance(value, np.ndarray):
         return value
