@@ -105,4 +105,6 @@ def test_what_is_left_widens_health_as_far_as_it_is_off(bumped: Search) -> None:
     assert (off / std).max() > 3.0
     apart = disagreement(replace(bumped, kind="single", singles=bumped.singles[:1], left=bumped.local), at)
     assert (off / np.hypot(std, apart)).max() < 1.645
-    assert not disagreement(replace(bumped, kind="healthy"), at).any()
+    nothing_found = replace(bumped, kind="healthy")  # an effect that may be there all the same is all that counts then
+    assert disagreement(nothing_found, at).any()
+    assert not disagreement(replace(nothing_found, singles=[]), at).any()
