@@ -136,11 +136,7 @@ class Search:
 
     def beyond_chance(self, fit: Fit) -> bool:
         """Whether what a fit explains is an alarm if its sizes are of interest."""
-        return self.gain(fit) >= self.alarm_at()
-
-    def alarm_at(self) -> float:
-        """Gain from which a name of interest raises an alarm."""
-        return float(max(self.settings.alarm_gain, self.chance.threshold(self.settings.alarm_level)))
+        return bool(self.gain(fit) >= max(self.settings.alarm_gain, self.chance.threshold(self.settings.alarm_level)))
 
     def of_interest(self, fit: Fit) -> bool:
         """Whether the largest magnitude is near its tolerance of interest or above, and no other far below."""
