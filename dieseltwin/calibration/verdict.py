@@ -185,7 +185,7 @@ def _health(result: PointsDiscovery) -> dict[str, HealthValue]:
 
     A law without a name is held as it was found, and health trades off against it: with a turbine flow that falls by
     16 % comes a turbine that is opened by 20 %. So what health changes by with the law counts as its deviation, too,
-    and what it would change by with an effect that is nearly beyond chance.
+    and what it would change by with an effect that may be there unseen.
     """
     engine, before = result.engine(), worn(result.calibration.engine, result.calibration.start)
     apart = apart_by_law(result) or _apart_by_what_goes_unseen(result)

@@ -163,7 +163,7 @@ def simulate_extended(
     initial = np.asarray(initial, dtype=np.float64)
     if initial.ndim == 2:
         initial = initial[:, None, :]
-    starts = np.ascontiguousarray(np.broadcast_to(initial, (lanes, restarts.size, 3)))
+    starts = np.broadcast_to(initial, (lanes, restarts.size, 3))
 
     corrections = extension.corrections or NO_CORRECTIONS
     out = np.empty((lanes, n, N_OUT))

@@ -41,16 +41,10 @@ def disagreement(found: Search, at: Linearisation) -> Array:
         at: the chosen explanation, as `explained_at`.
     """
     count = len(found.twin.parameters)
-
-    def parameters(fits: Sequence[Fit]) -> Array:
-        return np.array([fit.parameters[:count] for fit in fits])
-
-    if found.kind == "healthy":
-        return _beside_what_goes_unseen(found, parameters)
     if found.kind == "law" and found.law is not None:
         among = np.zeros(count) if found.law.disagreement is None else found.law.disagreement
     else:
-        among = _among_explanations(found, parameters)
+        among = _among_explanations(found, lambda fits: np.array([fit.parameters[:count] for fit in fits]))
     moved = [step[:count] for _, step in _terms_beyond(found, at)]
     return np.hypot(among, _mean_size(moved, count))
 
@@ -64,16 +58,10 @@ def disagreement_of_circumstances(found: Search, at: Linearisation) -> Array:
     items = open_circumstances(found.twin)
     if not items or found.null.nuisance_response is None:
         return np.zeros(len(items))
-
-    def circumstances(fits: Sequence[Fit]) -> Array:
-        return _circumstances_beside(found, fits)
-
-    if found.kind == "healthy":
-        return _beside_what_goes_unseen(found, circumstances)
     if found.kind == "law" and found.law is not None:
         among = np.zeros(len(items))
     else:
-        among = _among_explanations(found, circumstances)
+        among = _among_explanations(found, lambda fits: _circumstances_beside(found, fits))
     terms = [] if at.nuisance_response is None else _terms_beyond(found, at)
     left = (term.coefficient * term.response + np.tensordot(step, at.jacobian, 1) for term, step in terms)
     taken_up = [at.metric.nuisance_estimate(each)[-len(items) :] for each in left]
@@ -90,6 +78,8 @@ def _circumstances_beside(found: Search, fits: Sequence[Fit]) -> Array:
 def _among_explanations(found: Search, values: Callable[[Sequence[Fit]], Array]) -> Array:
     """Scatter of values (F, N) of fits, each explanation counted by its likelihood. Where something has neither name
     nor law, it is the most that a name changes which explains half as much as the best."""
+    if found.kind == "healthy":
+        return _beside_what_goes_unseen(found, values)
     if found.kind == "law":
         most = 0.5 * max((found.gain(fit) for fit in found.singles), default=0.0)
         said = values([found.null.fit, *(fit for fit in found.singles if found.gain(fit) >= most)])
@@ -117,7 +107,9 @@ def _beside_what_goes_unseen(found: Search, values: Callable[[Sequence[Fit]], Ar
 
 def _terms_beyond(found: Search, at: Linearisation) -> list[tuple[Structure, Array]]:
     """The strongest terms beyond the explanation, which say the same with other words, and how each of them moves what
-    the explanation has free (P,)."""
+    the explanation has free (P,); none where nothing is found."""
+    if found.kind == "healthy":
+        return []
     left = sorted((*found.left, *found.left_local), key=lambda item: -item.held)
     kept = [item for item in left if item.held > max(found.settings.chance_leaves, _AS_STRONG * left[0].held)]
     if not kept:
