@@ -179,7 +179,7 @@ class DrivingQuestion(Question):
     def preview(self) -> Iterator[str]:
         self._check_sensitivity()
         yield from self.notes
-        yield from visible_table(self.smallest, len(self.days))
+        yield from visible_table(self.smallest, self.prepared.health_bias, len(self.days))
 
     @property
     def catalogue(self) -> Mapping[str, Known]:

@@ -34,6 +34,7 @@ from dieseltwin.discovery.verdict.explain import plain
 from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.discovery.verdict.findings import finite, none_of_these, ranked_location, valid_for
 from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.discovery.verdict.unseen import health_bias
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.engine.terms import Term
 from dieseltwin.notes import Note, doubts_among
@@ -174,6 +175,7 @@ def document(result: PointsDiscovery) -> Discrepancy:
         minimum_detectable={name: float(size) for name, size in
                             minimum_detectable(first.scored, first.settings.alarm_gain).items()
                             if np.isfinite(size) and name in EFFECTS},
+        health_bias=_health_bias(first),
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
     doubts = [*doubts_among(result.calibration.notes), *fit_doubts(made), *_law_notes(result, health)]
@@ -228,6 +230,15 @@ def _apart_by_what_goes_unseen(result: PointsDiscovery) -> dict[str, tuple[float
     return {name: (moved[name], 0.0) if name in moved else
             (getattr(result.repaired.engine, name) * moved.get(wear, 0.0), moved.get(wear, 0.0))
             for name, wear in WEAR.items()}  # fmt: skip
+
+
+def _health_bias(found: Search) -> dict[str, dict[str, float]]:
+    """What an effect of its smallest visible size, unseen, would move health by, since the reference where there is
+    one."""
+    at = dict(zip((p.name for p in found.twin.parameters), found.null.fit.parameters, strict=True))
+    names = list(at)
+    since = {name: (names.index(wear), 1.0 + float(at[wear])) for name, wear in WEAR.items() if wear in at}
+    return health_bias(found, {**{name: (names.index(name), float(at[name])) for name in WEAR if name in at}, **since})
 
 
 def _law_notes(result: PointsDiscovery, health: Mapping[str, HealthValue]) -> list[Note]:

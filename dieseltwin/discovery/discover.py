@@ -22,6 +22,8 @@ from dieseltwin.discovery.verdict.assemble import assemble
 from dieseltwin.discovery.verdict.checks import misfit_of
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import Reference, fit_doubts, with_warnings
+from dieseltwin.discovery.verdict.over_recordings import unseen_bias
+from dieseltwin.discovery.verdict.unseen import HealthBias
 from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
@@ -47,6 +49,11 @@ class Prepared:
     def minimum_detectable(self) -> Mapping[str, float]:
         """Effect -> smallest magnitude that would raise an alarm [unit of the effect]."""
         return minimum_detectable(self.found.scored, self.found.settings.alarm_gain)
+
+    @property
+    def health_bias(self) -> HealthBias:
+        """What an effect of that size, unseen, would move health by: effect -> health parameter -> relative change."""
+        return unseen_bias(self.found)
 
 
 def prepare(

@@ -37,6 +37,8 @@ def root(x: Array) -> Array:
 def positive_power(x: Array, exponent: Array) -> Array:
     """max(x, 0)**exponent; 0 for x <= 0, and NaN stays NaN: a missing reading must not become a number."""
     nothing = np.asarray(x) <= 0.0
+    if not nothing.any():
+        return np.power(x, exponent)
     return np.where(nothing, 0.0, np.power(np.where(nothing, 1.0, x), exponent))
 
 

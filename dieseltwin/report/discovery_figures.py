@@ -18,7 +18,7 @@ from dieseltwin.discovery.verdict.document import NONE_OF_THESE
 from dieseltwin.discovery.verdict.when import clock, moments
 from dieseltwin.report import discovery_captions as captions
 from dieseltwin.report import quantities, style
-from dieseltwin.report.discovery_words import display_unit, magnitude_words, unit_of
+from dieseltwin.report.discovery_words import bias_words, display_unit, magnitude_words, unit_of
 from dieseltwin.report.segment_axis import WIDTH_IN
 from dieseltwin.report.statistics import Z_90
 
@@ -65,12 +65,13 @@ def minimum_detectable(found: Discovery) -> style.ReportFigure | None:
         axes.plot(ratio, place, "o", color=colour, markersize=6.5)
         unit = curves.units.get(name) or unit_of(name)
         size = magnitude_words(name, known[name], None, unit, extra=False, digits=2)
-        label = axes.text(ratio * 1.12, place, size, va="center", fontsize=8.5)
+        moved = [f"({words})" for words in bias_words(found.document.health_bias, name)[:1]]
+        label = axes.text(ratio * 1.12, place, " ".join([size, *moved]), va="center", fontsize=8.5)
         label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
     axes.axvline(1.0, color=style.TRUTH, linestyle="--", linewidth=1.1)
     axes.set_xscale("log")
     values = [ratio for ratio, _ in ratios]
-    axes.set_xlim(0.6 * min(*values, 1.0), 4.0 * max(*values, 1.0))
+    axes.set_xlim(0.6 * min(*values, 1.0), 8.0 * max(*values, 1.0))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(ratios)), [name for _, name in ratios])
     axes.set_ylim(-0.7, len(ratios) - 0.3)

@@ -11,7 +11,7 @@ from dieseltwin.discovery.verdict.curves import Candidate
 from dieseltwin.discovery.verdict.document import Discrepancy, FoundEffect, HealthValue
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.report import quantities
-from dieseltwin.report.discovery_words import display_unit, magnitude_words, site_words
+from dieseltwin.report.discovery_words import bias_words, display_unit, magnitude_words, site_words
 from dieseltwin.report.page import EMPTY, Table
 from dieseltwin.report.statistics import Z_90
 
@@ -195,10 +195,12 @@ def weighed(candidates: Sequence[Candidate], units: Mapping[str, str], unit: Uni
 
 
 def visible(document: Discrepancy, units: Mapping[str, str], unit: Unit = display_unit) -> Table:
-    """Smallest size of each effect that could have been seen."""
-    rows = [(name, magnitude_words(name, size, None, units.get(name), shown=unit(name, units.get(name)), digits=2))
+    """Smallest size of each effect that could have been seen, and what of health it would move, unseen."""
+    bias, heads = document.health_bias, ("effect", "seen from")
+    rows = [(name, magnitude_words(name, size, None, units.get(name), shown=unit(name, units.get(name)), digits=2),
+             ", ".join(bias_words(bias, name)))
             for name, size in document.minimum_detectable.items()]  # fmt: skip
-    return Table(("effect", "seen from"), rows)
+    return Table((*heads, "unseen, it moves"), rows) if bias else Table(heads, [row[:2] for row in rows])
 
 
 def provenance(document: Discrepancy, *more: tuple[str, str]) -> list[tuple[str, str]]:

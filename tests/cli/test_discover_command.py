@@ -65,7 +65,7 @@ class FakeCore:
 
     def prepare(self, source: Recording, engine: Any, options: Any, known: Any = None) -> Any:
         self.options = options
-        return SimpleNamespace(minimum_detectable=self.smallest)
+        return SimpleNamespace(minimum_detectable=self.smallest, health_bias={"boost_leak": {"h_tot": 0.011}})
 
     def discover(self, source: Recording, engine: Any, options: Any, known: Any = None, prepared: Any = None,
                  time_s: float | None = None, shown: Any = None) -> Discovery:  # fmt: skip

@@ -175,3 +175,23 @@ def minimum_detectable(scored: Sequence[Scored], gain: float) -> dict[str, float
         value = item.std * float(np.sqrt(gain))
         smallest[item.name] = min(value, smallest.get(item.name, np.inf))
     return smallest
+
+
+def taken_for(at: Linearisation, scored: Sequence[Scored], gain: float) -> dict[str, Array]:
+    """What each effect of its smallest visible size, left out, moves the parameters of a fit by, (P,) [unit each].
+
+    To first order: the effect's response along the parameters' directions, as far as their priors let them go. An
+    effect that falls as well as rises is taken to rise.
+
+    Args:
+        at: the fit; scored: effects at it.
+        gain: as of `minimum_detectable`.
+    """
+    rows, std = at.projected.shape[1], np.array([p.prior_std for p in at.twin.parameters])
+    moved: dict[str, Array] = {}
+    for name, size in minimum_detectable(scored, gain).items():
+        item = min((each for each in scored if each.name == name), key=lambda each: each.std)
+        falls = at.twin.hypotheses[name].limits[1] <= 0.0
+        # `without_parameters` left what each parameter moves by beside its prior
+        moved[name] = (size if falls else -size) * item.projected[rows : rows + std.size] * std
+    return moved

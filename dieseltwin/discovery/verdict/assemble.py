@@ -44,6 +44,7 @@ from dieseltwin.discovery.verdict.over_recordings import (
     judged,
     onset_of,
     told_apart,
+    unseen_bias,
     with_words,
 )
 from dieseltwin.discovery.verdict.reasons import candidate_rows
@@ -111,7 +112,7 @@ def assemble(
             more_is_missing=found.more_is_missing(), too_small=findings.too_small(found),
             health=health_values(found, (parameters, covariance), since),
             fit=figures,
-            minimum_detectable=finite_only(smallest),
+            minimum_detectable=finite_only(smallest), health_bias=unseen_bias(found),
             provenance=Provenance(code_version=__version__, params_sha256=_options_hash(options)), reference=reference,
             out_of_time=OutOfTime(limit_s=time_s or 0.0, unfinished=found.unfinished) if found.unfinished else None,
             recordings=judged(found, days, (parameters, covariance), since, sizes),

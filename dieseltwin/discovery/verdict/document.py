@@ -261,7 +261,9 @@ class Discrepancy(FrozenModel):
 
     `out_of_time`: the search was ended before it was through; None where it was. `more_is_missing`: what the effects
     leave is beyond noise and tolerances; something else is left out as well. `too_small`: of a healthy one, the name
-    that explains what differs by more than chance, and is smaller than what is of interest.
+    that explains what differs by more than chance, and is smaller than what is of interest. `health_bias`: what an
+    effect of its `minimum_detectable` size, unseen, would move health by: effect -> health parameter -> its relative
+    change [-].
     """
 
     schema_version: Literal[1] = Field(1, alias="schema")
@@ -275,6 +277,7 @@ class Discrepancy(FrozenModel):
     fit: Fit
     minimum_detectable: dict[Name, NotNegative]
     provenance: Provenance
+    health_bias: dict[Name, dict[Name, float]] = _where_told({})
     too_small: FoundEffect | None = _where_told()
     reference: Reference | None = _where_told()
     circumstances: tuple[FoundCircumstance, ...] = _where_told(())

@@ -12,8 +12,10 @@ import numpy as np
 
 from dieseltwin.discovery.verdict.curves import Discovery
 from dieseltwin.discovery.verdict.document import FILE_NAME, NONE_OF_THESE, load_discrepancy
+from dieseltwin.discovery.verdict.unseen import most_first
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
+from dieseltwin.notes import listing
 from dieseltwin.sealed import opened_json
 from dieseltwin.settings.strict import unknown_name
 
@@ -149,6 +151,8 @@ def explain(name: str, folder: str | Path, catalogue: Mapping[str, Known] = EFFE
         f"smallest size that this recording could show: {_value(smallest, effect.unit)} "
         f"(tolerance {_value(effect.tolerance, effect.unit)})"
     )
+    if moved := [f"{each} by {100 * change:+.2g} %" for each, change in most_first(document.health_bias, name)]:
+        lines.append(f"of that size and unseen it would move {listing(moved)}")
     candidates = {entry["name"]: entry for entry in details["candidates"]}
     entry = candidates.get(name)
     if name in details["options"].get("withhold", ()):

@@ -19,6 +19,7 @@ from dieseltwin.discovery.verdict.document import (
     SinceReference,
     SizeValue,
 )
+from dieseltwin.discovery.verdict.unseen import health_bias
 from dieseltwin.engine import HEALTH
 from dieseltwin.recordings.dates import ORDER, Dated
 
@@ -33,6 +34,13 @@ def health_places(twin: Twin, r: int = -1) -> list[int]:
     if isinstance(twin, SeveralTwin):
         return [names.index(f"{name}:{r % len(twin.parts)}") for name in HEALTH]
     return [names.index(name) for name in HEALTH]
+
+
+def unseen_bias(found: Search) -> dict[str, dict[str, float]]:
+    """What an effect of its smallest visible size, unseen, would move health by; of several recordings the last's."""
+    at = found.null.fit.parameters
+    places = zip(HEALTH, health_places(found.twin), strict=True)
+    return health_bias(found, {name: (place, float(at[place])) for name, place in places})
 
 
 @dataclass(frozen=True)

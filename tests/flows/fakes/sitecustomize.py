@@ -92,7 +92,8 @@ def _module(name: str, **content: Any) -> None:
 def _prepare(recording: Any, engine: Any, options: Any = None, known: Any = None) -> Any:
     from dieseltwin.engine.effects import EFFECTS
 
-    return types.SimpleNamespace(minimum_detectable={name: 0.5 * effect.tolerance for name, effect in EFFECTS.items()})
+    smallest = {name: 0.5 * effect.tolerance for name, effect in EFFECTS.items()}
+    return types.SimpleNamespace(minimum_detectable=smallest, health_bias={})
 
 
 class Options:
