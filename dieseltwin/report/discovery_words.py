@@ -250,9 +250,9 @@ def _may_sit_elsewhere(document: Discrepancy) -> bool:
     return document.more_is_missing and any(not effect.named and effect.law for effect in document.effects)
 
 
-def _placed(effects: Sequence[FoundEffect], site: str) -> str:
-    """Named effects in one phrase; those of another site than the one named before say theirs."""
-    text = effect_words(effects[0])
+def _placed(effects: Sequence[FoundEffect], site: str, sure: str = "") -> str:
+    """Named effects in one phrase; those of another site than the first's say theirs. `sure` follows the first."""
+    text = f"{effect_words(effects[0])} {sure}".rstrip()
     for effect in effects[1:]:
         own = site_of(effect.name)
         place = " and" if own is None or own == site else f", and, in {site_words(own)},"
@@ -295,11 +295,10 @@ def _what_words(document: Discrepancy) -> str:
     named = [effect for effect in document.effects if effect.named]
     unnamed = [effect for effect in document.effects if not effect.named]
     off = is_sensor(location.site)
+    if not unnamed and off:  # the effect says which reading it is
+        return f"A sensor is off, physics is not what is missing: {_placed(named, location.site, f'({sure})')}"
     if not unnamed:
-        what = _placed(named, location.site)
-        if off:
-            return f"A sensor is off, physics is not what is missing: {where}, {what}"
-        return f"The twin leaves out, {where}, {what}"
+        return f"The twin leaves out, {where}, {_placed(named, location.site)}"
     law = unnamed[0].law
     found = f"the law found for it is {law}" if law else "no law for it could be resolved"
     beside = f", and beside it {_placed(named, location.site)}" if named else ""

@@ -99,8 +99,8 @@ def test_sensor_fault_is_not_missing_physics() -> None:
     location = {**synthetic.LOCATION, "site": "sensor:p_im_pa", "probability": 0.999, "alternatives": []}
     text = sentence(synthetic.document(location=location, effects=[OFFSET]))
     assert text.startswith(
-        "A sensor is off, physics is not what is missing: in the reading p_im_pa (more than 99 % sure), "
-        "an offset of the p_im reading of −1.250 ± 0.060 kPa"
+        "A sensor is off, physics is not what is missing: an offset of the p_im reading of −1.250 ± 0.060 kPa "
+        "(more than 99 % sure), from the start; "
     )
     assert "no other effect of the catalogue explains the recording as well" in text
 
