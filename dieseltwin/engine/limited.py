@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from dieseltwin.engine.courses import course
+from dieseltwin.settings.strict import where_told
 
 Region = dict[str, tuple[float, float]]
 """Input column -> (low, high): where a term acts."""
@@ -31,12 +32,9 @@ class Limited(BaseModel):
     std: float | None = Field(None, ge=0, description="standard deviation of the magnitude [its unit]")
     onset_s: float | None = Field(None, description="acts from this time of the recording on [s]; None: always")
     # Files leave these two out where they say nothing: most terms don't need them.
-    until_s: float | None = Field(
-        None, description="and before this time [s]; None: to the end", exclude_if=lambda end: end is None
-    )
-    grown_s: float | None = Field(
-        None, description="grows evenly from the onset to its magnitude at this time [s] and keeps it; None: at once",
-        exclude_if=lambda end: end is None,
+    until_s: float | None = where_told(description="and before this time [s]; None: to the end")
+    grown_s: float | None = where_told(
+        description="grows evenly from the onset to its magnitude at this time [s] and keeps it; None: at once"
     )
     region: Region | None = Field(None, description="acts only inside these ranges of input columns; None: everywhere")
     valid_for: str | None = Field(None, description="domain of the data behind it, in words")

@@ -14,7 +14,7 @@ from dieseltwin.atomic import write_text
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.recording import Geometry
 from dieseltwin.sealed import sealed_text
-from dieseltwin.settings.strict import StrictModel, read_mapping, validate
+from dieseltwin.settings.strict import StrictModel, read_mapping, validate, where_told
 
 Array = NDArray[np.float64]
 KIND = "petrol"
@@ -134,8 +134,8 @@ class PetrolTerm(StrictModel):
     magnitude: float
     std: float | None = Field(None, ge=0)
     onset_s: float | None = None
-    until_s: float | None = Field(None, exclude_if=lambda end: end is None)
-    grown_s: float | None = Field(None, exclude_if=lambda end: end is None)
+    until_s: float | None = where_told()
+    grown_s: float | None = where_told()
     found_in: str = ""
     valid_for: str = ""
 

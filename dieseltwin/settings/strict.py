@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from dieseltwin.errors import InputError
 from dieseltwin.paths import refuse_unreadable
@@ -18,8 +18,13 @@ from dieseltwin.settings.plain_yaml import plain_yaml
 
 __all__ = [
     "FrozenModel", "LISTED_NAMES", "StrictModel", "did_you_mean", "holds_boolean", "listed", "overridden",
-    "read_mapping", "read_profile", "refuse_options", "unknown_name", "validate",
+    "read_mapping", "read_profile", "refuse_options", "unknown_name", "validate", "where_told",
 ]  # fmt: skip
+
+
+def where_told(usual: Any = None, **more: Any) -> Any:
+    """A field that stands in the file only where it says something else than usual; `more` as of pydantic's `Field`."""
+    return Field(default=usual, exclude_if=lambda value: value == usual, **more)
 
 
 class FrozenModel(BaseModel):

@@ -19,7 +19,7 @@ from dieseltwin.atomic import write_json
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
 from dieseltwin.sealed import opened_json, sealed_json
-from dieseltwin.settings.strict import FrozenModel
+from dieseltwin.settings.strict import FrozenModel, where_told
 
 SCHEMA = 1
 NOTED_CHI2 = 4.0  # per sample of the repaired fit, twice the noise: worth a warning
@@ -32,11 +32,6 @@ Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Name = Annotated[str, Field(min_length=1)]
 Range = tuple[float, float]
-
-
-def _where_told(usual: Any = None) -> Any:
-    """A field that stands in the file only where it says something else than usual."""
-    return Field(default=usual, exclude_if=lambda value: value == usual)
 
 
 class RecordingInfo(FrozenModel):
@@ -86,8 +81,8 @@ class Location(FrozenModel):
     alternatives: tuple[Alternative, ...] = ()
     regions: tuple[FoundRegion, ...] = ()
     onset_s: float | None = None
-    until_s: float | None = _where_told()
-    grows: bool = _where_told(False)
+    until_s: float | None = where_told()
+    grows: bool = where_told(False)
     onset_date: str | None = None
     onset_after: str | None = None
 
@@ -158,7 +153,7 @@ class HealthValue(FrozenModel):
     value: float
     std: NotNegative | None
     before: float
-    since_reference: SinceReference | None = _where_told()
+    since_reference: SinceReference | None = where_told()
 
 
 class Reference(FrozenModel):
@@ -277,13 +272,13 @@ class Discrepancy(FrozenModel):
     fit: Fit
     minimum_detectable: dict[Name, NotNegative]
     provenance: Provenance
-    health_bias: dict[Name, dict[Name, float]] = _where_told({})
-    too_small: FoundEffect | None = _where_told()
-    reference: Reference | None = _where_told()
-    circumstances: tuple[FoundCircumstance, ...] = _where_told(())
-    recordings: tuple[JudgedRecording, ...] = _where_told(())
+    health_bias: dict[Name, dict[Name, float]] = where_told({})
+    too_small: FoundEffect | None = where_told()
+    reference: Reference | None = where_told()
+    circumstances: tuple[FoundCircumstance, ...] = where_told(())
+    recordings: tuple[JudgedRecording, ...] = where_told(())
     warnings: tuple[Doubt, ...] = ()
-    out_of_time: OutOfTime | None = _where_told()
+    out_of_time: OutOfTime | None = where_told()
 
     @model_validator(mode="after")
     def _consistent(self) -> Discrepancy:
