@@ -140,7 +140,12 @@ def _check_positions(columns: Mapping[str, np.ndarray], where: str) -> None:
     }
     fractions = [name for name, value in largest.items() if value <= FRACTION]
     if fractions == ["u_egr_pct"] and not _egr_flows(columns):
-        return  # the EGR valve is really shut all the time
+        fractions = []  # the EGR valve is really shut all the time
+    for name in (name for name in OPTIONAL_INPUTS if name in columns):
+        there = columns[name][np.isfinite(columns[name])]
+        if there.size and there.min() < there.max() <= FRACTION:  # one that stands still may have nothing to say
+            largest[name] = float(there.max())
+            fractions.insert(0, name)
     if not fractions:
         return
     name = fractions[-1]  # u_vgt has no shut position, so it is the sure sign
