@@ -262,7 +262,7 @@ def contradictions(points: SteadyPoints, left: Array) -> list[Note]:
         return []
     worst = points.row[np.argsort(-left, kind="stable")[: min(NAMED_ROWS, int(off.sum()))]]
     rows = listing([str(row) for row in np.sort(worst)])
-    which = f"data row{'s' if off.sum() > 1 else ''} {rows}" if off.sum() <= NAMED_ROWS else f"worst in data rows {rows}"
+    which = f"{'worst in ' if off.sum() > NAMED_ROWS else ''}data row{'s' if off.sum() > 1 else ''} {rows}"
     return [Note(f"at {off.sum()} of {counted(points.size, 'point')} the readings contradict the engine by more than "
                  f"{FAR_OFF:g} deviations ({which}): what is implied there is worth nothing; check units and columns, "
                  "or leave the wrong reading out", "misfit")]  # fmt: skip

@@ -149,9 +149,14 @@ def _check_positions(columns: Mapping[str, np.ndarray], where: str) -> None:
     if not fractions:
         return
     name = fractions[-1]  # u_vgt has no shut position, so it is the sure sign
-    raise InputError(
+    raise as_fraction(name, largest[name], where)
+
+
+def as_fraction(name: str, largest: float, where: str) -> InputError:
+    """What is said of a position in % whose largest value is that of a fraction."""
+    return InputError(
         f"{where}: column {name}",
-        f"no value above {largest[name]:.3g} (looks like a fraction)",
+        f"no value above {largest:.3g} (looks like a fraction)",
         "positions in %, 0 to 100",
         "multiply by 100 or give unit: fraction in a channel map (--channels)",
     )

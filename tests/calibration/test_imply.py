@@ -100,7 +100,8 @@ def test_files_answer_for_inputs_alone(mended: PointsDiscovery, data: SteadyPoin
         imply(file, engine)
 
 
-def test_readings_that_contradict_the_engine_are_said(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
+def test_readings_that_contradict_the_engine_are_said(mended: PointsDiscovery, data: SteadyPoints,
+                                                      tmp_path: Path) -> None:  # fmt: skip
     engine = tmp_path / "repaired.yaml"
     write_repaired(mended, engine)
     kilo = np.where(data.row == 21, data["p_im_pa"] / 1e3, data["p_im_pa"])
