@@ -154,14 +154,16 @@ def _learn_diesel(
     others = _siblings(siblings, base, size, own)
     prior = None
     if others:
-        beliefs = [(one.believed, one.belief) for one in others]
-        rough = float(np.mean([one.further.rough for one in others]))
-        further = Further(rough, float(np.mean([one.further.of_ratio for one in others])))
+        beliefs = [(one.believed, one.belief) for one in others.values()]
+        rough = float(np.mean([one.further.rough for one in others.values()]))
+        further = Further(rough, float(np.mean([one.further.of_ratio for one in others.values()])))
         prior = belief_from_siblings(beliefs, base, size, settings.type_share, further)
     known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in sources:
         _check_misfit(known, source, settings.misfit_max)
     known = replace(known, suspected=(*_far_off(known), *_suspected(found)))
+    notes += [f"note: --siblings {name}: {doubt}; what the type has in common is learned from it all the same, "
+              "so leave it out if it wasn't well" for name, one in others.items() for doubt in one.doubts]  # fmt: skip
     return LearnedResult(known, found, (*notes, *(f"note: {doubt}" for doubt in known.doubts)))
 
 
@@ -179,13 +181,13 @@ def known_engine(
 
 def _siblings(
     siblings: Sequence[str | Path], base: EngineParameters, map_rms: float, own: AbstractSet[str]
-) -> list[LearnedEngine]:
-    """Every engine of the type, each once, in an order of its own.
+) -> dict[str, LearnedEngine]:
+    """File -> engine of the type, each engine once, in an order of its own.
 
     Args:
         own: hashes of the new engine's recordings, on which no sibling may rest.
     """
-    found: dict[str, LearnedEngine] = {}
+    found: dict[str, tuple[str, LearnedEngine]] = {}
     for name in siblings:
         one = learned_engine_of(name)
         if one is None:
@@ -200,8 +202,8 @@ def _siblings(
         if _maps_of(one.base) != _maps_of(base):
             raise InputError(f"--siblings {name}", "learned from another base engine", "the base of the new engine",
                              "name the same --engine")
-        found["".join(item.sha256 for item in one.recordings)] = one
-    return [found[key] for key in sorted(found)]
+        found["".join(item.sha256 for item in one.recordings)] = str(name), one
+    return dict(found[key] for key in sorted(found))
 
 
 def _maps_of(engine: EngineParameters) -> EngineParameters:

@@ -20,7 +20,7 @@ from dieseltwin.atomic import atomic_folder, check_writable, write_json
 from dieseltwin.calibration.calibrate import Calibration, read_geometry
 from dieseltwin.calibration.calibrate import calibrate as calibrated
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
-from dieseltwin.calibration.imply import Answers
+from dieseltwin.calibration.imply import Answers, contradictions
 from dieseltwin.calibration.likelihood import NOISE
 from dieseltwin.calibration.saved import (
     answers_of,
@@ -364,7 +364,8 @@ def imply(
         raise InputError(f"{source.path or 'points'}: column u_flap_pct", "none",
                          "this column: the engine has an exhaust flap", "add the flap's position")
     straight = source.with_columns(**{column: 100.0 - source[column] for column in turned})
-    notes = outside(source, answers.first.guess.centre, answers.first.guess.spread)
+    notes = [*contradictions(straight, answers.first.misfit(straight)),
+             *outside(source, answers.first.guess.centre, answers.first.guess.spread)]  # fmt: skip
     decided = [f"{column} ({100 * share:.0f} %)" for column, share in answers.disagreement(straight).items()
                if share > DECIDED]
     if decided:

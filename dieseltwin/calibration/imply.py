@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from dieseltwin.calibration.likelihood import NOISE, STEEPEST
 from dieseltwin.calibration.local_errors import Foretold, LocalErrors
+from dieseltwin.calibration.outlying import FAR_OFF
 from dieseltwin.calibration.steady_model import IMPLIED, SteadyModel
+from dieseltwin.notes import Note, counted, listing
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints
 
@@ -49,6 +51,7 @@ STEP = 5e-4
 GUESS_FACTOR, GUESS_LEAST = 1.5, 0.03  # spread of a state known from the regression on the inputs alone [-]
 _NO_VARIANCE = 1e-300
 LARGEST = 0.15  # of ln x in one iteration
+NAMED_ROWS = 5  # data rows that a note names
 
 
 @dataclass(frozen=True)
@@ -122,24 +125,9 @@ class Answerer:
 
         Each has its standard deviation beside it, `<column>_std`, in its own unit.
         """
-        model = replace(self.model, extra=())
-        measured = points.states()
-        known = np.isfinite(measured)
-        first = self.guess.states(points)
-        centre = np.log(np.where(known, measured, first))
-        sigma = np.array([self.noise.get(name, NOISE[name]) for name in STATES])
-        prior = np.where(known, sigma, np.maximum(GUESS_FACTOR * self.guess.residual, GUESS_LEAST))
-        foretold = None if self.local is None else self.local.at(points)
-        if foretold is None:
-            S = np.broadcast_to([POINT_ERROR * self.discrepancy.get(row, 0.03) for row in model.rows],
-                                (points.size, len(model.rows)))  # fmt: skip
-        else:
-            S = np.sqrt(foretold.variance + (POINT_ERROR * foretold.own) ** 2)
-        here = _Balances(model, points, foretold)
-        deviations = self._deviations(model, points, np.exp(centre))
-        variance = np.concatenate([prior**2, deviations**2], axis=1)
-        y0 = np.concatenate([centre, np.zeros((points.size, len(LOCAL)))], axis=1)
-        y, gain, posterior = here.solve(self.values, y0, variance, S)
+        at = self._solved(points)
+        here, y, gain, posterior, engine = at.here, at.y, at.gain, at.posterior, self.model.engine
+        known = np.isfinite(points.states())
         lanes, unit = self._lanes()
         r = here.residual(y, lanes)
         d_r = (r[1:] - r[:1]) / unit[..., None]  # (P, n, R) per standard deviation
@@ -158,13 +146,42 @@ class Answerer:
             within = np.einsum("ni,nij,nj->n", slopes[name], posterior, slopes[name])
             out[f"{column}_std"] = np.sqrt(between + np.maximum(within, 0.0))
         x = np.exp(y[:, :6])
-        rise = (x[:, STATES.index("t_em_k")] - out["t_c_k"]) / (x[:, STATES.index("w_c_kg_s")] * model.engine.c_pa)
+        rise = (x[:, STATES.index("t_em_k")] - out["t_c_k"]) / (x[:, STATES.index("w_c_kg_s")] * engine.c_pa)
         out["t_c_k"] = out["t_c_k"] + SOAK_W_K * rise
         out["t_c_k_std"] = np.sqrt(out["t_c_k_std"] ** 2 + (SOAK_STD_W_K * rise) ** 2 + T_C_STD_K**2)
-        colder = (x[:, STATES.index("t_em_k")] - points["t_amb_k"]) / (out["w_t_kg_s"] * model.engine.c_pe)
+        colder = (x[:, STATES.index("t_em_k")] - points["t_amb_k"]) / (out["w_t_kg_s"] * engine.c_pe)
         out["t_es_k"] = out["t_es_k"] - LOSS_W_K * colder
         out["t_es_k_std"] = np.sqrt(out["t_es_k_std"] ** 2 + (LOSS_STD_W_K * colder) ** 2)
         return pd.DataFrame(out)
+
+    def misfit(self, points: SteadyPoints) -> Array:
+        """How far the readings of each of n points contradict the engine, (n,): the sum of squared deviations that the
+        most likely state leaves of the readings, the laws and the balances [-], a chi-square of as many as balances."""
+        return self._solved(points).left
+
+    def _solved(self, points: SteadyPoints) -> _Solved:
+        """The most likely unknowns of n points, from whatever was measured there."""
+        model = replace(self.model, extra=())
+        measured = points.states()
+        known = np.isfinite(measured)
+        first = self.guess.states(points)
+        centre = np.log(np.where(known, measured, first))
+        sigma = np.array([self.noise.get(name, NOISE[name]) for name in STATES])
+        prior = np.where(known, sigma, np.maximum(GUESS_FACTOR * self.guess.residual, GUESS_LEAST))
+        foretold = None if self.local is None else self.local.at(points)
+        if foretold is None:
+            S = np.broadcast_to([POINT_ERROR * self.discrepancy.get(row, 0.03) for row in model.rows],
+                                (points.size, len(model.rows)))  # fmt: skip
+        else:
+            S = np.sqrt(foretold.variance + (POINT_ERROR * foretold.own) ** 2)
+        here = _Balances(model, points, foretold)
+        deviations = self._deviations(model, points, np.exp(centre))
+        variance = np.concatenate([prior**2, deviations**2], axis=1)
+        y0 = np.concatenate([centre, np.zeros((points.size, len(LOCAL)))], axis=1)
+        y, gain, posterior = here.solve(self.values, y0, variance, S)
+        r = here.residual(y, self.values)
+        left = np.sum((y - y0) ** 2 / variance, axis=1) + np.sum((r[0] / S) ** 2, axis=1)
+        return _Solved(here, y, gain, posterior, left)
 
     def _correlation(self) -> Array:
         spread = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
@@ -232,6 +249,25 @@ class Answers:
         return out
 
 
+def contradictions(points: SteadyPoints, left: Array) -> list[Note]:
+    """One line if readings contradict the engine, as a wrong unit, swapped columns or a dead sensor do.
+
+    Args:
+        points: n settled points.
+        left: (n,) squared deviations, as `Answerer.misfit` gives them.
+    """
+    left = np.where(np.isfinite(left), left, np.inf)  # so far off that no law has a number there
+    off = left > FAR_OFF**2
+    if not off.any():
+        return []
+    worst = points.row[np.argsort(-left, kind="stable")[: min(NAMED_ROWS, int(off.sum()))]]
+    rows = listing([str(row) for row in np.sort(worst)])
+    which = f"{'worst in ' if off.sum() > NAMED_ROWS else ''}data row{'s' if off.sum() > 1 else ''} {rows}"
+    return [Note(f"at {off.sum()} of {counted(points.size, 'point')} the readings contradict the engine by more than "
+                 f"{FAR_OFF:g} deviations ({which}): what is implied there is worth nothing; check units and columns, "
+                 "or leave the wrong reading out", "misfit")]  # fmt: skip
+
+
 @dataclass(frozen=True)
 class _Balances:
     """Balances and quantities of n points at unknowns y (..., n, 10): ln of the states, then `LOCAL`."""
@@ -288,6 +324,18 @@ class _Balances:
 
     def _at(self, y: Array) -> SteadyModel:
         return replace(self.model, signals={name: y[..., 6 + i] for i, name in enumerate(LOCAL)})
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Most likely unknowns y (n, 10), with gain and covariance as `_Balances.solve` gives them, and what they leave:
+    sum of squared deviations (n,) of readings, laws and balances [-]."""
+
+    here: _Balances
+    y: Array
+    gain: Array
+    posterior: Array
+    left: Array
 
 
 def _shifts(*parts: Array) -> Array:

@@ -20,6 +20,7 @@ from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, stora
 from dieseltwin.recordings.channels import ChannelMap
 from dieseltwin.recordings.derived import STAND_IN_PA
 from dieseltwin.recordings.named_columns import Imported, columns_sha256, named_columns
+from dieseltwin.recordings.plausibility import FRACTION, as_fraction
 from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping, share_known
 from dieseltwin.settings.strict import listed
 
@@ -145,6 +146,8 @@ def read_petrol(
         if not low <= middle <= high:
             raise InputError(f"{path}: column {column}", f"median {middle:.4g}", f"{low:g} to {high:g} {unit}",
                              f"convert to {unit}")
+    if (widest := float(values["alpha_th_pct"].max())) <= FRACTION:
+        raise as_fraction("alpha_th_pct", widest, path)
     if time[-1] - time[0] < FEWEST_BLOCKS:
         raise InputError(path, f"{time[-1] - time[0]:.0f} s", f"at least {FEWEST_BLOCKS} s", "record longer")
     signals = Signals(time - time[0], values["p_ic_pa"], values["t_ic_k"], values["p_im_pa"], values["w_af_kg_s"],

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, TwinDefaults, joined
+from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
@@ -49,6 +50,7 @@ NEIGHBOURS = 7  # blocks
 MAD_TO_STD = 1.4826  # of a Gaussian
 KEPT_SPREAD = 1.206  # standard deviation of Student's t with 4 degrees of freedom within OUTLIER scales, in scales
 LEAST_DIRECTION = 0.1  # whitened length of a direction of the maps that is still carried [-]
+MAP_BALANCES = ("cylinder", "throttle")  # the others only compare sensors now and then
 POINTS = (
     Point("eta_vol", "cylinder_flow", True, "-", ("omega_e", "p_im")),
     Point("A_th", "throttle_flow", True, "-", ("alpha", "Pi_th")),
@@ -88,6 +90,7 @@ class PetrolTwin(TwinDefaults):
         raw = self.blocks
         self.plain = self._misfits(raw.W_af, raw.W_af, raw.boost - engine.boost_level, raw.cooler)
         self._sigma = self._scatter()
+        self._refuse_nothing_to_judge()
         self.measured = np.where(np.isfinite(self._sigma), self.plain, np.nan)
         self._directions = np.stack([self._parameter_direction(p.name) for p in self.parameters])
 
@@ -109,10 +112,26 @@ class PetrolTwin(TwinDefaults):
         out = np.stack([np.where(said[name], scales[name], np.inf) for name in self.channels], axis=1)
         for j in range(out.shape[1]):
             known = np.flatnonzero(np.isfinite(out[:, j]))
+            if not known.size:  # its reading stands still all the time, or all of its driving is beyond the learned
+                continue
             values = self.plain[known, j]
             lone = _off_both_sides(values) > OUTLIER * out[known, j]
             out[known, j] = np.where(lone, np.inf, np.fmax(out[known, j], _local_spread(values)))
         return np.asarray(KEPT_SPREAD * out)
+
+    def _refuse_nothing_to_judge(self) -> None:
+        """A balance without a second that counts can't be asked anything."""
+        mute = [name for name, sigma in zip(self.channels, self._sigma.T, strict=True)
+                if name in MAP_BALANCES and not np.isfinite(sigma).any()]  # fmt: skip
+        if not mute:
+            return
+        still = [column for column, held in self._still().items() if held[self.grid.kept].all()]
+        if still:
+            raise InputError(f"recording: column {listed(still)}", "the same reading all the time",
+                             "a reading that follows the engine", "mend this channel")  # fmt: skip
+        raise InputError("recording", f"no second of the {listed(mute)} balance that can be judged",
+                         "driving like that which the engine was learned from",
+                         "learn it from driving that goes as far, or check the channels' units")  # fmt: skip
 
     def unlearned(self, balance: str) -> NDArray[np.bool_]:
         """(n,) whether a balance's map would have to be carried on too far beyond what was learned to say anything."""
@@ -126,12 +145,16 @@ class PetrolTwin(TwinDefaults):
         return [Note(f"{lost} lie too far beyond the driving that the engine was learned from, and aren't judged; "
                      "learn it from driving that goes as far", "extrapolated")] if lost else []  # fmt: skip
 
+    def _still(self) -> dict[str, NDArray[np.bool_]]:
+        """Column -> (n,) whether its reading stands still there."""
+        s = self.signals
+        return {column: self.grid.mean(standstills(s.time_s, values, s.omega_e)) > 0.0
+                for column, values in (("p_im_pa", s.p_im), ("p_ic_pa", s.p_ic), ("w_af_kg_s", s.W_af))}  # fmt: skip
+
     def _stuck(self) -> dict[str, NDArray[np.bool_]]:
         """Balance -> (n,) whether a reading that it is made of stands still there: it says nothing of the engine."""
-        s, grid = self.signals, self.grid
-        still = {column: grid.mean(standstills(s.time_s, values, s.omega_e)) > 0.0
-                 for column, values in (("p_im_pa", s.p_im), ("p_ic_pa", s.p_ic), ("w_af_kg_s", s.W_af))}  # fmt: skip
-        none = np.zeros(len(grid.mid_s), dtype=np.bool_)
+        still = self._still()
+        none = np.zeros(len(self.grid.mid_s), dtype=np.bool_)
         return {name: np.any([none, *(still[c] for c in NEEDS[name] if c in still)], axis=0) for name in self.channels}
 
     def _maps_at(self, b: Blocks) -> dict[str, Array]:

@@ -140,13 +140,23 @@ def _check_positions(columns: Mapping[str, np.ndarray], where: str) -> None:
     }
     fractions = [name for name, value in largest.items() if value <= FRACTION]
     if fractions == ["u_egr_pct"] and not _egr_flows(columns):
-        return  # the EGR valve is really shut all the time
+        fractions = []  # the EGR valve is really shut all the time
+    for name in (name for name in OPTIONAL_INPUTS if name in columns):
+        there = columns[name][np.isfinite(columns[name])]
+        if there.size and there.min() < there.max() <= FRACTION:  # one that stands still may have nothing to say
+            largest[name] = float(there.max())
+            fractions.insert(0, name)
     if not fractions:
         return
     name = fractions[-1]  # u_vgt has no shut position, so it is the sure sign
-    raise InputError(
+    raise as_fraction(name, largest[name], where)
+
+
+def as_fraction(name: str, largest: float, where: str) -> InputError:
+    """What is said of a position in % whose largest value is that of a fraction."""
+    return InputError(
         f"{where}: column {name}",
-        f"no value above {largest[name]:.3g} (looks like a fraction)",
+        f"no value above {largest:.3g} (looks like a fraction)",
         "positions in %, 0 to 100",
         "multiply by 100 or give unit: fraction in a channel map (--channels)",
     )

@@ -20,7 +20,7 @@ from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import counted
-from dieseltwin.recordings.channels import INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
+from dieseltwin.recordings.channels import INPUTS, OPTIONAL_INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.plausibility import check_plausible, mask_wild
@@ -116,7 +116,8 @@ def points(
 ) -> SteadyPoints:
     """Validate columns with our names and units. Ambient columns that are missing take the engine's values.
 
-    Rows without inputs are dropped (`row` keeps the numbers).
+    Rows without inputs are dropped (`row` keeps the numbers), those of optional inputs too where most rows have them;
+    an optional input that most rows lack is left out itself.
 
     Raises:
         InputError: a needed column is missing or holds text, or no row is left, or a unit is implausible.
@@ -149,7 +150,13 @@ def points(
     for name, value in (("p_amb_pa", engine.p_amb), ("t_amb_k", engine.T_amb)):
         columns[name] = np.where(np.isnan(columns[name]), value, columns[name]) if name in columns \
             else np.full(size, value)
-    whole = np.all([np.isfinite(columns[name]) for name in INPUTS], axis=0) & (columns["n_e_rpm"] > 0.0)
+    for name in (name for name in OPTIONAL_INPUTS if name in columns):
+        lacking = int(np.count_nonzero(np.isnan(columns[name])))
+        if 2 * lacking > size:
+            del columns[name]
+            notes.append(f"{name} is missing in {lacking} of {size} rows and is left out")
+    inputs = [*INPUTS, *(name for name in OPTIONAL_INPUTS if name in columns)]
+    whole = np.all([np.isfinite(columns[name]) for name in inputs], axis=0) & (columns["n_e_rpm"] > 0.0)
     if not whole.any():
         raise InputError(where, "no row with all inputs", "rows with n_e, u_delta, u_egr and u_vgt", "check the file")
     columns = {name: np.ascontiguousarray(values[whole]) for name, values in columns.items()}

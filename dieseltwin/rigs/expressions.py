@@ -76,8 +76,10 @@ def _checked(formula: str) -> ast.Expression:
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise ValueError(f"{formula!r} is no formula") from None
     for node in ast.walk(tree):
+        if isinstance(node, ast.BitXor):
+            raise ValueError(f"a power is written **, not ^, in {formula!r}")
         if not isinstance(node, _NODES):
-            raise ValueError(f"{formula!r}: {type(node).__name__} is no arithmetic")
+            raise ValueError(f"{type(node).__name__} is no arithmetic, in {formula!r}")
         if isinstance(node, ast.Constant) and type(node.value) not in (int, float):
             raise ValueError(f"{formula!r}: {node.value!r} is no number")
         if isinstance(node, ast.Call) and (node.keywords or not isinstance(node.func, ast.Name)):

@@ -155,7 +155,11 @@ class RigParameters(StrictModel):
 
     @staticmethod
     def _check(name: str, formula: str, known: list[str]) -> None:
-        for used in names_in(formula):
+        try:
+            names = names_in(formula)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        for used in names:
             if used not in known:
                 raise ValueError(f"{name}: unknown name {used!r}; {did_you_mean(used, known)}")
 

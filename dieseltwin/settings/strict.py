@@ -141,6 +141,8 @@ def validate(model: type[Model], values: Mapping[str, Any], where: str) -> Model
     if problem["type"] == "missing":
         raise InputError(place, "nothing", "a value is needed", "add this key")
     allowed = problem["msg"].removeprefix("Value error, ").replace("Input should be ", "")
+    if not location:  # of the whole, whose text would leave no room for what is wrong
+        raise InputError(where, "values that don't go together", allowed, "change one of them")
     raise InputError(place, repr(problem["input"]), allowed, "change this value")
 
 

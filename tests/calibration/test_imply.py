@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,6 +98,24 @@ def test_files_answer_for_inputs_alone(mended: PointsDiscovery, data: SteadyPoin
     pd.DataFrame({name: data[name] for name in INPUTS}).to_csv(file, index=False)
     with pytest.raises(InputError, match="u_flap_pct"):
         imply(file, engine)
+
+
+def test_readings_that_contradict_the_engine_are_said(mended: PointsDiscovery, data: SteadyPoints,
+                                                      tmp_path: Path) -> None:  # fmt: skip
+    engine = tmp_path / "repaired.yaml"
+    write_repaired(mended, engine)
+    row = int(data.row[20])
+    kilo = np.where(data.row == row, data["p_im_pa"] / 1e3, data["p_im_pa"])
+    cases: dict[str, tuple[SteadyPoints, str | None]] = {
+        "as they are": (data, None),
+        "one cell in kPa": (data.with_columns(p_im_pa=kilo), f"at 1 of 80 points .*[(]data row {row}[)]"),
+        "swapped": (data.with_columns(p_im_pa=data["p_em_pa"], p_em_pa=data["p_im_pa"]), "worst in data rows"),
+        "half the fuel": (data.with_columns(u_delta_mg=0.5 * data["u_delta_mg"]), "worst in data rows"),
+    }
+    for name, (points, said) in cases.items():
+        found = [note for note in imply(points, engine).notes if note.code == "misfit"]
+        assert len(found) == (said is not None), name
+        assert said is None or re.search(said, found[0]), name
 
 
 def test_points_near_by_foretell_where_a_map_is_off(mended: PointsDiscovery) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.challenge.sensors import SensorSet, read
 from dieseltwin.cli.app import main
 from dieseltwin.engine import we2011
-from dieseltwin.learning.files import load_learned
+from dieseltwin.learning.files import load_learned, save_learned
 
 pytestmark = pytest.mark.usefixtures("no_pictures")
 LABORATORY = we2011.PARAMETERS.model_dump()
@@ -142,8 +143,12 @@ def test_siblings_are_learned_engines(folder: Path, capsys: pytest.CaptureFixtur
     itself = ["learn", str(folder / "healthy.csv"), "--out", str(folder / "next.yaml"), "--siblings"]
     assert main([*itself, str(folder / "mine.yaml")]) == 2
     assert "of the new engine itself" in capsys.readouterr().err
-    assert main([*arguments, str(folder / "mine.yaml")]) == 0
-    capsys.readouterr()
+    known, doubted = load_learned(folder / "mine.yaml"), folder / "doubted.yaml"
+    assert known is not None
+    save_learned(replace(known, suspected=("the reference itself looks like a leak",)), doubted)
+    assert main([*arguments, str(doubted)]) == 0
+    said = capsys.readouterr()
+    assert f"--siblings {doubted}: the reference itself looks like a leak" in said.out + said.err
     assert main(["learn", str(folder / "next.csv"), "--engine", str(folder / "next.yaml"),
                  "--out", str(folder / "again.yaml")]) == 0  # fmt: skip
     assert (folder / "again.learned.parquet").read_bytes() == (folder / "next.learned.parquet").read_bytes()

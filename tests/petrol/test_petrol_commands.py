@@ -43,6 +43,7 @@ def _written(frame: pd.DataFrame, tmp_path: Path) -> Path:
         (lambda t: t.assign(p_im_Pa=t.p_im_Pa / 1e3), "p_im_pa.*convert to Pa"),
         (lambda t: t.assign(T_ic_K=t.T_ic_K - 273.15), "t_ic_k.*convert to K"),
         (lambda t: t.assign(W_af_kg_s=t.W_af_kg_s * 3600), "w_af_kg_s"),
+        (lambda t: t.assign(alpha_th_pct=t.alpha_th_pct / 100), "alpha_th_pct.*looks like a fraction"),
         (lambda t: t.iloc[::-1], "no rise at data row 2"),
         (lambda t: t.iloc[:300], "at least 60 s"),
     ],

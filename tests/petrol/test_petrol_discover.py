@@ -19,6 +19,7 @@ from dieseltwin.discovery.search.variants import redated
 from dieseltwin.discovery.twins.interface import Lanes
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Discrepancy
 from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.errors import InputError
 from dieseltwin.petrol.calibrate import fit_maps, pieces
 from dieseltwin.petrol.discover import discover_petrol, judge, next_single
 from dieseltwin.petrol.effects import HYPOTHESES
@@ -51,6 +52,26 @@ def test_planted_fault(engine: PetrolParameters, record: Recorder, fault: dict, 
     assert d.fit.held_out_nll_after is not None and d.fit.held_out_nll_before is not None
     assert d.fit.held_out_nll_after < d.fit.held_out_nll_before
     assert name in found.sentence and "-0.0 %" not in found.sentence
+
+
+@pytest.mark.parametrize(("column", "name"), [("W_af", "w_af_kg_s"), ("p_im", "p_im_pa")])
+def test_a_reading_that_never_moves_is_refused(engine: PetrolParameters, record: Recorder, column: str,
+                                               name: str) -> None:  # fmt: skip
+    signals = record(3).signals
+    dead = replace(signals, **{column: np.full_like(signals.p_im, np.median(getattr(signals, column)))})
+    with pytest.raises(InputError, match=f"column {name}: got the same reading"):
+        PetrolTwin(engine, dead)
+
+
+def test_driving_that_never_idles_is_judged(engine: PetrolParameters, record: Recorder) -> None:
+    whole = PetrolTwin(engine, record(3).signals)
+    at_idle = np.isfinite(whole.measured[:, whole.channels.index("boost")])
+    beside = np.convolve(at_idle, np.ones(9), "same") > 0.0
+    rows = ~beside[whole.grid.index]
+    driving = {name: values[rows] for name, values in vars(whole.signals).items() if values is not None}
+    twin, found = judge(engine, replace(whole.signals, **driving))
+    assert at_idle.any() and not np.isfinite(twin.measured[:, twin.channels.index("boost")]).any()
+    assert found.kind == "healthy"
 
 
 @pytest.mark.parametrize("seed", [3, 4])

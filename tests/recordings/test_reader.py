@@ -158,6 +158,7 @@ BAD = {
         lambda d: changed(d, u_egr_pct=d.u_egr_pct / 100, u_vgt_pct=d.u_vgt_pct / 100), ["u_vgt_pct", "fraction"]
     ),
     "one position as fraction": (lambda d: changed(d, u_egr_pct=d.u_egr_pct / 100), ["u_egr_pct", "fraction"]),
+    "flap as fraction": (lambda d: changed(d, u_flap_pct=np.linspace(0.1, 0.9, len(d))), ["u_flap_pct", "fraction"]),
     "turbo in rpm": (lambda d: changed(d, omega_t_rad_s=d.omega_t_rad_s * 30 / np.pi), ["omega_t_rad_s", "rpm"]),
     "flow in kg/h": (lambda d: changed(d, w_egr_kg_s=d.w_egr_kg_s * 3600), ["w_egr_kg_s", "kg/h"]),
     "all-NaN channel": (lambda d: changed(d, p_em_pa=np.nan), ["p_em_pa", "no value"]),

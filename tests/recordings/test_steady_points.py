@@ -74,3 +74,11 @@ def test_roughness_is_one_by_chance_and_nothing_on_a_line():
     assert roughness(np.random.default_rng(1).standard_normal(4000)) == pytest.approx(1.0, abs=0.05)
     assert roughness(np.arange(200.0)) < 1e-3
     assert roughness(np.ones(50)) == 1.0
+
+
+@pytest.mark.parametrize(("lacking", "rows", "kept"), [(5, 139, True), (100, 144, False)])
+def test_points_without_the_position_of_the_flap_are_left_out(lacking, rows, kept):
+    position = np.where(np.arange(144) < lacking, np.nan, 50.0)
+    found = read_points(grid().assign(u_flap_pct=position), needed=COLUMNS)
+    assert (found.size, "u_flap_pct" in found) == (rows, kept)
+    assert any("left out" in note for note in found.notes)

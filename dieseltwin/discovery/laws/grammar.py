@@ -26,9 +26,10 @@ Kind = Literal[
 
 _UNIT_OF_PREFIX = (
     ("omega", "rad/s"), ("eta", "-"), ("lambda", "-"), ("phi", "-"), ("Psi", "-"), ("Pi", "-"), ("n_", "1/min"),
-    ("u_", "%"), ("p_", "Pa"), ("T_", "K"), ("W_", "kg/s"), ("P_", "W"), ("A_", "m2"), ("M_", "N m"),
-    ("f_", "-"), ("x_", "-"),
+    ("u_delta", "mg/cycle"), ("u_", "%"), ("p_", "Pa"), ("T_", "K"), ("W_", "kg/s"), ("P_", "W"), ("A_", "m2"),
+    ("M_", "N m"), ("f_", "-"), ("x_", "-"),
 )  # fmt: skip
+_COMMANDS = ("%", "mg/cycle")  # units of what an actuator or an injector is told
 _POWERS = (0.5, 1.0, 1.5, 2.0, 3.0, -0.5, -1.0)
 _SIGNED_POWERS = (0.5, 1.0, 2.0)
 _THRESHOLD_QUANTILES = (0.05, 0.15, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95)
@@ -284,12 +285,12 @@ def operators(point: Point, unit: str) -> list[Factor]:
     """
     out: list[Factor] = []
     one = ((point.name,), (0.0 if point.relative else 1.0,))
-    if unit in ("%", "K") and point.timed:
+    if unit in (*_COMMANDS, "K") and point.timed:
         for kind, times in _TIMES.items():
-            if kind == "lag" or unit == "%":
+            if kind == "lag" or unit in _COMMANDS:
                 slow = _SLOW_LAGS if kind == "lag" and unit == "K" else ()
                 out += [Factor(kind, *one, t, (unit,)) for t in (*times, *slow)]  # type: ignore[arg-type]
-    if unit == "%":
+    if unit in _COMMANDS:
         out += [Factor("play", *one, w, (unit,)) for w in _PLAYS]
     return out
 

@@ -20,6 +20,7 @@ from dieseltwin.discovery.laws.grammar import (
     orifice,
     played,
     rounded,
+    unit_of,
 )  # fmt: skip
 from dieseltwin.discovery.laws.ranking import Ranked, rank
 from dieseltwin.discovery.laws.refit import Refit, spread_over_forms, start_of
@@ -229,7 +230,14 @@ def test_operators():
     position = Point("u_egr", "egr_actuator", True, "-", ())
     assert {f.kind for f in operators(position, "%")} == {"lag", "dead_time", "play"}
     assert {f.kind for f in operators(replace(position, timed=False), "%")} == {"play"}
+    fuel = Point("u_delta", "fuel_injection", True, "-", ())
+    assert {f.kind for f in operators(fuel, unit_of("u_delta", {}))} == {"lag", "dead_time", "play"}
     assert not operators(Point("p_im", "intake_mass_balance", False, "Pa", ()), "Pa")
+
+
+@pytest.mark.parametrize("name, unit", [("u_delta", "mg/cycle"), ("u_egr", "%"), ("p_im", "Pa"), ("n_e", "1/min")])
+def test_units_follow_from_the_paper_s_names(name: str, unit: str):
+    assert unit_of(name, {}) == unit
 
 
 @pytest.mark.parametrize("value, expected", [(0.0123, 0.01), (47.0, 50.0), (951.0, 1000.0), (0.0, 1.0)])
