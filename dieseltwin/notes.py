@@ -37,6 +37,12 @@ class Note(str):
         return self.removeprefix("note: "), self.code, self.affects
 
 
+def of_reading(note: str, where: str = "") -> Note:
+    """What reading did to a file as a note; one that says what kind of doubt it is keeps that."""
+    code, affects = (note.code, note.affects) if isinstance(note, Note) else ("reading", ())
+    return Note(f"{where}{note.removeprefix('note: ')}", code, affects)
+
+
 def doubts_among(notes: Iterable[str]) -> list[Note]:
     """Those of some sentences that are notes; the others say what was assumed, always."""
     return [note for note in notes if isinstance(note, Note)]

@@ -30,7 +30,7 @@ from dieseltwin.engine import HEALTH, EngineParameters, we2011
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap
-from dieseltwin.notes import Note
+from dieseltwin.notes import Note, of_reading
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import TIME_SHIFT, kind_of, put_right
 from dieseltwin.recordings.dates import MODIFIED, ORDER, Dated, in_time_order
@@ -249,9 +249,8 @@ def ask(
     for source, whole in zip(sources, wholes, strict=True):
         used, own = check_recording(source, parameters, asked["sensors"])
         where = f"{source.path or 'recording'}: " if days else ""
-        notes += [Note(f"{where}{note}", "reading") for note in source.notes]
         own = [note for note in own if not (days and note.code == "short")]  # together they are longer
-        notes += [Note(f"{where}{note.removeprefix('note: ')}", note.code, note.affects) for note in own]
+        notes += [of_reading(note, where) for note in (*source.notes, *own)]
         notes += _length_notes(where, source, whole)
         sensors.append(used)
         if learned is not None:

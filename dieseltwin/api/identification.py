@@ -25,7 +25,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import NoiseLevels, SegmentProblem, problems_from_recording
 from dieseltwin.identification.result import Identification, curves_table
-from dieseltwin.notes import Note, doubts_among, warnings_of
+from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import with_charge
@@ -382,7 +382,7 @@ def _notes(source: Recording, parameters: EngineParameters) -> list[Note]:
         "u_vgt_pct": parameters.u_vgt_range,
     }
     counts = rows_out_of_range(source.columns, ranges)
-    read = [Note(note, "reading") for note in source.notes]
+    read = [of_reading(note) for note in source.notes]
     return read + [Note(f"{count} of {len(source.time_s)} rows of {name} are outside the engine's range "
                         f"{ranges[name][0]:g} to {ranges[name][1]:g}", "out_of_range", (name,))
                    for name, count in counts.items()]

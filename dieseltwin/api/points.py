@@ -37,7 +37,7 @@ from dieseltwin.discovery.verdict.explain import DETAILS
 from dieseltwin.engine import EngineParameters
 from dieseltwin.engine.effects import EFFECTS
 from dieseltwin.errors import InputError
-from dieseltwin.notes import Note, doubts_among, warnings_of
+from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channels import INPUTS, SENSORS
 from dieseltwin.recordings.reader import write_recording
 from dieseltwin.recordings.steady_points import STATES, SteadyPoints, beside_reference
@@ -371,7 +371,7 @@ def imply(
     if decided:
         notes.insert(0, Note("beliefs decide (share of the variance that formulations of the unmeasured places "
                              f"disagree about): {', '.join(decided)}", "not_identifiable"))  # fmt: skip
-    notes = [*(Note(note, "reading") for note in source.notes), *notes]
+    notes = [*map(of_reading, source.notes), *notes]
     return Implied(source, answers(straight), tuple(notes))
 
 

@@ -11,6 +11,7 @@ from dieseltwin.atomic import check_writable
 from dieseltwin.cli.effects import EffectOption, named_values
 from dieseltwin.cli.options import ChannelsFile, EngineFile, check_apart, readable, say
 from dieseltwin.errors import InputError
+from dieseltwin.notes import of_reading
 
 SUFFIXES = (".csv", ".parquet")
 
@@ -41,4 +42,4 @@ def simulate_command(
     check_writable(out)  # a place that cannot be written to is better known before the work
     found = simulate(inputs, engine, channels=channels, effects=named_values(effect or ()))
     found.save(out)
-    say([f"{out}: {len(found.frame)} rows", *(f"note: {note}" for note in found.notes)])
+    say([f"{out}: {len(found.frame)} rows", *map(of_reading, found.notes)])

@@ -28,7 +28,7 @@ from dieseltwin.engine import EngineParameters
 from dieseltwin.learning.domain import known_along
 from dieseltwin.learning.files import LearnedEngine
 from dieseltwin.learning.levels import health_covariance
-from dieseltwin.notes import Note
+from dieseltwin.notes import Note, of_reading
 from dieseltwin.recordings.circumstances import DRIFT, TIME_SHIFT, put_right
 from dieseltwin.recordings.dates import ORDER, Dated
 from dieseltwin.recordings.liveliest import liveliest
@@ -109,7 +109,7 @@ def _with_doubts(
     """What was done to the recordings on reading, and what is doubtful about the fit, in the document."""
     several = len(recordings) > 1
     doubts = [
-        Note(f"{recording.path or 'recording'}: {note}" if several else note, "reading")
+        of_reading(note, f"{recording.path or 'recording'}: " if several else "")
         for recording in recordings
         for note in recording.notes
     ]

@@ -40,8 +40,8 @@ from dieseltwin.petrol.model import (
 )
 from dieseltwin.petrol.parameters import FILLED, PetrolParameters
 from dieseltwin.petrol.recording import Blocks, Signals, blocks_of, make_grid
-from dieseltwin.recordings.channel_checks import standstills
 from dieseltwin.recordings.noise import Noise
+from dieseltwin.recordings.unread import standstills
 from dieseltwin.settings.names import listed
 
 WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning

@@ -11,12 +11,10 @@ from dieseltwin.notes import Note
 from dieseltwin.recordings.held import number_step
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.unread import STUCK_S, same_readings
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int_]
-
-STUCK_S = 30.0
-"""The same reading for so long, while the engine's speed moves, is a stuck sensor."""
 
 _BLOCK = 8  # readings that are compared at once; shorter repetitions aren't looked for
 _SHORTEST_REPLAY_S = 10.0  # coarse channels repeat a second of coasting or idle now and then; and it does no harm
@@ -87,34 +85,13 @@ def longest_standstill(time: Array, values: Array, speed: Array) -> tuple[float,
     Args:
         time: (n,) [s]; values: (n,) with two readings or more; speed: (n,) of the engine.
     """
-    firsts, lasts = _same_readings(values)
+    firsts, lasts = same_readings(values)
     lengths = time[lasts] - time[firsts]
     longest = int(np.argmax(lengths))
     first, last = firsts[longest], lasts[longest]
     if np.nanstd(speed[first : last + 1]) == 0.0:
         return 0.0, 0.0
     return float(time[first]), float(lengths[longest])
-
-
-def standstills(time: Array, values: Array, speed: Array) -> Array:
-    """(n,) 1 where the same reading stands for `STUCK_S` or longer while the engine's speed moves, else 0.
-
-    Args:
-        time: (n,) [s]; values: (n,) with two readings or more; speed: (n,) of the engine.
-    """
-    out = np.zeros(time.size)
-    firsts, lasts = _same_readings(values)
-    for k in np.flatnonzero(time[lasts] - time[firsts] >= STUCK_S):
-        rows = slice(firsts[k], lasts[k] + 1)
-        out[rows] = float(np.nanstd(speed[rows]) > 0.0)
-    return out
-
-
-def _same_readings(values: Array) -> tuple[Rows, Rows]:
-    """First and last row of every stretch of one and the same reading, missing readings passed over."""
-    rows = np.flatnonzero(np.isfinite(values))
-    changes = np.flatnonzero(np.diff(values[rows]) != 0.0)
-    return rows[np.r_[0, changes + 1]], rows[np.r_[changes, rows.size - 1]]
 
 
 def replayed(values: Array) -> tuple[int, int, int] | None:

@@ -31,7 +31,6 @@ from dieseltwin.recordings.channels import (
 )
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.derived import NOTHING, Made
-from dieseltwin.recordings.held import own_readings
 from dieseltwin.recordings.named_columns import Imported, columns_sha256, import_columns, numbers
 from dieseltwin.recordings.plausibility import (
     LONGEST_GAP_S,
@@ -42,6 +41,7 @@ from dieseltwin.recordings.plausibility import (
     mask_wild,
 )
 from dieseltwin.recordings.unit_checks import unit_notes
+from dieseltwin.recordings.unread import held_unread, stuck_unread
 from dieseltwin.settings.strict import listed
 
 SLOWEST_HZ, FASTEST_HZ = 1.0, 100.0
@@ -267,8 +267,8 @@ def recording(
     wild = mask_wild(columns)
     t_amb = _median_or(columns.get("t_amb_k"), engine.T_amb)
     check_plausible(columns, where, t_amb if t_amb > 200.0 else engine.T_amb, engine.V_d / engine.n_cyl)
-    notes = [*infinite, *wild, *bridge_inputs(columns), *_held_unread(columns), *cut_off_notes(columns),
-             *unit_notes(columns, engine.p_amb, engine.n_cyl)]  # fmt: skip
+    notes = [*infinite, *wild, *bridge_inputs(columns), *held_unread(columns), *stuck_unread(columns),
+             *cut_off_notes(columns), *unit_notes(columns, engine.p_amb, engine.n_cyl)]  # fmt: skip
     if not any_rate and 1.0 / float(np.median(np.diff(time))) < FULL_HZ / RATE_TOLERANCE:
         notes.append(f"{1.0 / float(np.median(np.diff(time))):.3g} rows per second: {SLOW_ROWS}")
     for values in columns.values():
@@ -283,18 +283,6 @@ def recording(
         notes=tuple(notes),
         made=made,
     )
-
-
-def _held_unread(columns: dict[str, np.ndarray]) -> list[str]:
-    """Mask the repeated rows of sensors that were read more slowly than the table goes; say so."""
-    notes = []
-    for name in (name for name in MEASURED if name in columns):
-        read = own_readings(columns[name])
-        if read is not None:
-            every = columns[name].size / np.count_nonzero(read)
-            columns[name] = np.where(read, columns[name], np.nan)
-            notes.append(f"{name} is held: a new reading every {every:.3g} rows, the repeated ones count as missing")
-    return notes
 
 
 def check_time(time: np.ndarray, where: str, any_rate: bool) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dieseltwin.notes import Note, of_reading
 from dieseltwin.recordings.channel_checks import clipped, replayed, series_notes, spikes
+from dieseltwin.recordings.unread import stuck_unread
 
 TIME = 0.2 * np.arange(1500)
 SPEED = 1300.0 + 200.0 * np.sin(0.05 * TIME)
@@ -30,6 +32,31 @@ def test_a_frozen_channel_is_told_with_its_time(pressure: np.ndarray) -> None:
     pressure[400:700] = pressure[400]
     note = series_notes(TIME, {"p_im_pa": pressure}, SPEED)[0]
     assert note.code == "frozen_channel" and "60 s from 80 s" in note and note.affects == ("p_im_pa",)
+
+
+def _columns(pressure: np.ndarray, speed: np.ndarray) -> dict[str, np.ndarray]:
+    return {"time_s": TIME, "p_im_pa": pressure, "n_e_rpm": speed, "u_delta_mg": 0.05 * speed}
+
+
+def test_what_a_stuck_sensor_shows_is_no_reading(pressure: np.ndarray) -> None:
+    pressure[400:700] = pressure[400]
+    columns = _columns(pressure.copy(), SPEED)
+    (note,) = stuck_unread(columns)
+    assert isinstance(note, Note) and (note.code, note.affects) == ("frozen_channel", ("p_im_pa",))
+    assert "from 80 to 140 s while the engine moves" in note
+    assert np.isnan(columns["p_im_pa"][400:700]).all() and np.isfinite(columns["p_im_pa"]).sum() == TIME.size - 300
+    assert series_notes(TIME, {"p_im_pa": columns["p_im_pa"]}, SPEED) == []  # it is said once
+    assert of_reading(note, "a.csv: ").startswith("note: a.csv: p_im_pa") and of_reading(note).code == note.code
+    assert of_reading("p_im_pa is held").code == "reading"
+
+
+def test_an_idling_engine_and_a_dead_channel_are_left(pressure: np.ndarray) -> None:
+    idle = np.where((TIME >= 80.0) & (TIME <= 140.0), 600.0 + np.sin(TIME), SPEED)
+    pressure[400:700] = pressure[400]
+    assert stuck_unread(_columns(pressure, idle)) == []  # a coarse channel repeats itself there
+    assert stuck_unread(_columns(np.full(TIME.size, 2e5), SPEED)) == []  # no channel at all; others say so
+    flow = {"time_s": TIME, "w_egr_kg_s": np.where(TIME < 100.0, 0.0, pressure), "n_e_rpm": SPEED, "u_delta_mg": SPEED}
+    assert stuck_unread(flow) == []
 
 
 @pytest.mark.parametrize("step", [0.0, 500.0])
