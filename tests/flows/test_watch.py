@@ -17,6 +17,7 @@ from tasks import watch as steps
 from tasks.failures import StepFailed
 from tasks.progress import Display
 from tasks.run_context import RunContext
+from tasks.settings import load_settings
 from tasks.workspace import Workspace
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
@@ -82,10 +83,26 @@ def test_wrong_arguments_are_one_line_before_anything_starts(tmp_path: Path) -> 
     (tmp_path / "plain.yaml").write_text("J_t: 2.0e-4\n")
     with pytest.raises(StepFailed, match="no learned engine"):
         steps.check({**good, "engine": str(tmp_path / "plain.yaml")})
+    (tmp_path / "broken.yaml").write_text("J_t: [2.0e-4,\n")
+    with pytest.raises(InputError, match="allowed: YAML of text and numbers"):
+        steps.check({**good, "engine": str(tmp_path / "broken.yaml")})
     (tmp_path / "history").mkdir()
     (tmp_path / "history" / "history.sqlite").write_text("no database at all" * 100)
     with pytest.raises(InputError, match="a history as"):
         steps.check(good)
+
+
+def test_a_first_batch_without_a_good_recording_says_why(
+    fresh: Callable[[], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = learned_file(tmp_path)
+    (tmp_path / "lorry_7").mkdir()
+    monkeypatch.chdir(tmp_path / "lorry_7")
+    fresh()
+    batch = steps.add({}, str(mine), ".", load_settings("tiny")["watch"])
+    assert batch.history == "lorry_7" and batch.page is None and "no recording" in batch.sentence
+    with pytest.raises(StepFailed, match="too short"):
+        steps.show(batch, [], {"2026-01-01.csv": StepFailed("too short", 2)}, {})
 
 
 @pytest.mark.flow
