@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -90,6 +91,18 @@ def test_wrong_arguments_are_one_line_before_anything_starts(tmp_path: Path) -> 
     (tmp_path / "history" / "history.sqlite").write_text("no database at all" * 100)
     with pytest.raises(InputError, match="a history as"):
         steps.check(good)
+
+
+@pytest.mark.parametrize(
+    ("flow", "arguments"), [("watch", ["in", "--engine", "mine.yaml", "--history", "lorry_7"]), ("retrain", [])]
+)
+def test_a_schedule_without_serve_is_refused(
+    flow: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", [flow, *arguments, "--cron", "0 * * * *", "--profile", "none"])
+    with pytest.raises(SystemExit, match="2"):
+        importlib.import_module(f"flows.{flow}").main()
+    assert "--cron: a schedule needs --serve" in capsys.readouterr().err
 
 
 def test_a_first_batch_without_a_good_recording_says_why(
