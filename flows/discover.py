@@ -40,6 +40,7 @@ def discover(
             jobs=WORKERS,
         ).result()
         inputs = {"concealed": prove.recording_of(made, prove.cases_of(made)[0])}
+    known = steps.engine_file(engine)
     pending = {
         name: submit(
             steps.discover,
@@ -47,7 +48,7 @@ def discover(
             kind=name,
             sensors=sensors,
             sections=steps.discover.sections_of(settings),
-            **steps.engine_file(engine),
+            **known,
         )
         for name, recording in inputs.items()
     }
@@ -56,7 +57,7 @@ def discover(
         publish(context.workspace.root / "discoveries", steps.files_to_publish(found, inputs))
     for name, artifact in found.items():
         publish(context.workspace.reports / "discover" / name, steps.files_to_show(artifact))
-    records.discovered(found, inputs, settings)
+    records.discovered(found, inputs, known.get("engine"), sensors, settings)
     steps.show(found, refused, context.workspace.reports / "discover")
     return list(found)
 

@@ -13,6 +13,8 @@ from tasks.launch import launch
 from tasks.served import serve, tell_failure
 from tasks.settings import DEFAULT_PROFILE, load_settings
 
+SUNDAYS_AT_3 = "0 3 * * 0"
+
 
 @flow(name="retrain", description=__doc__, on_failure=[tell_failure], on_crashed=[tell_failure])
 def retrain(profile: str) -> None:
@@ -28,10 +30,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--profile", default=DEFAULT_PROFILE, help="a profile of params.yaml")
     parser.add_argument("--serve", action="store_true", help="stay and run on the schedule")
-    parser.add_argument("--cron", default="0 3 * * 0", help="schedule, five fields (default: Sundays at 3:00)")
+    parser.add_argument("--cron", help="schedule of --serve, five fields (default: Sundays at 3:00)")
     arguments = parser.parse_args()
+    if arguments.cron is not None and not arguments.serve:
+        parser.error("--cron: a schedule needs --serve")
     if arguments.serve:
-        return serve(retrain, lambda: arguments.cron, profile=arguments.profile)
+        cron = SUNDAYS_AT_3 if arguments.cron is None else arguments.cron
+        return serve(retrain, lambda: cron, profile=arguments.profile)
     return launch(retrain, profile=arguments.profile)
 
 

@@ -58,6 +58,8 @@ def main() -> int:
     parser.add_argument("--serve", action="store_true")
     parser.add_argument("--cron")
     chosen, rest = parser.parse_known_args()
+    if chosen.cron is not None and not chosen.serve:
+        parser.error("--cron: a schedule needs --serve")
     if not chosen.serve:
         return run_alone(watch, rest, options=_options, check=steps.check)
     full = argparse.ArgumentParser(description=__doc__)

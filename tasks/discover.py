@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dieseltwin.errors import InputError
+from dieseltwin.paths import refuse_unreadable
 from tasks.failures import StepFailed
 from tasks.run_context import Pending, Progress, current, step
 from tasks.store import MANIFEST, RUNTIME, Artifact
@@ -56,24 +58,28 @@ def discover(
 
 def options(parser: argparse.ArgumentParser) -> None:
     """What the command takes beside the profile."""
-    parser.add_argument("recordings", nargs="*", help="CSV or Parquet; none: a concealed machine is made")
-    parser.add_argument("--engine", help="engine file (YAML); default: the published engine")
-    parser.add_argument("--sensors", type=lambda text: text.split(","), help="columns to use, comma-separated")
+    parser.add_argument("recordings", nargs="*", help="files; none: a concealed machine is made")
+    parser.add_argument("--engine", help="engine file (YAML) of the recordings; default: the published engine")
+    parser.add_argument("--sensors", type=lambda text: text.split(","), help="their columns to use, comma-separated")
 
 
 def check(parameters: Mapping[str, Any]) -> None:
-    """Raise ``StepFailed`` (exit status 2) for files that aren't there."""
+    """Raise ``InputError`` for files that can't be read, and for what is said of recordings where none is named: the
+    concealed machine is the chain's own, and what is found in it is compared."""
     named_recordings(parameters["recordings"])
     engine_file(parameters["engine"])
+    for option in () if parameters["recordings"] else ("engine", "sensors"):
+        if parameters[option]:
+            raise InputError(f"--{option}", "no recording beside it", "an option for recordings that are named",
+                             "name them, or leave it out")  # fmt: skip
 
 
 def named_recordings(paths: Sequence[str]) -> dict[str, Artifact]:
-    """Recordings by the stem of their file (numbered where two are alike). Raises ``StepFailed`` (exit status 2)."""
+    """Recordings by the stem of their file (numbered where two are alike). Raises ``InputError``."""
     found: dict[str, Artifact] = {}
     for text in paths:
+        refuse_unreadable(text)
         path = Path(text).resolve()
-        if not path.is_file():
-            raise StepFailed(f"{text}: got no such file; allowed: a CSV or Parquet recording; check the path", 2)
         name, number = path.stem, 2
         while name in found:
             name, number = f"{path.stem}_{number}", number + 1
@@ -82,13 +88,11 @@ def named_recordings(paths: Sequence[str]) -> dict[str, Artifact]:
 
 
 def engine_file(text: str | None) -> dict[str, Artifact]:
-    """The step's argument ``engine``, where an engine file is given. Raises ``StepFailed`` (exit status 2)."""
+    """The step's argument ``engine``, where an engine file is given. Raises ``InputError``."""
     if not text:
         return {}
-    path = Path(text).resolve()
-    if not path.is_file():
-        raise StepFailed(f"{text}: got no such file; allowed: an engine file (YAML); check the path", 2)
-    return {"engine": Artifact.of(path)}
+    refuse_unreadable(text, "an engine file (YAML)")
+    return {"engine": Artifact.of(Path(text).resolve())}
 
 
 def gathered(pending: Mapping[str, Pending]) -> tuple[dict[str, Artifact], dict[str, StepFailed]]:

@@ -57,6 +57,7 @@ def evaluated(
         Record(
             "tables",
             _identity("tables", common.sha256, page.sha256),
+            params={"ensembles": ", ".join(plan.slug for plan in plans)},
             metrics=flat,
             artifacts={
                 **{path.name: path for path in sorted(common.path.glob("*.csv"))},

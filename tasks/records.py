@@ -198,6 +198,7 @@ def identified(
     figures = sorted((report.path / "figures").glob("*"))
     datasets = {name: artifact.sha256 for name, artifact in inputs.items()}
     tags = {"profile": settings["profile"]}
+    shared = flat({name: settings[name] for name in ("seed", "engine", "noise")})
     records = []
     for name, artifact in methods.items():
         document = read(artifact.path / "identification.json")
@@ -208,6 +209,7 @@ def identified(
                 name,
                 identity(name, artifact.sha256, metrics[name], runtime["seconds"]),
                 params={"method": name, "runs": runtime["runs"], "segments": runtime["segments"]}
+                | shared
                 | flat(_own(settings["identify"], name)),
                 metrics={
                     **{key: _shown(key, value) for key, value in metrics[name].items()},
@@ -274,6 +276,7 @@ def promoted(
             | flat(settings["promotion"]),
             metrics={name: value if value is None else round(value, 5) for name, value in (metrics | ratios).items()},
             tags={"profile": settings["profile"]},
+            datasets={"models": version.sha256},
         ),
     )
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tasks.records import files, identity, log, read
+from tasks.records import files, identity, log, made_by, read
 from tasks.run_context import seconds_of
 from tasks.store import RUNTIME, Artifact
 from tasks.tracking import Record, flat
@@ -15,8 +15,23 @@ _DOCUMENT = "discrepancy.json"
 _TIMES = {"seconds", "peak_rss_mib"}
 
 
-def discovered(found: Mapping[str, Artifact], inputs: Mapping[str, Artifact], settings: Mapping[str, Any]) -> None:
-    """Log each discovery: the document's figures, the report and its figures. ``inputs``: the recordings by name."""
+def discovered(
+    found: Mapping[str, Artifact],
+    inputs: Mapping[str, Artifact],
+    engine: Artifact | None,
+    sensors: Sequence[str] | None,
+    settings: Mapping[str, Any],
+) -> None:
+    """Log each discovery: the document's figures, the report and its figures.
+
+    ``inputs``: the recordings by name; ``engine``: the engine file that was given, None for the published engine;
+    ``sensors``: columns that were asked for.
+    """
+    asked = {
+        "engine": "published" if engine is None else engine.path.name,
+        "sensors": "all" if sensors is None else ", ".join(sensors),
+    }
+    beside = {} if engine is None else {"engine file": engine.sha256}
     records = []
     for name, artifact in found.items():
         document = read(artifact.path / _DOCUMENT)
@@ -26,7 +41,8 @@ def discovered(found: Mapping[str, Artifact], inputs: Mapping[str, Artifact], se
             Record(
                 name,
                 identity("discover", name, artifact.sha256),
-                params={
+                params=asked
+                | {
                     "effects": ", ".join(effect["name"] for effect in document["effects"]) or "none",
                     "site": "none" if location is None else location["site"],
                     "law": "none" if first is None else str(first["law"]),
@@ -42,9 +58,9 @@ def discovered(found: Mapping[str, Artifact], inputs: Mapping[str, Artifact], se
                     **files(artifact.path, "*.yaml"),
                     **files(artifact.path / "figures", "*", "figures/"),
                 },
-                tags={"profile": settings["profile"]},
+                tags={"profile": settings["profile"], **made_by(artifact)},
                 seconds=seconds_of(artifact),
-                datasets={name: inputs[name].sha256},
+                datasets={name: inputs[name].sha256} | beside,
             )
         )
     log("discover", *records)

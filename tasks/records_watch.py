@@ -20,11 +20,11 @@ def watched(
     added = {name: found[name] for name in batch.added}
     hashes = sorted(artifact.sha256 for artifact in added.values())
     record = Record(
-        f"{batch.page.parent.name}: {len(added)} recordings",
-        identity("watch", batch.page.parent.name, *hashes),
-        params={"history": batch.page.parent.name} | flat(settings["watch"]),
+        f"{batch.history}: {len(added)} recordings",
+        identity("watch", batch.history, *hashes),
+        params={"history": batch.history} | flat(settings["watch"]),
         metrics={**batch.figures, "added": float(len(added)), "refused": float(len(refused))},
-        artifacts={batch.page.name: batch.page},
+        artifacts={} if batch.page is None else {batch.page.name: batch.page},
         tags={"profile": settings["profile"]},
         description=batch.sentence,
         seconds=sum(seconds_of(artifact) for artifact in added.values()),

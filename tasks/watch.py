@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from tasks.failures import StepFailed
 from tasks.run_context import Progress, current, step
 from tasks.store import Artifact
@@ -49,13 +47,14 @@ def watched(
 class Batch:
     """What one run of the flow added.
 
-    ``added``: recordings by name that weren't in the history; ``sentence``: what the history says now; ``page``: file;
-    ``figures``: numbers for the tracker.
+    ``history``: its name; ``added``: recordings by name that weren't in it; ``sentence``: what it says now; ``page``:
+    file, None of a history without a recording; ``figures``: numbers for the tracker.
     """
 
+    history: str
     added: tuple[str, ...]
     sentence: str
-    page: Path
+    page: Path | None
     figures: Mapping[str, float]
 
 
@@ -67,7 +66,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def check(parameters: Mapping[str, Any]) -> None:
-    """Raise ``StepFailed`` (exit status 2) for files that aren't there, ``InputError`` for a history of no use."""
+    """Raise ``StepFailed`` or ``InputError`` (exit status 2 both) for files that aren't there or of no use."""
     from dieseltwin.api.watch import begun
 
     if not Path(parameters["folder"]).is_dir():
@@ -77,10 +76,12 @@ def check(parameters: Mapping[str, Any]) -> None:
 
 
 def engine_files(text: str) -> dict[str, Any]:
-    """The arguments ``engine``, ``learned`` and ``beside`` of the step. Raises ``StepFailed`` (exit status 2)."""
+    """The arguments ``engine``, ``learned`` and ``beside`` of the step. Raises ``StepFailed`` for an engine that wasn't
+    learned, ``InputError`` for what is no engine file (exit status 2 both)."""
+    from dieseltwin.settings.strict import read_mapping
+
     path = Path(text).resolve()
-    content = yaml.safe_load(path.read_text(encoding="utf-8")) if path.is_file() else None
-    beside = str(content.get("learned", "")) if isinstance(content, dict) else ""
+    beside = str(read_mapping(path).get("learned", ""))
     if not beside or not path.with_name(beside).is_file():
         raise StepFailed(f"{text}: got no learned engine; allowed: what `dieseltwin learn` wrote, with the file beside "
                          "it; learn the engine first", 2)  # fmt: skip
@@ -137,27 +138,31 @@ def _age_s(path: Path) -> float:
 
 def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapping[str, Any]) -> Batch:
     """Add entries to the history and write its page."""
-    from dieseltwin.api.watch import begun
-    from dieseltwin.api.watch import history as history_of
+    from dieseltwin.api.watch import as_it_stands, begun
     from dieseltwin.engine import HEALTH
     from dieseltwin.learning.history import from_json
     from dieseltwin.settings.watch import WatchConfig
 
     store, added = begun(history, engine), []
-    for name, artifact in found.items():
+    for recording, artifact in found.items():
         entry = from_json((artifact.path / ENTRY).read_text(encoding="utf-8"))
         if entry is None:
             raise StepFailed(f"{artifact.path / ENTRY}: got no entry of a history; delete it and run again", 1)
         if store.add(entry):
-            added.append(name)
-    state = history_of(history, settings=WatchConfig(**settings))
-    folder = state.save(current().workspace.reports / "watch" / Path(history).name)
-    figures = {"recordings": float(len(state.entries)), "alarm": float(state.course.alarm is not None)}
-    if state.entries:
-        last = state.entries[-1]
-        figures |= {"evidence": float(state.course.evidence[-1]), "hours": sum(entry.hours for entry in state.entries)}
-        figures |= {f"{name}_since_reference": float(value) for name, value in zip(HEALTH, last.since, strict=True)}
-    return Batch(tuple(added), state.sentence, folder / PAGE, figures)
+            added.append(recording)
+    state, name = as_it_stands(store, WatchConfig(**settings)), Path(history).resolve().name
+    if not state.entries:
+        return Batch(name, (), state.sentence, None, {})
+    folder = state.save(current().workspace.reports / "watch" / name)
+    last = state.entries[-1]
+    figures = {
+        "recordings": float(len(state.entries)),
+        "alarm": float(state.course.alarm is not None),
+        "evidence": float(state.course.evidence[-1]),
+        "hours": sum(entry.hours for entry in state.entries),
+    }
+    figures |= {f"{health}_since_reference": float(value) for health, value in zip(HEALTH, last.since, strict=True)}
+    return Batch(name, tuple(added), state.sentence, folder / PAGE, figures)
 
 
 def show(batch: Batch, known: Collection[str], refused: Mapping[str, StepFailed], left: Mapping[str, str]) -> None:
@@ -175,6 +180,7 @@ def show(batch: Batch, known: Collection[str], refused: Mapping[str, StepFailed]
     for name, error in refused.items():
         display.say(f"{name}: not added: {error}")
     display.say(batch.sentence)
-    display.say(f"page: {batch.page}")
+    if batch.page is not None:
+        display.say(f"page: {batch.page}")
     for error in refused.values():
         raise error

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from contextlib import ExitStack
 from pathlib import Path
 
 from dieseltwin.api.engines import NAMED, PUBLISHED, Engine, diesel_engine
-from dieseltwin.atomic import atomic_path, check_folder, check_writable, write_text
+from dieseltwin.atomic import atomic_path, check_folder, check_writable
 from dieseltwin.codegen.c_engine import c_source
 from dieseltwin.codegen.fmu import VERSIONS, check_platform, write_fmu
 from dieseltwin.codegen.tables import write_tables
@@ -52,12 +53,13 @@ def export(
         raise InputError("--fmi", fmi, "2 or 3", "choose one of them")
     if fmu is not None and not sources_only:
         check_platform(version)
-    if c is not None:
-        write_text(c, c_source(found, name))
-    if fmu is not None:
-        with atomic_path(fmu) as temporary:
-            write_fmu(found, name, temporary, version, binary=not sources_only)
-    return targets if table is None else targets + write_tables(found, name, Path(table))
+    with ExitStack() as written:  # all of them or, on a full disk, none
+        if c is not None:
+            written.enter_context(atomic_path(c)).write_text(c_source(found, name), encoding="utf-8")
+        if fmu is not None:
+            write_fmu(found, name, written.enter_context(atomic_path(fmu)), version, binary=not sources_only)
+        tables = [] if table is None else write_tables(found, name, Path(table))
+    return targets + tables
 
 
 def export_networks(models: str | Path, out: str | Path, *, overwrite: bool = False) -> list[Path]:

@@ -127,7 +127,7 @@ def watch(
             refused.append((str(path), str(error)))
         if progress is not None:
             progress(k, len(files), path.name)
-    found = _watched(store, settings)
+    found = as_it_stands(store, settings)
     return replace(
         found, added=tuple(added), verdicts=tuple(added.values()), known=tuple(known), refused=tuple(refused)
     )
@@ -164,10 +164,11 @@ def history(folder: str | Path, *, settings: WatchConfig | None = None) -> Watch
     Raises:
         InputError: no history there, or a damaged one.
     """
-    return _watched(History(folder), settings)
+    return as_it_stands(History(folder), settings)
 
 
-def _watched(store: History, settings: WatchConfig | None) -> Watched:
+def as_it_stands(store: History, settings: WatchConfig | None) -> Watched:
+    """What a history says, also one that holds no recording yet; arguments as of `watch`."""
     settings = default_watch() if settings is None else settings
     entries = store.entries()
     found = course([entry.scores for entry in entries], [entry.moment for entry in entries], settings)

@@ -200,11 +200,11 @@ class TermsInC:
             "{" + ",\n".join("{" + ", ".join(f"{v:.9g}" for v in row) + "}" for row in table) + "}"
             for table in learned.tables
         )
+        used = GRIDS[: len(learned.tables)]
         ends = {
-            name: "{" + ", ".join("{" + ", ".join(number(v) for v in pair) + "}" for pair in values) + "}"
+            name: "{" + ", ".join("{" + ", ".join(number(v) for v in pair) + "}" for pair in values[: len(used)]) + "}"
             for name, values in (("low", learned.low), ("per_unit", learned.per_unit))
         }
-        used = GRIDS[: len(learned.tables)]
         self.texts.append(
             f"/* Learned relative corrections of {', '.join(point for point, _ in used)}, first node of both\n"
             f"   arguments, nodes a unit. */\n"

@@ -18,6 +18,7 @@ from dieseltwin.engine.binding import MAPS as NAMES
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import CorrectionTerm
+from tests.disk import full_beyond
 
 LEARNED = we2011.PARAMETERS.replace(terms=[
     CorrectionTerm(coefficients=tuple(0.02 * np.random.default_rng(1).standard_normal(len(basis().names))))
@@ -87,3 +88,11 @@ def test_learned_corrections_are_in_the_tables():
 def test_the_command_writes_tables(tmp_path: Path):
     assert main(["export", "--table", str(tmp_path / "maps")]) == 0
     assert {path.name for path in (tmp_path / "maps").iterdir()} == {*(f"{name}.csv" for name in MAPS), "maps.c"}
+
+
+def test_a_disk_that_fills_up_leaves_no_part_of_what_was_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    with full_beyond(70_000):  # room for the simulator, none for the look-ups
+        assert main(["export", "--c", str(tmp_path / "mine.c"), "--table", str(tmp_path / "maps")]) == 2
+    assert "nothing was written" in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from tasks import watch as steps
 from tasks.failures import StepFailed
 from tasks.progress import Display
 from tasks.run_context import RunContext
+from tasks.settings import load_settings
 from tasks.workspace import Workspace
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
@@ -82,10 +84,38 @@ def test_wrong_arguments_are_one_line_before_anything_starts(tmp_path: Path) -> 
     (tmp_path / "plain.yaml").write_text("J_t: 2.0e-4\n")
     with pytest.raises(StepFailed, match="no learned engine"):
         steps.check({**good, "engine": str(tmp_path / "plain.yaml")})
+    (tmp_path / "broken.yaml").write_text("J_t: [2.0e-4,\n")
+    with pytest.raises(InputError, match="allowed: YAML of text and numbers"):
+        steps.check({**good, "engine": str(tmp_path / "broken.yaml")})
     (tmp_path / "history").mkdir()
     (tmp_path / "history" / "history.sqlite").write_text("no database at all" * 100)
     with pytest.raises(InputError, match="a history as"):
         steps.check(good)
+
+
+@pytest.mark.parametrize(
+    ("flow", "arguments"), [("watch", ["in", "--engine", "mine.yaml", "--history", "lorry_7"]), ("retrain", [])]
+)
+def test_a_schedule_without_serve_is_refused(
+    flow: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", [flow, *arguments, "--cron", "0 * * * *", "--profile", "none"])
+    with pytest.raises(SystemExit, match="2"):
+        importlib.import_module(f"flows.{flow}").main()
+    assert "--cron: a schedule needs --serve" in capsys.readouterr().err
+
+
+def test_a_first_batch_without_a_good_recording_says_why(
+    fresh: Callable[[], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = learned_file(tmp_path)
+    (tmp_path / "lorry_7").mkdir()
+    monkeypatch.chdir(tmp_path / "lorry_7")
+    fresh()
+    batch = steps.add({}, str(mine), ".", load_settings("tiny")["watch"])
+    assert batch.history == "lorry_7" and batch.page is None and "no recording" in batch.sentence
+    with pytest.raises(StepFailed, match="too short"):
+        steps.show(batch, [], {"2026-01-01.csv": StepFailed("too short", 2)}, {})
 
 
 @pytest.mark.flow
