@@ -19,6 +19,10 @@ RADIUS_SLACK = 1.5  # of the wheels in `WHEEL_RADIUS_M`
 LEAST_ROWS = 20
 LEAST_FUEL_MG = 2.0  # in the richest twentieth of the rows of any engine under load
 MOST_EGR = 0.8  # of the charge, in the twentieth of the rows with the highest share
+UPHILL = 0.8  # of the rows with much EGR flow: it can't flow against the pressure for long
+SHUT_PCT = 1.0  # a position below is a shut valve; a turbine with variable geometry has none
+SHUT_ROWS = 0.1  # of the rows, from which a valve is shut now and then
+STOPS = 0.1  # of its usual flow: EGR stops there
 
 
 def unit_notes(columns: Mapping[str, np.ndarray], p_amb_pa: float, cylinders: int) -> list[str]:
@@ -41,7 +45,30 @@ def unit_notes(columns: Mapping[str, np.ndarray], p_amb_pa: float, cylinders: in
             if share > MOST_EGR:
                 found.append(f"w_egr_kg_s is up to {share:.0%} of the charge: is it in the unit of w_c_kg_s?")
     doubt = exhaust_in_doubt(columns, cylinders)
-    return [*found, f"t_em_k {doubt}"] if doubt else found
+    return [*found, *([f"t_em_k {doubt}"] if doubt else []), *_swapped(columns)]
+
+
+def _swapped(columns: Mapping[str, np.ndarray]) -> list[str]:
+    """Columns that stand for each other: what the EGR flow says of the pressures and of the positions."""
+    egr = columns.get("w_egr_kg_s")
+    if egr is None or not np.isfinite(egr).any():
+        return []
+    found = []
+    boost, exhaust = columns.get("p_im_pa"), columns.get("p_em_pa")
+    much = egr > max(0.0, float(np.nanmedian(egr)))
+    if boost is not None and exhaust is not None:
+        both = much & np.isfinite(boost) & np.isfinite(exhaust)
+        if np.count_nonzero(both) >= LEAST_ROWS and (share := float(np.mean((exhaust < boost)[both]))) > UPHILL:
+            found.append(f"p_em_pa lies below p_im_pa in {share:.0%} of rows with much EGR flow: are the two swapped?")
+    valve, turbine = columns.get("u_egr_pct"), columns.get("u_vgt_pct")
+    if valve is not None and turbine is not None:
+        shut = (turbine <= SHUT_PCT) & np.isfinite(egr)
+        open_ = (turbine > SHUT_PCT) & np.isfinite(egr)
+        if min(shut.sum(), open_.sum()) >= max(LEAST_ROWS, SHUT_ROWS * egr.size) and (
+            np.nanmedian(egr[shut]) < STOPS * np.nanmedian(egr[open_])
+        ):
+            found.append("EGR flows only where u_vgt_pct is above 0: are u_egr_pct and u_vgt_pct swapped?")
+    return found
 
 
 def _gauge(columns: Mapping[str, np.ndarray], p_amb_pa: float) -> list[str]:

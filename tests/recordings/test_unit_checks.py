@@ -76,3 +76,15 @@ def test_a_direction_that_nothing_tells_is_to_be_checked(tmp_path, drive, given)
     for name in ("u_vgt_pct", "u_egr_pct"):
         texts = guesses[name].reading.warnings
         assert any("direction couldn't be checked" in text for text in texts) != given
+
+
+@pytest.mark.parametrize("one, other, text", [
+    ("p_im_pa", "p_em_pa", "p_em_pa lies below p_im_pa in"),
+    ("u_egr_pct", "u_vgt_pct", "u_egr_pct and u_vgt_pct swapped"),
+])  # fmt: skip
+def test_columns_that_stand_for_each_other_are_noted(drive, one, other, text):
+    shut = drive["time_s"].between(50.0, 90.0)  # a valve is shut now and then
+    drive = drive.assign(**{name: drive[name].where(~shut, 0.0) for name in ("u_egr_pct", "w_egr_kg_s")})
+    assert not [note for note in recording(drive).notes if "swapped" in note]
+    swapped = drive.assign(**{one: drive[other], other: drive[one]})
+    assert [note for note in recording(swapped).notes if text in note]
