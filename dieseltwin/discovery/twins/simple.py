@@ -14,7 +14,9 @@ from types import SimpleNamespace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dieseltwin.discovery.twins import pieces
 from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, LawScope, Parameter, Point, TwinDefaults
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.noise import Noise, estimate_noise
@@ -145,7 +147,8 @@ class SimpleTwin(TwinDefaults):
         rows = self.starts[:, None] + np.arange(longest)
         self._inside = rows < ends[:, None]  # (W, L)
         self._rows = np.minimum(rows, ends[:, None] - 1).T.copy()  # (L, W)
-        self._step = np.diff(self.time_s[self._rows], axis=0)  # (L - 1, W); 0 beyond a window's end
+        self._piece_rows = pieces.rows_of(self._rows)
+        self._begins: Array | None = None  # of the pieces of the last run, (W, P, S)
 
     def noise(self, floor: Array | None = None) -> Noise:
         """Of the recording, from differences."""
@@ -209,36 +212,56 @@ class SimpleTwin(TwinDefaults):
             value = np.asarray(magnitude)[:, None]
             setattr(e, name, value if factor is None else value * factor[self._rows][:, None, :])
         signals = {name: [signal[self._rows][:, None, :]] for name, signal in lanes.signals.items()}
-        for name, own in self._lane_signals(lanes).items():
+        for name, own in self._lane_signals(lanes, self._rows).items():
             signals.setdefault(name, []).append(own)
         insertion = Insertion(self._points, signals, laws, {**vars(x), **vars(u)})
         self.model.rates(x, u, p, insertion, e)
         readings = self.model.readings(x, u, p, insertion, e)
         return readings, insertion.noted
 
-    def _lane_signals(self, lanes: Lanes) -> dict[str, Array]:
-        """Point name -> (L, B, W), zero in the lanes whose signal enters elsewhere."""
+    def _lane_signals(self, lanes: Lanes, rows: NDArray[np.int_]) -> dict[str, Array]:
+        """Point name -> at rows (L, W), (L, B, W), zero in the lanes whose signal enters elsewhere."""
         if lanes.lane_points is None or lanes.lane_signals is None:
             return {}
         out = {}
         for j in np.unique(lanes.lane_points[lanes.lane_points >= 0]):
-            own = np.zeros((len(self._rows), lanes.size, len(self.starts)))
+            own = np.zeros((len(rows), lanes.size, rows.shape[1]))
             chosen = np.flatnonzero(lanes.lane_points == j)
-            own[:, chosen, :] = lanes.lane_signals[chosen][:, self._rows].transpose(1, 0, 2)
+            own[:, chosen, :] = lanes.lane_signals[chosen][:, rows].transpose(1, 0, 2)
             out[self.points[j].name] = own
         return out
 
     def _trajectory(self, lanes: Lanes, laws: Mapping[str, list[LawTerm]]) -> Array:
-        """States at the samples of the windows, (L, S, B, W)."""
+        """States at the samples of the windows, (L, S, B, W); of long windows in pieces about the last run."""
+        length, windows = self._rows.shape
+        if not pieces.worth_it(length, windows, lanes.size, len(self.states)):
+            return self._integrated(lanes, laws, self._rows)
+        out = None
+        if self._begins is not None:
+
+            def run(local: Array) -> Array:
+                times = local.shape[1] // self._piece_rows.shape[1]
+                return self._integrated(replace(lanes, local=local), laws, np.tile(self._piece_rows, times))
+
+            out = pieces.trajectory_of(run, lanes.local, self._begins, self.state_scales, length)
+        if out is None:
+            out = self._integrated(lanes, laws, self._rows)
+        if np.isfinite(out[:, :, 0]).all():
+            self._begins = pieces.begins(out)
+        return out
+
+    def _integrated(self, lanes: Lanes, laws: Mapping[str, list[LawTerm]], rows: NDArray[np.int_]) -> Array:
+        """States (L, S, B, W) at rows (L, W) from the lanes' local ones on; a row that comes again stands still."""
         model, m = self.model, self.model.sub_steps
-        length, windows, lanes_count = len(self._rows), len(self.starts), lanes.size
+        (length, windows), lanes_count = rows.shape, lanes.size
+        steps = np.diff(self.time_s[rows], axis=0)  # (L - 1, W)
         out = np.empty((length, len(self.states), lanes_count, windows))
         out[0] = lanes.local.transpose(2, 0, 1)
         p = SimpleNamespace(**{q.name: lanes.parameters[:, i][:, None] for i, q in enumerate(self.parameters)})
-        inputs = {name: values[self._rows] for name, values in self._inputs.items()}
-        shared = {name: signal[self._rows] for name, signal in lanes.signals.items()}
-        own = self._lane_signals(lanes)
-        factors = {name: factor[self._rows] for name, factor in lanes.schedules.items() if name in lanes.magnitudes}
+        inputs = {name: values[rows] for name, values in self._inputs.items()}
+        shared = {name: signal[rows] for name, signal in lanes.signals.items()}
+        own = self._lane_signals(lanes, rows)
+        factors = {name: factor[rows] for name, factor in lanes.schedules.items() if name in lanes.magnitudes}
         magnitudes = {name: np.asarray(value)[:, None] for name, value in lanes.magnitudes.items()}
         constant = SimpleNamespace(**{**dict.fromkeys(self.hypotheses, 0.0), **magnitudes})
         untouched = None if shared or own or any(laws.values()) else _NothingInserted()
@@ -272,7 +295,7 @@ class SimpleTwin(TwinDefaults):
 
         with np.errstate(over="ignore", invalid="ignore"):
             for k in range(length - 1):
-                state, step = out[k], self._step[k] / m
+                state, step = out[k], steps[k] / m
                 for j in range(m):
                     first = rates(state, k, j)
                     second = rates(state + step * first, k, j + 1)
