@@ -10,7 +10,7 @@ from dieseltwin.discovery.search.state import Search
 HealthBias = Mapping[str, Mapping[str, float]]
 """Effect -> health parameter -> relative change [-] of the fit that leaves out the smallest visible size of it."""
 
-_LEAST = 1e-3  # a relative change of health below is none
+_LEAST, _MOST = 1e-3, 1.0  # a relative change of health below is none, and of one beyond a straight line says nothing
 
 
 def health_bias(found: Search, places: Mapping[str, tuple[int, float]]) -> dict[str, dict[str, float]]:
@@ -25,7 +25,7 @@ def health_bias(found: Search, places: Mapping[str, tuple[int, float]]) -> dict[
         effect: {name: float(change[place]) / size for name, (place, size) in places.items()}
         for effect, change in moved.items()
     }
-    kept = {effect: {n: v for n, v in own.items() if _LEAST <= abs(v) < 1.0} for effect, own in changes.items()}
+    kept = {effect: {n: v for n, v in own.items() if _LEAST <= abs(v) < _MOST} for effect, own in changes.items()}
     return {effect: own for effect, own in kept.items() if own}
 
 
