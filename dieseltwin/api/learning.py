@@ -25,7 +25,7 @@ from dieseltwin.learning.domain import KNOWN_SHARE, functions_on_maps, uncertain
 from dieseltwin.learning.files import LearnedEngine, learned_engine_of, overlap, save_learned
 from dieseltwin.learning.levels import health_covariance
 from dieseltwin.learning.siblings import belief_from_siblings
-from dieseltwin.notes import Note, counted
+from dieseltwin.notes import Note, counted, of_reading
 from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.recordings.shared_rows import distinct, refuse_overlapping
@@ -137,11 +137,12 @@ def _learn_diesel(
     base = diesel_engine(engine) if before is None else before.base
     if before is not None and map_error is not None and map_error != before.map_rms:
         raise InputError("--map-error", f"{map_error:g}", f"{before.map_rms:g}, as {engine} says", "leave it out")
-    sources, notes = [], []
+    sources: list[Recording] = []
+    notes: list[str] = []
     for item in recordings:
         source = diesel_recording(item, channels, base, sensors=())
-        where = f"note: {source.path or 'recording'}"
-        notes += [f"{where}: {note.removeprefix('note: ')}" for note in check_recording(source, base, None)[1]]
+        told = (*source.notes, *check_recording(source, base, None)[1])
+        notes += [of_reading(note, f"{source.path or 'recording'}: ") for note in told]
         sources.append(source)
     earlier = () if before is None else before.recordings
     known_rows = {item.rows_sha256 for item in earlier}

@@ -94,11 +94,14 @@ def test_a_fault_in_the_reference_is_said(folder: Path, tmp_path: Path, capsys: 
 def test_a_reference_of_a_larger_engine_is_told_by_its_charge(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     driving = draw_driving("random", 120.0, LABORATORY, np.random.default_rng(4))
     larger = run_plant(driving, LABORATORY | {"V_d": 1.3 * LABORATORY["V_d"]})
-    read(larger, driving, (), SensorSet.perfect(), 6, np.random.default_rng(5)).to_csv(tmp_path / "a.csv", index=False)
+    frame = read(larger, driving, (), SensorSet.perfect(), 6, np.random.default_rng(5))
+    frame.loc[frame["time_s"].between(40.0, 75.0), "p_em_pa"] = 1.5e5  # a stuck sensor is said here, too
+    frame.to_csv(tmp_path / "a.csv", index=False)
     assert main(["learn", str(tmp_path / "a.csv"), "--out", str(tmp_path / "mine.yaml")]) == 0
     said = capsys.readouterr().out
     assert "note: t_im_k of the reference would be 2" in said and "another displacement" in said
     assert f"note: {tmp_path / 'a.csv'}: the engine breathes" in said
+    assert f"note: {tmp_path / 'a.csv'}: p_em_pa stands still from 40 to 75 s" in said
 
 
 def test_another_engine_is_no_reference(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
