@@ -10,6 +10,8 @@ import os
 import sys
 from pathlib import Path
 
+from dieseltwin.addresses import check_address
+from dieseltwin.errors import InputError
 from tasks import databases
 from tasks.registry import CHAMPION, NAME, Registry
 from tasks.tracking import Tracker
@@ -22,6 +24,11 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=5001)
     parser.add_argument("--host", default="127.0.0.1")
     arguments = parser.parse_args()
+    try:  # MLflow would end in a traceback, with status 0
+        check_address(arguments.host, arguments.port)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
     tracker = Tracker(prepare_environment())
     version = refused = None
     if not tracker.uri.startswith("sqlite") or (tracker.workspace.mlruns / "mlflow.db").exists():

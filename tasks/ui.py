@@ -6,6 +6,8 @@ import argparse
 import os
 import sys
 
+from dieseltwin.addresses import check_address
+from dieseltwin.errors import InputError
 from tasks import evaluation_records
 from tasks.records import EXPERIMENTS
 from tasks.tracking import Tracker
@@ -18,6 +20,11 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=5000)
     parser.add_argument("--host", default="127.0.0.1")
     arguments = parser.parse_args()
+    try:  # MLflow would end in a traceback, with status 0
+        check_address(arguments.host, arguments.port)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
     workspace = prepare_environment()
     tracker = Tracker(workspace)
     if tracker.uri.startswith("sqlite") and not (workspace.mlruns / "mlflow.db").exists():

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from dieseltwin.cli.options import check_apart
+from dieseltwin.errors import InputError
 from dieseltwin.paths import refuse_unreadable
 
 
 def export_command(
+    context: typer.Context,
     engine: Annotated[str, typer.Argument(metavar="[ENGINE]", help="Engine file, or a name.")] = "we2011",
     c: Annotated[
         Path | None, typer.Option("--c", metavar="FILE.c", help="One file of C: a simulator without dependencies.")
@@ -41,6 +44,10 @@ def export_command(
     for out in (c, fmu):
         if out is not None:
             check_apart(out, engine)
+    _refuse_unused(context, {
+        "--fmi": ("--fmu", fmu), "--sources-only": ("--fmu", fmu), "--models": ("--onnx", onnx),
+        "ENGINE": ("--c, --fmu or --table", onnx is None or c or fmu or table),
+    })  # fmt: skip
     from dieseltwin.api.export import export, export_networks
 
     written = []
@@ -50,3 +57,15 @@ def export_command(
         written += export_networks(models, onnx, overwrite=overwrite)
     for path in written:
         typer.echo(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+
+
+def _refuse_unused(context: typer.Context, used_by: Mapping[str, tuple[str, object]]) -> None:
+    """Refuse what was given and changes nothing; `used_by`: its name -> what it belongs to, and that where it is given.
+
+    Raises:
+        InputError: the first such.
+    """
+    for name, (owner, given) in used_by.items():
+        source = context.get_parameter_source(name.lstrip("-").replace("-", "_").lower())
+        if not given and source is not None and source.name == "COMMANDLINE":
+            raise InputError(f"export {name}", f"no {owner}", f"{name} beside {owner}", f"add {owner}, or leave it out")

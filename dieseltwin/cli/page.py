@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
-import ipaddress
-import socket
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from dieseltwin.addresses import check_address, is_address, is_loopback
 from dieseltwin.errors import InputError
 
 PORT = 8765
@@ -42,12 +40,12 @@ def app_command(
 
     for package in ("fastapi", "uvicorn", "python_multipart"):
         require(package, "app", "dieseltwin app")
-    _check_port(host, port)
+    check_address(host, port)
     from dieseltwin.app.server import serve
     from dieseltwin.app.workplace import Limits, Workplace
 
     limits = Limits(upload_mb=largest, workers=workers, memory_gb=memory)
-    names = [host, *(name or ())] if not _is_address(host) else list(name or ())
+    names = [host, *(name or ())] if not is_address(host) else list(name or ())
     try:
         place = folder.resolve()
     except RuntimeError:  # a link that leads to itself
@@ -56,33 +54,6 @@ def app_command(
     workplace.prepare()
     where = f"[{host}]" if ":" in host else host
     typer.echo(f"http://{where}:{port}  (files in {folder}; Ctrl-C ends it)")
-    if not _is_loopback(host):
+    if not is_loopback(host):
         typer.echo("Anyone who reaches this address can see, add and remove everything: there are no accounts.")
     serve(workplace, host, port)
-
-
-def _check_port(host: str, port: int) -> None:
-    if not host.isascii() or not host.strip():  # nothing would mean every address of this machine
-        raise InputError("--host", repr(host), "an address or a name of this machine", "leave it out for 127.0.0.1")
-    try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        with socket.socket(family, socket.SOCK_STREAM) as trial:
-            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            trial.bind((host, port))
-    except OSError as error:
-        taken = error.errno == errno.EADDRINUSE
-        got = "taken by another program" if taken else (error.strerror or str(error)).lower()
-        raise InputError(f"--host {host} --port {port}", got, "an address of this machine and a free port",
-                         "choose another --port" if taken else "check --host and --port") from None
-
-
-def _is_address(host: str) -> bool:
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True
-
-
-def _is_loopback(host: str) -> bool:
-    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
