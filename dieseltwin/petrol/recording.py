@@ -16,6 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note
 from dieseltwin.petrol.components import R_A, displaced_flow, nozzle_flow, storage_flow
 from dieseltwin.recordings.channels import ChannelMap
 from dieseltwin.recordings.derived import STAND_IN_PA
@@ -31,6 +32,7 @@ EDGE_ROWS = 6  # rows averaged for a block's end pressure: the manifold pulsates
 FULLEST_HOLE = 0.5  # blocks with fewer than this part of the usual rows are left out
 GAP_S = 0.9  # a longer step of the time stamps ends one piece and begins another: no block is without rows then
 APART_S = 10.0  # between recordings that are pooled: a gap
+FEW_LEFT_OUT = 0.01  # of the rows: fewer that lack a reading aren't worth a word
 COARSEST_STEP_S = 0.25  # of the rows: the filling of the volumes is read from pressures at a block's ends
 FEWEST_BLOCKS = 60
 LEAST_FACTOR = 0.05  # that a signal at a map may leave of it [-]
@@ -86,13 +88,14 @@ class Signals:
 
 @dataclass(frozen=True)
 class PetrolRecording:
-    """A recording with its origin; `time0_s` is the first time stamp of the file [s]."""
+    """A recording with its origin; `time0_s` is the first time stamp of the file [s], `notes` what reading did to it."""
 
     signals: Signals
     time0_s: float
     path: str
     sha256: str
     columns: tuple[str, ...]
+    notes: tuple[Note, ...] = ()
 
     @property
     def rows_sha256(self) -> str:
@@ -132,6 +135,7 @@ def read_petrol(
     good = np.all([np.isfinite(v) for v in values.values()], axis=0)
     if good.sum() < FEWEST_BLOCKS:
         raise InputError(path, f"{int(good.sum())} complete rows", f"at least {FEWEST_BLOCKS} s", "record longer")
+    notes = _left_out(values, good)
     values = {k: v[good] for k, v in values.items()}
     time = values.pop("time_s")
     if np.any(np.diff(time) <= 0.0):
@@ -152,7 +156,16 @@ def read_petrol(
         raise InputError(path, f"{time[-1] - time[0]:.0f} s", f"at least {FEWEST_BLOCKS} s", "record longer")
     signals = Signals(time - time[0], values["p_ic_pa"], values["t_ic_k"], values["p_im_pa"], values["w_af_kg_s"],
                       values["omega_e_rad_s"], values["alpha_th_pct"], values["p_amb_pa"], values["t_amb_k"])
-    return PetrolRecording(signals, float(time[0]), path, sha256, recorded)
+    return PetrolRecording(signals, float(time[0]), path, sha256, recorded, notes)
+
+
+def _left_out(values: Mapping[str, Array], good: NDArray[np.bool_]) -> tuple[Note, ...]:
+    share = float(np.mean(~good))
+    if share < FEW_LEFT_OUT:
+        return ()
+    lacking = [column for column, read in values.items() if np.mean(~np.isfinite(read)) >= 0.1 * share]
+    return (Note(f"{100.0 * share:.2g} % of the rows left out, as {listed(lacking)} {'have' if len(lacking) > 1 else 'has'} no number "
+                 "there", "left_out", lacking),)  # fmt: skip
 
 
 def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
@@ -176,7 +189,8 @@ def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:
     values["time_s"] = np.concatenate([r.signals.time_s + end for r, end in zip(once, ends, strict=True)])
     sha256 = hashlib.sha256("".join(r.sha256 for r in once).encode()).hexdigest()
     columns = tuple(c for c in once[0].columns if all(c in r.columns for r in once))
-    return PetrolRecording(Signals(**values), 0.0, ", ".join(r.path for r in once), sha256, columns)
+    return PetrolRecording(Signals(**values), 0.0, ", ".join(r.path for r in once), sha256, columns,
+                           tuple(note for r in once for note in r.notes))  # fmt: skip
 
 
 def rows_of(signals: Signals) -> Array:

@@ -1,0 +1,37 @@
+"""What the reader of petrol recordings says of rows that it can't use."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dieseltwin.petrol.recording import pooled, read_petrol
+
+
+@pytest.fixture
+def table() -> pd.DataFrame:
+    n = 1000
+    rise = np.linspace(0.0, 1.0, n)
+    return pd.DataFrame({
+        "time_s": 0.1 * np.arange(n), "p_ic_pa": 1e5 + 1e4 * rise, "t_ic_k": 300.0 + rise, "p_im_pa": 5e4 + 1e4 * rise,
+        "w_af_kg_s": 0.01 + 0.01 * rise, "omega_e_rad_s": 100.0 + rise, "alpha_th_pct": 10.0 + 5.0 * rise, "p_amb_pa": 1e5,
+        "t_amb_k": 295.0,
+    })  # fmt: skip
+
+
+def test_rows_without_a_reading_are_said(table: pd.DataFrame) -> None:
+    table.loc[100:299, "alpha_th_pct"] = np.nan
+    table.loc[500, "p_im_pa"] = np.nan
+    read = read_petrol(table)
+    assert read.signals.time_s.size == 799  # one more lacks p_im alone: too few to tell of
+    (note,) = read.notes
+    assert note == "note: 20 % of the rows left out, as alpha_th_pct has no number there"
+    assert (note.code, note.affects) == ("left_out", ("alpha_th_pct",))
+    another = read_petrol(table.assign(p_im_pa=6e4 + 1e4 * np.linspace(1.0, 0.0, len(table))).dropna())
+    assert not another.notes and pooled([read, another]).notes == (note,)
+
+
+def test_a_few_are_not(table: pd.DataFrame) -> None:
+    table.loc[[3, 500, 700], ["p_im_pa", "t_ic_k"]] = np.nan
+    assert not read_petrol(table).notes
