@@ -176,12 +176,16 @@ def _above_intake(value: np.ndarray, columns: Columns, constants: Constants) -> 
     return value + columns["p_im_pa"]
 
 
-def _per_stroke(flow_kg_s: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
-    """Fuel per cylinder and cycle [mg] of a flow [kg/s]: 1e6 W_f 120/(n_e n_cyl), Eq. (A.5) turned round."""
-    speed = columns["n_e_rpm"]
+def fuel_per_stroke(flow_kg_s: np.ndarray, n_e_rpm: np.ndarray, cylinders: int) -> np.ndarray:
+    """Fuel per cylinder and cycle [mg] of a flow [kg/s]: 1e6 W_f 120/(n_e n_cyl), Eq. (A.5) turned round; NaN where the
+    engine stands."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        fuel = 1e6 * flow_kg_s * STROKES / (speed * (constants.cylinders or 1))
-    return np.where(speed >= SLOWEST_RPM, fuel, np.nan)
+        fuel = 1e6 * flow_kg_s * STROKES / (n_e_rpm * cylinders)
+    return np.where(n_e_rpm >= SLOWEST_RPM, fuel, np.nan)
+
+
+def _per_stroke(flow_kg_s: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:
+    return fuel_per_stroke(flow_kg_s, columns["n_e_rpm"], constants.cylinders or 1)
 
 
 def _fuel_volume_rate(value: np.ndarray, columns: Columns, constants: Constants) -> np.ndarray:

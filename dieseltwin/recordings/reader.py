@@ -310,8 +310,10 @@ def check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
                          f"at most {LONGEST_S:g} s", "give the unit of time in a channel map (--channels), or cut it")
     rate = 1.0 / float(np.median(steps))
     if not any_rate and not SLOWEST_HZ / RATE_TOLERANCE <= rate <= FASTEST_HZ * RATE_TOLERANCE:
+        points = f", leave {TIME} out where each row is a settled point" if rate < SLOWEST_HZ else ""
         raise InputError(f"{where}: column {TIME}", f"{rate:.4g} rows per second", f"{SLOWEST_HZ:g} to {FASTEST_HZ:g}",
-                         "record at such a rate, average down, or give the unit of time in a channel map (--channels)")
+                         f"record at such a rate{points or ', average down'}, or give the unit of time in a channel map "
+                         "(--channels)")
 
 
 def _check_running(n_e: np.ndarray, where: str) -> None:

@@ -47,6 +47,7 @@ _COUNTER = re.compile(r"sample|tick|scan|count|frame|z(ae|ä)hler", re.IGNORECAS
 
 LEAST = 1e-6  # kg/s (and any other unit): the flow through a shut valve, so that logarithms exist
 WINDOW_S = 10.0  # a quasi-steady window lasts this long,
+FEWEST_ROWS = 5  # has so many rows at least,
 SPEED_RIPPLE = 0.01  # and its speed [-], fuel [-] and positions [%] vary by no more (standard deviation)
 FUEL_RIPPLE = 0.03
 POSITION_RIPPLE = 1.0
@@ -300,7 +301,7 @@ def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") ->
     means: list[dict[str, float]] = []
     for start in edges:
         rows = (time >= start) & (time < start + WINDOW_S)
-        if rows.sum() < 5 or not all(name in numbers for name in INPUTS):
+        if rows.sum() < FEWEST_ROWS or not all(name in numbers for name in INPUTS):
             continue
         cut = {name: values[rows] for name, values in numbers.items()}
         n_e, fuel = cut["n_e_rpm"], cut["u_delta_mg"]
@@ -315,6 +316,10 @@ def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") ->
             still = abs(np.mean(omega[:half]) - np.mean(omega[half:])) <= TURBO_DRIFT * np.mean(omega)
         if still:
             means.append({name: float(np.nanmean(values)) for name, values in cut.items()})
+    if not means and (step := float(np.median(np.diff(time)))) > WINDOW_S / FEWEST_ROWS:
+        raise InputError(f"{where}: column {TIME}", f"a row every {step:.3g} s",
+                         f"a recording of at least {FEWEST_ROWS} rows in {WINDOW_S:g} s, or settled points",
+                         f"leave {TIME} out where each row is a settled point")
     if not means:
         raise InputError(where, f"no {WINDOW_S:g} s in which speed, fuel and positions stand still",
                          "steady points (no time_s) or a recording with quiet stretches",

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from dieseltwin.recordings.derived import fuel_per_stroke
 from dieseltwin.recordings.guess.physics import WHEEL_RADIUS_M, exhaust_in_doubt, wheel_radius
 
 LOW_QUANTILE = 0.05
@@ -18,6 +19,7 @@ DRIVEN = 1.2  # pressure ratio from which the compressor's speed follows from it
 RADIUS_SLACK = 1.5  # of the wheels in `WHEEL_RADIUS_M`
 LEAST_ROWS = 20
 LEAST_FUEL_MG = 2.0  # in the richest twentieth of the rows of any engine under load
+FUEL_OFF = 0.15  # that a flow may be off from the injected fuel: injectors drift by less
 MOST_EGR = 0.8  # of the charge, in the twentieth of the rows with the highest share
 UPHILL = 0.8  # of the rows with much EGR flow: it can't flow against the pressure for long
 SHUT_PCT = 1.0  # a position below is a shut valve; a turbine with variable geometry has none
@@ -37,15 +39,30 @@ def unit_notes(columns: Mapping[str, np.ndarray], p_amb_pa: float, cylinders: in
     fuel = columns.get("u_delta_mg")
     if fuel is not None and (most := float(np.nanquantile(fuel, 1.0 - LOW_QUANTILE))) < LEAST_FUEL_MG:
         found.append(f"u_delta_mg is hardly ever above {most:.3g}: is this g or kg instead of mg/cycle?")
+    found += _fuel_flow(columns, cylinders)
     air, egr = columns.get("w_c_kg_s"), columns.get("w_egr_kg_s")
     if air is not None and egr is not None:
         flows = np.isfinite(air) & np.isfinite(egr) & (air + egr > 0.0)
         if np.count_nonzero(flows) >= LEAST_ROWS:
             share = float(np.quantile(egr[flows] / (air + egr)[flows], 1.0 - LOW_QUANTILE))
             if share > MOST_EGR:
-                found.append(f"w_egr_kg_s is up to {share:.0%} of the charge: is it in the unit of w_c_kg_s?")
+                found.append(f"w_egr_kg_s is up to {share:.0%} of the charge: is it in the unit of w_c_kg_s, or are "
+                             "the two swapped?")  # fmt: skip
     doubt = exhaust_in_doubt(columns, cylinders)
     return [*found, *([f"t_em_k {doubt}"] if doubt else []), *_swapped(columns)]
+
+
+def _fuel_flow(columns: Mapping[str, np.ndarray], cylinders: int) -> list[str]:
+    """A fuel flow that isn't what the injected fuel says."""
+    flow, fuel, speed = (columns.get(name) for name in ("w_f_kg_s", "u_delta_mg", "n_e_rpm"))
+    if flow is None or fuel is None or speed is None:
+        return []
+    injected = np.isfinite(fuel) & (fuel > LEAST_FUEL_MG)
+    ratio = fuel_per_stroke(flow, speed, cylinders)[injected] / fuel[injected]
+    if np.count_nonzero(np.isfinite(ratio)) < LEAST_ROWS or abs(np.log(middle := float(np.nanmedian(ratio)))) < FUEL_OFF:
+        return []
+    return [f"w_f_kg_s is {middle:.3g} times what u_delta_mg gives {cylinders} cylinders: are the units and the number of "
+            "cylinders right?"]  # fmt: skip
 
 
 def _swapped(columns: Mapping[str, np.ndarray]) -> list[str]:

@@ -62,6 +62,8 @@ def test_restless_recording_is_refused() -> None:
     wide = {name: 50.0 + 20.0 * np.sin(time) for name in ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")}
     with pytest.raises(InputError, match="stand still"):
         quasi_steady({"time_s": time, **wide})
+    with pytest.raises(InputError, match="leave time_s out where each row is a settled point"):
+        quasi_steady({"time_s": 300.0 * time, **wide})
     with pytest.raises(InputError, match="strictly increasing"):
         quasi_steady({**wide, "time_s": time[::-1] * 1e18})
     with pytest.raises(InputError, match="got text; allowed: seconds"):
