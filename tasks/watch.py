@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -150,7 +151,7 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
             raise StepFailed(f"{artifact.path / ENTRY}: got no entry of a history; delete it and run again", 1)
         if store.add(entry):
             added.append(recording)
-    state, name = as_it_stands(store, WatchConfig(**settings)), Path(history).resolve().name
+    state, name = as_it_stands(store, WatchConfig(**settings)), _name(Path(history).resolve())
     if not state.entries:
         return Batch(name, (), state.sentence, None, {})
     folder = state.save(current().workspace.reports / "watch" / name)
@@ -163,6 +164,14 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
     }
     figures |= {f"{health}_since_reference": float(value) for health, value in zip(HEALTH, last.since, strict=True)}
     return Batch(name, tuple(added), state.sentence, folder / PAGE, figures)
+
+
+def _name(history: Path) -> str:
+    """What a history is called: its place in the workspace, or one of its own where another folder may be called so."""
+    root = current().workspace.root.resolve()
+    if history.is_relative_to(root) and history != root:
+        return "-".join(history.relative_to(root).parts)
+    return f"{history.name}-{hashlib.sha256(str(history).encode()).hexdigest()[:6]}"
 
 
 def show(batch: Batch, known: Collection[str], refused: Mapping[str, StepFailed], left: Mapping[str, str]) -> None:

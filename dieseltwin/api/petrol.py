@@ -299,4 +299,5 @@ def recording_notes(recording: PetrolRecording) -> list[Note]:
     taken = [f"{column} as {value:g} {COLUMNS[column][2]}" for column, value in SURROUNDINGS.items()
              if column not in recording.columns]
     notes = [Note(f"not recorded and taken {listed(taken)}: the flow of a leak goes with it", "not_recorded")]
-    return [*recording.notes, *(notes if taken else []), *series_notes(recording.time0_s + signals.time_s, found, signals.omega_e)]
+    shown = series_notes(recording.time0_s + signals.time_s, found, signals.omega_e)
+    return [*recording.notes, *(notes if taken else []), *shown]

@@ -88,7 +88,7 @@ class Signals:
 
 @dataclass(frozen=True)
 class PetrolRecording:
-    """A recording with its origin; `time0_s` is the first time stamp of the file [s], `notes` what reading did to it."""
+    """A recording with its origin; `time0_s`: first time stamp of the file [s]; `notes`: what reading did to it."""
 
     signals: Signals
     time0_s: float
@@ -164,8 +164,9 @@ def _left_out(values: Mapping[str, Array], good: NDArray[np.bool_]) -> tuple[Not
     if share < FEW_LEFT_OUT:
         return ()
     lacking = [column for column, read in values.items() if np.mean(~np.isfinite(read)) >= 0.1 * share]
-    return (Note(f"{100.0 * share:.2g} % of the rows left out, as {listed(lacking)} {'have' if len(lacking) > 1 else 'has'} no number "
-                 "there", "left_out", lacking),)  # fmt: skip
+    have = "have" if len(lacking) > 1 else "has"
+    return (Note(f"{100.0 * share:.2g} % of the rows left out, as {listed(lacking)} {have} no number there", "left_out",
+                 lacking),)  # fmt: skip
 
 
 def pooled(recordings: Sequence[PetrolRecording]) -> PetrolRecording:

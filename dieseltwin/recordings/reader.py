@@ -312,8 +312,8 @@ def check_time(time: np.ndarray, where: str, any_rate: bool) -> None:
     if not any_rate and not SLOWEST_HZ / RATE_TOLERANCE <= rate <= FASTEST_HZ * RATE_TOLERANCE:
         points = f", leave {TIME} out where each row is a settled point" if rate < SLOWEST_HZ else ""
         raise InputError(f"{where}: column {TIME}", f"{rate:.4g} rows per second", f"{SLOWEST_HZ:g} to {FASTEST_HZ:g}",
-                         f"record at such a rate{points or ', average down'}, or give the unit of time in a channel map "
-                         "(--channels)")
+                         f"record at such a rate{points or ', average down'}, or give the unit of time in a channel "
+                         "map (--channels)")
 
 
 def _check_running(n_e: np.ndarray, where: str) -> None:

@@ -59,10 +59,13 @@ def _fuel_flow(columns: Mapping[str, np.ndarray], cylinders: int) -> list[str]:
         return []
     injected = np.isfinite(fuel) & (fuel > LEAST_FUEL_MG)
     ratio = fuel_per_stroke(flow, speed, cylinders)[injected] / fuel[injected]
-    if np.count_nonzero(np.isfinite(ratio)) < LEAST_ROWS or abs(np.log(middle := float(np.nanmedian(ratio)))) < FUEL_OFF:
+    if np.count_nonzero(np.isfinite(ratio)) < LEAST_ROWS:
         return []
-    return [f"w_f_kg_s is {middle:.3g} times what u_delta_mg gives {cylinders} cylinders: are the units and the number of "
-            "cylinders right?"]  # fmt: skip
+    middle = float(np.nanmedian(ratio))
+    if abs(middle - 1.0) < FUEL_OFF:
+        return []
+    return [f"w_f_kg_s is {middle:.3g} times what u_delta_mg gives {cylinders} cylinders: are the units and the number "
+            "of cylinders right?"]  # fmt: skip
 
 
 def _swapped(columns: Mapping[str, np.ndarray]) -> list[str]:

@@ -44,9 +44,7 @@ def stuck_unread(columns: dict[str, np.ndarray]) -> list[str]:
         rows = np.flatnonzero(np.isfinite(values))
         if rows.size < 2:
             continue
-        firsts, lasts = same_readings(values)
-        stuck = [slice(first, last + 1) for first, last in zip(firsts, lasts, strict=True)
-                 if time[last] - time[first] >= STUCK_S and _moves(columns, slice(first, last + 1))]  # fmt: skip
+        stuck = [part for part in _long_unchanged(time, values) if _moves(columns, part)]
         if not stuck or sum(np.isfinite(values[part]).sum() for part in stuck) > _MOST_STUCK * rows.size:
             continue
         columns[name] = values.copy()
@@ -56,6 +54,13 @@ def stuck_unread(columns: dict[str, np.ndarray]) -> list[str]:
                               "the engine moves: its sensor is stuck, and its readings there count as missing",
                               "frozen_channel", (name,)))  # fmt: skip
     return notes
+
+
+def _long_unchanged(time: Array, values: Array) -> list[slice]:
+    """Where the same reading stands for `STUCK_S` or longer."""
+    firsts, lasts = same_readings(values)
+    long = time[lasts] - time[firsts] >= STUCK_S
+    return [slice(first, last + 1) for first, last in zip(firsts[long], lasts[long], strict=True)]
 
 
 def _moves(columns: dict[str, np.ndarray], part: slice) -> bool:
@@ -71,9 +76,7 @@ def standstills(time: Array, values: Array, speed: Array) -> Array:
         time: (n,) [s]; values: (n,) with two readings or more; speed: (n,) of the engine.
     """
     out = np.zeros(time.size)
-    firsts, lasts = same_readings(values)
-    for k in np.flatnonzero(time[lasts] - time[firsts] >= STUCK_S):
-        rows = slice(firsts[k], lasts[k] + 1)
+    for rows in _long_unchanged(time, values):
         out[rows] = float(np.nanstd(speed[rows]) > 0.0)
     return out
 

@@ -118,6 +118,16 @@ def test_a_first_batch_without_a_good_recording_says_why(
         steps.show(batch, [], {"2026-01-01.csv": StepFailed("too short", 2)}, {})
 
 
+def test_histories_in_folders_of_one_name_have_reports_of_their_own(fresh: Callable[[], None], tmp_path: Path) -> None:
+    fresh()
+    mine, settings = learned_file(tmp_path), load_settings("tiny")["watch"]
+    elsewhere = tmp_path.with_name(f"{tmp_path.name}-elsewhere")
+    places = [tmp_path / "lorry_7", tmp_path / "trucks" / "lorry_7", elsewhere / "lorry_7", elsewhere / "b" / "lorry_7"]
+    called = [steps.add({}, str(mine), str(place), settings).history for place in places]
+    assert called[:2] == ["lorry_7", "trucks-lorry_7"] and len(set(called)) == 4
+    assert all(name.startswith("lorry_7-") for name in called[2:])
+
+
 @pytest.mark.flow
 def test_a_batch_is_added_once_and_logged_once(
     prefect: None, fresh: Callable[[], None], tmp_path: Path

@@ -15,8 +15,8 @@ def table() -> pd.DataFrame:
     rise = np.linspace(0.0, 1.0, n)
     return pd.DataFrame({
         "time_s": 0.1 * np.arange(n), "p_ic_pa": 1e5 + 1e4 * rise, "t_ic_k": 300.0 + rise, "p_im_pa": 5e4 + 1e4 * rise,
-        "w_af_kg_s": 0.01 + 0.01 * rise, "omega_e_rad_s": 100.0 + rise, "alpha_th_pct": 10.0 + 5.0 * rise, "p_amb_pa": 1e5,
-        "t_amb_k": 295.0,
+        "w_af_kg_s": 0.01 + 0.01 * rise, "omega_e_rad_s": 100.0 + rise, "alpha_th_pct": 10.0 + 5.0 * rise,
+        "p_amb_pa": 1e5, "t_amb_k": 295.0,
     })  # fmt: skip
 
 
