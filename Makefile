@@ -61,9 +61,9 @@ $(READY): requirements.lock pyproject.toml
 			echo "Python 3.11 is needed, got $$($(PYTHON) --version 2>&1 | head -1): make PYTHON=/path/to/python3.11" >&2; \
 			exit 1; \
 		}; \
-		echo "Setting up $(VENV) from requirements.lock (about 3 minutes, once) ..."; \
+		echo "Setting up $(VENV) from requirements.lock (some 2 minutes, once) ..."; \
 		$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV) || exit 1; \
-		$(BIN)/python -m pip install -qq --no-compile -r requirements.lock || exit 1; \
+		$(BIN)/python tasks/install.py requirements.lock || exit 1; \
 		$(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true; \
 	fi
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation -e .
