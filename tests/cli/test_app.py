@@ -335,12 +335,14 @@ def test_identify_refuses_too_few_sensors(
 def test_a_fit_that_misses_the_readings_is_reported(run: Run, noisy: Path, tmp_path: Path) -> None:
     """A compressor that is best at another flow is not this engine, whatever its health parameters."""
     (tmp_path / "engine.yaml").write_text("W_copt: 0.4\n")
-    command = ("identify", noisy, "--runs", "1", "--segment", "30")
+    recording = pd.read_parquet(noisy)
+    recording[recording["time_s"] <= 60.0].to_parquet(tmp_path / "drive.parquet", index=False)
+    command = ("identify", tmp_path / "drive.parquet", "--runs", "1", "--segment", "30")
     wrong = run(*command, "--engine", tmp_path / "engine.yaml", "--out", tmp_path / "wrong")
     right = run(*command, "--out", tmp_path / "right")
     assert any("times the noise" in line for line in wrong)
     assert not any("times the noise" in line for line in right)
-    assert len(json.loads((tmp_path / "right" / "identification.json").read_text())["segments"]) == 4
+    assert len(json.loads((tmp_path / "right" / "identification.json").read_text())["segments"]) == 2
 
 
 def test_the_command_line_is_started_without_numpy() -> None:
