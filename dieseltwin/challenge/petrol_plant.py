@@ -5,6 +5,8 @@ It imports nothing of the twin that it proves.
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 import pandas as pd
 
@@ -17,7 +19,7 @@ def _psi(q: float) -> float:
     q = max(q, CRITICAL)
     if q >= 1.0:
         return 0.0
-    value = float(np.sqrt(7.0 * (min(q, 0.99) ** (2 / 1.4) - min(q, 0.99) ** (2.4 / 1.4))))
+    value = sqrt(7.0 * (min(q, 0.99) ** (2 / 1.4) - min(q, 0.99) ** (2.4 / 1.4)))
     return value * min((1.0 - q) / 0.01, 1.0)
 
 
@@ -54,19 +56,21 @@ def drive(
         alpha[at : at + length] = rng.uniform(1.6, 2.8) if idle else rng.uniform(3.0, 18.0)
         omega[at : at + length] = rng.uniform(85.0, 115.0) if idle else rng.uniform(120.0, 300.0)
         at += length
-    a, w, p_im, p_ic = alpha[0], omega[0], 3e4, 1e5
+    throttle, speed, times = alpha.tolist(), omega.tolist(), time.tolist()  # Python's floats: half the time
+    a, w, p_im, p_ic = throttle[0], speed[0], 3e4, 1e5
     T, p_amb = 298.0, 1.0e5
+    root = sqrt(R * T)
     rows = np.empty((n, 5))
     for k in range(n):
-        since = time[k] >= onset_s
+        since = times[k] >= onset_s
         leak = leak_m2 if since else 0.0
         open_area, filled = (1.0 + restriction, 1.0 + filling) if since else (1.0, 1.0)
         for _ in range(5):
             h = 0.2 / RATE_HZ
-            a += (alpha[k] - a) * h / 0.15
-            w += (omega[k] - w) * h / 1.5
-            flow = p_ic / np.sqrt(R * T) * open_area * _area(a) * _psi(p_im / p_ic)
-            inward = leak / np.sqrt(R * T) * (p_amb * _psi(p_im / p_amb) - p_im * _psi(p_amb / p_im))
+            a += (throttle[k] - a) * h / 0.15
+            w += (speed[k] - w) * h / 1.5
+            flow = p_ic / root * open_area * _area(a) * _psi(p_im / p_ic)
+            inward = leak / root * (p_amb * _psi(p_im / p_amb) - p_im * _psi(p_amb / p_im)) if leak else 0.0
             cylinder = filled * _eta(w, p_im) * V_D * w / (4 * np.pi) * p_im / (R * T)
             boost = 1e5 * (1.0 + 6.0 * max(flow - 0.004, 0.0))
             rise = (boost - p_ic) / 0.4

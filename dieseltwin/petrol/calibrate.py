@@ -54,9 +54,8 @@ class SubmodelFit:
     blocks: int
 
 
-def _spline_map(
-    B: Array, y: Array, scale: Array, tempering: float, prior: Array, knots: tuple[Array, Array]
-) -> SplineMap:
+def _coefficients(B: Array, y: Array, scale: Array, tempering: float, prior: Array) -> tuple[Array, Array]:
+    """Coefficients of a map (to six digits, as its file has them) and the precision (normal equations) they came of."""
     B = np.ascontiguousarray(B)
     residual = y - np.median(y[np.isfinite(scale)])
     inverse = 1.0 / scale**2
@@ -65,9 +64,17 @@ def _spline_map(
         A, b = normal_equations(B, w, y, prior)
         theta = np.linalg.solve(A, b)
         residual = y - B @ theta
+    return np.array(_six(theta)), A
+
+
+def _spline_map(
+    B: Array, y: Array, scale: Array, tempering: float, prior: Array, knots: tuple[Array, Array]
+) -> SplineMap:
+    theta, A = _coefficients(B, y, scale, tempering, prior)
     factor = np.linalg.cholesky(np.linalg.inv(A))
     rows = tuple(tuple(float(f"{v:.5g}") for v in row[: i + 1]) for i, row in enumerate(factor))
-    return SplineMap(knots_x=_six(knots[0]), knots_y=_six(knots[1]), coefficients=_six(theta), covariance_factor=rows)
+    x, y_knots = (_six(values) for values in knots)
+    return SplineMap(knots_x=x, knots_y=y_knots, coefficients=tuple(theta.tolist()), covariance_factor=rows)
 
 
 def _six(values: Array) -> tuple[float, ...]:
@@ -112,20 +119,20 @@ def _held_out(t: _Balance, scale: Array, kept: Bool, fold: NDArray[np.int64]) ->
     residual = np.full(len(t.y), np.nan)
     for k in range(FOLDS):
         train, test = kept & (fold != k), kept & (fold == k)
-        m = _spline_map(t.basis[train], t.y[train], scale[train], 1.0, t.prior, t.knots)
-        residual[test] = t.y[test] - t.basis[test] @ np.array(m.coefficients)
+        theta, _ = _coefficients(t.basis[train], t.y[train], scale[train], 1.0, t.prior)
+        residual[test] = t.y[test] - t.basis[test] @ theta
     return residual
 
 
 def _spread(residual: Array, unsteady: Array, kept: Bool) -> Spread:
-    r, u = residual[kept], unsteady[kept]
+    squares, u2 = residual[kept] ** 2, unsteady[kept] ** 2
 
     def loss(log_values: Array) -> float:
         values = np.exp(log_values)
-        s2 = LEAST_SCALE**2 + values[0] ** 2 + (u**2) @ values[1:] ** 2
-        return float(np.sum(0.5 * np.log(s2) + 0.5 * (FREEDOM + 1.0) * np.log1p(r**2 / (FREEDOM * s2))))
+        s2 = LEAST_SCALE**2 + values[0] ** 2 + u2 @ values[1:] ** 2
+        return float(np.sum(0.5 * np.log(s2) + 0.5 * (FREEDOM + 1.0) * np.log1p(squares / (FREEDOM * s2))))
 
-    start = np.log(np.array([0.01, *[0.05] * u.shape[1]]))
+    start = np.log(np.array([0.01, *[0.05] * u2.shape[1]]))
     found = minimize(loss, start, method="Nelder-Mead", options={"maxiter": 600, "xatol": 1e-2, "fatol": 1e-2})
     values = np.exp(found.x)
     base = Spread(base=float(np.hypot(LEAST_SCALE, values[0])), rates=tuple(float(v) for v in values[1:]))
@@ -227,8 +234,7 @@ def learned_clocks_and_volumes(
             spread = spreads.get(name, FIRST_SPREAD)
             scale = scale_of(spread, unsteady)[kept]
             B = np.ascontiguousarray(table.basis[kept])
-            known = _spline_map(B, table.y[kept], scale, spread.tempering, table.prior, table.knots)
-            theta = np.array(known.coefficients)
+            theta, _ = _coefficients(B, table.y[kept], scale, spread.tempering, table.prior)
             left = (table.y - table.basis @ theta)[kept]
             weight = (FREEDOM + 1.0) / (FREEDOM * scale**2 + left**2) / spread.tempering
             change = np.stack([(o[name].y - o[name].basis @ theta)[kept] - left for o in others], 1) / steps

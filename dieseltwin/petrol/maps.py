@@ -22,9 +22,10 @@ def spline_basis(x: Array, knots: Array) -> Array:
     inside = np.clip(x, knots[0], knots[-1] - 1e-9 * (knots[-1] - knots[0]))
     basis = np.asarray(_splines(tuple(knots))(inside))
     further = DEGREE * np.clip(beyond(x, knots), -STRAIGHT, STRAIGHT)  # times the difference of the last coefficients
-    low, high = np.minimum(further, 0.0), np.maximum(further, 0.0)
-    basis[:, :2] += np.stack([-low, low], axis=1)
-    basis[:, -2:] += np.stack([-high, high], axis=1)
+    if further.any():
+        low, high = np.minimum(further, 0.0), np.maximum(further, 0.0)
+        basis[:, :2] += np.stack([-low, low], axis=1)
+        basis[:, -2:] += np.stack([-high, high], axis=1)
     return basis
 
 

@@ -7,7 +7,7 @@ pressures at the block's ends over its length. So time stamps are used as they a
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -330,7 +330,31 @@ class Blocks:
         return np.asarray(np.log(self.T_ic / self.T_amb))
 
 
-def blocks_of(s: Signals, grid: Grid, g: Geometry, added: Mapping[str, Array] | None = None) -> Blocks:
+class Once:
+    """What is worked out of a recording's own arrays, and of what came of them, is worked out once.
+
+    An effect changes a channel or two, and hundreds of hypotheses share what it leaves. An array is known by being the
+    same object, so none may be changed in place.
+    """
+
+    def __init__(self, own: Iterable[Array | None] = ()) -> None:
+        self._own = {id(x): x for x in own if x is not None}
+        self._known: dict[tuple[object, ...], Array] = {}
+
+    def __call__(self, name: str, work: Callable[[], Array], *of: Array) -> Array:
+        """What `work` gives; the same `name` and the same own arrays `of` that it is made of: as the first time."""
+        if not all(id(x) in self._own for x in of):
+            return work()
+        key = (name, *map(id, of))
+        if key not in self._known:
+            self._known[key] = value = work()
+            self._own[id(value)] = value
+        return self._known[key]
+
+
+def blocks_of(
+    s: Signals, grid: Grid, g: Geometry, added: Mapping[str, Array] | None = None, once: Once | None = None
+) -> Blocks:
     """Means and flows over each block, with what an effect adds to `s` taken into account.
 
     Args:
@@ -338,9 +362,16 @@ def blocks_of(s: Signals, grid: Grid, g: Geometry, added: Mapping[str, Array] | 
         grid: blocks.
         g: volumes.
         added: point of the twin -> (m,) signal that enters there: relative at `eta_vol` and `A_th`, else kg/s.
+        once: what is known of these blocks already.
     """
-    mean, more = grid.mean, added or {}
+    more, known = added or {}, once or Once()
     zero = np.zeros(len(grid.count))
+
+    def mean(x: Array) -> Array:
+        return known("mean", lambda: grid.mean(x), x)
+
+    def slope(x: Array) -> Array:
+        return known("slope", lambda: grid.slope(x), x)
 
     def given(x: Array | None) -> Array:
         return zero if x is None else mean(x)
@@ -349,12 +380,14 @@ def blocks_of(s: Signals, grid: Grid, g: Geometry, added: Mapping[str, Array] | 
         return np.asarray(np.log1p(np.maximum(more.get(name, zero), LEAST_FACTOR - 1.0)))
 
     T_ic, p_im, p_ic = mean(s.T_ic), mean(s.p_im), mean(s.p_ic)
-    before = storage_flow(grid.slope(s.p_ic), T_ic, g.V_ic) + given(s.leak_ic) - more.get("intercooler_balance", zero)
-    inside = storage_flow(grid.slope(s.p_im), T_ic, g.V_im) - given(s.leak_im) - more.get("intake_balance", zero)
-    unit_flow = np.maximum(mean(nozzle_flow(1.0, s.p_ic, s.T_ic, s.p_im)), 1.0)
+    before = storage_flow(slope(s.p_ic), T_ic, g.V_ic) + given(s.leak_ic) - more.get("intercooler_balance", zero)
+    inside = storage_flow(slope(s.p_im), T_ic, g.V_im) - given(s.leak_im) - more.get("intake_balance", zero)
+    through = (s.p_ic, s.T_ic, s.p_im)
+    unit_flow = known("unit_flow", lambda: np.maximum(grid.mean(nozzle_flow(1.0, *through)), 1.0), *through)
+    psi = known("psi", lambda: np.asarray(unit_flow / (p_ic / np.sqrt(R_A * T_ic))), unit_flow, p_ic, T_ic)
     omega_e = mean(s.omega_e)
     return Blocks(
         grid.mid_s, omega_e, p_im, p_ic, mean(s.alpha), mean(s.W_af), mean(s.p_amb), T_ic, mean(s.T_amb),
-        unit_flow / (p_ic / np.sqrt(R_A * T_ic)), displaced_flow(p_im, omega_e, T_ic, g.V_d), unit_flow, before,
+        psi, displaced_flow(p_im, omega_e, T_ic, g.V_d), unit_flow, before,
         before + inside, given(s.log_eta) + factor("eta_vol"), given(s.log_area) + factor("A_th"),
     )  # fmt: skip

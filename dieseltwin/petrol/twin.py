@@ -39,7 +39,7 @@ from dieseltwin.petrol.model import (
     unsteadiness,
 )
 from dieseltwin.petrol.parameters import FILLED, PetrolParameters
-from dieseltwin.petrol.recording import Blocks, Signals, blocks_of, make_grid
+from dieseltwin.petrol.recording import Blocks, Once, Signals, blocks_of, make_grid
 from dieseltwin.recordings.noise import Noise
 from dieseltwin.recordings.unread import standstills
 from dieseltwin.settings.names import listed
@@ -74,7 +74,8 @@ class PetrolTwin(TwinDefaults):
     def __init__(self, engine: PetrolParameters, signals: Signals, columns: Sequence[str] | None = None) -> None:
         self.engine, self.signals = engine, undo_all(engine.clocks, signals)
         self.grid = make_grid(signals.time_s)
-        self.blocks = blocks_of(self.signals, self.grid, engine.volumes.geometry)
+        self.once = Once(vars(self.signals).values())
+        self.blocks = blocks_of(self.signals, self.grid, engine.volumes.geometry, once=self.once)
         used = [n for n in BALANCES if columns is None or set(NEEDS[n]) <= set(columns)]
         self.channels = tuple(used)
         self.parameters = tuple(p for p in _parameters(engine) if _BALANCE_OF[p.name] in used)
@@ -161,8 +162,10 @@ class PetrolTwin(TwinDefaults):
         """Logarithms of the volumetric efficiency and of the throttle's area by the calibrated maps, each (n,)."""
         cylinder, throttle = self.engine.maps
         return {
-            "cylinder": log_efficiency(b, cylinder),
-            "throttle": throttle_basis(b, throttle) @ np.array(throttle.coefficients),
+            "cylinder": self.once("cylinder", lambda: log_efficiency(b, cylinder), b.omega_e, b.p_im),
+            "throttle": self.once(
+                "throttle", lambda: throttle_basis(b, throttle) @ np.array(throttle.coefficients), b.alpha, b.psi
+            ),
         }
 
     def _misfits(self, by_cylinders: Array, by_throttle: Array, boost: Array, cooler: Array) -> Array:
@@ -179,7 +182,8 @@ class PetrolTwin(TwinDefaults):
         others = {name: size[self.grid.index] for name, size in effects.items() if name not in AIR_FLOW}
         if not others and not added:
             return self.blocks
-        return blocks_of(undo_all(others, self.signals), self.grid, self.engine.volumes.geometry, added)
+        geometry = self.engine.volumes.geometry
+        return blocks_of(undo_all(others, self.signals), self.grid, geometry, added, self.once)
 
     def _entered(self, lanes: Lanes, b: int) -> tuple[dict[str, Array], dict[str, Array]]:
         """Effects with their sizes (n,), and signals at points, of one lane."""
@@ -267,7 +271,7 @@ class PetrolTwin(TwinDefaults):
         for name, std in zip(FILLED, volumes.spread, strict=True):
             if std > 0.0:
                 larger = volumes.model_copy(update={name: getattr(volumes, name) * (1.0 + std)})
-                moved = blocks_of(self.signals, self.grid, larger.geometry)
+                moved = blocks_of(self.signals, self.grid, larger.geometry, once=self.once)
                 both = {"cylinder": moved.cylinder(self.blocks.W_af) - self.blocks.cylinder(self.blocks.W_af),
                         "throttle": moved.throttle(self.blocks.W_af) - self.blocks.throttle(self.blocks.W_af)}
                 response = np.stack([both.get(c, np.zeros(len(self.time_s))) for c in self.channels], axis=1)

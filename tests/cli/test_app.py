@@ -17,6 +17,7 @@ import dieseltwin
 from dieseltwin.cli import app as cli
 from dieseltwin.cli.app import main
 from dieseltwin.engine import load_engine, we2011
+from dieseltwin.notes import STRICT_CODE
 from dieseltwin.symbols import BY_COLUMN
 
 Run = Callable[..., list[str]]
@@ -282,13 +283,21 @@ def test_same_command_same_bytes(run: Run, identified: Path, noisy: Path, tmp_pa
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_rows_outside_the_engines_range_are_reported(run: Run, noisy: Path, tmp_path: Path) -> None:
+def test_rows_outside_the_engines_range_are_reported(
+    noisy: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As a line, in the document, and in the exit code when asked."""
     recording = pd.read_parquet(noisy)
     recording = recording[recording["time_s"] <= 60.0].copy()
     recording.loc[:9, "u_vgt_pct"] = 15.0
     recording.to_parquet(tmp_path / "drive.parquet", index=False)
-    lines = run("identify", tmp_path / "drive.parquet", "--runs", "1", "--out", tmp_path / "out")
-    assert "note: 10 of 301 rows of u_vgt_pct are outside the engine's range 20 to 100" in lines
+    command = ["identify", str(tmp_path / "drive.parquet"), "--runs", "1", "--out", str(tmp_path / "out"), "--strict"]
+    assert main(command) == STRICT_CODE
+    expected = "10 of 301 rows of u_vgt_pct are outside the engine's range 20 to 100"
+    assert f"note: {expected}" in capfd.readouterr().out.splitlines()
+    warnings = json.loads((tmp_path / "out" / "identification.json").read_text())["warnings"]
+    found = {warning["code"]: warning for warning in warnings}
+    assert found["out_of_range"]["affects"] == ["u_vgt_pct"] and expected in found["out_of_range"]["text"]
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -335,12 +344,14 @@ def test_identify_refuses_too_few_sensors(
 def test_a_fit_that_misses_the_readings_is_reported(run: Run, noisy: Path, tmp_path: Path) -> None:
     """A compressor that is best at another flow is not this engine, whatever its health parameters."""
     (tmp_path / "engine.yaml").write_text("W_copt: 0.4\n")
-    command = ("identify", noisy, "--runs", "1", "--segment", "30")
+    recording = pd.read_parquet(noisy)
+    recording[recording["time_s"] <= 60.0].to_parquet(tmp_path / "drive.parquet", index=False)
+    command = ("identify", tmp_path / "drive.parquet", "--runs", "1", "--segment", "30")
     wrong = run(*command, "--engine", tmp_path / "engine.yaml", "--out", tmp_path / "wrong")
     right = run(*command, "--out", tmp_path / "right")
     assert any("times the noise" in line for line in wrong)
     assert not any("times the noise" in line for line in right)
-    assert len(json.loads((tmp_path / "right" / "identification.json").read_text())["segments"]) == 4
+    assert len(json.loads((tmp_path / "right" / "identification.json").read_text())["segments"]) == 2
 
 
 def test_the_command_line_is_started_without_numpy() -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -375,40 +376,63 @@ def can_mount() -> bool:
 needs_mount = pytest.mark.skipif(not can_mount(), reason="needs root and its own mount namespace")
 
 
-def run_on_mount(folder: Path, options: str, command: list[str]) -> tuple[int, list[str], list[str]]:
-    """Run with a tmpfs of these options on `folder`, seen by the command only: exit code, stderr, files in it."""
-    folder.mkdir()
-    script = 'mount -t tmpfs -o "$1" tmpfs "$2" || exit 99; d="$2"; shift 2; "$@"; c=$?; ls -A "$d"; exit $c'
-    done = subprocess.run(
-        ["unshare", "-m", "sh", "-c", script, "sh", options, str(folder), *command],
-        capture_output=True, text=True, check=False, timeout=240,
-    )  # fmt: skip
-    assert done.returncode != 99, done.stderr
-    return done.returncode, done.stderr.splitlines(), done.stdout.split()
+RUN_ALL = """
+import contextlib, io, json, os, sys
+from dieseltwin.cli.app import main
+done = []
+for command in json.load(sys.stdin):
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        code = main(command)
+    done.append([code, said.getvalue().splitlines()])
+print(json.dumps(done))
+"""
+"""A program that runs several commands: the libraries are imported once."""
+Said = tuple[int, list[str]]
+
+
+def run_all(commands: list[list[str]], before: Sequence[str] = (), **options: Any) -> list[Said]:
+    """Exit code and lines on stderr of each command, all in one process that is begun by `before`."""
+    done = subprocess.run([*before, sys.executable, "-c", RUN_ALL], input=json.dumps(commands), capture_output=True,
+                          text=True, check=False, timeout=240, **options)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return [(code, said) for code, said in json.loads(done.stdout)]
+
+
+PLACES = {"full": ("size=16k", "no space left"), "read-only": ("ro", "read-only"),
+          "with an old result": ("size=16k", "no space left")}  # fmt: skip
+"""Name -> options of the mount, what is said there."""
+MOUNTED = """
+while [ "$1" != -- ]; do mount -t tmpfs -o "$1" tmpfs "$2" || exit 99; shift 2; done
+shift; old="$1"; log="$2"; shift 2; echo old > "$old"
+"$@"; code=$?
+find "$(dirname "$(dirname "$old")")"/disk-* -type f > "$log"; cat "$old" >> "$log"
+exit $code
+"""
 
 
 @needs_mount
-@pytest.mark.parametrize("name", ["simulate", "simulate-csv", "identify"])
-@pytest.mark.parametrize(("options", "words"), [("size=16k", "no space left"), ("ro", "read-only")])
-def test_full_disk_and_read_only_folder(tmp_path: Path, drive: Path, name: str, options: str, words: str) -> None:
-    folder = tmp_path / "disk"
-    command = {
-        "simulate": ("simulate", drive, "--out", folder / "out.parquet"),
-        "simulate-csv": ("simulate", drive, "--out", folder / "out.csv"),
-        "identify": ("identify", drive, "--out", folder, "--runs", "1"),
-    }[name]
-    code, said, files = run_on_mount(folder, options, cli(*command))
-    assert code == 2, said
-    assert len(said) == 1 and words in said[0] and has_four_parts(said[0]), said
-    assert files == []
-
-
-@needs_mount
-def test_full_disk_keeps_the_old_result(tmp_path: Path, drive: Path) -> None:
-    folder = tmp_path / "disk"
-    command = ["sh", "-c", f'echo old > {folder}/out.csv; "$@"; c=$?; cat {folder}/out.csv; exit $c', "sh"]
-    code, _, files = run_on_mount(folder, "size=16k", command + cli("simulate", drive, "--out", folder / "out.csv"))
-    assert code == 2 and files == ["old", "out.csv"]
+def test_full_disk_and_read_only_folder(tmp_path: Path, drive: Path) -> None:
+    """Commands into mounts that only they see: said in a line, nothing is left, and an old result is kept."""
+    commands, mounts = [], []
+    for k, (options, _) in enumerate(PLACES.values()):
+        for name in ("simulate", "simulate-csv", "identify") if k < 2 else ("simulate-csv",):
+            folder = tmp_path / f"disk-{k}-{name}"
+            folder.mkdir()
+            commands.append({
+                "simulate": ["simulate", str(drive), "--out", str(folder / "out.parquet")],
+                "simulate-csv": ["simulate", str(drive), "--out", str(folder / "out.csv")],
+                "identify": ["identify", str(drive), "--out", str(folder), "--runs", "1"],
+            }[name])  # fmt: skip
+            mounts += [options, str(folder)]
+    old, log = tmp_path / "disk-2-simulate-csv" / "out.csv", tmp_path / "left.txt"
+    begun = ["unshare", "-m", "sh", "-c", MOUNTED, "sh", *mounts, "--", str(old), str(log)]
+    answers = run_all(commands, begun)
+    for (code, said), words in zip(answers, [w for _, w in PLACES.values() for _ in range(3)], strict=False):
+        assert code == 2, said
+        assert len(said) == 1 and words in said[0] and has_four_parts(said[0]), said
+    assert log.read_text().splitlines() == [str(old), "old"]
 
 
 def test_disk_full_for_this_user(tmp_path: Path, drive: Path) -> None:
@@ -420,8 +444,7 @@ def test_disk_full_for_this_user(tmp_path: Path, drive: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} == {drive.name}
 
 
-@pytest.mark.parametrize("name", ["simulate", "identify"])
-def test_folder_without_permission(tmp_path: Path, drive: Path, name: str) -> None:
+def test_folder_without_permission(tmp_path: Path, drive: Path) -> None:
     closed = tmp_path / "closed"
     closed.mkdir()
     tmp_path.chmod(0o755)
@@ -438,13 +461,10 @@ def test_folder_without_permission(tmp_path: Path, drive: Path, name: str) -> No
     home = tmp_path / "home"  # the compiled simulator is cached somewhere
     home.mkdir(mode=0o777)
     home.chmod(0o777)
-    out = closed / "out.csv" if name == "simulate" else closed / "out"
-    done = subprocess.run(
-        [*drop, *cli(name, drive, "--out", out)], env={**os.environ, "HOME": str(home)},
-        capture_output=True, text=True, check=False, timeout=240,
-    )  # fmt: skip
-    assert done.returncode == 2, done.stderr
-    assert len(done.stderr.splitlines()) == 1 and "permission denied" in done.stderr
+    outs = {"simulate": closed / "out.csv", "identify": closed / "out"}
+    commands = [[name, str(drive), "--out", str(out)] for name, out in outs.items()]
+    for code, said in run_all(commands, drop, env={**os.environ, "HOME": str(home)}):
+        assert code == 2 and len(said) == 1 and "permission denied" in said[0], said
     assert list(closed.iterdir()) == []
 
 

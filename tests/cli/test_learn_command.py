@@ -23,9 +23,9 @@ pytestmark = pytest.mark.usefixtures("no_pictures")
 LABORATORY = we2011.PARAMETERS.model_dump()
 
 
-def _recorded(seed: int, faults: tuple[Fault, ...] = (), **worn: float) -> pd.DataFrame:
+def _recorded(seed: int, faults: tuple[Fault, ...] = (), duration_s: float = 120.0, **worn: float) -> pd.DataFrame:
     maps, sensors = MapErrors.draw(0.02, np.random.default_rng(5)), SensorSet.perfect()
-    driving = draw_driving("random", 120.0, LABORATORY, np.random.default_rng(seed))
+    driving = draw_driving("random", duration_s, LABORATORY, np.random.default_rng(seed))
     engine = LABORATORY | {name: LABORATORY[name] * share for name, share in worn.items()}
     rng = np.random.default_rng([seed, 1])
     return read(run_plant(driving, engine, faults, maps), driving, faults, sensors, 6, rng)
@@ -83,7 +83,7 @@ def test_idling_alone_teaches_nothing(tmp_path: Path, folder: Path, capsys: pyte
 
 
 def test_a_fault_in_the_reference_is_said(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    _recorded(3, (Fault("boost_leak", 1e-4),)).to_csv(tmp_path / "faulty.csv", index=False)
+    _recorded(3, (Fault("boost_leak", 1e-4),), 80.0).to_csv(tmp_path / "faulty.csv", index=False)
     assert main(["learn", str(tmp_path / "faulty.csv"), "--out", str(tmp_path / "mine.yaml")]) == 0
     said = capsys.readouterr().out
     assert "the reference itself looks like" in said and "boost_leak" in said
@@ -92,7 +92,7 @@ def test_a_fault_in_the_reference_is_said(folder: Path, tmp_path: Path, capsys: 
 
 
 def test_a_reference_of_a_larger_engine_is_told_by_its_charge(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    driving = draw_driving("random", 120.0, LABORATORY, np.random.default_rng(4))
+    driving = draw_driving("random", 100.0, LABORATORY, np.random.default_rng(4))
     larger = run_plant(driving, LABORATORY | {"V_d": 1.3 * LABORATORY["V_d"]})
     frame = read(larger, driving, (), SensorSet.perfect(), 6, np.random.default_rng(5))
     frame.loc[frame["time_s"].between(40.0, 75.0), "p_em_pa"] = 1.5e5  # a stuck sensor is said here, too
@@ -139,7 +139,7 @@ def test_driving_that_two_recordings_share_is_no_reference(
 def test_siblings_are_learned_engines(folder: Path, capsys: pytest.CaptureFixture[str]):
     plain = folder / "plain.yaml"
     plain.write_text("eta_sc: 1.1\n")
-    _recorded(6, A_egrmax=0.95).to_csv(folder / "next.csv", index=False)
+    _recorded(6, duration_s=80.0, A_egrmax=0.95).to_csv(folder / "next.csv", index=False)
     arguments = ["learn", str(folder / "next.csv"), "--out", str(folder / "next.yaml"), "--siblings"]
     assert main([*arguments, str(plain)]) == 2
     assert "no learned engine" in capsys.readouterr().err

@@ -47,7 +47,7 @@ def maps() -> EmpiricalMaps:
     generator = torch.Generator().manual_seed(2)
     made = {}
     for name, (centre, output) in CENTRES.items():
-        hidden, activation = ((9,), "algebraic") if name == "eta_vol" else ((20, 20, 20), "tanh")
+        hidden, activation = ((9,), "algebraic") if name == "eta_vol" else ((7, 7), "tanh")
         network = MLP((len(centre), *hidden, 1), activation, 0.01, members=1, last_gain=0.1, generator=generator,
                       dtype=torch.float64)  # fmt: skip
         with torch.no_grad():

@@ -15,7 +15,7 @@ from dieseltwin.identification.identify import identify_segments
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.identification.unknowns import to_masked, to_physical
 from dieseltwin.paper.loop_settings import Scales
-from dieseltwin.paper.loops import few_shot_adam
+from dieseltwin.paper.loops import compiled_loss, few_shot_adam
 from dieseltwin.paper.loops.few_shot_adam import Trained, estimate_of, train
 from dieseltwin.paper.loops.few_shot_program import METHOD, Lane, Program, draw_lane, make_program, start_values
 from dieseltwin.paper.loops.fused_maps import BANK, Dropout
@@ -201,10 +201,12 @@ def test_converged_is_an_estimate_that_stands_still(pair: list[SegmentProblem], 
     np.testing.assert_array_equal(found.parameters, final)
 
 
-def test_it_comes_near_a_planted_area(simulated: Make, drive: Drive) -> None:
-    """A thousand epochs of the printed loop bring the turbine area within 3 % from 17 % away."""
+def test_it_comes_near_a_planted_area(simulated: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six hundred epochs of the printed loop bring the turbine area within 3 % from 17 % away; in C, where there is a
+    compiler: a fifth of the time."""
+    monkeypatch.setattr(compiled_loss, "WORTHWHILE", 1)
     clean = simulated(drive(300, 151), we2011.FIELD, noise_seed=None)
-    config = PAPER.changed(METHOD, epochs=1000, weights_until_epoch=700)
+    config = PAPER.changed(METHOD, epochs=600, weights_until_epoch=420)
     config = config.model_copy(update={"start": StartConfig(at="lab", sd_masked=0.0)})
     found = identify_segments([clean], METHOD, 1, 0, config=config).segments[0]
     area = HEALTH.index("A_vgtmax")

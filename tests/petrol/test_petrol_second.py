@@ -16,8 +16,8 @@ Recorder = Callable[..., PetrolRecording]
 
 
 def test_two_faults_since_different_times(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
-    table = pd.read_csv(record(18, 600.0, onset_s=100.0, W_af_kg_s=0.06).path)
-    table.loc[table.time_s >= 350.0, "T_ic_K"] += 15.0
+    table = pd.read_csv(record(18, 420.0, onset_s=80.0, W_af_kg_s=0.06).path)
+    table.loc[table.time_s >= 250.0, "T_ic_K"] += 15.0
     table.to_csv(tmp_path / "two.csv", index=False)
     recording = read_petrol(tmp_path / "two.csv")
     first = discover_petrol(recording, engine)
@@ -37,6 +37,6 @@ def test_two_faults_since_different_times(engine: PetrolParameters, record: Reco
 
 @pytest.mark.parametrize("fault", [{"W_af_kg_s": 0.1}, {"p_im_Pa": -0.06}], ids=["w_af", "p_im"])
 def test_one_fault_is_one(engine: PetrolParameters, record: Recorder, fault: dict[str, float]) -> None:
-    found = discover_petrol(record(19, 500.0, **fault), engine)
+    found = discover_petrol(record(19, 300.0, onset_s=120.0, **fault), engine)
     assert found.document.mismatch and not found.document.more_is_missing
     assert found.document.fit.share_explained == pytest.approx(1.0) and "Beside it" not in found.sentence

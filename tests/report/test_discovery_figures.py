@@ -17,6 +17,7 @@ from dieseltwin.report.discovery_page import build_discovery_report, discovery_s
 from dieseltwin.report.discovery_words import sentence
 from dieseltwin.report.encoding import drawn_in_two
 from dieseltwin.report.style import ReportFigure
+from tests.pages import without_pictures
 
 FIGURES = {"health", "law", "evidence_time", "evidence_map", "residual_time", "residual_map", "residual_map_actuators",
            "score", "candidates", "minimum_detectable"}  # fmt: skip
@@ -77,7 +78,14 @@ def test_averages_show_what_single_residuals_hide(leak: Discovery) -> None:
     assert sizes[0] > 1.4 > sizes[1]
 
 
-def test_figures_drawn_ahead_are_those_of_the_page(leak: Discovery, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def plain(leak: Discovery, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a leak, beside its figures."""
+    folder = tmp_path_factory.mktemp("new") / "plain"
+    return build_discovery_report(leak, folder / "report.html", figures_dir=folder / "figures")
+
+
+def test_figures_drawn_ahead_are_those_of_the_page(leak: Discovery, plain: Path, tmp_path: Path) -> None:
     """They are drawn while health and the effects' sizes are still those of the search, and the page is the same."""
     before = leak.document.model_copy(update={
         "health": {name: item.model_copy(update={"value": 1.1 * item.value, "std": 1.0})
@@ -88,15 +96,15 @@ def test_figures_drawn_ahead_are_those_of_the_page(leak: Discovery, tmp_path: Pa
     ahead = drawn_in_two(of_curves(replace(leak, document=before)))
     names = {figure.name for figure in ahead.values() if figure is not None}
     assert names == FIGURES - {"health", "law"} | {"readings"}
-    pages = [build_discovery_report(leak, tmp_path / name / "report.html", figures_dir=tmp_path / name, ahead=there)
-             for name, there in (("plain", None), ("ahead", ahead))]  # fmt: skip
-    files = [{path.name: path.read_bytes() for path in page.parent.iterdir()} for page in pages]
-    assert files[0] == files[1]
+    page = build_discovery_report(leak, tmp_path / "report.html", figures_dir=tmp_path / "figures", ahead=ahead)
+    files = [{path.name: path.read_bytes() for path in sorted(made.parent.rglob("*.*"))} for made in (plain, page)]
+    assert files[0] == files[1] and len(files[0]) == 1 + len(FIGURES)
+    without_files = build_discovery_report(leak, tmp_path / "two.html", ahead=ahead)
+    assert without_files.read_bytes() == plain.read_bytes()
 
 
-def test_page_is_self_contained_and_says_the_sentence(leak: Discovery, tmp_path: Path) -> None:
-    page = build_discovery_report(leak, tmp_path / "new" / "report.html", figures_dir=tmp_path / "figures")
-    text = page.read_text(encoding="utf-8")
+def test_page_is_self_contained_and_says_the_sentence(leak: Discovery, plain: Path) -> None:
+    text = plain.read_text(encoding="utf-8")
     scripts = re.findall(r"<script[^>]*>.*?</script>", text, re.DOTALL)
     assert len(scripts) == 2 and not re.search(r"<script[^>]* src|fetch\(|XMLHttpRequest|import\(", "".join(scripts))
     outside = re.sub(r'<script[^>]*>.*?</script>|src="data:[^"]*"', "", text, flags=re.DOTALL)
@@ -107,13 +115,13 @@ def test_page_is_self_contained_and_says_the_sentence(leak: Discovery, tmp_path:
     for expected in ("41.0 ± 2.0 mm²", "compressor_efficiency_loss", "+46.9 %", "2.8150", "beneath its tolerance",
                      "0" * 64, "Machine and times", "W_leak = A p_im/sqrt(R_a T_im)"):  # fmt: skip
         assert expected in words
-    assert {path.stem for path in (tmp_path / "figures").iterdir()} == FIGURES
+    assert {path.stem for path in (plain.parent / "figures").iterdir()} == FIGURES
     assert len(text.encode()) < 4 * 1024 * 1024
-    assert build_discovery_report(leak, tmp_path / "two.html").read_bytes() == page.read_bytes()
 
 
 def test_healthy_page_has_no_law_no_candidates_and_no_alarm(healthy: Discovery, tmp_path: Path) -> None:
-    page = build_discovery_report(healthy, tmp_path / "report.html")
+    with without_pictures():
+        page = build_discovery_report(healthy, tmp_path / "report.html")
     text = page.read_text(encoding="utf-8")
     assert "Nothing left out that could be seen" in text and 'class="headline"' in text
     for name in ("law", "candidates", "evidence_time", "evidence_map"):

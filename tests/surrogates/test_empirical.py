@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +13,12 @@ from operating_points import laboratory, operating_points
 
 from dieseltwin.engine import MAPS, Inputs, actuate, bind, constants, parameter_batch, we2011
 from dieseltwin.errors import InputError
+from dieseltwin.networks import MLP
 from dieseltwin.settings.maps import MapsConfig
 from dieseltwin.settings.params import load_params
+from dieseltwin.surrogates import empirical_training
 from dieseltwin.surrogates.empirical import LABELS, EmpiricalMaps, map_arguments
-from dieseltwin.surrogates.empirical_training import MapData, _with_a_slope, train_maps
+from dieseltwin.surrogates.empirical_training import MapData, _with_a_slope, finish, train_maps
 from dieseltwin.surrogates.map_compiled import compiled_simulator, flat_weights
 from dieseltwin.surrogates.map_layers import network
 
@@ -31,10 +35,24 @@ def config() -> MapsConfig:
 
 
 @pytest.fixture(scope="module")
-def trained(config: MapsConfig) -> dict[str, EmpiricalMaps]:
-    cases = laboratory(4000, 1)
-    held_out = {"held_out": operating_points(4000, 9)}
-    return {kind: train_maps(MapData(cases, held_out=held_out), config, 3, kind) for kind in KINDS}
+def unfinished() -> dict[str, MLP]:
+    """The networks of `trained`'s printed kind as Adam leaves them, those that are finished behind it."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def trained(config: MapsConfig, unfinished: dict[str, MLP]) -> dict[str, EmpiricalMaps]:
+    def finish_seen(name: str, network: MLP, *arguments: Any) -> MLP:
+        unfinished[name] = network
+        return finish(name, network, *arguments)
+
+    data = {
+        kind: MapData(laboratory(rows, 1), held_out={"held_out": operating_points(2000, 9)})
+        for kind, rows in (("paper", 1000), ("improved", 4000))
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(empirical_training, "finish", finish_seen)
+        return {kind: train_maps(data[kind], config, 3, kind) for kind in KINDS}
 
 
 @pytest.fixture(scope="module")
@@ -128,14 +146,14 @@ def test_paper_learns(trained):
         assert rows[name]["l2_rel"] < allowed, name
 
 
-def test_gauss_newton_behind_adam_halves_the_errors_and_leaves_f_egr_alone(config, trained):
-    plain = config.model_copy(update={"paper": config.paper.model_copy(update={"finish_steps": 0})})
-    held_out = {"held_out": operating_points(4000, 9)}
-    before = table(train_maps(MapData(laboratory(4000, 1), held_out=held_out), plain, 3, "paper"))
+def test_gauss_newton_behind_adam_halves_the_errors_and_leaves_f_egr_alone(config, trained, unfinished):
+    maps = trained["paper"].maps
+    plain = {name: replace(item, network=unfinished.get(name, item.network)) for name, item in maps.items()}
+    rows = EmpiricalMaps("paper", plain).error_table({"held_out": operating_points(2000, 9)}).set_index("map")
     after = table(trained["paper"])
-    ratios = {name: after[name]["l2_rel"] / before[name]["l2_rel"] for name in config.paper.finish_maps}
+    ratios = {name: after[name]["l2_rel"] / rows["l2_rel"][name] for name in config.paper.finish_maps}
     assert np.median(list(ratios.values())) < 0.5, ratios
-    assert after["f_egr"] == before["f_egr"]
+    assert set(unfinished) == set(config.paper.finish_maps) and "f_egr" not in unfinished
 
 
 def test_uncertainty_is_calibrated(trained):
@@ -218,13 +236,13 @@ def test_several_members_are_a_leading_dimension(trained, kind):
 
 
 def test_same_seed_same_bits(config):
-    cases = laboratory(600, 1)
+    cases = laboratory(200, 1)
     small = config.model_copy(
         update={
             "paper": config.paper.model_copy(
-                update={"hidden": (8, 8), "steps": 30, "finish_steps": 2, "finish_cells": 300}
+                update={"hidden": (8, 8), "steps": 10, "finish_steps": 2, "finish_cells": 60}
             ),
-            "improved": config.improved.model_copy(update={"cells": 200, "steps": 10, "starts": 2, "members": 2}),
+            "improved": config.improved.model_copy(update={"cells": 60, "steps": 5, "starts": 2, "members": 2}),
         }
     )
     arguments = map_arguments(operating_points(40, 2), we2011.PARAMETERS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +24,9 @@ def lag(time: np.ndarray, u: np.ndarray, delay_s: float, tau_s: float) -> np.nda
     fine = 1e-3
     t = np.arange(0.0, time[-1] + fine / 2, fine)
     delayed = np.interp(t - delay_s, time, u)
-    y = np.empty_like(delayed)
-    y[0] = delayed[0]
-    gain = 1.0 - np.exp(-fine / tau_s)
-    middle = 0.5 * (delayed[1:] + delayed[:-1])
-    for k in range(len(middle)):
-        y[k + 1] = y[k] + gain * (middle[k] - y[k])
+    gain = 1.0 - float(np.exp(-fine / tau_s))
+    middle = (0.5 * (delayed[1:] + delayed[:-1])).tolist()
+    y = list(accumulate(middle, lambda last, u: last + gain * (u - last), initial=float(delayed[0])))
     return np.interp(time, t, y)
 
 

@@ -109,6 +109,7 @@ def _without_umlauts(word: str) -> str:
     return word.replace("ae", "a").replace("oe", "o").replace("ue", "u")
 
 
+@cache
 def _skeleton(word: str) -> str:
     """A word without its vowels, but for one that it begins with."""
     return word[:1] + "".join(letter for letter in word[1:] if letter not in VOWELS)

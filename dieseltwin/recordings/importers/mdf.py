@@ -55,6 +55,8 @@ def read_mdf(
             raise
         except Exception as error:  # asammdf lets struct, zlib, mmap and its own errors through
             problem = str(error) or type(error).__name__
+        if problem:
+            gc.collect()  # now, while nobody hears it; half a second where much is loaded
     if problem:
         raise unreadable(path, "MDF", problem)
     if not signals and frames is None and wanted is None:
@@ -74,7 +76,6 @@ def _quiet_disposal() -> Iterator[None]:
     sys.unraisablehook = lambda _: None
     try:
         yield
-        gc.collect()
     finally:
         sys.unraisablehook = before
 

@@ -14,6 +14,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.paper.comparison.page import SIZE_LIMIT_BYTES, build_report
 from dieseltwin.report import quantities
 from dieseltwin.report.results import load_results
+from tests.pages import without_pictures
 
 
 class Loads(HTMLParser):
@@ -94,7 +95,8 @@ def test_recording_without_truth_one_segment_one_method(tmp_path: Path) -> None:
     root = synthetic.write_results(
         tmp_path / "r", ("classical",), segments=1, truth=False, states=False, pretraining=False
     )
-    text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
+    with without_pictures():
+        text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
     assert "truth not known" in text and "std over bound" in text
     assert ">truth</th>" not in text and "the truth is known" not in text
     assert "1 segment)" in text
@@ -120,7 +122,8 @@ def test_nothing_identifiable_and_no_states(tmp_path: Path) -> None:
         pretraining=False,
         nothing=True,
     )
-    text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
+    with without_pictures():
+        text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
     assert "could not identify any health parameter" in text and text.count("not identifiable here") >= 8
     assert not re.search(r"\bnan\b", re.sub(r'src="data:[^"]*"', "", text))
 
@@ -144,7 +147,8 @@ def test_diverged_runs_and_null_values(tmp_path: Path) -> None:
         run["segments"][0]["parameters"]["h_tot"] = {"value": None, "std": None}
     path.write_text(json.dumps(document))
     (root / "few-shot-newton" / "runtime.json").unlink()
-    text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
+    with without_pictures():
+        text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
     assert "did not converge" in text and "not identifiable here" in text
 
 
@@ -153,7 +157,8 @@ def test_names_from_files_cannot_inject(tmp_path: Path) -> None:
         tmp_path / "r", ("classical",), segments=1, states=False, truth=False, pretraining=False
     )
     (root / "report.json").write_text(json.dumps({"title": "<script>alert(1)</script>", "recording": "<b>&"}))
-    text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
+    with without_pictures():
+        text = build_report(root, tmp_path / "x.html").read_text(encoding="utf-8")
     assert "<script" not in text and "&lt;script&gt;" in text and "&lt;b&gt;&amp;" in text
 
 
