@@ -34,7 +34,7 @@ from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
 @pytest.fixture(scope="module")
 def data() -> SteadyPoints:
     """An engine whose exhaust is throttled by a flap, 0.5 % noise."""
-    return made_points(count=80, noise=0.005, effects=FLAP)
+    return made_points(count=50, noise=0.005, effects=FLAP)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_readings_that_contradict_the_engine_are_said(mended: PointsDiscovery, d
     kilo = np.where(data.row == row, data["p_im_pa"] / 1e3, data["p_im_pa"])
     cases: dict[str, tuple[SteadyPoints, str | None]] = {
         "as they are": (data, None),
-        "one cell in kPa": (data.with_columns(p_im_pa=kilo), f"at 1 of 80 points .*[(]data row {row}[)]"),
+        "one cell in kPa": (data.with_columns(p_im_pa=kilo), f"at 1 of 50 points .*[(]data row {row}[)]"),
         "swapped": (data.with_columns(p_im_pa=data["p_em_pa"], p_em_pa=data["p_im_pa"]), "worst in data rows"),
         "half the fuel": (data.with_columns(u_delta_mg=0.5 * data["u_delta_mg"]), "worst in data rows"),
     }
@@ -120,7 +120,7 @@ def test_readings_that_contradict_the_engine_are_said(mended: PointsDiscovery, d
 
 def test_points_near_by_foretell_where_a_map_is_off(mended: PointsDiscovery) -> None:
     def bent(seed: int) -> SteadyPoints:
-        made = made_points(count=80, noise=0.002, effects=FLAP, seed=seed)
+        made = made_points(count=50, noise=0.002, effects=FLAP, seed=seed)
         return made.with_columns(t_em_k=made["t_em_k"] * (1.0 + 0.05 * np.sin(made["n_e_rpm"] / 250.0)))
 
     first, known, asked = answers_of(mended).first, bent(5), bent(6)
