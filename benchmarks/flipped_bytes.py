@@ -236,8 +236,8 @@ def rig_kinds(folder: Path) -> list[Kind]:
 
 def kept_kinds(folder: Path) -> list[Kind]:
     """An engine's history, documents of the page, and compiled kernels."""
+    from dieseltwin import kernel_cache
     from dieseltwin.app.kept import KeptRecording, load, save
-    from dieseltwin.engine import kernel_cache
     from dieseltwin.learning.alarm import Score
     from dieseltwin.learning.history import Entry, History
 

@@ -1,4 +1,4 @@
-"""Compiled functions that compiled functions alone call.
+"""What is compiled: kernels, kept in the project's folder, and functions that compiled functions alone call.
 
 For every function that numba compiles it makes a way in from Python and one from C, which take all arguments apart (the
 model's eighty constants among them), with machine code for both. A kernel has some 180 functions, and nobody enters any
@@ -10,10 +10,19 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 from numba.core.registry import CPUDispatcher
+
+from dieseltwin.kernel_cache import kernel_folder
+
+_PACKAGE = Path(__file__).parent
+_SOURCES = (*sorted((_PACKAGE / "engine").rglob("*.py")), _PACKAGE / "sensors.py")
+_FOLDER = kernel_folder(_SOURCES, (numba.__version__, np.__version__))
+numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]  # read when a function is declared to be compiled
 
 _NO_WAYS_IN: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
@@ -42,3 +51,9 @@ def inner(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return made
 
     return compiled
+
+
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` for a function that is called from Python; its machine code is kept in the project's folder."""
+    made: Callable[[Callable[..., Any]], Any] = numba.njit(cache=True, **options)
+    return made

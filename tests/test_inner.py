@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numba
 import numpy as np
 
-from dieseltwin.engine import bind, constants, we2011
+import dieseltwin
+from dieseltwin.challenge import plant
+from dieseltwin.engine import _compiled, bind, constants, we2011
 from dieseltwin.inner import inner
 
 
@@ -28,3 +33,12 @@ def test_no_way_in_is_compiled() -> None:
 def test_an_equation_can_be_asked_from_python() -> None:
     c, point = constants(we2011.PARAMETERS), (1.4e5, 1300.0)
     np.testing.assert_allclose(bind("numba").eta_vol(*point, c), bind("numpy").eta_vol(*point, c), rtol=1e-12)
+
+
+def test_kernels_are_kept_in_the_projects_folder_whatever_is_imported_first() -> None:
+    """Those that were declared before the engine's were kept beside their sources: the plant's was compiled twice."""
+    sources = Path(dieseltwin.__file__).parent.rglob("*.py")
+    declaring = {path.name for path in sources if re.search(r"\bcache\W{1,3} ?True", path.read_text(encoding="utf-8"))}
+    assert declaring == {"inner.py"}
+    for kernel in (plant._integrate, _compiled.integrate_one):
+        assert Path(kernel.stats.cache_path).parent == Path(numba.config.CACHE_DIR)

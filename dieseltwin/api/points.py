@@ -172,6 +172,11 @@ class PointsDiscovered(Discovered):
     def document(self) -> Discrepancy:
         return document(self.found)
 
+    @cached_property
+    def answers(self) -> Answers:
+        """What answers for unmeasured places, one for every formulation."""
+        return answers_of(self.found)
+
     @property
     def engine(self) -> EngineParameters:
         return self.found.engine()
@@ -191,8 +196,8 @@ class PointsDiscovered(Discovered):
         drawings = {
             "before_after": before_after, "errors": lambda found: points_pages.over_points(found).still,
             "submodels_repaired": lambda found: points_pages.submodels(found).still,
-            "implied": lambda found: points_pages.implied_figure(found.calibration.points.judged.columns,
-                                                                 _implied(found)),
+            "implied": lambda found: points_pages.implied_figure((used := found.calibration.points.judged).columns,
+                                                                 self.answers(used)),
         }  # fmt: skip
         return drawn(self.found, drawings, name)
 
@@ -202,10 +207,10 @@ class PointsDiscovered(Discovered):
         began = time.perf_counter()
         used = self.found.calibration.points.judged
         with atomic_folder(out, owned=OWNED) as folder:
-            implied = _implied(self.found)
+            implied = self.answers(used)
             self.document.write(folder / FILE_NAME)
             write_json(folder / DETAILS, sealed_json(details(self.found, self.asked)))
-            write_repaired(self.found, folder / "repaired.yaml")
+            write_repaired(self.found, folder / "repaired.yaml", self.answers)
             _beside(used, implied).to_parquet(folder / "implied.parquet", index=False)
             page = points_pages.points_page(self.found, self.document, self.sentence, implied)
             write_page(page, folder / "report.html", folder / "figures")
@@ -297,10 +302,6 @@ def ask(
     return PointsQuestion(used, base, geometry, question.seed, options)
 
 
-def _implied(found: PointsDiscovery) -> pd.DataFrame:
-    return answers_of(found)(found.calibration.points.judged)
-
-
 # --- imply
 
 
@@ -378,7 +379,7 @@ def imply(
 def _answers(engine: PointsDiscovered | str | Path) -> tuple[Answers, tuple[str, ...]]:
     if not isinstance(engine, PointsDiscovered):
         return load_answers(Path(engine))
-    return answers_of(engine.found), tuple(a.column for a in engine.found.calibration.actuators if a.opens < 0)
+    return engine.answers, tuple(a.column for a in engine.found.calibration.actuators if a.opens < 0)
 
 
 def outside(source: SteadyPoints, centre: np.ndarray, spread: np.ndarray) -> list[Note]:

@@ -118,11 +118,17 @@ def other_points(engine_file: Path, points: SteadyPoints) -> list[str]:
             "fitted anew to these, which takes up most of a fault: give those points as --reference to judge by them"]
 
 
-def write_repaired(result: PointsDiscovery, path: Path) -> list[Path]:
-    """The repaired machine: an engine file with its terms, and the sidecar that `imply` reads."""
+def write_repaired(result: PointsDiscovery, path: Path, answers: Answers | None = None) -> list[Path]:
+    """The repaired machine: an engine file with its terms, and the sidecar that `imply` reads.
+
+    Args:
+        result: what the points say.
+        path: of the engine file.
+        answers: `answers_of` the result where that was asked before: they take seconds.
+    """
     written = [write_engine(result.engine(), path, "Repaired by `dieseltwin discover`; --engine accepts it. What is "
                             f"believed of unmeasured places stands in {steady_sidecar(path).name}")]
-    answers = answers_of(result)
+    answers = answers or answers_of(result)
     guess = answers.first.guess
     content = {
         "format": STEADY_FORMAT,

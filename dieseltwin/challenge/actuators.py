@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numba
 import numpy as np
 
 from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.plant_effects import Fault, schedule
+from dieseltwin.inner import kernel
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def lag(u, step, tau):  # type: ignore[no-untyped-def]
     """First-order lag of u (n,), settled at its start; u runs straight between its points."""
     out = np.empty_like(u)
@@ -24,7 +24,7 @@ def lag(u, step, tau):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def sluggish(u, step, taus):  # type: ignore[no-untyped-def]
     """u (n,) behind a lag whose time constant changes (n,), 0 for none; each step with u's mean over it."""
     out = np.empty_like(u)
@@ -36,7 +36,7 @@ def sluggish(u, step, taus):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def play(u, width):  # type: ignore[no-untyped-def]
     """Play operator of full width `width` (n,) on u (n,): follows only when an end of the gap is pushed."""
     out = np.empty_like(u)

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from dieseltwin.challenge.actuators import fine_command, fine_fuel, lag
@@ -20,7 +19,7 @@ from dieseltwin.challenge.driving import Driving
 from dieseltwin.challenge.map_errors import MapErrors
 from dieseltwin.challenge.plant_constants import plant_constants
 from dieseltwin.challenge.plant_effects import KERNEL_EFFECTS, KERNEL_SLOT, Fault, schedule
-from dieseltwin.inner import inner
+from dieseltwin.inner import inner, kernel
 
 STEP_S = 0.005
 """Integration step [s]: half the fastest time constant (p_em, 11 ms)."""
@@ -237,7 +236,7 @@ def errors_1d(table, low, high, x):  # type: ignore[no-untyped-def]
     return table[i, 0] + (a - i) * (table[i + 1, 0] - table[i, 0])
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
+@kernel(error_model="numpy", nogil=True)
 def _integrate(inputs, step, every, first, c, which, sizes, factors, errors, low, high, start, out):  # type: ignore[no-untyped-def]
     """Heun's method over the fine inputs (4, N + 1); from step `first` on every `every`-th becomes a row of out."""
     y = np.array([start[0], start[1], start[2], 600.0])

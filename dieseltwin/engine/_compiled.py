@@ -7,23 +7,17 @@ and the equations are branch-free, so that the compiler runs eight lanes in one 
 from __future__ import annotations
 
 import types
-from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 
-from dieseltwin.engine.kernel_cache import kernel_folder
+from dieseltwin.engine._fastmath import select
+from dieseltwin.engine.binding import bind
 from dieseltwin.engine.manifolds import X_OC as _OXYGEN_OF_AIR
 from dieseltwin.engine.model_constants import CONSTANT_NAMES, Constants
+from dieseltwin.inner import inner, kernel
 from dieseltwin.sensors import READ
-
-_FOLDER = kernel_folder(Path(__file__).parent, (numba.__version__, np.__version__, *READ))
-numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]
-
-from dieseltwin.engine._fastmath import select  # noqa: E402
-from dieseltwin.engine.binding import bind  # noqa: E402  the folder must be set before anything is compiled
-from dieseltwin.inner import inner  # noqa: E402
 
 LANES = 8
 """Lanes of a block: doubles in a 512-bit register."""
@@ -200,15 +194,15 @@ def _variant(function: Any, suffix: str, lanes: int, **functions: Any) -> Any:
 
 
 advance = numba.njit(**_OPTIONS)(_advance)
-integrate_block = numba.njit(cache=True, **_OPTIONS)(_integrate)
+integrate_block = kernel(**_OPTIONS)(_integrate)
 """Integrate a block of eight lanes."""
 
 _advance_one = numba.njit(**_OPTIONS)(_variant(_advance, "_one", 1))
-integrate_one = numba.njit(cache=True, **_OPTIONS)(_variant(_integrate, "_one", 1, advance=_advance_one))
+integrate_one = kernel(**_OPTIONS)(_variant(_integrate, "_one", 1, advance=_advance_one))
 """Integrate a single lane."""
 
 
-@numba.njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def follow_lags(time, u, taus):  # type: ignore[no-untyped-def]
     """States (len(taus), len(time)) of first-order lags that follow u, linear between `time`, settled at the start."""
     out = np.empty((taus.shape[0], time.shape[0]))
@@ -219,7 +213,7 @@ def follow_lags(time, u, taus):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def follow_lanes(time, u, tau):  # type: ignore[no-untyped-def]
     """First-order lags behind u (B, n), linear between samples, settled at the start; tau (B, n), 0: none."""
     out = np.empty_like(u)
@@ -233,7 +227,7 @@ def follow_lanes(time, u, tau):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def follow_play(time, u, width):  # type: ignore[no-untyped-def]
     """Break points of a play operator's output: times, values (2 n,) and how many of them there are."""
     n = time.shape[0]
@@ -262,7 +256,7 @@ cylinder_out_oxygen = _model.cylinder_out_oxygen
 X_OC = _OXYGEN_OF_AIR
 
 
-@numba.njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def follow_oxygen(time, p_im, p_em, T_em, W_c, W_egr, W_ei, W_f, W_eo, constants):  # type: ignore[no-untyped-def]
     """Oxygen mass fractions in both manifolds by Heun's method over the simulator's own steps; started at rest."""
     c = load_constants(constants, 0, 1)

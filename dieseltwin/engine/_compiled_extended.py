@@ -53,6 +53,7 @@ from dieseltwin.engine._compiled_rates import (
 )
 from dieseltwin.engine.effects import DRIFTS, GAS_LAG, STATE_EFFECTS
 from dieseltwin.engine.model_constants import CONSTANT_NAMES
+from dieseltwin.inner import kernel
 
 INERTIA = STATE_EFFECTS.index(GAS_LAG)
 GROWS = np.array(DRIFTS)
@@ -296,10 +297,10 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                     sampling = True
 
 
-integrate_free = numba.njit(cache=True, **_OPTIONS)(_integrate_extended)
+integrate_free = kernel(**_OPTIONS)(_integrate_extended)
 """Integrate pieces without the effects of `effects.IMPLICIT`."""
 
-integrate_restricted = numba.njit(cache=True, **_OPTIONS)(
+integrate_restricted = kernel(**_OPTIONS)(
     _variant(_integrate_extended, "_restricted", LANES, evaluate=evaluate_restricted)
 )
 """Integrate pieces with them."""

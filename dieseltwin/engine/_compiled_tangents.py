@@ -12,7 +12,7 @@ from dieseltwin.engine.binding import primitives_of
 from dieseltwin.engine.model_constants import CONSTANT_NAMES
 from dieseltwin.engine.parameters import HEALTH
 from dieseltwin.engine.tangents import ARGUMENTS, DIRECTIONS, VALUES, point_text
-from dieseltwin.inner import inner
+from dieseltwin.inner import inner, kernel
 
 N_ARGUMENTS, N_HEALTH, N_STATES = len(ARGUMENTS), len(HEALTH), 3
 N_RESULTS = len(VALUES) * (1 + len(DIRECTIONS))
@@ -58,7 +58,7 @@ def _point_block(work, c):  # type: ignore[no-untyped-def]
         _store(work, k, LANES, values)
 
 
-@numba.njit(cache=True, **_OPTIONS)
+@kernel(**_OPTIONS)
 def linearise_points(states, cylinder, inputs, health, constants, pairs, results):  # type: ignore[no-untyped-def]
     """Fixed point, values and total derivatives at the points of R runs.
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+
+from dieseltwin.inner import kernel
 
 Array = NDArray[np.float64]
 DEGREE = 3
@@ -77,7 +78,7 @@ def sum_roughness(size_x: int, size_y: int) -> Array:
     return both
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()  # type: ignore[untyped-decorator]
 def normal_equations(design, weight, target, precision):  # type: ignore[no-untyped-def]
     """precision + B' W B and B' W y for a design with few entries a row; about 20 of 140 here."""
     m, k = design.shape

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 
-import numba
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
+from dieseltwin.inner import kernel
 from dieseltwin.petrol.components import CHOKED_FACTOR, CRITICAL, GAMMA, LINEAR_ABOVE, R_A, displaced_flow, storage_flow
 from dieseltwin.petrol.effects import HYPOTHESES, later, metered, undo_all
 from dieseltwin.petrol.maps import spline_basis, tensor_value
@@ -34,7 +34,7 @@ SLOPE_S = 0.35  # over which the filling of the volume before the throttle is ta
 READ = ("p_im_gain", "p_im_offset", "p_im_late")  # faults of the state's sensor
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()  # type: ignore[untyped-decorator]
 def _psi(quotient):  # type: ignore[no-untyped-def]
     """Flow factor of a nozzle, as `components.nozzle_factor`."""
     if quotient >= 1.0:
@@ -46,14 +46,14 @@ def _psi(quotient):  # type: ignore[no-untyped-def]
     return psi * min((1.0 - quotient) / (1.0 - LINEAR_ABOVE), 1.0)
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()  # type: ignore[untyped-decorator]
 def _looked_up(x, low, step, table):  # type: ignore[no-untyped-def]
     place = min(max((x - low) / step, 0.0), len(table) - 1.000001)
     k = int(place)
     return table[k] + (place - k) * (table[k + 1] - table[k])
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()  # type: ignore[untyped-decorator]
 def _inflow(p, k, inputs, eta, eta_low, eta_step, factor, factor_step):  # type: ignore[no-untyped-def]
     """Flow through the throttle, through a leak into the manifold, and into the cylinders at pressure p [kg/s]."""
     area, p_ic, T_ic, leak, p_amb, T_amb, per_p, row = inputs[k]
@@ -70,7 +70,7 @@ def _inflow(p, k, inputs, eta, eta_low, eta_step, factor, factor_step):  # type:
     return through, inward, np.exp(log_eta) * per_p * p
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@kernel()  # type: ignore[untyped-decorator]
 def _integrated(time_s, starts, inputs, first, V_im, eta, eta_low, eta_step, factor, factor_step):  # type: ignore[no-untyped-def]
     """p_im [Pa] at the rows, implicit Euler; anew at `starts`, at rest where `first` is not a number."""
     out = np.empty(len(time_s))

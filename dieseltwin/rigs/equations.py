@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Collection, Iterator
 
-from dieseltwin.rigs.expressions import names_in
+from dieseltwin.rigs.expressions import names_in, without
 from dieseltwin.rigs.parameters import RigParameters
 
 _SUM, _PRODUCT, _POWER, _ATOM = range(4)
@@ -34,39 +34,7 @@ def readable(formula: str, absent: Collection[str] = ()) -> str:
         formula: of a rig's file.
         absent: names that are zero.
     """
-    return _text(_without(ast.parse(formula, mode="eval").body, absent))[0]
-
-
-def _number(node: ast.expr, value: float) -> bool:
-    return isinstance(node, ast.Constant) and node.value == value
-
-
-def _without(node: ast.expr, absent: Collection[str]) -> ast.expr:
-    """The same with names zero, and sums and products without what that makes needless."""
-    zero = ast.Constant(0)
-    if isinstance(node, ast.Name):
-        return zero if node.id in absent else node
-    if isinstance(node, ast.Call):
-        return ast.Call(node.func, [_without(argument, absent) for argument in node.args], [])
-    if isinstance(node, ast.UnaryOp):
-        inner = _without(node.operand, absent)
-        return zero if _number(inner, 0.0) else ast.UnaryOp(node.op, inner)
-    if not isinstance(node, ast.BinOp):
-        return node
-    left, right = _without(node.left, absent), _without(node.right, absent)
-    if isinstance(node.op, ast.Add | ast.Sub):
-        if _number(right, 0.0):
-            return left
-        if _number(left, 0.0):
-            return right if isinstance(node.op, ast.Add) else ast.UnaryOp(ast.USub(), right)
-    if isinstance(node.op, ast.Mult):
-        if _number(left, 0.0) or _number(right, 0.0):
-            return zero
-        if _number(left, 1.0) or _number(right, 1.0):
-            return right if _number(left, 1.0) else left
-    if isinstance(node.op, ast.Div) and (_number(left, 0.0) or _number(right, 1.0)):
-        return left
-    return ast.BinOp(left, node.op, right)
+    return _text(without(ast.parse(formula, mode="eval").body, absent))[0]
 
 
 def _text(node: ast.expr) -> tuple[str, int]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ast
 import keyword
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -33,7 +33,11 @@ def names_in(formula: str) -> tuple[str, ...]:
     Raises:
         ValueError: it is no formula, or one with more than arithmetic and `FUNCTIONS`.
     """
-    return tuple(dict.fromkeys(node.id for node in ast.walk(_checked(formula))
+    return _names(_checked(formula))
+
+
+def _names(tree: ast.AST) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(node.id for node in ast.walk(tree)
                                if isinstance(node, ast.Name) and node.id not in FUNCTIONS))  # fmt: skip
 
 
@@ -44,14 +48,17 @@ def usable(name: str) -> bool:
 
 
 def moment(
-    held: Mapping[str, str], quantities: Mapping[str, str], results: Sequence[str]
-) -> Callable[..., tuple[Any, ...]]:
+    held: Mapping[str, str], quantities: Mapping[str, str], results: Sequence[str], absent: Collection[str] = (),
+    noted: bool = True,
+) -> Callable[..., tuple[Any, ...]]:  # fmt: skip
     """One function of all formulae: `f(x, u, p, s, e)` as `discovery.twins.simple.Model` takes it.
 
     Args:
         held: name -> which argument has it: "x" states, "u" inputs, "p" parameters, "e" effects.
         quantities: name -> formula, in this order; each is passed through `s`.
         results: formulae of what is returned.
+        absent: names that are zero, so that what they multiply needn't be computed.
+        noted: whether anybody asks for quantities that no result needs.
 
     Raises:
         ValueError: a name or a formula that isn't allowed.
@@ -59,13 +66,55 @@ def moment(
     bad = [name for name in (*held, *quantities) if not usable(name)]
     if bad:
         raise ValueError(f"{bad[0]!r} can't be a name")
+    gone, kept = set(absent), {}
+    for name, formula in quantities.items():
+        kept[name] = without(_checked(formula).body, gone)
+        if not noted and _number(kept[name], 0.0):
+            gone.add(name)
+    ends = [without(_checked(formula).body, gone) for formula in results]
+    needed = {name for end in ends for name in _names(end)}
+    for name, node in reversed(kept.items()):
+        if noted or name in needed:
+            needed |= {name, *_names(node)}
     lines = ["def moment(_x, _u, _p, _s, _e):"]
-    lines += [f"    {name} = _{holder}.{name}" for name, holder in held.items()]
-    lines += [f"    {name} = _s({name!r}, {ast.unparse(_checked(formula))})" for name, formula in quantities.items()]
-    lines.append(f"    return ({', '.join(ast.unparse(_checked(formula)) for formula in results)},)")
+    lines += [f"    {name} = _{holder}.{name}" for name, holder in held.items() if name in needed]
+    lines += [f"    {name} = _s({name!r}, {ast.unparse(node)})" for name, node in kept.items() if name in needed]
+    lines.append(f"    return ({', '.join(ast.unparse(end) for end in ends)},)")
     namespace: dict[str, Any] = {"__builtins__": {}, **FUNCTIONS}
     exec(compile("\n".join(lines), "rig", "exec"), namespace)  # every name and node was checked
     return cast(Callable[..., tuple[Any, ...]], namespace["moment"])
+
+
+def _number(node: ast.expr, value: float) -> bool:
+    return isinstance(node, ast.Constant) and node.value == value
+
+
+def without(node: ast.expr, absent: Collection[str]) -> ast.expr:
+    """A formula with names zero, and sums and products without what that makes needless."""
+    zero = ast.Constant(0)
+    if isinstance(node, ast.Name):
+        return zero if node.id in absent else node
+    if isinstance(node, ast.Call):
+        return ast.Call(node.func, [without(argument, absent) for argument in node.args], [])
+    if isinstance(node, ast.UnaryOp):
+        inner = without(node.operand, absent)
+        return zero if _number(inner, 0.0) else ast.UnaryOp(node.op, inner)
+    if not isinstance(node, ast.BinOp):
+        return node
+    left, right = without(node.left, absent), without(node.right, absent)
+    if isinstance(node.op, ast.Add | ast.Sub):
+        if _number(right, 0.0):
+            return left
+        if _number(left, 0.0):
+            return right if isinstance(node.op, ast.Add) else ast.UnaryOp(ast.USub(), right)
+    if isinstance(node.op, ast.Mult):
+        if _number(left, 0.0) or _number(right, 0.0):
+            return zero
+        if _number(left, 1.0) or _number(right, 1.0):
+            return right if _number(left, 1.0) else left
+    if isinstance(node.op, ast.Div) and (_number(left, 0.0) or _number(right, 1.0)):
+        return left
+    return ast.BinOp(left, node.op, right)
 
 
 def _checked(formula: str) -> ast.Expression:

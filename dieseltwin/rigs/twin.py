@@ -7,7 +7,9 @@ are independent in it: the likelihood of an unknown variance about that explanat
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +32,12 @@ def model_of(rig: RigParameters) -> Model:
     held = {**dict.fromkeys(rig.effects, "e"), **dict.fromkeys((*rig.parameters, *found), "p"),
             **dict.fromkeys(rig.states, "x"), **dict.fromkeys(rig.inputs, "u")}  # fmt: skip
     formulae = {name: q.formula for name, q in rig.quantities.items()}
-    derivatives = moment(held, formulae, [rig.rates[name] for name in rig.states])
+    changes = [rig.rates[name] for name in rig.states]
+
+    @cache
+    def rates_without(effects: frozenset[str]) -> Callable[..., tuple[Any, ...]]:
+        return moment(held, formulae, changes, effects, noted=False)
+
     shown = moment(held, formulae, list(rig.readings.values()))
     return Model(
         states={name: state.scale for name, state in rig.states.items()},
@@ -39,7 +46,8 @@ def model_of(rig: RigParameters) -> Model:
               for n, p in rig.parameters.items()),
             *(_found(rig, name, term.magnitude) for name, term in found.items()),
         ),
-        inputs=tuple(rig.inputs), channels=tuple(rig.readings), rates=derivatives, readings=shown,
+        inputs=tuple(rig.inputs), channels=tuple(rig.readings), rates=moment(held, formulae, changes), readings=shown,
+        rates_without=rates_without,
         points=tuple(Point(n, q.site, q.relative, "-" if q.relative else q.unit, q.ports, q.scale)
                      for n, q in rig.quantities.items() if q.site is not None),
         hypotheses=tuple(

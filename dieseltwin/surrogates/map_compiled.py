@@ -23,7 +23,7 @@ from dieseltwin.engine import Actuation, Observations, ParameterBatch, _compiled
 from dieseltwin.engine.binding import COMPILED, MAPS, bind
 from dieseltwin.engine.parameters import CONSTANT_NAMES
 from dieseltwin.errors import InputError
-from dieseltwin.inner import inner
+from dieseltwin.inner import inner, kernel
 from dieseltwin.surrogates import empirical_forms
 from dieseltwin.surrogates.empirical_forms import bound_forms
 
@@ -150,7 +150,7 @@ def _kernels(sizes: Sizes) -> tuple[Callable[..., None], Callable[..., None]]:
         suffix = f"_{mark}_{lanes}"
         advance = numba.njit(**_compiled._OPTIONS)(_compiled._variant(_compiled._advance, suffix, lanes, **functions))
         integrate = _compiled._variant(_compiled._integrate, suffix, lanes, **functions, advance=advance)
-        kernels.append(numba.njit(cache=True, **_compiled._OPTIONS)(integrate))
+        kernels.append(kernel(**_compiled._OPTIONS)(integrate))
     return kernels[0], kernels[1]
 
 

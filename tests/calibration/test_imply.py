@@ -16,8 +16,9 @@ from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.believable import unbelievable
 from dieseltwin.calibration.calibrate import calibrate
 from dieseltwin.calibration.discover import Options, PointsDiscovery, discover_points
+from dieseltwin.calibration.imply import Answers
 from dieseltwin.calibration.local_errors import local_errors, thinned
-from dieseltwin.calibration.saved import answers_of, load_answers, write_repaired
+from dieseltwin.calibration.saved import answers_of, load_answers, steady_sidecar, write_repaired
 from dieseltwin.calibration.steady_model import SteadyModel
 from dieseltwin.calibration.verdict import document
 from dieseltwin.engine import we2011
@@ -34,7 +35,7 @@ from tests.calibration.simulated import FLAP, GEOMETRY, TRUTH, made_points
 @pytest.fixture(scope="module")
 def data() -> SteadyPoints:
     """An engine whose exhaust is throttled by a flap, 0.5 % noise."""
-    return made_points(count=80, noise=0.005, effects=FLAP)
+    return made_points(count=50, noise=0.005, effects=FLAP)
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +46,11 @@ def mended(data: SteadyPoints) -> PointsDiscovery:
         one = default_search().points.model_copy(update={"most_effects": 1})
         options = Options(law_search=False, search=one)
         return discover_points(calibrate(data, we2011.PARAMETERS, GEOMETRY), options)
+
+
+@pytest.fixture(scope="module")
+def answers(mended: PointsDiscovery) -> Answers:
+    return answers_of(mended)
 
 
 def test_no_law_takes_an_unmeasured_place_beyond_what_is_believed(data: SteadyPoints) -> None:
@@ -66,8 +72,8 @@ def test_the_flap_is_found(mended: PointsDiscovery) -> None:
     assert "flap" in sentence(mended) and "explains 0 %" not in sentence(mended)
 
 
-def test_pressure_after_the_turbine_is_implied(mended: PointsDiscovery, data: SteadyPoints) -> None:
-    implied = answers_of(mended)(data)
+def test_pressure_after_the_turbine_is_implied(answers: Answers, data: SteadyPoints) -> None:
+    implied = answers(data)
     truth = SteadyModel(TRUTH).relations(data, data.states(), FLAP).quantities["p_es"][0]
     z = (implied["p_es_pa"] - truth) / implied["p_es_pa_std"]
     assert np.mean(np.abs(z) < 2.0) > 0.85
@@ -75,20 +81,26 @@ def test_pressure_after_the_turbine_is_implied(mended: PointsDiscovery, data: St
     assert (implied.filter(like="_std") >= 0.0).all().all()
 
 
-def test_formulations_widen_the_interval(mended: PointsDiscovery, data: SteadyPoints) -> None:
-    answers = answers_of(mended)
+def test_formulations_widen_the_interval(answers: Answers, data: SteadyPoints) -> None:
     together, alone = answers(data), [answerer(data) for answerer in answers.formulations.values()]
     smallest = np.min([frame["t_im_k_std"] for frame in alone], axis=0)
     assert (together["t_im_k_std"] > smallest).all()
     assert all(0.0 <= share <= 1.0 for share in answers.disagreement(data).values())
 
 
-def test_files_answer_for_inputs_alone(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
+def test_files_answer_for_inputs_alone(
+    mended: PointsDiscovery, answers: Answers, data: SteadyPoints, tmp_path: Path
+) -> None:
     engine = tmp_path / "repaired.yaml"
     write_repaired(mended, engine)
-    answers, turned = load_answers(engine)
+    read, turned = load_answers(engine)
     assert turned == ()
-    pd.testing.assert_frame_equal(answers(data), answers_of(mended)(data), rtol=1e-9)
+    pd.testing.assert_frame_equal(read(data), answers(data), rtol=1e-9)
+    told = tmp_path / "told" / "repaired.yaml"
+    told.parent.mkdir()
+    write_repaired(mended, told, answers)
+    for path in (engine, steady_sidecar(engine)):
+        assert (told.parent / path.name).read_bytes() == path.read_bytes()
     file, out = tmp_path / "inputs.csv", tmp_path / "implied.csv"
     pd.DataFrame({name: data[name] for name in (*INPUTS, "u_flap_pct")}).to_csv(file, index=False)
     imply(file, engine).save(out)
@@ -100,15 +112,16 @@ def test_files_answer_for_inputs_alone(mended: PointsDiscovery, data: SteadyPoin
         imply(file, engine)
 
 
-def test_readings_that_contradict_the_engine_are_said(mended: PointsDiscovery, data: SteadyPoints,
-                                                      tmp_path: Path) -> None:  # fmt: skip
+def test_readings_that_contradict_the_engine_are_said(
+    mended: PointsDiscovery, answers: Answers, data: SteadyPoints, tmp_path: Path
+) -> None:
     engine = tmp_path / "repaired.yaml"
-    write_repaired(mended, engine)
+    write_repaired(mended, engine, answers)
     row = int(data.row[20])
     kilo = np.where(data.row == row, data["p_im_pa"] / 1e3, data["p_im_pa"])
     cases: dict[str, tuple[SteadyPoints, str | None]] = {
         "as they are": (data, None),
-        "one cell in kPa": (data.with_columns(p_im_pa=kilo), f"at 1 of 80 points .*[(]data row {row}[)]"),
+        "one cell in kPa": (data.with_columns(p_im_pa=kilo), f"at 1 of 50 points .*[(]data row {row}[)]"),
         "swapped": (data.with_columns(p_im_pa=data["p_em_pa"], p_em_pa=data["p_im_pa"]), "worst in data rows"),
         "half the fuel": (data.with_columns(u_delta_mg=0.5 * data["u_delta_mg"]), "worst in data rows"),
     }
@@ -118,12 +131,12 @@ def test_readings_that_contradict_the_engine_are_said(mended: PointsDiscovery, d
         assert said is None or re.search(said, found[0]), name
 
 
-def test_points_near_by_foretell_where_a_map_is_off(mended: PointsDiscovery) -> None:
+def test_points_near_by_foretell_where_a_map_is_off(answers: Answers) -> None:
     def bent(seed: int) -> SteadyPoints:
-        made = made_points(count=80, noise=0.002, effects=FLAP, seed=seed)
+        made = made_points(count=50, noise=0.002, effects=FLAP, seed=seed)
         return made.with_columns(t_em_k=made["t_em_k"] * (1.0 + 0.05 * np.sin(made["n_e_rpm"] / 250.0)))
 
-    first, known, asked = answers_of(mended).first, bent(5), bent(6)
+    first, known, asked = answers.first, bent(5), bent(6)
     hidden = SteadyPoints({name: v for name, v in asked.columns.items() if name != "t_em_k"}, asked.row)
     learned = local_errors(first.model, thinned(known), first.values, (first.guess.centre, first.guess.spread))
     assert learned.smoothness["exhaust_temperature"].level > 3.0 * learned.smoothness["exhaust_temperature"].own
@@ -133,22 +146,26 @@ def test_points_near_by_foretell_where_a_map_is_off(mended: PointsDiscovery) -> 
     assert 0.8 < np.mean(np.abs(error) < 1.645 * near["t_em_k_std"]) <= 1.0
 
 
-def test_a_file_of_before_still_answers(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
+def test_a_file_of_before_still_answers(
+    mended: PointsDiscovery, answers: Answers, data: SteadyPoints, tmp_path: Path
+) -> None:
     engine = tmp_path / "repaired.yaml"
-    write_repaired(mended, engine)
+    write_repaired(mended, engine, answers)
     sidecar = tmp_path / "repaired.steady.json"
     content = json.loads(sidecar.read_text())
     for name in ("points", "content_sha256"):
         content.pop(name)
     sidecar.write_text(json.dumps({**content, "format": 2}))
-    answers, _ = load_answers(engine)
-    assert all(answerer.local is None for answerer in answers.formulations.values())
-    assert (answers(data).filter(like="_std") > 0.0).all().all()
+    read, _ = load_answers(engine)
+    assert all(answerer.local is None for answerer in read.formulations.values())
+    assert (read(data).filter(like="_std") > 0.0).all().all()
 
 
-def test_reports_are_written(mended: PointsDiscovery, data: SteadyPoints, tmp_path: Path) -> None:
+def test_reports_are_written(
+    mended: PointsDiscovery, answers: Answers, data: SteadyPoints, tmp_path: Path
+) -> None:
     pages = calibration_report(mended.calibration, tmp_path / "engine.html")
-    page = points_page(mended, document(mended), sentence(mended), answers_of(mended)(data))
+    page = points_page(mended, document(mended), sentence(mended), answers(data))
     pages.append(write_page(page, tmp_path / "report.html", tmp_path / "figures"))
     pages += (tmp_path / "figures").iterdir()
     assert len(pages) == 7 and all(page.stat().st_size > 5000 for page in pages)

@@ -38,8 +38,8 @@ def drawn(rms: float) -> CorrectionTerm:
 def bent() -> PointsDiscovery:
     """Points of an engine whose maps are 2 % off beside those of when it was well."""
     engine = TRUTH.replace(terms=(drawn(MAP_RMS),))
-    well = made_points(engine, 70, 0.003, 5, u_flap_pct=100.0)
-    now = made_points(engine, 40, 0.003, 6, u_flap_pct=100.0)
+    well = made_points(engine, 50, 0.003, 5, u_flap_pct=100.0)
+    now = made_points(engine, 30, 0.003, 6, u_flap_pct=100.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "STARTS", 0)
         search = default_search().points.model_copy(update={"most_effects": 1})

@@ -23,8 +23,8 @@ SEARCH = default_search().points.model_copy(update={"most_effects": 1})
 @pytest.fixture(scope="module")
 def blowing() -> Calibration:
     """Points with blow-by beside those of when the engine was well, 0.2 % noise on every reading."""
-    well = made_points(TRUTH, 100, 0.002, 5, u_flap_pct=100.0)
-    now = made_points(TRUTH, 90, 0.002, 6, {"blow_by": BLOW_BY}, u_flap_pct=100.0)
+    well = made_points(TRUTH, 60, 0.002, 5, u_flap_pct=100.0)
+    now = made_points(TRUTH, 50, 0.002, 6, {"blow_by": BLOW_BY}, u_flap_pct=100.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "STARTS", 0)
         return calibrate(beside_reference(now, [well]), TRUTH, GEOMETRY, believed=SEARCH)

@@ -25,8 +25,8 @@ FAULT = 0.05  # of p_em: five tolerances
 
 
 def calibrated(off: Mapping[str, float]) -> Calibration:
-    """An engine from 120 points, 0.2 % noise on every reading, whose sensors are off by these shares."""
-    data = made_points(TRUTH, 120, 0.002, 5, u_flap_pct=100.0)
+    """An engine from 70 points, 0.2 % noise on every reading, whose sensors are off by these shares."""
+    data = made_points(TRUTH, 70, 0.002, 5, u_flap_pct=100.0)
     data = data.with_columns(**{name: data[name] * (1.0 + off.get(name, 0.0)) for name in STATES})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "STARTS", 0)

@@ -25,7 +25,7 @@ LABORATORY = we2011.PARAMETERS.model_dump()
 WORN = {**LABORATORY, "A_egrmax": LABORATORY["A_egrmax"] * 0.85, "eta_sc": LABORATORY["eta_sc"] * 1.04}
 
 
-def recorded(*faults: Fault, seconds: float = 150.0) -> pd.DataFrame:
+def recorded(*faults: Fault, seconds: float = 100.0) -> pd.DataFrame:
     driving = draw_driving("random", seconds, LABORATORY, np.random.default_rng(2))
     run = run_plant(driving, WORN, faults)
     return read(run, driving, faults, SensorSet.perfect(), 6, np.random.default_rng(3))
@@ -60,10 +60,10 @@ def test_a_leak_is_left_in_the_residuals(
 def test_the_filters_bias_is_the_leak(leaking: tuple[Bound, health_only.HealthFit]) -> None:
     bound, _ = leaking
     filtered = kalman.filter_biases(bound, {name: WORN[name] for name in HEALTH})
-    driving = draw_driving("random", 150.0, LABORATORY, np.random.default_rng(2))
+    driving = draw_driving("random", 100.0, LABORATORY, np.random.default_rng(2))
     leak = run_plant(driving, WORN, (Fault("boost_leak", 8e-5),))["w_leak_im_kg_s"]
-    assert filtered[150:, 3].mean() == pytest.approx(-leak[150:].mean(), rel=0.25)
-    assert abs(filtered[150:, 4].mean()) < 0.3 * leak[150:].mean()
+    assert filtered[100:, 3].mean() == pytest.approx(-leak[100:].mean(), rel=0.25)
+    assert abs(filtered[100:, 4].mean()) < 0.3 * leak[100:].mean()
 
 
 def test_the_net_without_weights_is_the_twin(healthy: tuple[Bound, health_only.HealthFit]) -> None:

@@ -22,11 +22,11 @@ ONLY = "p_em_offset"
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forty points of one large fault beside sixty of the reference."""
+    """Twenty-five points of one large fault beside forty of the reference."""
     monkeypatch.setattr(points_cases, "SETTLED", (ONLY,))
     monkeypatch.setattr(points_cases, "HEALTHY_SHARE", 0.0)
-    monkeypatch.setattr(points_cases, "COUNTS", (40,))
-    monkeypatch.setattr(points_cases, "REFERENCE_COUNT", 60)
+    monkeypatch.setattr(points_cases, "COUNTS", (25,))
+    monkeypatch.setattr(points_cases, "REFERENCE_COUNT", 40)
 
 
 def test_every_family_is_one_that_points_can_show() -> None:
@@ -72,5 +72,5 @@ def test_points_of_the_reference_are_refused(small: None, tmp_path: Path, capsys
     pd.concat([table, reference.head(3)]).to_csv(judged, index=False)
     reference.to_csv(known, index=False)
     assert main(["discover", str(judged), "--reference", str(known), "--out", str(tmp_path / "found")]) == 2
-    assert "3 of 43 points that are in a reference too" in capsys.readouterr().err
+    assert "3 of 28 points that are in a reference too" in capsys.readouterr().err
     assert not (tmp_path / "found").exists()

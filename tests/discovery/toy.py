@@ -68,15 +68,14 @@ class Toy(TwinDefaults):
             for name in self.hypotheses
         }
         x = np.empty((size, n))
-        value = np.zeros(size)
-        window = {int(a): w for w, a in enumerate(self.starts)}
-        for i in range(n):
-            if i in window:
-                value = lanes.local[:, window[i], 0].copy()
-            x[:, i] = value
-            force = gain * self.u[i] * (1.0 + signals[1, :, i])
+        value = lanes.local[:, :, 0].copy()
+        ends = np.append(self.starts[1:], n)
+        for k in range(int((ends - self.starts).max())):  # all windows side by side; one that is over stands still
+            inside, i = self.starts + k < ends, np.minimum(self.starts + k, ends - 1)
+            x[:, i[inside]] = value[:, inside]
+            force = gain[:, None] * self.u[i] * (1.0 + signals[1][:, i])
             rate = (force - value) / 2.0 - amount["leak"][:, i] * value - amount["drag"][:, i] * value**2
-            value = value + STEP_S * (rate + signals[0, :, i])
+            value = value + STEP_S * (rate + signals[0][:, i])
         return np.stack([x + amount["x_offset"], gain[:, None] * x**2], axis=2)
 
     def variables(self, lanes: Lanes) -> dict[str, np.ndarray]:

@@ -116,8 +116,8 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Case:
 
 @pytest.fixture(scope="module")
 def tanks(tmp_path_factory: pytest.TempPathFactory) -> Case:
-    """Half of the public record's length: short records are where the overflow was missed."""
-    return _asked("cascaded_tanks", tanks_recording(900), 450, tmp_path_factory.mktemp("tanks"))
+    """A third of the public record's length: short records are where the overflow was missed."""
+    return _asked("cascaded_tanks", tanks_recording(700), 350, tmp_path_factory.mktemp("tanks"))
 
 
 def test_axis_names_its_friction(axis: Case) -> None:

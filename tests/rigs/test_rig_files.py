@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from dieseltwin.rigs.expressions import moment, names_in
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm, load_rig, save_rig
 from dieseltwin.rigs.recording import read_rig
 from dieseltwin.rigs.simulate import run_error, simulate_rig
-from dieseltwin.rigs.twin import RigTwin
+from dieseltwin.rigs.twin import RigTwin, model_of
 
 RIGS = Path(__file__).resolve().parents[2] / "examples" / "rigs"
 
@@ -105,6 +107,26 @@ def test_the_simulation_is_that_of_the_equations(tank: RigParameters) -> None:
     assert list(table) == ["time_s", "h", "q", "balance", "level"]
     (axes,) = dt.simulate(emptying(0.7), tank).plot().axes
     assert axes.get_ylabel() == "level" and len(axes.lines) == 2
+
+
+def _noted(passed: dict[str, Any], name: str, value: Any) -> Any:
+    return passed.setdefault(name, value)
+
+
+def test_effects_that_are_not_there_are_not_computed() -> None:
+    model, rng = model_of(load_rig(RIGS / "positioning_axis.yaml")), np.random.default_rng(0)
+    x, u, p = (
+        SimpleNamespace(**{name: rng.standard_normal((3, 5)) for name in names})
+        for names in (model.states, model.inputs, [parameter.name for parameter in model.parameters])
+    )
+    names = {effect.name for effect in model.hypotheses}
+    for there, noted in ((set(), ["force", "viscous", "net"]), ({"coulomb_friction"}, ["way", "dry"])):
+        e = SimpleNamespace(**{name: 0.3 * (name in there) for name in names})
+        passed: dict[str, Any] = {}
+        rates = model.rates_without(frozenset(names - there))(x, u, p, partial(_noted, passed), e)
+        for one, other in zip(rates, model.rates(x, u, p, lambda _, value: value, e), strict=True):
+            np.testing.assert_array_equal(one, other)
+        assert set(noted) <= set(passed) and "position" not in passed and ("way" in passed) is bool(there)
 
 
 def test_rows_are_averaged_and_runs_start_anew(tank: RigParameters) -> None:

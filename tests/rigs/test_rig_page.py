@@ -81,7 +81,8 @@ def leaking(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pd.DataFrame({"time_s": time, "q": flow, "level": level + noise}).to_csv(folder / "tank.csv", index=False)
     leak = {"site": "tank", "law": "c h |h| lost", "unit": "1/(m s)", "tolerance": 0.01, "limits": [0.0, 1.0]}
     balance = {**TANK["quantities"]["balance"], "formula": "q - k*h - leak*h*abs(h)"}
-    rig = RigParameters.model_validate({**TANK, "effects": {"leak": leak}, "quantities": {"balance": balance}})
+    changed = {"effects": {"leak": leak}, "quantities": {"balance": balance}, "sub_steps": 1}
+    rig = RigParameters.model_validate({**TANK, **changed})
     save_rig(rig, folder / "tank.yaml")
     printed = ["--pdf"] if any(map(pdf.shutil.which, pdf.BROWSERS)) else []
     out = folder / "found"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numba
 import numpy as np
 
 from dieseltwin.challenge.baselines.model import EFFECTS, STEP_S, Bound, _tables
 from dieseltwin.challenge.plant import rates
+from dieseltwin.inner import kernel
 
 SITES = ("intake_mass_balance", "exhaust_mass_balance", "shaft_power")
 """What a bias points at."""
@@ -20,7 +20,7 @@ SETTLE_S = 20.0  # left out of the statistics
 SMOOTHING_S = 10.0
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
+@kernel(error_model="numpy", nogil=True)
 def _filter(fine, step, every, measured, channels, sigma, c, tables, low, high, x0, p0, q, out):  # type: ignore[no-untyped-def]
     n, m = measured.shape
     e = np.zeros(EFFECTS)

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import pandas as pd
 
@@ -21,7 +20,7 @@ from dieseltwin.challenge.plant import rates
 from dieseltwin.challenge.plant_constants import Constants, plant_constants
 from dieseltwin.challenge.plant_effects import KERNEL_EFFECTS
 from dieseltwin.challenge.sensors import SENSORS
-from dieseltwin.inner import inner
+from dieseltwin.inner import inner, kernel
 from dieseltwin.recordings.noise import Noise, estimate_noise
 
 STEP_S = 0.01
@@ -151,7 +150,7 @@ def correct(y, n_e, u_delta, u_egr, u_vgt, c, T_im, T_em, w1, b1, w2, b2, middle
             dy[2] += bias / (c.J_t * y[2])
 
 
-@numba.njit(cache=True, error_model="numpy", nogil=True)
+@kernel(error_model="numpy", nogil=True)
 def run_windows(fine, step, every, starts, local, c, tables, low, high, w1, b1, w2, b2, middle, spread, out):  # type: ignore[no-untyped-def]
     """Heun's method from window to window; out (n, 6) in the order of `SENSORS`."""
     e = np.zeros(EFFECTS)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.engine.nozzle import choking_quotient, nozzle_flow_factor
+from dieseltwin.inner import kernel
 
 GAMMA = 1.4
 """Ratio of specific heats in the orifice's shape; its value moves the shape by less than 2 % (air, exhaust gas)."""
@@ -35,7 +35,7 @@ def lagged(values: Array, time_s: Array, constant: float) -> Array:
     return np.asarray(_follow(np.ascontiguousarray(values, dtype=np.float64), decay, mean))
 
 
-@numba.njit(cache=True)
+@kernel()
 def _follow(values, decay, mean):  # type: ignore[no-untyped-def]
     out = values.copy()
     for k in range(1, len(values)):
@@ -49,7 +49,7 @@ def played(values: Array, width: float) -> Array:
     return np.asarray(_pushed(np.ascontiguousarray(values, dtype=np.float64), 0.5 * width))
 
 
-@numba.njit(cache=True)
+@kernel()
 def _pushed(values, half):  # type: ignore[no-untyped-def]
     out, at = np.empty_like(values), values[0]
     for k, value in enumerate(values):

@@ -85,6 +85,8 @@ class Model:
         hold: inputs between samples, held or linear.
         nearest: (channel) -> state, for the first guess of a window's initial states; other states start at `first`.
         first: state -> first guess [unit].
+        rates_without: `rates` in which effects of these names are zero, and quantities that no rate needs aren't
+            computed; None where there is no such thing.
     """
 
     states: Mapping[str, float]
@@ -100,6 +102,7 @@ class Model:
     hold: Literal["held", "linear"] = "linear"
     nearest: Mapping[str, str] = field(default_factory=dict)
     first: Mapping[str, float] = field(default_factory=dict)
+    rates_without: Callable[[frozenset[str]], Moment] | None = None
 
 
 class SimpleTwin(TwinDefaults):
@@ -265,6 +268,9 @@ class SimpleTwin(TwinDefaults):
         magnitudes = {name: np.asarray(value)[:, None] for name, value in lanes.magnitudes.items()}
         constant = SimpleNamespace(**{**dict.fromkeys(self.hypotheses, 0.0), **magnitudes})
         untouched = None if shared or own or any(laws.values()) else _NothingInserted()
+        rates_of = model.rates
+        if untouched is not None and model.rates_without is not None:
+            rates_of = model.rates_without(frozenset(self.hypotheses).difference(magnitudes))
 
         # What doesn't depend on the states is taken between the samples for all of them at once: the loop below runs
         # over thousands of steps with few lanes.
@@ -289,7 +295,7 @@ class SimpleTwin(TwinDefaults):
             if factors:
                 e = SimpleNamespace(**{**vars(constant), **{n: magnitudes[n] * f[k] for n, f in factors.items()}})
             derivative = np.empty_like(state)
-            for i, value in enumerate(model.rates(x, u, p, untouched or inserted(x, u, k, j), e)):
+            for i, value in enumerate(rates_of(x, u, p, untouched or inserted(x, u, k, j), e)):
                 derivative[i] = value
             return derivative
 

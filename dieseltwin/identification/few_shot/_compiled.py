@@ -5,16 +5,12 @@ Arrays are (runs, row, points): a run's rows lie together, and neighbouring poin
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from dieseltwin.engine import HEALTH, MEASURED
-from dieseltwin.engine._compiled import _OPTIONS as UNCACHED
-from dieseltwin.engine._compiled import numba  # its folder is the project's
+from dieseltwin.engine._compiled import _OPTIONS
 from dieseltwin.engine._fastmath import fast_exp, fast_log
-
-_OPTIONS: dict[str, Any] = {**UNCACHED, "cache": True}
+from dieseltwin.inner import kernel
 
 N_STATES, N_CHANNELS, N_HEALTH = 3, len(MEASURED), len(HEALTH)
 N_READ = N_CHANNELS - N_STATES
@@ -27,7 +23,7 @@ CURVATURE_ROWS = 45
 with z (3 x 3), dz with itself (3), z with p (3 x 4), dz with p (3 x 4)."""
 
 
-@numba.njit(**_OPTIONS)
+@kernel(**_OPTIONS)
 def transform(z, scale, path):  # type: ignore[no-untyped-def]
     """Linear outputs (R, 3, 2 n), values then rates, -> rows (R, 12, n) of the trajectory behind scale * softplus."""
     runs, n = z.shape[0], z.shape[2] // 2
@@ -44,7 +40,7 @@ def transform(z, scale, path):  # type: ignore[no-untyped-def]
                 path[r, 9 + j, i] = slope * (small * share if value >= 0.0 else share) * rate
 
 
-@numba.njit(**_OPTIONS)
+@kernel(**_OPTIONS)
 def residuals(rows, path, values, readings, weights, noise, rate_defect, reading_defect, dof, cost, physics, misfit):  # type: ignore[no-untyped-def]
     """Cost (K,), physics (K, 3, n) and data (K, C, n) residuals over their noise at K runs, those `rows` of the data.
 
@@ -69,7 +65,7 @@ def residuals(rows, path, values, readings, weights, noise, rate_defect, reading
         cost[k] = total if np.isfinite(total) else np.inf
 
 
-@numba.njit(**_OPTIONS)
+@kernel(**_OPTIONS)
 def curvature(rows, path, slopes, weights, noise, dof, physics, misfit, gradient, by_health, points, corner):  # type: ignore[no-untyped-def]
     """Gauss-Newton curvature and gradient of each point; tails of the physics residuals enter as weights.
 
@@ -130,7 +126,7 @@ def curvature(rows, path, slopes, weights, noise, dof, physics, misfit, gradient
                         corner[k, m, o] += a * equation[e, N_STATES + o] + b * reading[e, N_STATES + o]
 
 
-@numba.njit(**_OPTIONS)
+@kernel(**_OPTIONS)
 def weighted_columns(points, j, first, second, third, own, others):  # type: ignore[no-untyped-def]
     """What the Hessian's rows of state j are products of.
 

@@ -110,9 +110,9 @@ def test_noise_is_told_from_what_the_inputs_do() -> None:
 
 
 def test_a_leak_is_named_from_rows_of_a_second_and_a_healthy_engine_raises_no_alarm() -> None:
-    healthy = dt.discover(once_a_second(driven(400.0))).document
+    healthy = dt.discover(once_a_second(driven(200.0))).document
     assert not healthy.mismatch
-    leaking = dt.discover(once_a_second(driven(400.0, {"boost_leak": 3e-5}))).document
+    leaking = dt.discover(once_a_second(driven(200.0, {"boost_leak": 3e-5}))).document
     (leak,) = leaking.effects
     assert leak.name == "boost_leak" and abs(leak.magnitude - 3e-5) < 3.0 * leak.std
     assert 4e-6 < leaking.minimum_detectable["boost_leak"] < 2e-5

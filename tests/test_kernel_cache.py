@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from dieseltwin.engine import kernel_cache
-from dieseltwin.engine.kernel_cache import drop_broken, kernel_folder
+from dieseltwin import kernel_cache
+from dieseltwin.kernel_cache import drop_broken, kernel_folder
 
-SOURCES = Path(kernel_cache.__file__).parent
+SOURCES = [Path(kernel_cache.__file__)]
 
 
 @pytest.fixture(autouse=True)

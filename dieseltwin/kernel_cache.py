@@ -17,13 +17,13 @@ from dieseltwin.atomic import write_json
 from dieseltwin.errors import InputError
 from dieseltwin.paths import xdg_cache_folder
 
-PACKAGE = Path(__file__).resolve().parents[1]
+PACKAGE = Path(__file__).resolve().parent
 _CHECKSUMS = "checksums.json"
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
-def kernel_folder(sources: Path, versions: Iterable[str]) -> Path:
-    """A folder for the kernels compiled from the Python files below `sources`; it belongs to this user alone.
+def kernel_folder(sources: Iterable[Path], versions: Iterable[str]) -> Path:
+    """A folder for the kernels compiled from the Python files `sources`; it belongs to this user alone.
 
     Kernels are pickles, which run what they hold when they are loaded: a folder that another user owns or may write to
     is never used. Where no place can be written to, a temporary folder serves this process and is removed with it.
@@ -33,7 +33,7 @@ def kernel_folder(sources: Path, versions: Iterable[str]) -> Path:
         versions: of what compiles.
     """
     digest = hashlib.sha256(" ".join(versions).encode())
-    for source in sorted(sources.rglob("*.py")):
+    for source in sources:
         digest.update(source.name.encode() + source.read_bytes())
     name = digest.hexdigest()[:16]
     named = os.environ.get("NUMBA_CACHE_DIR")  # who names a folder answers for it
