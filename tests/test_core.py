@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from tests.calibration.simulated import made_points
 
 ABSENT = ("torch", "prefect", "mlflow", "dvc")
 SLOW = (*ABSENT, "numba", "pandas", "scipy", "matplotlib")
+POINTS = 60
 POINT_COLUMNS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", *STATES)
 
 # Python imports it by itself at its start: the packages are absent, and what was imported is told at the end.
@@ -55,7 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("core")
     trace = pd.read_csv(REFERENCE).assign(t_amb_k=298.15, p_amb_pa=101325.0)
     trace.iloc[:151].to_csv(made / "short.csv", index=False)
-    points = made_points(count=60, noise=0.005)
+    points = made_points(count=POINTS, noise=0.005)
     pd.DataFrame({name: points[name] for name in POINT_COLUMNS}).to_csv(made / "points.csv", index=False)
     return made
 
@@ -68,13 +70,13 @@ def command(folder: Path, project_root: Path) -> Command:
     paths = os.pathsep.join([str(folder / "hook"), str(project_root)])
 
     def run(*arguments: str, script: str | None = None) -> tuple[int, str, set[str]]:
-        what = ["-m", "dieseltwin", *arguments] if script is None else ["-c", script]
+        what = ["-m", "dieseltwin"] if script is None else ["-c", script]
         done = subprocess.run(
-            [sys.executable, *what], cwd=folder, capture_output=True, text=True,
-            env={**os.environ, "PYTHONPATH": paths, "IMPORTED": str(folder / "imported")},
+            [sys.executable, *what, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            cwd=folder, env={**os.environ, "PYTHONPATH": paths, "IMPORTED": str(folder / "imported")},
         )  # fmt: skip
         imported = (folder / "imported").read_text(encoding="utf-8").split()
-        return done.returncode, done.stdout + done.stderr, {name.partition(".")[0] for name in imported}
+        return done.returncode, done.stdout, {name.partition(".")[0] for name in imported}
 
     return run
 
@@ -85,56 +87,62 @@ def test_every_module_of_the_core_can_be_imported(command: Command) -> None:
     assert code == 0 and not imported & set(ABSENT), said
 
 
-def test_simulate(command: Command, folder: Path) -> None:
-    code, said, _ = command("simulate", "short.csv", "--out", "simulated.csv")
-    assert code == 0 and len(pd.read_csv(folder / "simulated.csv")) == 151, said
-
-
-def test_identify(command: Command, folder: Path) -> None:
-    options = ("short.csv", "--out", "identified", "--segment", "30", "--runs", "2")
-    code, said, _ = command("identify", *options)
-    assert code == 0 and "classical, 2 runs, 1 segments" in said, said
-    assert (folder / "identified" / "figures").is_dir()
-
-
-# One start of the calibration, as its own tests have more; one process, as every other command here has its own.
-POINTS = """
-import sys
+# One process for all of them, as libraries load once; every command has one of its own further down. One start of the
+# calibration, as its own tests have more.
+ASK = """
+import json, sys
 from dieseltwin.calibration import calibrate
 from dieseltwin.cli.app import main
 
 calibrate.STARTS = 0
-codes = [
-    main(["calibrate", "points.csv", "--out", "engine.yaml"]),
-    main(["discover", "points.csv", "--engine", "engine.yaml", "--out", "found"]),
-    main(["imply", "points.csv", "--engine", "found/repaired.yaml", "--out", "implied.csv"]),
-]
-sys.exit(any(codes))
+for arguments in json.loads(sys.argv[1]):
+    print("\\f", main(arguments), flush=True)
 """
+HALF_A_MINUTE = ["identify", "short.csv", "--segment", "30", "--out"]
+ASKED = {
+    "simulate": ["simulate", "short.csv", "--out", "simulated.csv"],
+    "identify": [*HALF_A_MINUTE, "identified", "--runs", "1"],
+    "calibrate": ["calibrate", "points.csv", "--out", "engine.yaml"],
+    "discover": ["discover", "points.csv", "--engine", "engine.yaml", "--out", "found"],
+    "imply": ["imply", "points.csv", "--engine", "found/repaired.yaml", "--out", "implied.csv"],
+    "newton": [*HALF_A_MINUTE, "refused", "--method", "few-shot-newton"],
+    "multi-stage": [*HALF_A_MINUTE, "refused", "--method", "multi-stage"],
+    "maps": [*HALF_A_MINUTE, "refused", "--maps", "improved", "--models", "models"],
+}
 
 
-def test_calibrate_discover_and_imply(command: Command, folder: Path) -> None:
-    code, said, _ = command(script=POINTS)
-    assert code == 0 and len(pd.read_csv(folder / "implied.csv")) == 60, said
-
-
-# One process for all that is refused.
-NEEDS_TORCH = """
-import sys
-from dieseltwin.cli.app import main
-
-asked = (("--method", "few-shot-newton"), ("--method", "multi-stage"), ("--maps", "improved", "--models", "models"))
-print(*(main(["identify", "short.csv", "--out", "refused", "--segment", "30", *options]) for options in asked))
-"""
-
-
-def test_what_needs_torch_names_the_extra(command: Command, folder: Path) -> None:
-    (folder / "models").mkdir(exist_ok=True)
+@pytest.fixture(scope="module")
+def answers(command: Command, folder: Path) -> dict[str, tuple[int, str]]:
+    """Exit code of what was asked, and what was said."""
+    (folder / "models").mkdir()
     (folder / "models" / "maps_improved.pt").touch()
-    _, said, _ = command(script=NEEDS_TORCH)
-    codes, *lines = said.splitlines()
-    assert codes == "2 2 2" and len(lines) == 3, said
-    assert all("pip install 'dieseltwin[networks]'" in line for line in lines), said
+    code, said, imported = command(json.dumps(list(ASKED.values())), script=ASK)
+    assert code == 0 and not imported & set(ABSENT), said
+    before, *parts = said.split("\f")
+    words = [before, *(part.partition("\n")[2] for part in parts)]
+    return {name: (int(part.split()[0]), words[k]) for k, (name, part) in enumerate(zip(ASKED, parts, strict=True))}
+
+
+def test_simulate(answers: dict[str, tuple[int, str]], folder: Path) -> None:
+    code, said = answers["simulate"]
+    assert code == 0 and len(pd.read_csv(folder / "simulated.csv")) == 151, said
+
+
+def test_identify(answers: dict[str, tuple[int, str]], folder: Path) -> None:
+    code, said = answers["identify"]
+    assert code == 0 and "classical, 1 runs, 1 segments" in said, said
+    assert (folder / "identified" / "figures").is_dir()
+
+
+def test_calibrate_discover_and_imply(answers: dict[str, tuple[int, str]], folder: Path) -> None:
+    assert [answers[name][0] for name in ("calibrate", "discover", "imply")] == [0, 0, 0], answers
+    assert len(pd.read_csv(folder / "implied.csv")) == POINTS
+
+
+@pytest.mark.parametrize("asked", ["newton", "multi-stage", "maps"])
+def test_what_needs_torch_names_the_extra(answers: dict[str, tuple[int, str]], folder: Path, asked: str) -> None:
+    code, said = answers[asked]
+    assert code == 2 and said.count("\n") == 1 and "pip install 'dieseltwin[networks]'" in said, said
     assert not (folder / "refused").exists()
 
 

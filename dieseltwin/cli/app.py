@@ -11,6 +11,8 @@ import gc
 import os
 import sys
 import warnings
+from collections.abc import Callable
+from functools import cache
 from typing import Annotated
 
 import typer
@@ -80,6 +82,12 @@ def _options(
     help_without_command(context)
 
 
+@cache
+def _commands() -> Callable[..., object]:
+    """All of them, made once: typer would read every signature anew for each call of `app`."""
+    return typer.main.get_command(app)
+
+
 _NAME = "dieseltwin: "
 _INTERRUPTED = 130
 
@@ -114,7 +122,7 @@ def main(arguments: list[str] | None = None) -> int:
     # Importing makes a million objects that stay: looking for garbage among them every 700 takes a fifth of the start.
     gc.set_threshold(100_000, 50, 100)
     try:
-        result = app(args=arguments, prog_name="dieseltwin", standalone_mode=False)
+        result = _commands()(args=arguments, prog_name="dieseltwin", standalone_mode=False)
     except DieselTwinError as error:
         return _fail(error, error.exit_code)
     except _ClickError as error:  # a wrong option or argument

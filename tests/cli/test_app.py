@@ -57,6 +57,12 @@ def field_engine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def test_commands_are_made_once_a_process(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = run("effects")
+    monkeypatch.setattr("typer.main.get_params_from_function", None)
+    assert run("effects") == first
+
+
 def test_version_and_help(run: Run) -> None:
     assert run("--version") == [f"dieseltwin {dieseltwin.__version__}"]
     commands = "\n".join(run())
@@ -102,7 +108,7 @@ def test_interrupt_is_one_line(
         raise KeyboardInterrupt
 
     if where == "around it":
-        monkeypatch.setattr(cli, "app", interrupted)
+        monkeypatch.setattr(cli, "_commands", lambda: interrupted)
     else:
         monkeypatch.setattr("dieseltwin.cli.show.params_lines", interrupted)
     assert main(["params", "show"]) == 130

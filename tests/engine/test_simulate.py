@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -99,6 +100,13 @@ def test_sample_rate_of_the_recording_does_not_matter(field_trace) -> None:  # t
     both = np.isin(np.round(finer.time_s, 6), np.round(piece.time_s, 6))
     for column in ("p_im_pa", "p_em_pa", "omega_t_rad_s"):
         np.testing.assert_allclose(a[column], b.loc[both, column], rtol=2e-4)
+
+
+def test_finer_times_divide_each_interval_evenly_to_the_bit() -> None:
+    time = np.array([-3.1, -2.9, -2.8875, -1.5, 0.0, 0.2, 1e3])
+    inputs = Inputs(time, *np.ones((4, time.size)))
+    parts = [np.linspace(*ends, max(1, round(np.ptp(ends) / 0.0125)), endpoint=False) for ends in pairwise(time)]
+    np.testing.assert_array_equal(inputs.resampled(0.0125).time_s, np.concatenate([*parts, time[-1:]]))
 
 
 def test_inputs_are_clipped_by_simulate_only() -> None:

@@ -17,6 +17,7 @@ from toy_library import fresh_context, write_toylib
 from tasks import run_context, tracking
 from tasks.progress import Display
 from tasks.run_context import RunContext
+from tasks.server import prefect_server
 from tasks.workspace import PROJECT, Workspace, quiet_settings
 
 FAKES = Path(__file__).parent / "fakes"
@@ -78,28 +79,21 @@ def faked_discovery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
 
 @pytest.fixture(scope="session")
 def prefect(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Prefect's own test harness, once a session: a server and a database in a temporary folder."""
-    home = tmp_path_factory.mktemp("prefect")
-    settings = quiet_settings(Workspace(home))
-    saved = dict(os.environ)
-    os.environ.update(settings)
-    from prefect.context import refresh_global_settings_context
-    from prefect.testing.utilities import prefect_test_harness
+    """A Prefect server as every run starts one, once a session, with a database in a temporary folder.
 
-    refresh_global_settings_context()  # another test may have imported Prefect with other settings
-
-    with prefect_test_harness(server_startup_timeout=180):
-        _keep_tables(home / "prefect.db")
+    (Prefect's own test harness imports the server here as well, four seconds.)
+    """
+    workspace, saved = Workspace(tmp_path_factory.mktemp("prefect")), dict(os.environ)
+    os.environ.update(quiet_settings(workspace))
+    with prefect_server(workspace):
+        _keep_tables(workspace.prefect_home / "prefect.db", workspace.root / "tables.db")
         yield
     os.environ.clear()
     os.environ.update(saved)
 
 
-def _keep_tables(copy: Path) -> None:
+def _keep_tables(database: Path, copy: Path) -> None:
     """Tables of Prefect's database, for servers that a test starts itself: `tiny_settings.write_params` copies them."""
-    from prefect.settings import PREFECT_SERVER_DATABASE_CONNECTION_URL
-
-    database = str(PREFECT_SERVER_DATABASE_CONNECTION_URL.value()).partition(":///")[2]
     with closing(sqlite3.connect(database)) as made, closing(sqlite3.connect(copy)) as kept:
         made.backup(kept)
     tiny_settings.FRESH[Path(".prefect") / "prefect.db"] = copy
