@@ -25,22 +25,31 @@ TOGETHER = {
 }
 """Begin of files that share what takes long -> the name of their scope: one process takes all of them."""
 
-# Processor seconds, kernels of the simulator compiled before: what is long begins first, what isn't here is done in the
-# end. Of the flows these two stand beside each other as their steps are forked by one server, which others end.
+# Seconds in a fresh clone, on two busy cores: what is long begins first, what isn't here is done in the end. Of the
+# flows these two stand beside each other as their steps are forked by one server, which others end. Petrol engines' files are
+# before all others: meanwhile the flows compile the diesel simulator, which the others then find compiled.
 LONG = {
-    "flows/test_chain.py": 80, "flows/test_evaluate.py": 55,
-    "app/test_browser.py": 69, "end_to_end/test_diesel.py": 42, "petrol/test_petrol_discover.py": 37,
-    "end_to_end/test_points.py": 36, "end_to_end/test_rigs.py": 27, "engine/test_new_column.py": 27,
-    "api/test_api_discover.py": 22, "examples/test_small_rigs.py": 22, "petrol/test_petrol_commands.py": 21,
-    "surrogates/test_empirical.py": 17, "test_core.py": 16, "discovery/search/test_circumstances.py": 60,
-    "discovery/search/test_search.py": 14, "paper/test_network_loops.py": 13, "cli/test_bad_input.py": 13,
-    "cli/test_learn_command.py": 12, "challenge/test_points_tier.py": 12, "api/test_api_together.py": 10,
-    "petrol/test_petrol_courses.py": 30, "petrol/test_petrol_second.py": 20,
-    "calibration/test_imply.py": 10, "calibration/test_reference_engine.py": 10, "api/test_front_door.py": 9,
-    "paper/test_compiled_loss.py": 9, "calibration/test_lasting_errors.py": 8, "challenge/test_baselines.py": 8,
-    "paper/comparison/test_page.py": 8, "app/test_pages.py": 7, "calibration/test_recovery.py": 7,
-    "calibration/test_sensor_errors.py": 7, "cli/test_app.py": 7, "discovery/search/test_local_misfit.py": 7,
-    "discovery/twins/test_diesel_between.py": 7, "examples/test_scripts.py": 7, "rigs/test_rig_page.py": 7,
+    "flows/test_chain.py": 259, "flows/test_evaluate.py": 74, "end_to_end/test_diesel.py": 165,
+    "app/test_browser.py": 150, "discovery/search/test_circumstances.py": 96, "engine/test_new_column.py": 79,
+    "end_to_end/test_points.py": 59, "surrogates/test_empirical.py": 59, "paper/test_compiled_loss.py": 47,
+    "api/test_api_discover.py": 46, "cli/test_learn_command.py": 46, "challenge/test_baselines.py": 46,
+    "api/test_api_together.py": 44, "end_to_end/test_withheld.py": 42, "paper/test_network_loops.py": 36,
+    "discovery/search/test_search.py": 35, "test_core.py": 35, "end_to_end/test_rigs.py": 31,
+    "discovery/reference/test_learn.py": 30, "discovery/reference/test_conditions.py": 29,
+    "api/test_front_door.py": 28, "cli/test_app.py": 27, "app/test_pages.py": 26, "examples/test_scripts.py": 26,
+    "challenge/test_points_tier.py": 25, "calibration/test_imply.py": 24,
+    "discovery/search/test_local_misfit.py": 23, "paper/test_multistage.py": 21,
+    "identification/test_acceptance.py": 19, "paper/comparison/test_page.py": 19, "cli/test_bad_input.py": 19,
+    "calibration/test_lasting_errors.py": 17, "discovery/twins/test_diesel_between.py": 17,
+    "engine/test_equations.py": 17, "end_to_end/test_petrol.py": 16, "identification/test_fewshot_newton.py": 16,
+    "calibration/test_sensor_errors.py": 15, "report/test_discovery_figures.py": 14,
+    "recordings/guess/test_propose.py": 14, "calibration/test_reference_engine.py": 14,
+    "identification/test_classical.py": 13, "discovery/test_fit_test.py": 13, "cli/test_discover_command.py": 13,
+    "surrogates/test_operators.py": 12, "codegen/test_c_engine.py": 12, "surrogates/test_bodies.py": 12,
+    "paper/test_datasets.py": 12, "api/test_api_identify.py": 12, "identification/test_term_model.py": 10,
+    "paper/test_fewshot_adam.py": 10, "report/test_figures.py": 9, "discovery/laws/test_law_search.py": 9,
+    "engine/test_new_effect.py": 9, "rigs/test_rig_page.py": 9, "cli/test_fuzz.py": 9, "challenge/test_plant.py": 8,
+    "report/test_interactive.py": 8, "discovery/search/test_renewal.py": 8, "app/test_lanes.py": 8,
 }  # fmt: skip
 
 # Repeatable: a red run must be red again. No deadlines: two shared cores.
@@ -105,10 +114,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The flows and then long files first, so that no process waits for another one's at the end."""
+    """The flows, petrol engines and then long files first, so that no process waits for another one's at the end."""
     files = {item: Path(os.path.relpath(item.path, ROOT)).as_posix() for item in items}
     rank = {f"tests/{file}": -seconds for file, seconds in LONG.items()}
-    items.sort(key=lambda item: (not files[item].startswith("tests/flows/"), rank.get(files[item], 0.0)))
+    items.sort(key=lambda item: (not files[item].startswith("tests/flows/"),
+                                 not files[item].startswith("tests/petrol/"), rank.get(files[item], 0.0)))  # fmt: skip
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -13,6 +13,7 @@ from typing import cast
 
 import numpy as np
 
+from dieseltwin.discovery.laws.final_fit import about_itself
 from dieseltwin.discovery.likelihood.circumstances import (
     Estimate,
     at_estimates,
@@ -53,13 +54,14 @@ def told(found: Search, at: Linearisation, after: Array) -> Told:
 
     Args:
         found: the search.
-        at: the explanation, as `explained.explained_at`; beside a law health is the law's, as it is.
+        at: the explanation, as `explained.explained_at`; beside a law health is the law's, as it is, and known as well
+            as fine maps let it be.
         after: (n, C) readings of the explanation.
     """
     apart = disagreement_of_circumstances(found, at)
     if found.kind == "law":
         places = beside_fine_maps(found, found.null, found.twin.measured - after)
-        return Told(at.fit, _mean([place.circumstances for place in places], apart))
+        return Told(_law_beside_fine_maps(found, at), _mean([place.circumstances for place in places], apart))
     places = beside_fine_maps(found, at)
     fit = at.fit if places[0].fit is at.fit else _together(places, found.widening)
     return Told(fit, _mean([place.circumstances for place in places], apart, found.widening))
@@ -84,10 +86,8 @@ def beside_fine_maps(found: Search, at: Linearisation, residual: Array | None = 
 def _places(found: Search, at: Linearisation, residual: Array | None) -> list[Told]:
     """As `beside_fine_maps`; none where the explanation stays as it is."""
     places: list[Told] = []
-    if belief_of(at.twin) is not None or isinstance(at.twin, KnownErrors):
-        return places
-    own = tolerances(at.twin, at, found.settings, FINE)
-    if len(own) * at.simulated.size > _MOST_NUMBERS:
+    own = _fine_maps(found, at)
+    if own is None:
         return places
     try:
         responses = nuisance_responses(at.twin, at.fit.lanes(), at.simulated, own, linear=True)
@@ -101,6 +101,31 @@ def _places(found: Search, at: Linearisation, residual: Array | None) -> list[To
     except np.linalg.LinAlgError:
         pass  # the machine runs away with some tolerance there: what was told until then counts
     return places
+
+
+def _fine_maps(found: Search, at: Linearisation) -> list[Nuisance] | None:
+    """All directions in which maps may be off; None where errors are no smooth ones of maps, or too many."""
+    if belief_of(at.twin) is not None or isinstance(at.twin, KnownErrors):
+        return None
+    own = tolerances(at.twin, at, found.settings, FINE)
+    return None if len(own) * at.simulated.size > _MOST_NUMBERS else own
+
+
+def _law_beside_fine_maps(found: Search, at: Linearisation) -> Fit:
+    """The fit of a law, each of its values known as well as maps let it be that may be off in all their detail.
+
+    The values stay, as the law's terms belong to them; how far they are from those of the fit with all detail counts.
+    """
+    if found.law is None or at.nuisance_response is None or _fine_maps(found, found.null) is None:
+        return at.fit
+
+    def responses(there: Linearisation) -> Array:
+        own = tolerances(there.twin, there, found.settings, FINE)
+        return nuisance_responses(there.twin, there.fit.lanes(), there.simulated, own, linear=True)
+
+    fine = about_itself(at, responses)
+    apart = fine.fit.parameters - at.fit.parameters
+    return replace(at.fit, covariance=cast(Array, fine.fit.covariance) + np.outer(apart, apart))
 
 
 def _at(twin: Twin, own: Sequence[Nuisance], responses: Array, estimate: Array) -> Twin:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -10,6 +12,9 @@ import pytest
 
 from dieseltwin.challenge.routes import draw_driving
 from dieseltwin.discovery.laws.features import Structure
+from dieseltwin.discovery.laws.search import Law
+from dieseltwin.discovery.laws.twin import LawTwin, Placed
+from dieseltwin.discovery.likelihood.fit import fit_fully
 from dieseltwin.discovery.search.run import run
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
@@ -88,6 +93,18 @@ def test_health_is_the_mean_over_the_places_and_as_uncertain_as_they_differ(bump
     wider = told(replace(search, widening=4.0), at, at.simulated).fit
     assert wider.covariance - fit.covariance == pytest.approx(3.0 * places[-1].fit.covariance)
     assert told(replace(search, kind="law"), at, at.simulated).fit is at.fit
+
+
+def test_beside_a_law_health_keeps_its_values_and_is_as_uncertain_as_fine_maps_let_it_be(bumped: Search) -> None:
+    null, form = bumped.null, bumped.everything_unnamed()[0].feature.form
+    assert form is not None
+    twin = LawTwin(bumped.twin, [Placed(form, 0.08)])
+    start = replace(null.fit, parameters=np.append(null.fit.parameters, 0.08))
+    at = fit_fully(twin, null.whitening, start, null.nuisance_response)
+    law = cast(Law, SimpleNamespace(disagreement=None))
+    fit = told(replace(bumped, kind="law", law=law), at, at.simulated).fit
+    assert (fit.parameters == at.fit.parameters).all()
+    assert (fit.std > 0.999 * at.fit.std).all() and (fit.std > 1.1 * at.fit.std).any()
 
 
 def test_the_law_of_an_engine_file_is_the_bump_itself() -> None:
