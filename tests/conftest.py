@@ -26,8 +26,8 @@ TOGETHER = {
 """Begin of files that share what takes long -> the name of their scope: one process takes all of them."""
 
 # Seconds in a fresh clone, on two busy cores: what is long begins first, what isn't here is done in the end. Of the
-# flows these two stand beside each other as their steps are forked by one server, which others end. Petrol engines' files are
-# before all others: meanwhile the flows compile the diesel simulator, which the others then find compiled.
+# flows these two stand beside each other as their steps are forked by one server, which others end. Petrol engines'
+# files are before all others: meanwhile the flows compile the diesel simulator, which the others then find compiled.
 LONG = {
     "flows/test_chain.py": 259, "flows/test_evaluate.py": 74, "end_to_end/test_diesel.py": 165,
     "app/test_browser.py": 150, "discovery/search/test_circumstances.py": 96, "engine/test_new_column.py": 79,
