@@ -5,14 +5,12 @@ It is `mlflow models serve` of the champion's folder, after its networks were co
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from pathlib import Path
 
-from dieseltwin.addresses import check_address
-from dieseltwin.errors import InputError
 from tasks import databases
+from tasks.listening import listening
 from tasks.registry import CHAMPION, NAME, Registry
 from tasks.tracking import Tracker
 from tasks.workspace import prepare_environment
@@ -20,15 +18,9 @@ from tasks.workspace import prepare_environment
 
 def main() -> int:
     """Find the champion, become its server; exit status 2 where there is none that can be served."""
-    parser = argparse.ArgumentParser(prog="make champion", description=__doc__)
-    parser.add_argument("--port", type=int, default=5001)
-    parser.add_argument("--host", default="127.0.0.1")
-    arguments = parser.parse_args()
-    try:  # MLflow would end in a traceback, with status 0
-        check_address(arguments.host, arguments.port)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    arguments = listening("make champion", __doc__, 5001)
+    if arguments is None:
+        return 2
     tracker = Tracker(prepare_environment())
     version = refused = None
     if not tracker.uri.startswith("sqlite") or (tracker.workspace.mlruns / "mlflow.db").exists():

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 
-from dieseltwin.addresses import check_address
-from dieseltwin.errors import InputError
 from tasks import evaluation_records
+from tasks.listening import listening
 from tasks.records import EXPERIMENTS
 from tasks.tracking import Tracker
 from tasks.workspace import prepare_environment
@@ -16,15 +14,9 @@ from tasks.workspace import prepare_environment
 
 def main() -> int:
     """Open the database, print the addresses of the pages, become the server."""
-    parser = argparse.ArgumentParser(prog="make ui", description=__doc__)
-    parser.add_argument("--port", type=int, default=5000)
-    parser.add_argument("--host", default="127.0.0.1")
-    arguments = parser.parse_args()
-    try:  # MLflow would end in a traceback, with status 0
-        check_address(arguments.host, arguments.port)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    arguments = listening("make ui", __doc__, 5000)
+    if arguments is None:
+        return 2
     workspace = prepare_environment()
     tracker = Tracker(workspace)
     if tracker.uri.startswith("sqlite") and not (workspace.mlruns / "mlflow.db").exists():

@@ -26,11 +26,12 @@ TOGETHER = {
 """Begin of files that share what takes long -> the name of their scope: one process takes all of them."""
 
 # Seconds in a fresh clone, on two busy cores: what is long begins first, what isn't here is done in the end. Of the
-# flows these two stand beside each other as their steps are forked by one server, which others end. Petrol engines'
-# files are before all others: meanwhile the flows compile the diesel simulator, which the others then find compiled.
+# flows these two stand beside each other as their steps are forked by one server, which others end.
 LONG = {
     "flows/test_chain.py": 259, "flows/test_evaluate.py": 74, "end_to_end/test_diesel.py": 165,
     "app/test_browser.py": 150, "discovery/search/test_circumstances.py": 96, "engine/test_new_column.py": 79,
+    "petrol/test_petrol_commands.py": 61, "petrol/test_petrol_discover.py": 48, "petrol/test_petrol_courses.py": 20,
+    "petrol/test_petrol_second.py": 14,
     "end_to_end/test_points.py": 59, "surrogates/test_empirical.py": 59, "paper/test_compiled_loss.py": 47,
     "api/test_api_discover.py": 46, "cli/test_learn_command.py": 46, "challenge/test_baselines.py": 46,
     "api/test_api_together.py": 44, "end_to_end/test_withheld.py": 42, "paper/test_network_loops.py": 36,
@@ -114,11 +115,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The flows, petrol engines and then long files first, so that no process waits for another one's at the end."""
+    """The flows and then long files first, so that no process waits for another one's at the end."""
     files = {item: Path(os.path.relpath(item.path, ROOT)).as_posix() for item in items}
     rank = {f"tests/{file}": -seconds for file, seconds in LONG.items()}
-    items.sort(key=lambda item: (not files[item].startswith("tests/flows/"),
-                                 not files[item].startswith("tests/petrol/"), rank.get(files[item], 0.0)))  # fmt: skip
+    items.sort(key=lambda item: (not files[item].startswith("tests/flows/"), rank.get(files[item], 0.0)))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -44,14 +44,15 @@ def export_command(
     for out in (c, fmu):
         if out is not None:
             check_apart(out, engine)
+    of_engine = onnx is None or not (c is fmu is table is None)
     _refuse_unused(context, {
         "--fmi": ("--fmu", fmu), "--sources-only": ("--fmu", fmu), "--models": ("--onnx", onnx),
-        "ENGINE": ("--c, --fmu or --table", onnx is None or c or fmu or table),
+        "ENGINE": ("--c, --fmu or --table", of_engine),
     })  # fmt: skip
     from dieseltwin.api.export import export, export_networks
 
     written = []
-    if onnx is None or c is not None or fmu is not None or table is not None:
+    if of_engine:
         written += export(engine, c=c, fmu=fmu, table=table, fmi=fmi, sources_only=sources_only, overwrite=overwrite)
     if onnx is not None:
         written += export_networks(models, onnx, overwrite=overwrite)

@@ -144,9 +144,15 @@ def tolerances(
     ]
 
 
-def tolerance_responses(twin: Twin, at: Linearisation, settings: SearchSettings) -> Array:
-    """Responses (K, n, C) to the tolerances of maps and sensors, per standard deviation."""
-    return nuisance_responses(twin, at.fit.lanes(), at.simulated, tolerances(twin, at, settings))
+def tolerance_responses(
+    twin: Twin, at: Linearisation, settings: SearchSettings, detail: Detail = LEADING, linear: bool = False
+) -> Array:
+    """Responses (K, n, C) to the tolerances of maps and sensors, per standard deviation.
+
+    `linear`: as of `nuisance_responses`.
+    """
+    own = tolerances(twin, at, settings, detail)
+    return nuisance_responses(twin, at.fit.lanes(), at.simulated, own, linear)
 
 
 def crooked_windows(

@@ -25,7 +25,7 @@ from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.nuisance import FINE, Nuisance, Rebased, nuisance_responses
-from dieseltwin.discovery.search.preparation import tolerances
+from dieseltwin.discovery.search.preparation import tolerance_responses, tolerances
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.verdict.explained import disagreement_of_circumstances
@@ -119,11 +119,7 @@ def _law_beside_fine_maps(found: Search, at: Linearisation) -> Fit:
     if found.law is None or at.nuisance_response is None or _fine_maps(found, found.null) is None:
         return at.fit
 
-    def responses(there: Linearisation) -> Array:
-        own = tolerances(there.twin, there, found.settings, FINE)
-        return nuisance_responses(there.twin, there.fit.lanes(), there.simulated, own, linear=True)
-
-    fine = about_itself(at, responses)
+    fine = about_itself(at, lambda here: tolerance_responses(here.twin, here, found.settings, FINE, linear=True))
     apart = fine.fit.parameters - at.fit.parameters
     return replace(at.fit, covariance=cast(Array, fine.fit.covariance) + np.outer(apart, apart))
 
