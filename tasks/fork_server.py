@@ -38,7 +38,8 @@ class ForkedProcess:
     """A process that the server forked, with the methods of `subprocess.Popen` that are needed.
 
     Attributes:
-        pid: process id; None where the server ended before it forked.
+        pid: process id; None where the server ended before it could say one. Then a process may have been forked all
+            the same, which ends as its standard input does; nothing is to be asked of it.
         stdin, stdout: text pipes to and from it.
         returncode: None while it runs; below 0 a signal's number.
     """
@@ -48,6 +49,8 @@ class ForkedProcess:
         said = status.readline()
         self.pid = int(said) if said else None
         self.returncode: int | None = None if said else _KILLED
+        if not said:
+            self.stdin.close()
 
     def kill(self) -> None:
         """End it at once, where it still runs."""

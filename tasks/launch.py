@@ -23,7 +23,7 @@ from tasks.cluster import check_setting
 from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
 from tasks.server import ServerFailed, prefect_server
 from tasks.settings import DEFAULT_PROFILE, load_settings
-from tasks.workspace import prepare_environment
+from tasks.workspace import Workspace, prepare_environment
 
 # How long a flow takes where it never ran here [s]: quick profile, two idle cores.
 _EXPECTED_S = {
@@ -64,19 +64,27 @@ def launch(flow: Callable[..., Any], **parameters: Any) -> int:
             context.display.finish(name, title)
         context.store.prune(_UNUSED_S)
     except KeyboardInterrupt:
-        print(INTERRUPTED, file=sys.stderr)
-        return INTERRUPTED_CODE
-    except (run_context.StepFailed, ServerFailed) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return getattr(error, "exit_code", 1)
+        return _interrupted()
     except Exception as error:
-        code = getattr(error, "exit_code", None)
-        told = str(error) if code is not None else databases.failure(error, workspace.mlflow_uri)
-        if told is None:
-            raise
-        print(f"error: {told}", file=sys.stderr)
-        return 1 if code is None else int(code)
+        # The signal's exception is lost where it meets a finaliser, and the steps then fail as their processes end.
+        return _interrupted() if workers.stopping() else _failed(error, workspace)
     return 0
+
+
+def _interrupted() -> int:
+    print(INTERRUPTED, file=sys.stderr)
+    return INTERRUPTED_CODE
+
+
+def _failed(error: Exception, workspace: Workspace) -> int:
+    """Say in one line what failed; raise it again where nobody can say more than its traceback."""
+    code = getattr(error, "exit_code", None)
+    known = code is not None or isinstance(error, ServerFailed)
+    told = str(error) if known else databases.failure(error, workspace.mlflow_uri)
+    if told is None:
+        raise error
+    print(f"error: {told}", file=sys.stderr)
+    return 1 if code is None else int(code)
 
 
 def run_alone(

@@ -28,7 +28,10 @@ def main() -> int:
     """Read the specification, run the function, report. Returns the exit status."""
     channel = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)
-    specification: dict[str, Any] = json.loads(sys.stdin.readline())
+    told = sys.stdin.readline()
+    if not told:  # the run was stopped while this process was forked
+        return 1
+    specification: dict[str, Any] = json.loads(told)
     end_with_parent(1)
     os.environ.clear()
     os.environ.update(specification["environment"])

@@ -111,6 +111,8 @@ def _talk(
 ) -> dict[str, Any]:
     """Send the specification, pass progress on. Returns the worker's last message."""
     last: dict[str, Any] = {}
+    if worker.pid is None:
+        return last
     with suppress(BrokenPipeError):  # it was killed: its status says so
         worker.stdin.write(json.dumps(specification) + "\n")
         worker.stdin.flush()

@@ -17,7 +17,9 @@ import pytest
 import tiny_settings
 import toy_library
 
+from tasks import workers
 from tasks.failures import INTERRUPTED, INTERRUPTED_CODE
+from tasks.fork_server import ForkServer
 from tasks.workspace import PROJECT, Workspace, quiet_settings
 
 HERE = Path(__file__).parent
@@ -63,6 +65,18 @@ def test_a_signal_during_a_step_ends_the_flow_and_its_workers(tmp_path: Path) ->
     _, error = ends(start(tmp_path, "toy_flow.py"), tmp_path, signal.SIGTERM)
     assert error.splitlines() == [INTERRUPTED]
     assert not list(tmp_path.glob(".cache/*/.partial-*"))
+
+
+def test_a_process_forked_while_its_server_is_killed_is_not_waited_for(tmp_path: Path) -> None:
+    path = os.pathsep.join([str(PROJECT), str(HERE)])
+    with (tmp_path / "log").open("w") as log:
+        forked = ForkServer("dying_server", {**os.environ, "PYTHONPATH": path}).start([], log)
+    assert forked.pid is None and workers._talk(forked, {"step": "toy-sum"}, lambda fraction: None) == {}
+    assert forked.wait() == -signal.SIGKILL
+    # The process itself ends as soon as it finds that nothing will be asked of it: its end of the pipe closes.
+    assert forked.stdout.read() == "" and not (tmp_path / "log").read_text()
+    with forked:
+        pass
 
 
 @pytest.mark.flow
