@@ -20,7 +20,8 @@ from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers
 from dieseltwin.errors import InputError
-from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig, fitted
+from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
+from dieseltwin.rigs.fitting import fitted
 from dieseltwin.rigs.parameters import RigParameters, save_rig
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import simulate_rig

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from markupsafe import Markup
 
@@ -38,7 +38,8 @@ def probability(value: float | None) -> str:
 
 
 def findings(
-    document: Discrepancy, shares: Shares | None = None, unit: Unit = display_unit, timed: bool = True
+    document: Discrepancy, shares: Shares | None = None, unit: Unit = display_unit,
+    timed: bool | Collection[str] = True,
 ) -> Table | None:
     """A row for everything that was found; None where nothing was.
 
@@ -46,21 +47,23 @@ def findings(
         document: the verdict.
         shares: of the misfit; None: that of all together.
         unit: how sizes are shown.
-        timed: say when.
+        timed: say when; names: the location's times are theirs alone.
     """
     if not document.effects:
         return None
     heads = ("finding", "size ± std", "90 % interval", "probability", "misfit explained",
              *(("when",) if timed else ()), "can't be told from")  # fmt: skip
-    when = "from the start" if document.location is None else when_words(document.location)
+    always = "from the start"
+    when = always if document.location is None else when_words(document.location)
     rows = []
     for effect in document.effects:
         size, interval = _sizes(effect, unit)
         equivalent = ", ".join(effect.equivalent_names) or EMPTY
         if effect.equivalent_names and effect.split_by:
             equivalent += f"; {effect.split_by} would settle it"
+        times = (when if timed is True or effect.name in timed else always,) if timed else ()
         rows.append((effect.name, size, interval, probability(effect.probability), _share(document, effect, shares),
-                     *((when,) if timed else ()), equivalent))  # fmt: skip
+                     *times, equivalent))  # fmt: skip
     return Table(heads, rows, words=(0, len(heads) - 1), long=(len(heads) - 1,))
 
 

@@ -12,12 +12,13 @@ from markupsafe import Markup, escape
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Discrepancy, FoundEffect
 from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.discovery.verdict.when import moments, when_words
 from dieseltwin.report import findings
 from dieseltwin.report.discovery_words import magnitude_words
 from dieseltwin.report.interactive import AFTER, BEFORE, MEASURED, Line, Mark, Panel, Series, repair_panels, still
 from dieseltwin.report.law_cards import Told, law_cards
 from dieseltwin.report.page import EMPTY, Page, Section, Table
-from dieseltwin.rigs.discover import RigDiscovery, checked_rows
+from dieseltwin.rigs.discover import RigDiscovery
 from dieseltwin.rigs.equations import equations
 from dieseltwin.rigs.expressions import names_in
 from dieseltwin.rigs.parameters import RigParameters
@@ -68,11 +69,10 @@ def free_runs(first: RigParameters, second: RigParameters | None, recording: Rig
 
 def _held_out(found: RigDiscovery) -> Section:
     """Free runs over the part that no fit has seen, and their errors round by round."""
-    rows = checked_rows(found.recording, found.options.search.checked_share)
     judged = [item for item in found.taken if item.early is not None]
     series = None
     if judged and found.early is not None:
-        series = Series(free_runs(found.early, judged[-1].early, found.recording.part(rows)))
+        series = Series(free_runs(found.early, judged[-1].early, found.recording.part(found.checked)))
         series = replace(series, drawn=still(series, ("held_out", "Free runs that no fit has seen", COLOURS)))
     channels = list(found.repaired.readings)
     table: list[tuple[str | Markup, ...]] = []
@@ -116,10 +116,12 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
     """
     recording, rig = found.recording, found.repaired
     units, first = units_of(rig), found.rounds[0].found
+    begun = found.rounds[0].names if found.onset_s is not None else ()
     seconds = float(recording.time_s[-1] - recording.time_s[0])
-    checked = recording.time_s[checked_rows(recording, found.options.search.checked_share)]
-    marks = (Mark("the part that judged each finding, fitted to what comes before", float(checked[0]),
-                  float(checked[-1])),) if document.mismatch else ()
+    checked = recording.time_s[found.checked]
+    judged = Mark("the part that judged each finding, fitted to what comes before", float(checked[0]),
+                  float(checked[-1]))  # fmt: skip
+    marks = (*(Mark(name, at) for name, at in moments(document.location)), judged) if document.mismatch else ()
     inputs = tuple(Panel(name, units[name], recording.time_s, (Line("input", MEASURED, values),))
                    for name, values in recording.inputs.items())
     over_time = Series((*free_runs(found.before, rig if document.mismatch else None, recording), *inputs), marks=marks)
@@ -127,7 +129,8 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
         Section("readings-over-time", "Readings over time", series=replace(over_time, drawn=still(over_time))),
         _held_out(found),
         Section("doubts", "What is doubtful", tables=(findings.doubts(document),)),
-        Section("weighed", "Candidates", tables=(findings.weighed(candidate_rows(first), units, findings.as_it_is),)),
+        Section("weighed", "Candidates", words=f"Each as it would be {when_words(document.location)}." if begun else "",
+                tables=(findings.weighed(candidate_rows(first), units, findings.as_it_is),)),
         Section("visible", "What could be seen", words=VISIBLE,
                 tables=(findings.visible(document, units, findings.as_it_is),)),
     )  # fmt: skip
@@ -136,7 +139,7 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
         about=f"{rig.name} · recording: {Path(recording.path).name} · {seconds:.4g} s · {len(rig.readings)} reading"
         f"{'' if len(rig.readings) == 1 else 's'}",
         headline=escape(words), alarm=document.mismatch,
-        findings=findings.findings(document, shares(found), findings.as_it_is, timed=False),
+        findings=findings.findings(document, shares(found), findings.as_it_is, begun),
         cards=law_cards(document, lambda effect: told(rig, effect)),
         tables=(findings.places(document), findings.levels(document, "parameter", units),
                 findings.fit(document, units)),

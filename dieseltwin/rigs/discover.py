@@ -3,33 +3,39 @@
 Every round runs `discovery.search.run` about the present machine. What it names (or, where no name fits, the law that
 it finds) enters the machine, all parameters are fitted again together with the sizes, and free runs over the last part
 of the recording judge whether that foretells them no worse; then the search looks at what is left.
+
+Where an effect that begins in the middle explains more, the first round is of what began then, and that course of
+rounds stands if it leaves clearly less than one without an onset.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import Any, cast
 
 import numpy as np
 
 from dieseltwin.discovery.laws.search import Law
 from dieseltwin.discovery.laws.sensor import best_law
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
+from dieseltwin.rigs.fitting import ROUNDS, checked_rows, fitted, foretold
+from dieseltwin.rigs.onsets import dated, first_onset
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
-from dieseltwin.rigs.simulate import first_states, run_error
 from dieseltwin.rigs.twin import RigTwin
 from dieseltwin.settings.params import default_search
 from dieseltwin.settings.search import RigSettings
 
-_ROUNDS = 20  # of a fit
 _PASSES = 4  # of a round: the misfit of an explanation says how large gains are, until the explanation stays
+_FAR_BEHIND = 4.0  # what leaves so many times the squared misfit of another explanation isn't gone after
+_DATINGS = 3  # of what a round names: with its own onset other names may be ahead
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,7 @@ class Round:
             first part, (C,) [units of the readings].
         taken: whether they are good enough.
         early: the machine of `after`; None where it runs away, and where there was nothing to try.
+        onset_s: time stamp since when it is so [s]; None: from the first row on.
     """
 
     found: Search
@@ -70,6 +77,27 @@ class Round:
     after: Array
     taken: bool
     early: RigParameters | None = None
+    onset_s: float | None = None
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Rounds one after another: the machine that they lead to, its fit, and that of before fitted to the first part."""
+
+    rounds: tuple[Round, ...]
+    machine: RigParameters
+    fit: Linearisation
+    early: RigParameters | None = None
+
+    @property
+    def finds(self) -> bool:
+        """Whether anything was taken."""
+        return any(item.taken for item in self.rounds)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing is missing."""
+        return not self.finds and self.rounds[-1].found.kind == "healthy"
 
 
 @dataclass(frozen=True)
@@ -82,7 +110,8 @@ class RigDiscovery:
         fit_before, fit_after: of their windows.
         rounds: of the search; the last one took nothing, or most were named.
         seconds: wall time.
-        early: the machine without what was found, fitted to the first part; None where it runs away.
+        early: the machine without what was found, fitted to the first part; None where it runs away, and where there
+            was nothing to try.
     """
 
     recording: RigRecording
@@ -99,6 +128,16 @@ class RigDiscovery:
     def taken(self) -> tuple[Round, ...]:
         """Rounds whose finding is part of the repaired machine."""
         return tuple(item for item in self.rounds if item.taken)
+
+    @property
+    def onset_s(self) -> float | None:
+        """Time stamp since when the first finding is so [s]; None: from the first row on, and where there is none."""
+        return self.rounds[0].onset_s if self.taken else None
+
+    @property
+    def checked(self) -> slice:
+        """The rows that judged what was found."""
+        return checked_rows(self.recording, self.options.search.checked_share, self.onset_s)
 
     @property
     def more_is_missing(self) -> bool:
@@ -119,31 +158,109 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
         raise InputError(f"{rig.name}: effects", "none to look for", "one or more that may be missing",
                          "name them in the file, or withhold fewer")  # fmt: skip
     try:
-        here, fit = before, fit_before = fitted(rig, recording)
+        before, fit = fitted(rig, recording)
     except np.linalg.LinAlgError:
         raise InputError(recording.path, f"no fit of {rig.name} that stays finite", "a recording of this machine",
                          "check the columns' units, or shorten the file's window_s") from None
-    errors, early = _foretold(here, recording, settings.checked_share)
+    found, midway = _searched(before, fit.residual, recording, options), first_onset(fit, settings, options.withhold)
+    course = _best_course(before, fit, recording, options, found, midway)
+    seconds = time.perf_counter() - began
+    return RigDiscovery(recording, options, before, course.machine, fit, course.fit, course.rounds, seconds,
+                        course.early)  # fmt: skip
+
+
+def _best_course(
+    before: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
+    midway: Linearisation | None,
+) -> _Course:  # fmt: skip
+    """The course of rounds with an onset where it leaves clearly less, else the one without.
+
+    Args:
+        before, fit: the machine without what is missing, and its fit.
+        recording, options: as asked.
+        found: the first search of what is so from the first row on.
+        midway: what explains most where it begins in the middle.
+    """
+    settings, dated_course = options.search, None
+    if midway is not None and _left_by(_explained(found), midway) > _FAR_BEHIND * _left_by(midway, midway):
+        dated_course = _course(before, fit, recording, options, *_since(midway, options))
+        if dated_course.finds:
+            return dated_course
+    course = _course(before, fit, recording, options, found)
+    if midway is None or dated_course is not None or not _ahead(midway, course, midway, settings):
+        return course
+    dated_course = _course(before, fit, recording, options, *_since(midway, options))
+    clearly = dated_course.finds and _ahead(dated_course.fit, course, dated_course.fit, settings)
+    return dated_course if clearly else course
+
+
+def _explained(found: Search) -> Linearisation:
+    """What the strongest explanation of a search leaves."""
+    best = found.best.fit if found.best is not None else found.singles[0] if found.singles else found.null.fit
+    return fit_fully(found.twin, found.whitening, best, rounds=ROUNDS)
+
+
+def _left_by(fit: Linearisation, measure: Linearisation) -> float:
+    """Sum of squares of a fit's residual in the size of what another one leaves."""
+    size = cast(RigTwin, measure.twin).about(measure.residual).misfit
+    return float(np.nansum((fit.residual / size) ** 2))
+
+
+def _ahead(fit: Linearisation, course: _Course, measure: Linearisation, settings: RigSettings) -> bool:
+    """Whether a fit leaves clearly less than a course of rounds without an onset."""
+    its = _left_by(course.fit, measure)
+    gained = its - _left_by(fit, measure)
+    if course.silent:
+        return gained > settings.hidden_gain
+    # What is missing in a machine from its first row on takes any shape in time: little is better everywhere.
+    return gained > max(settings.variant_gain, settings.least_explained * its)
+
+
+def _course(
+    here: RigParameters, fit: Linearisation, recording: RigRecording, options: Options, found: Search,
+    onset_s: float | None = None,
+) -> _Course:  # fmt: skip
+    """Rounds until nothing is left that a search can tell, after a first search of what is so since a time."""
+    settings, early = options.search, None
     rounds: list[Round] = []
+    errors, checked = np.zeros(0), checked_rows(recording, settings.checked_share, onset_s)
     while len(rounds) < settings.most_effects and _left(here, options):
-        found = _searched(here, fit.residual, recording, options)
+        since = onset_s if not rounds else None
+        if rounds:
+            found = _searched(here, fit.residual, recording, options)
         names = _named(found, settings.least_explained)
         law = None
-        if not names and found.kind != "healthy" and options.law_search:
+        if not names and found.kind != "healthy" and options.law_search and since is None:
             law = _law(found)
         if not names and law is None:
             rounds.append(Round(found, (), None, np.zeros(0), np.zeros(0), False))
             break
-        candidate = _with(here, found, names, law)
+        if not rounds:
+            errors, early = foretold(here, recording, checked)
+        candidate = _with(here, found, names, law, since)
         bar = settings.gain_of_law if law is not None else settings.loss_of_name
-        later, by = _foretold(candidate, recording, settings.checked_share)
+        later, by = foretold(candidate, recording, checked)
         taken = bool(np.isfinite(later).all() and np.mean(later / errors) <= bar)
-        rounds.append(Round(found, names, law, errors, later, taken, by))
+        rounds.append(Round(found, names, law, errors, later, taken, by, since))
         if not taken:
             break
         (here, fit), errors = fitted(candidate, recording), later
-    seconds = time.perf_counter() - began
-    return RigDiscovery(recording, options, before, here, fit_before, fit, tuple(rounds), seconds, early)
+    return _Course(tuple(rounds), here, fit, early)
+
+
+def _since(midway: Linearisation, options: Options) -> tuple[Search, float]:
+    """The search of what begins with an effect, and that time [s], moved until it is that of what is named."""
+    settings, twin = options.search, cast(RigTwin, midway.twin).about(midway.residual)
+    for _ in range(_DATINGS):
+        found = _passes(twin, options)
+        names = _named(found, settings.least_explained)
+        if not names:
+            break
+        moved = dated(cast(RigTwin, found.twin), found.whitening, _explanation(found, names), settings)
+        if cast(RigTwin, moved.twin).since_s == twin.since_s:
+            break
+        twin = cast(RigTwin, moved.twin).about(moved.residual)
+    return found, cast(float, cast(RigTwin, found.twin).since_s)
 
 
 def _left(rig: RigParameters, options: Options) -> set[str]:
@@ -151,36 +268,14 @@ def _left(rig: RigParameters, options: Options) -> set[str]:
     return set(rig.effects) - {term.effect for term in rig.terms} - set(options.withhold)
 
 
-def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:
-    """Parameters, sizes of terms and first states, in the metric of the misfit that they leave."""
-    twin = RigTwin(rig, recording, rig.window_s)
-    start = first_fit(twin)
-    start = replace(start, local=first_states(twin, start.parameters))
-    rough = fit_fully(twin, twin.whitening(), start, rounds=_ROUNDS)
-    twin = twin.about(rough.residual)
-    return fit_fully(twin, twin.whitening(), rough.fit, rounds=_ROUNDS)
-
-
-def fitted(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, Linearisation]:
-    """The rig with its parameters and the sizes of its terms fitted to a recording, and the fit.
-
-    Standard deviations are those in the size of the misfit that is left.
-    """
-    at = _fit(rig, recording)
-    fit = at.fit
-    values = dict(zip(rig.parameters, zip(fit.parameters, fit.std, strict=True), strict=False))
-    sizes = fit.parameters[len(rig.parameters) :], fit.std[len(rig.parameters) :]
-    parameters = {name: p.model_copy(update={"value": float(values[name][0]), "std": float(values[name][1])})
-                  for name, p in rig.parameters.items()}
-    terms = tuple(RigTerm(effect=t.effect, magnitude=float(np.clip(m, *rig.effects[t.effect].limits)), std=float(s))
-                  for t, m, s in zip(rig.terms, *sizes, strict=True))
-    return rig.model_copy(update={"parameters": parameters, "terms": terms}), at
-
-
 def _searched(rig: RigParameters, left: Array, recording: RigRecording, options: Options) -> Search:
+    """The search about a rig whose fit leaves a residual (n, C)."""
+    return _passes(RigTwin(rig, recording, rig.window_s).about(left), options)
+
+
+def _passes(twin: RigTwin, options: Options) -> Search:
     """The search, with gains counted in the misfit that its own explanation leaves."""
     settings = options.search.asked(options.withhold, options.seed)
-    twin = RigTwin(rig, recording, rig.window_s).about(left)
     lead: tuple[str, ...] = ()
     for _ in range(_PASSES):
         found = search.run(twin, settings, laws=False)
@@ -188,8 +283,8 @@ def _searched(rig: RigParameters, left: Array, recording: RigRecording, options:
         if best is None or best.candidate.names == lead or (found.kind == "healthy" and lead):
             break
         lead = best.candidate.names
-        explained = fit_fully(found.twin, found.whitening, best, rounds=_ROUNDS)
-        twin = RigTwin(rig, recording, rig.window_s).about(explained.residual)
+        explained = fit_fully(found.twin, found.whitening, best, rounds=ROUNDS)
+        twin = twin.about(explained.residual)
     _strongest_first(found)
     return found
 
@@ -241,37 +336,30 @@ def _law(found: Search) -> Law | None:
     return law
 
 
-def _with(rig: RigParameters, found: Search, names: tuple[str, ...], law: Law | None) -> RigParameters:
+def _with(
+    rig: RigParameters, found: Search, names: tuple[str, ...], law: Law | None, onset_s: float | None = None
+) -> RigParameters:
     """The machine with what a round found, parameters as the search left them."""
     if law is not None:
         more = tuple(_written(placed.form.point, placed.coefficient, placed.form.factors, law.text)
                      for placed in law.placed)
         return rig.model_copy(update={"laws": (*rig.laws, *more)})
-    at = found.best.fit if found.best is not None and found.best.fit.candidate.names == names else found.singles[0]
+    at = _explanation(found, names)
     sizes: Mapping[str, float] = dict(zip(at.candidate.names, map(float, at.magnitudes), strict=True))
     parameters = {name: p.model_copy(update={"value": float(value)})
                   for (name, p), value in zip(rig.parameters.items(), at.parameters, strict=False)}
-    terms = (*rig.terms, *(RigTerm(effect=name, magnitude=sizes[name]) for name in names))
+    sha256 = cast(RigTwin, found.twin).recording.sha256
+    when: dict[str, Any] = {} if onset_s is None else {"onset_s": onset_s, "found_in": sha256}
+    terms = (*rig.terms, *(RigTerm(effect=name, magnitude=sizes[name], **when) for name in names))
     return rig.model_copy(update={"parameters": parameters, "terms": terms})
+
+
+def _explanation(found: Search, names: tuple[str, ...]) -> Fit:
+    """The fit of what a round takes."""
+    return found.best.fit if found.best is not None and found.best.fit.candidate.names == names else found.singles[0]
 
 
 def _written(point: str, coefficient: float, factors: tuple, text: str) -> RigLaw:  # type: ignore[type-arg]
     plain = tuple(LawFactor(kind=f.kind, variables=f.variables, references=f.references, shape=float(f.shape),
                             units=f.units) for f in factors)  # fmt: skip
     return RigLaw(at=point, coefficient=float(coefficient), factors=plain, text=text)
-
-
-def checked_rows(recording: RigRecording, share: float) -> slice:
-    """The last share of a recording, which judges what was found."""
-    return slice(round((1.0 - share) * len(recording.time_s)), None)
-
-
-def _foretold(rig: RigParameters, recording: RigRecording, share: float) -> tuple[Array, RigParameters | None]:
-    """Errors of free runs over the last share of the recording, fitted to what comes before, and the machine so
-    fitted; (C,), infinite where it runs away."""
-    last = checked_rows(recording, share)
-    try:
-        early, _ = fitted(rig, recording.part(slice(0, last.start)))
-        return run_error(early, recording.part(last)), early
-    except np.linalg.LinAlgError:
-        return np.full(len(rig.readings), np.inf), None

@@ -62,11 +62,13 @@ class RigEffect(StrictModel):
 
 
 class RigTerm(StrictModel):
-    """An effect that was found."""
+    """An effect that was found; in every other recording than `found_in` it acts from the first row on."""
 
     effect: str
     magnitude: float
     std: NonNegativeFloat | None = None
+    onset_s: float | None = Field(None, description="time stamp since when it acts in `found_in`; None: always")
+    found_in: str = Field("", description="SHA-256 of the recording that it was found in")
 
 
 class LawFactor(StrictModel):

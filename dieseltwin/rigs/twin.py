@@ -8,6 +8,8 @@ are independent in it: the likelihood of an unknown variance about that explanat
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -29,7 +31,8 @@ WIDE = 3.0  # tolerances of an effect that was found: what is believed of its si
 def model_of(rig: RigParameters) -> Model:
     """The rig's formulae as a `Model`; sizes of effects that were found are free parameters of it."""
     found = {term.effect: term for term in rig.terms}
-    held = {**dict.fromkeys(rig.effects, "e"), **dict.fromkeys((*rig.parameters, *found), "p"),
+    always = [name for name, term in found.items() if term.onset_s is None]  # others differ from sample to sample
+    held = {**dict.fromkeys(rig.effects, "e"), **dict.fromkeys((*rig.parameters, *always), "p"),
             **dict.fromkeys(rig.states, "x"), **dict.fromkeys(rig.inputs, "u")}  # fmt: skip
     formulae = {name: q.formula for name, q in rig.quantities.items()}
     changes = [rig.rates[name] for name in rig.states]
@@ -76,17 +79,20 @@ class RigTwin(SimpleTwin):
         rig: its laws are part of the twin, its terms free parameters.
         recording: what was recorded; a reading that is absent counts as missing.
         window_s: of a fit [s]; None for one run.
+        since_s: all effects that are looked for act since then [s]; None: always.
     """
 
     exact_responses = True  # integrated with steps far below what any force changes in
     strained = True  # without its friction an axis is fitted with twice its mass
 
-    def __init__(self, rig: RigParameters, recording: RigRecording, window_s: float | None = None) -> None:
+    def __init__(self, rig: RigParameters, recording: RigRecording, window_s: float | None = None,
+                 since_s: float | None = None) -> None:  # fmt: skip
         none = np.full(len(recording.time_s), np.nan)
         measured = np.stack([recording.readings.get(name, none) for name in rig.readings], axis=1)
         self._laws: dict[str, list[LawTerm]] = {}
         super().__init__(model_of(rig), recording.time_s, recording.inputs, measured, window_s)
-        self.rig, self.recording, self.window_s = rig, recording, window_s
+        self.rig, self.recording, self.window_s, self.since_s = rig, recording, window_s, since_s
+        self._begun = {len(rig.parameters) + k: term for k, term in enumerate(rig.terms) if term.onset_s is not None}
         self.floors = np.array([rig.floors.get(name, 0.0) for name in rig.readings])
         self.misfit = np.maximum(np.nanstd(np.diff(measured, axis=0), axis=0), self.floors)
         for law in rig.laws:
@@ -97,10 +103,16 @@ class RigTwin(SimpleTwin):
 
     def about(self, residual: Array) -> RigTwin:
         """The same twin with the size of its misfit as a fit left it: residual (n, C) [units of the readings]."""
-        twin = RigTwin(self.rig, self.recording, self.window_s)
+        twin = RigTwin(self.rig, self.recording, self.window_s, self.since_s)
         share = np.isfinite(residual).sum() / independent(residual, self.starts, len(self.states))
         size = np.sqrt(np.nanmean(residual**2, axis=0) * max(share, 1.0))
         twin.misfit = np.maximum(size, self.floors)
+        return twin
+
+    def since(self, onset_s: float | None) -> RigTwin:
+        """The same twin, in which all effects that are looked for begin at a time [s]; None: always there."""
+        twin = copy(self)
+        twin.since_s = onset_s
         return twin
 
     def noise(self, floor: Array | None = None) -> Noise:
@@ -119,11 +131,29 @@ class RigTwin(SimpleTwin):
 
     def simulate_with_laws(self, lanes: Lanes, laws: Mapping[str, list[LawTerm]]) -> Array:
         """As `SimpleTwin.simulate_with_laws`, with the rig's own laws."""
-        return super().simulate_with_laws(lanes, self._with_own(laws))
+        return super().simulate_with_laws(self._entering(lanes), self._with_own(laws))
 
     def variables(self, lanes: Lanes, laws: Mapping[str, list[LawTerm]] | None = None) -> dict[str, Array]:
         """As `SimpleTwin.variables`, with the rig's own laws."""
-        return super().variables(lanes, self._with_own(laws or {}))
+        return super().variables(self._entering(lanes), self._with_own(laws or {}))
+
+    def _entering(self, lanes: Lanes) -> Lanes:
+        """Lanes with the times at which effects act."""
+        if self.since_s is None and not self._begun:
+            return lanes
+        magnitudes, schedules = dict(lanes.magnitudes), dict(lanes.schedules)
+        if self.since_s is not None:
+            acts = self._acts(self.since_s)
+            schedules = {name: acts * schedules.get(name, 1.0) for name in magnitudes}
+        for column, term in self._begun.items():
+            magnitudes[term.effect] = lanes.parameters[:, column]
+            here = term.onset_s is not None and term.found_in == self.recording.sha256
+            schedules[term.effect] = self._acts(term.onset_s if here else None)
+        return replace(lanes, magnitudes=magnitudes, schedules=schedules)
+
+    def _acts(self, onset_s: float | None) -> Array:
+        """1.0 at the samples (n,) from a time [s] on, else 0.0."""
+        return np.asarray(np.ones(len(self.time_s)) if onset_s is None else self.time_s >= onset_s, dtype=np.float64)
 
     def _with_own(self, laws: Mapping[str, list[LawTerm]]) -> dict[str, list[LawTerm]]:
         return {name: [*self._laws.get(name, ()), *laws.get(name, ())] for name in {**self._laws, **laws}}

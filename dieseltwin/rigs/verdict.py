@@ -31,6 +31,7 @@ from dieseltwin.discovery.verdict.findings import (
     valid_for,
 )
 from dieseltwin.discovery.verdict.reasons import candidate_rows
+from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.rigs.discover import RigDiscovery, Round
 from dieseltwin.version import __version__
 
@@ -39,7 +40,7 @@ MORE = "more is missing; no law foretells it"
 
 
 def document(result: RigDiscovery) -> Discrepancy:
-    """`discrepancy.json` of a rig: what was found in the order of finding, without onset or region."""
+    """`discrepancy.json` of a rig: what was found in the order of finding, the first with its onset."""
     recording, first = result.recording, result.rounds[0]
     entries = _effects(result)
     before, after = result.before.parameters, result.repaired.parameters
@@ -48,7 +49,8 @@ def document(result: RigDiscovery) -> Discrepancy:
         recording=RecordingInfo(path=recording.path, sha256=recording.sha256,
                                 duration_s=float(recording.time_s[-1] - recording.time_s[0]),
                                 channels=tuple(recording.readings)),
-        mismatch=bool(entries), p_value=p_value(first.found), location=_location(first) if entries else None,
+        mismatch=bool(entries), p_value=p_value(first.found),
+        location=_location(first, result.onset_s) if entries else None,
         effects=entries, more_is_missing=result.more_is_missing,
         health={name: HealthValue(value=p.value, std=p.std, before=before[name].value) for name, p in after.items()},
         fit=_fit(result),
@@ -88,8 +90,8 @@ def _effects(result: RigDiscovery) -> tuple[FoundEffect, ...]:
     return tuple(entries)
 
 
-def _location(first: Round) -> Location:
-    """Where the first finding sits, with its rivals."""
+def _location(first: Round, onset_s: float | None) -> Location:
+    """Where the first finding sits, with its rivals, and since when it is so."""
     if first.law is not None:
         return Location(site=first.law.site, probability=1.0)
     if first.found.probabilities:
@@ -98,7 +100,7 @@ def _location(first: Round) -> Location:
         weights = {first.found.twin.hypotheses[first.names[0]].site: 1.0}
     else:
         weights = {first.found.structure[0].feature.site: 1.0}
-    return ranked_location(weights)
+    return ranked_location(weights, onset_s=onset_s)
 
 
 def _fit(result: RigDiscovery) -> Fit:
@@ -147,7 +149,10 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
                 told.append(f"none of the known effects: {e.law}")
             continue
         apart = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
-        told.append(f"{e.name} {e.magnitude:.4g}{'' if e.std is None else f' ± {e.std:.2g}'} {e.unit} ({e.law}){apart}")
+        begun = e.name in result.rounds[0].names and result.onset_s is not None
+        when = f" {when_words(found.location)}" if begun else ""
+        size = f"{e.magnitude:.4g}{'' if e.std is None else f' ± {e.std:.2g}'} {e.unit}"
+        told.append(f"{e.name} {size} ({e.law}){when}{apart}")
     judged = [item for item in result.taken if item.after.size]
     if any(e.law == MORE for e in found.effects):
         told.append(f"beside {'these' if len(told) > 1 else 'this'} {MORE}" if told else MORE)
@@ -177,6 +182,7 @@ def details(result: RigDiscovery, asked: Mapping[str, Any]) -> dict[str, Any]:
         **details_of_search(first, rows, first.best),
         "rounds": [
             {"names": list(item.names), "law": None if item.law is None else item.law.text, "taken": item.taken,
+             **({} if item.onset_s is None else {"onset_s": item.onset_s}),
              "run_error_before": item.before, "run_error_after": item.after, "kind": item.found.kind}
             for item in result.rounds
         ],

@@ -122,6 +122,8 @@ class RigSettings(SearchSettings):
 
     least_explained: float = Field(ge=0, le=1, description="of the misfit that a name must explain where more is left")
     most_effects: PositiveInt = Field(description="that are named")
+    onset_share: float = Field(gt=0, lt=0.5, description="of the samples that must lie before an onset, and behind it "
+                               "[-]")
     checked_share: float = Field(gt=0, lt=1, description="of the recording, its end, that a finding must foretell "
                                  "which was fitted to the rest [-]")
     loss_of_name: PositiveFloat = Field(description="on the error there, up to which a name is kept [-]")

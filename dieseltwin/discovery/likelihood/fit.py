@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening, covariance_of
 from dieseltwin.discovery.time_limit import check_time
 from dieseltwin.discovery.twins.interface import Array, Lanes, Strained, Twin, rows_of, single
 
@@ -212,8 +212,7 @@ class Linearisation:
         self.precision = prior_precision(twin, len(fit.candidate.names))
         pull = 0.0 if isinstance(twin, Strained) and twin.strained else np.sqrt(self.precision) * self._offset(fit)
         self.pulled_residual = np.append(self.projected_residual, np.broadcast_to(pull, self.precision.shape))
-        information = self.projected @ self.projected.T + np.diag(self.precision)
-        self.covariance: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        self.covariance = covariance_of(self.projected @ self.projected.T + np.diag(self.precision))
         ran = np.isfinite(self.simulated[whitening.present]).all()  # a run without an end explains nothing
         objective = self.objective(self.projected_residual, fit.parameters) if ran else np.inf
         self.fit = replace(fit, objective=objective, covariance=self.covariance)

@@ -284,3 +284,13 @@ class Metric:
         if self._nuisances is None:
             return np.zeros(0)
         return self._nuisance_weights(self._nuisances, self._without_local(self.whitening.apply(residual[None])))[0]
+
+
+def covariance_of(information: Array) -> Array:
+    """Inverse of an information matrix (K, K).
+
+    What the recording and beliefs tell nothing of (the overflow of a tank that never fills) stands still, apart from
+    all others; its variance is 1, as an infinite one times a slope of nought would be no number.
+    """
+    silent = np.diag(information) == 0.0
+    return np.asarray(np.linalg.inv(information + np.diag(silent.astype(np.float64))), dtype=np.float64)

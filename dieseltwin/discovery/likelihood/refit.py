@@ -19,6 +19,7 @@ from dieseltwin.discovery.likelihood.fit import (
     simulate_fits,
     within_limits,
 )
+from dieseltwin.discovery.likelihood.metric import covariance_of
 from dieseltwin.discovery.twins.interface import Array
 
 _CHORD_ROUNDS = 6
@@ -46,7 +47,7 @@ def refit_all(
     columns = [np.concatenate([base.jacobian[:P], np.asarray(r)]) for r in responses]
     projected = [np.concatenate([base.projected[:P], base.metric.project(np.asarray(r))]) for r in responses]
     precision = [prior_precision(twin, len(c.names)) for c in candidates]
-    covariance = [np.linalg.inv(a @ a.T + np.diag(b)) for a, b in zip(projected, precision, strict=True)]
+    covariance = [covariance_of(a @ a.T + np.diag(b)) for a, b in zip(projected, precision, strict=True)]
     nominal = np.array([p.value for p in twin.parameters])
 
     best = [

@@ -1,0 +1,59 @@
+"""A rig's free parameters from a recording, and how well they foretell what comes after it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit, fit_fully
+from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.rigs.parameters import RigParameters
+from dieseltwin.rigs.recording import RigRecording
+from dieseltwin.rigs.simulate import first_states, run_error
+from dieseltwin.rigs.twin import RigTwin
+
+ROUNDS = 20  # of a fit
+
+
+def fitted(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, Linearisation]:
+    """The rig with its parameters and the sizes of its terms fitted to a recording, and the fit.
+
+    Standard deviations are those in the size of the misfit that is left.
+    """
+    at = _fit(rig, recording)
+    fit = at.fit
+    values = dict(zip(rig.parameters, zip(fit.parameters, fit.std, strict=True), strict=False))
+    sizes = fit.parameters[len(rig.parameters) :], fit.std[len(rig.parameters) :]
+    parameters = {name: p.model_copy(update={"value": float(values[name][0]), "std": float(values[name][1])})
+                  for name, p in rig.parameters.items()}
+    terms = tuple(t.model_copy(update={"magnitude": float(np.clip(m, *rig.effects[t.effect].limits)), "std": float(s)})
+                  for t, m, s in zip(rig.terms, *sizes, strict=True))
+    return rig.model_copy(update={"parameters": parameters, "terms": terms}), at
+
+
+def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:
+    """Parameters, sizes of terms and first states, in the metric of the misfit that they leave."""
+    twin = RigTwin(rig, recording, rig.window_s)
+    start = first_fit(twin)
+    start = replace(start, local=first_states(twin, start.parameters))
+    rough = fit_fully(twin, twin.whitening(), start, rounds=ROUNDS)
+    twin = twin.about(rough.residual)
+    return fit_fully(twin, twin.whitening(), rough.fit, rounds=ROUNDS)
+
+
+def checked_rows(recording: RigRecording, share: float, onset_s: float | None = None) -> slice:
+    """The last share of a recording, or of what comes after an onset: it judges what was found."""
+    n = len(recording.time_s)
+    first = 0 if onset_s is None else int(np.searchsorted(recording.time_s, onset_s))
+    return slice(first + round((1.0 - share) * (n - first)), None)
+
+
+def foretold(rig: RigParameters, recording: RigRecording, last: slice) -> tuple[Array, RigParameters | None]:
+    """Errors of free runs over the last rows of the recording, fitted to what comes before, and the machine so
+    fitted; (C,), infinite where it runs away."""
+    try:
+        early, _ = fitted(rig, recording.part(slice(0, last.start)))
+        return run_error(early, recording.part(last)), early
+    except np.linalg.LinAlgError:
+        return np.full(len(rig.readings), np.inf), None
