@@ -116,7 +116,9 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
     """
     recording, rig = found.recording, found.repaired
     units, first = units_of(rig), found.rounds[0].found
-    begun = found.rounds[0].names if found.onset_s is not None else ()
+    begun, since = found.rounds[0].names if found.onset_s is not None else (), ""
+    if begun and document.location is not None:
+        since = f"Each as it would be {when_words(document.location)}."
     seconds = float(recording.time_s[-1] - recording.time_s[0])
     checked = recording.time_s[found.checked]
     judged = Mark("the part that judged each finding, fitted to what comes before", float(checked[0]),
@@ -129,7 +131,7 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
         Section("readings-over-time", "Readings over time", series=replace(over_time, drawn=still(over_time))),
         _held_out(found),
         Section("doubts", "What is doubtful", tables=(findings.doubts(document),)),
-        Section("weighed", "Candidates", words=f"Each as it would be {when_words(document.location)}." if begun else "",
+        Section("weighed", "Candidates", words=since,
                 tables=(findings.weighed(candidate_rows(first), units, findings.as_it_is),)),
         Section("visible", "What could be seen", words=VISIBLE,
                 tables=(findings.visible(document, units, findings.as_it_is),)),

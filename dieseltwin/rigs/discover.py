@@ -11,7 +11,7 @@ rounds stands if it leaves clearly less than one without an onset.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -251,8 +251,9 @@ def _course(
 def _since(midway: Linearisation, options: Options) -> tuple[Search, float]:
     """The search of what begins with an effect, and that time [s], moved until it is that of what is named."""
     settings, twin = options.search, cast(RigTwin, midway.twin).about(midway.residual)
+    near = [midway.fit]
     for _ in range(_DATINGS):
-        found = _passes(twin, options)
+        found = _passes(twin, options, near)
         names = _named(found, settings.least_explained)
         if not names:
             break
@@ -260,6 +261,7 @@ def _since(midway: Linearisation, options: Options) -> tuple[Search, float]:
         if cast(RigTwin, moved.twin).since_s == twin.since_s:
             break
         twin = cast(RigTwin, moved.twin).about(moved.residual)
+        near.append(moved.fit)
     return found, cast(float, cast(RigTwin, found.twin).since_s)
 
 
@@ -273,12 +275,12 @@ def _searched(rig: RigParameters, left: Array, recording: RigRecording, options:
     return _passes(RigTwin(rig, recording, rig.window_s).about(left), options)
 
 
-def _passes(twin: RigTwin, options: Options) -> Search:
-    """The search, with gains counted in the misfit that its own explanation leaves."""
+def _passes(twin: RigTwin, options: Options, starts: Sequence[Fit] = ()) -> Search:
+    """The search, with gains counted in the misfit that its own explanation leaves; `starts`: as of `search.run`."""
     settings = options.search.asked(options.withhold, options.seed)
     lead: tuple[str, ...] = ()
     for _ in range(_PASSES):
-        found = search.run(twin, settings, laws=False)
+        found = search.run(twin, settings, laws=False, starts=starts)
         best = found.best.fit if found.best is not None else found.singles[0] if found.singles else None
         if best is None or best.candidate.names == lead or (found.kind == "healthy" and lead):
             break

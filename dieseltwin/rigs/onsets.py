@@ -16,6 +16,7 @@ from dieseltwin.settings.search import RigSettings
 
 _TIMES = 24  # at which every effect is let begin; between them the best one's onset is moved
 _LEADERS = 4  # effects whose onsets are moved: which is right is seen only then
+_FIRST_STEPS = 12  # of the span: shorter ones may not lead out of a window
 _ROUNDS = 3  # of a fit at one of them
 
 
@@ -66,7 +67,7 @@ def dated(twin: RigTwin, whitening: Whitening, fit: Fit, settings: RigSettings) 
 
     best = fit_fully(twin, whitening, fit, rounds=2 * _ROUNDS)
     here = int(np.clip(np.searchsorted(twin.time_s, cast(float, twin.since_s)), rows[0], rows[-1]))
-    step = max(len(rows) // (2 * _TIMES), 1)
+    step = max(len(rows) // _FIRST_STEPS, 1)
     while step:
         others = {row: fitted(row) for row in (here - step, here + step) if rows[0] <= row <= rows[-1]}
         row = min(others, key=lambda row: others[row].fit.objective, default=here)

@@ -52,20 +52,25 @@ _WITHIN = 1.25  # times the name's gain: what explains more than that isn't the 
 _REBASED_BELOW = 150.0  # gain; clear cases needn't be verified
 
 
-def run(twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: float | None = None) -> Search:
+def run(
+    twin: Twin, settings: SearchSettings, *, laws: bool = True, time_s: float | None = None, starts: Sequence[Fit] = ()
+) -> Search:
     """The whole search.
 
     Args:
         twin: bound to its recording.
         settings: thresholds.
-        laws, time_s: as of `carry_on`, the limit from here on.
+        laws, time_s, starts: as of `carry_on`, the limit from here on.
     """
     began = time.perf_counter()
     found = prepare(twin, settings)
-    return carry_on(found, laws=laws, time_s=None if time_s is None else time_s - (time.perf_counter() - began))
+    left = None if time_s is None else time_s - (time.perf_counter() - began)
+    return carry_on(found, laws=laws, time_s=left, starts=starts)
 
 
-def carry_on(found: Search, *, laws: bool = True, time_s: float | None = None) -> Search:
+def carry_on(
+    found: Search, *, laws: bool = True, time_s: float | None = None, starts: Sequence[Fit] = ()
+) -> Search:
     """The search from where `prepare` leaves it, which is used up by it.
 
     Args:
@@ -73,9 +78,10 @@ def carry_on(found: Search, *, laws: bool = True, time_s: float | None = None) -
         laws: look for a law where no name fits.
         time_s: after so many seconds the best answer so far is given; the refits of single effects are always
             finished. None: no limit.
+        starts: fits of single effects that lie near their minima, where that is far from the fit without any.
     """
     began = time.perf_counter()
-    found = _with_names(found)
+    found = _with_names(found, starts)
     left = None if time_s is None else time_s - (time.perf_counter() - began)
     try:
         with time_limit(left):
@@ -90,13 +96,13 @@ def carry_on(found: Search, *, laws: bool = True, time_s: float | None = None) -
     return found
 
 
-def _with_names(found: Search) -> Search:
+def _with_names(found: Search, starts: Sequence[Fit]) -> Search:
     """Refits of single effects, about the leading one where what was learned of the maps bends."""
-    found = looked_at(found)
+    found = looked_at(found, starts)
     clock = time.perf_counter()
-    found, starts = refitted(found, starts_by_recording(found))
+    found, by_recording = refitted(found, starts_by_recording(found))
     found.seconds["by_recording"] = time.perf_counter() - clock
-    return _about_leading_name(found, starts)
+    return _about_leading_name(found, by_recording)
 
 
 def _about_leading_name(found: Search, starts: Sequence[Start] = ()) -> Search:
@@ -189,9 +195,10 @@ def _lead(found: Search) -> Fit:
     return min([found.singles[0], *(fit for _, fit in found.variants[:1])], key=lambda fit: fit.objective)
 
 
-def looked_at(found: Search) -> Search:
-    """A prepared search with its single effects, under the circumstances that the recording shows."""
-    found = _with_singles(found)
+def looked_at(found: Search, starts: Sequence[Fit] = ()) -> Search:
+    """A prepared search with its single effects, under the circumstances that the recording shows; `starts`: as of
+    `carry_on`."""
+    found = _with_singles(found, starts)
     before = found
     for _ in range(ROUNDS):
         other = under_circumstances(found)
