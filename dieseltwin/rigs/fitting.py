@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Linearisation, first_fit, fit_fully
+from dieseltwin.discovery.likelihood.metric import Metric, covariance_of
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
@@ -15,6 +16,8 @@ from dieseltwin.rigs.twin import RigTwin
 
 ROUNDS = 20  # of a fit
 
+_ANYWHERE = 100.0  # scales of a state, within which a window may begin with it
+
 
 def fitted(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, Linearisation]:
     """The rig with its parameters and the sizes of its terms fitted to a recording, and the fit.
@@ -22,14 +25,25 @@ def fitted(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, 
     Standard deviations are those in the size of the misfit that is left.
     """
     at = _fit(rig, recording)
-    fit = at.fit
-    values = dict(zip(rig.parameters, zip(fit.parameters, fit.std, strict=True), strict=False))
-    sizes = fit.parameters[len(rig.parameters) :], fit.std[len(rig.parameters) :]
+    found, std = at.fit.parameters, _std(at)
+    values = dict(zip(rig.parameters, zip(found, std, strict=True), strict=False))
+    sizes = found[len(rig.parameters) :], std[len(rig.parameters) :]
     parameters = {name: p.model_copy(update={"value": float(values[name][0]), "std": float(values[name][1])})
                   for name, p in rig.parameters.items()}
     terms = tuple(t.model_copy(update={"magnitude": float(np.clip(m, *rig.effects[t.effect].limits)), "std": float(s)})
                   for t, m, s in zip(rig.terms, *sizes, strict=True))
     return rig.model_copy(update={"parameters": parameters, "terms": terms}), at
+
+
+def _std(at: Linearisation) -> Array:
+    """Standard deviations of a fit's parameters, (P,), with initial states that may be anything.
+
+    A fit holds them within a scale of where they are from step to step. As a belief that would tell how large a state
+    is that no sensor reads (a tank above another one), and with it all that scales with that state.
+    """
+    metric = Metric(at.whitening, at.twin.starts, at.local_response, _ANYWHERE * at.twin.state_scales)
+    projected = metric.project(at.jacobian)
+    return np.asarray(np.sqrt(np.diag(covariance_of(projected @ projected.T + np.diag(at.precision)))))
 
 
 def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:
