@@ -54,6 +54,22 @@ def test_a_formula_is_arithmetic_and_nothing_else(formula: str) -> None:
         names_in(formula)
 
 
+@pytest.mark.parametrize("formula", ["min(h, 2, k)", "max(h)", "abs()", "abs(h, k)", "root(h, k)", "positive()"])
+def test_a_function_takes_its_own_number_of_values(formula: str) -> None:
+    """Given one more, NumPy writes into it: `min(h, 2, k)` would change k."""
+    with pytest.raises(ValueError, match=r"takes (one|two) value.*; got [0-3]$"):
+        names_in(formula)
+
+
+@pytest.mark.parametrize(
+    "formula", ["h*9**9**9**9", "10.0**400", "h/0", "h/(1 - 1)", "h*" + "9" * 400, "(-8)**(1/3)", "abs(1/0)"]
+)
+def test_a_number_that_no_float_holds_is_refused(formula: str) -> None:
+    with pytest.raises(ValueError, match="has no value"):
+        names_in(formula)
+    assert names_in("h**2*10**300 + min(2**-1*k, -3/4)") == ("h", "k")
+
+
 @pytest.mark.parametrize("name", ["__class__", "_x", "abs", "for", "h-2", "h; import os", "ℎ", ""])
 def test_a_name_is_a_plain_identifier(name: str, tank: RigParameters) -> None:
     changed = {**TANK, "inputs": {"q": "m/s", name: "-"}}
