@@ -1,0 +1,60 @@
+"""A cart whose faults one parameter or one law could stand in for: sizes are those that were planted."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import dieseltwin as dt
+from dieseltwin.rigs.parameters import RigParameters
+
+WORN, DRY = 0.8, 0.5
+"""Planted viscous friction beyond the believed 2 +- 0.1 N s/m, and dry friction [N]."""
+
+CART: dict[str, Any] = {
+    "name": "cart", "states": {"v": {"scale": 0.5, "unit": "m/s", "nearest": "v_m_s"}}, "inputs": {"force_n": "N"},
+    "parameters": {"m": {"value": 1.5, "prior_std": 0.1, "scale": 0.05, "unit": "kg"},
+                   "b": {"value": 2.0, "prior_std": 0.1, "scale": 0.1, "unit": "N s/m"}},
+    "quantities": {"drag": {"formula": "(b + worn)*v", "unit": "N", "site": "bearing", "ports": ["v"]},
+                   "net": {"formula": "force_n - drag - dry*tanh(v/0.05)", "unit": "N", "site": "balance",
+                           "relative": False, "ports": ["v"], "scale": 0.2}},
+    "rates": {"v": "net/m"}, "readings": {"v_m_s": "v"}, "sub_steps": 4, "window_s": 5.0, "first_rows": 10,
+    "effects": {"worn": {"site": "bearing", "law": "(b + c) v", "unit": "N s/m", "tolerance": 0.05, "limits": [0, 5]},
+                "dry": {"site": "balance", "law": "F sign(v)", "unit": "N", "tolerance": 0.02, "limits": [0, 3]}},
+}  # fmt: skip
+
+
+def driven(worn: float = 0.0, dry: float = 0.0, sharp: float = 0.02, n: int = 900, seed: int = 1) -> pd.DataFrame:
+    """Samples every 0.05 s, integrated here in small steps; `sharp` [m/s] is where dry friction changes its sign."""
+    rng, parts, step = np.random.default_rng(seed), 40, 0.05
+    force = np.interp(np.arange(n), np.arange(0, n + 40, 20), rng.uniform(-8.0, 8.0, n // 20 + 2))
+    v, rows = 0.0, []
+    for k in range(n):
+        rows.append((k * step, force[k], v + 0.004 * rng.standard_normal()))
+        for share in (np.arange(parts) + 0.5) / parts:
+            now = force[k] + share * (force[min(k + 1, n - 1)] - force[k])
+            v += step / parts * (now - (2.0 + worn) * v - dry * np.tanh(v / sharp)) / 1.5
+    return pd.DataFrame(rows, columns=["time_s", "force_n", "v_m_s"])
+
+
+@cache
+def rig() -> RigParameters:
+    return RigParameters.model_validate(CART)
+
+
+def test_a_sound_cart_has_nothing() -> None:
+    assert not dt.discover(driven(), rig()).document.mismatch
+
+
+def test_what_is_believed_of_a_parameter_stays_so_from_fit_to_fit() -> None:
+    """Each fit took the last one's value for the belief, and b went four deviations farther each time."""
+    found = dt.discover(driven(worn=WORN), rig())
+    (effect,) = found.document.effects
+    assert effect.name == "worn" and effect.magnitude == pytest.approx(WORN, abs=0.1) and effect.std is not None
+    assert found.document.health["b"].value == pytest.approx(2.0, abs=0.05)
+    assert effect.std == pytest.approx(0.1, rel=0.2)  # as well as b is believed to be known
+    assert found.engine.parameters["b"].belief is None
