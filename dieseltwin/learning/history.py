@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -110,6 +110,7 @@ class History:
         return self.path.is_file()
 
     def _make(self) -> None:
+        before = self.folder.exists()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -133,6 +134,9 @@ class History:
                     made.rename(self.path)
         finally:  # a full disk, too, leaves nothing behind
             made.unlink(missing_ok=True)
+            if not before and not self._begun():
+                with suppress(OSError):  # another process has begun something there
+                    self.folder.rmdir()
 
     @contextmanager
     def _opened(self, path: Path | None = None) -> Iterator[sqlite3.Connection]:

@@ -125,6 +125,9 @@ def test_a_full_disk_leaves_no_half_of_a_history(tmp_path: Path):
     with full_beyond(4096), pytest.raises(InputError, match="a history that can be written to"):  # its tables need more
         History(tmp_path, ENGINE).add(entry(0))
     assert list(tmp_path.iterdir()) == []
+    with full_beyond(4096), pytest.raises(InputError, match="a history that can be written to"):
+        History(tmp_path / "new", ENGINE).add(entry(0))
+    assert list(tmp_path.iterdir()) == []  # nor an empty folder
 
 
 def test_the_same_rows_in_another_file_are_the_same_recording(tmp_path: Path):
