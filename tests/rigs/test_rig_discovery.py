@@ -1,4 +1,4 @@
-"""A cart whose faults one parameter or one law could stand in for: sizes are those that were planted."""
+"""A cart whose faults a parameter, or the error of the integration, could stand in for: sizes are those planted."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 import dieseltwin as dt
 from dieseltwin.rigs.parameters import RigParameters
 
-WORN, DRY = 0.8, 0.5
-"""Planted viscous friction beyond the believed 2 +- 0.1 N s/m, and dry friction [N]."""
+WORN = 0.8
+"""Planted viscous friction beyond the believed 2 +- 0.1 [N s/m]."""
 
 CART: dict[str, Any] = {
     "name": "cart", "states": {"v": {"scale": 0.5, "unit": "m/s", "nearest": "v_m_s"}}, "inputs": {"force_n": "N"},
@@ -28,16 +28,16 @@ CART: dict[str, Any] = {
 }  # fmt: skip
 
 
-def driven(worn: float = 0.0, dry: float = 0.0, sharp: float = 0.02, n: int = 900, seed: int = 1) -> pd.DataFrame:
-    """Samples every 0.05 s, integrated here in small steps; `sharp` [m/s] is where dry friction changes its sign."""
-    rng, parts, step = np.random.default_rng(seed), 40, 0.05
+def driven(worn: float = 0.0, mass: float = 1.5, n: int = 900) -> pd.DataFrame:
+    """Samples every 0.05 s, integrated here in small steps."""
+    rng, parts, step = np.random.default_rng(1), 40, 0.05
     force = np.interp(np.arange(n), np.arange(0, n + 40, 20), rng.uniform(-8.0, 8.0, n // 20 + 2))
     v, rows = 0.0, []
     for k in range(n):
         rows.append((k * step, force[k], v + 0.004 * rng.standard_normal()))
         for share in (np.arange(parts) + 0.5) / parts:
             now = force[k] + share * (force[min(k + 1, n - 1)] - force[k])
-            v += step / parts * (now - (2.0 + worn) * v - dry * np.tanh(v / sharp)) / 1.5
+            v += step / parts * (now - (2.0 + worn) * v) / mass
     return pd.DataFrame(rows, columns=["time_s", "force_n", "v_m_s"])
 
 
@@ -58,3 +58,17 @@ def test_what_is_believed_of_a_parameter_stays_so_from_fit_to_fit() -> None:
     assert found.document.health["b"].value == pytest.approx(2.0, abs=0.05)
     assert effect.std == pytest.approx(0.1, rel=0.2)  # as well as b is believed to be known
     assert found.engine.parameters["b"].belief is None
+
+
+def test_steps_that_are_too_long_are_said_with_what_would_do() -> None:
+    """A light cart comes to rest within one sample; what four steps make of that looked like physics."""
+    light = {**CART["parameters"], "m": {"value": 0.1, "prior_std": 0.01, "scale": 0.01, "unit": "kg"}}
+    coarse = RigParameters.model_validate({**CART, "parameters": light, "sub_steps": 2})
+    found = dt.discover(driven(mass=0.1), coarse)
+    (doubt,) = [item for item in found.document.warnings if item.code == "long_steps"]
+    assert doubt.affects == ("v_m_s",) and "in place of 2" in doubt.text
+    assert found.lines()[1:] == [f"note: {doubt.text}"]
+    enough = int(doubt.text.split("sub_steps: ")[1].split()[0])
+    assert 3 <= enough <= 30
+    finer = dt.discover(driven(mass=0.1), coarse.model_copy(update={"sub_steps": enough}))
+    assert not finer.document.mismatch and not finer.document.warnings and len(finer.lines()) == 1
