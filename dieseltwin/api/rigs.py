@@ -190,4 +190,4 @@ def identify_rig(recording: Source | RigRecording, rig: RigParameters) -> RigIde
     """
     began = time.perf_counter()
     source = rig_recording(recording, rig, all_readings=True)
-    return RigIdentified(fitted(rig, source)[0].believed(), time.perf_counter() - began)
+    return RigIdentified(fitted(rig, source)[0], time.perf_counter() - began)

@@ -143,7 +143,6 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
             break
         (here, fit), errors = fitted(candidate, recording), later
     seconds = time.perf_counter() - began
-    before, here = before.believed(), here.believed()
     return RigDiscovery(recording, options, before, here, fit_before, fit, tuple(rounds), seconds, early)
 
 
@@ -165,17 +164,14 @@ def _fit(rig: RigParameters, recording: RigRecording) -> Linearisation:
 def fitted(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, Linearisation]:
     """The rig with its parameters and the sizes of its terms fitted to a recording, and the fit.
 
-    Standard deviations are those in the size of the misfit that is left. What was believed of a parameter stays so.
+    Standard deviations are those in the size of the misfit that is left.
     """
     at = _fit(rig, recording)
     fit = at.fit
     values = dict(zip(rig.parameters, zip(fit.parameters, fit.std, strict=True), strict=False))
     sizes = fit.parameters[len(rig.parameters) :], fit.std[len(rig.parameters) :]
-    parameters = {
-        name: p.model_copy(update={"value": float(values[name][0]), "std": float(values[name][1]),
-                                   "belief": p.value if p.belief is None else p.belief})
-        for name, p in rig.parameters.items()
-    }  # fmt: skip
+    parameters = {name: p.model_copy(update={"value": float(values[name][0]), "std": float(values[name][1])})
+                  for name, p in rig.parameters.items()}
     terms = tuple(RigTerm(effect=t.effect, magnitude=float(np.clip(m, *rig.effects[t.effect].limits)), std=float(s))
                   for t, m, s in zip(rig.terms, *sizes, strict=True))
     return rig.model_copy(update={"parameters": parameters, "terms": terms}), at

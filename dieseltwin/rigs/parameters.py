@@ -37,10 +37,6 @@ class RigParameter(StrictModel):
     unit: str = "-"
     scale: PositiveFloat
     std: NonNegativeFloat | None = Field(None, description="of the value, where a recording has told it")
-    belief: float | None = Field(
-        None, exclude=True, description="what `prior_std` is about while one recording is fitted again and again; the "
-        "value where None, as in every file: a belief that went along with the fits would be none",
-    )  # fmt: skip
 
 
 class Quantity(StrictModel):
@@ -123,11 +119,6 @@ class RigParameters(StrictModel):
     floors: dict[str, PositiveFloat] = Field(
         default_factory=dict, description="least noise of a reading: its resolution [unit]"
     )
-
-    def believed(self) -> RigParameters:
-        """With its values as what is believed of them, as a file of it says."""
-        plain = {name: p.model_copy(update={"belief": None}) for name, p in self.parameters.items()}
-        return self.model_copy(update={"parameters": plain})
 
     @field_validator("states", "parameters", "readings")
     @classmethod

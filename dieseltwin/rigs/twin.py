@@ -20,7 +20,7 @@ from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Param
 from dieseltwin.discovery.twins.simple import LawTerm, Model, SimpleTwin
 from dieseltwin.recordings.noise import Noise
 from dieseltwin.rigs.expressions import moment
-from dieseltwin.rigs.parameters import RigParameter, RigParameters
+from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
 
 WIDE = 3.0  # tolerances of an effect that was found: what is believed of its size when it is fitted again
@@ -42,7 +42,8 @@ def model_of(rig: RigParameters) -> Model:
     return Model(
         states={name: state.scale for name, state in rig.states.items()},
         parameters=(
-            *(_free(name, p) for name, p in rig.parameters.items()),
+            *(Parameter(n, p.value, p.prior_std, p.unit, p.scale, bounded=p.value > 0.0)
+              for n, p in rig.parameters.items()),
             *(_found(rig, name, term.magnitude) for name, term in found.items()),
         ),
         inputs=tuple(rig.inputs), channels=tuple(rig.readings), rates=moment(held, formulae, changes), readings=shown,
@@ -60,11 +61,6 @@ def model_of(rig: RigParameters) -> Model:
         nearest={s.nearest: n for n, s in rig.states.items() if s.nearest is not None},
         first={n: s.first for n, s in rig.states.items()},
     )  # fmt: skip
-
-
-def _free(name: str, p: RigParameter) -> Parameter:
-    believed = p.value if p.belief is None else p.belief
-    return Parameter(name, believed, p.prior_std, p.unit, p.scale, bounded=believed > 0.0, start=p.value)
 
 
 def _found(rig: RigParameters, name: str, magnitude: float) -> Parameter:
