@@ -19,7 +19,7 @@ class Note(str):
             reference (about what was learned), dates (of several recordings), long (a part was
             judged), out_of_time, false_alarms (of a calibration on pieces without fault),
             circumstances (what a recording doesn't say, found from the recording itself),
-            wrong_column (of the weather).
+            wrong_column (of the weather), long_steps (of a rig's integration).
         affects: columns, or segments, that it is about; none: the whole answer.
     """
 

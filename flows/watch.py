@@ -46,9 +46,10 @@ def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
     }
     found, refused = discover.gathered(pending)
     batch = steps.add(found, engine, history, settings["watch"])
+    refused = {**refused, **batch.refused}
     if batch.added:
         records.watched(batch, found, refused, settings)
-    steps.show(batch, [name for name in found if name not in batch.added], refused, arrived.left)
+    steps.show(batch, [name for name in found if name not in {*batch.added, *batch.refused}], refused, arrived.left)
     return list(batch.added)
 
 

@@ -49,7 +49,8 @@ class Batch:
     """What one run of the flow added.
 
     ``history``: its name; ``added``: recordings by name that weren't in it; ``sentence``: what it says now; ``page``:
-    file, None of a history without a recording; ``figures``: numbers for the tracker.
+    file, None of a history without a recording; ``figures``: numbers for the tracker; ``refused``: recordings by name
+    that are in part one of the history.
     """
 
     history: str
@@ -57,6 +58,7 @@ class Batch:
     sentence: str
     page: Path | None
     figures: Mapping[str, float]
+    refused: Mapping[str, StepFailed]
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -141,19 +143,23 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
     """Add entries to the history and write its page."""
     from dieseltwin.api.watch import as_it_stands, begun
     from dieseltwin.engine import HEALTH
+    from dieseltwin.errors import InputError
     from dieseltwin.learning.history import from_json
     from dieseltwin.settings.watch import WatchConfig
 
-    store, added = begun(history, engine), []
+    store, added, refused = begun(history, engine), [], {}
     for recording, artifact in found.items():
         entry = from_json((artifact.path / ENTRY).read_text(encoding="utf-8"))
         if entry is None:
             raise StepFailed(f"{artifact.path / ENTRY}: got no entry of a history; delete it and run again", 1)
-        if store.add(entry):
-            added.append(recording)
+        try:
+            if store.add(entry):
+                added.append(recording)
+        except InputError as error:
+            refused[recording] = StepFailed(str(error), 2)
     state, name = as_it_stands(store, WatchConfig(**settings)), _name(Path(history).resolve())
     if not state.entries:
-        return Batch(name, (), state.sentence, None, {})
+        return Batch(name, (), state.sentence, None, {}, refused)
     folder = state.save(current().workspace.reports / "watch" / name)
     last = state.entries[-1]
     figures = {
@@ -163,7 +169,7 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
         "hours": sum(entry.hours for entry in state.entries),
     }
     figures |= {f"{health}_since_reference": float(value) for health, value in zip(HEALTH, last.since, strict=True)}
-    return Batch(name, tuple(added), state.sentence, folder / PAGE, figures)
+    return Batch(name, tuple(added), state.sentence, folder / PAGE, figures, refused)
 
 
 def _name(history: Path) -> str:

@@ -16,7 +16,7 @@ from dieseltwin.petrol.parameters import KIND as PETROL
 from dieseltwin.petrol.parameters import PetrolParameters, is_petrol, load_petrol
 from dieseltwin.rigs.parameters import KIND as RIG
 from dieseltwin.rigs.parameters import RigParameters, load_rig
-from dieseltwin.settings.names import unknown_name
+from dieseltwin.settings.names import listed, unknown_name
 from dieseltwin.settings.strict import read_mapping, validate
 
 Engine: TypeAlias = EngineParameters | PetrolParameters | RigParameters
@@ -42,6 +42,9 @@ def engine(source: Engine | str | Path = PUBLISHED, /, **changes: Any) -> Engine
     """
     if isinstance(source, Engine):
         found = source
+    elif not isinstance(source, str | Path):
+        raise InputError("engine", f"a {type(source).__name__}", f"{listed(list(NAMED))}, a file or parameters",
+                         'change parameters by name: engine("we2011", V_d=0.0128)')  # fmt: skip
     elif str(source) in NAMED:
         found = NAMED[str(source)]
     else:
@@ -107,6 +110,9 @@ def with_effects(parameters: EngineParameters, effects: Mapping[str, float | str
     Raises:
         InputError: an unknown name, a value that is no number or impossible.
     """
+    if not isinstance(effects, Mapping | None):
+        raise InputError("effects", f"a {type(effects).__name__}", "a mapping of names to sizes",
+                         'write {"boost_leak": 3e-5}')  # fmt: skip
     terms = {name: Term(effect=name, magnitude=_magnitude(name, value)) for name, value in (effects or {}).items()}
     if not terms:
         return parameters
@@ -121,7 +127,7 @@ def _magnitude(name: str, value: float | str) -> float:
     low, high = effect.limits
     try:
         number = float(value)
-    except ValueError:
+    except (TypeError, ValueError):
         number = math.nan
     if not low <= number <= high:
         raise InputError(

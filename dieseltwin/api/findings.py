@@ -54,6 +54,11 @@ class Asked:
     time_s: float | None = None
     explain: str | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("sensors", "withhold"):
+            if isinstance(value := getattr(self, name), str):  # one name is no sequence of letters
+                object.__setattr__(self, name, (value,))
+
     def check(self, catalogue: Collection[str], by_settings: Sequence[str] = ()) -> None:
         """Refuse what no kind of machine takes.
 

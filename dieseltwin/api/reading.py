@@ -111,6 +111,9 @@ def opened(source: Source | Made, machine: Engine, channels: Channels | None) ->
     if isinstance(machine, RigParameters):
         refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
     source = as_table(source)
+    if not isinstance(channels, ChannelMap | str | Path | None):
+        raise InputError("channels", f"a {type(channels).__name__}", "a channel map's file or a ChannelMap",
+                         "write the map into a file: their name, a colon, ours")  # fmt: skip
     return import_columns(source, channels) if isinstance(source, str | Path | pd.DataFrame) else source
 
 
@@ -242,15 +245,24 @@ def dataset(of: Recording | Result | pd.DataFrame) -> xr.Dataset:
 
 
 def as_table(source: Any) -> Any:
-    """A dataset as a table of its columns; anything else as it is.
+    """A dataset as a table of its columns, a table with names of text; a file, and what was read, as it is.
 
     Raises:
-        InputError: a dataset over more than one dimension.
+        InputError: a dataset over more than one dimension, a column twice, or nothing that can be read.
     """
     xarray = sys.modules.get("xarray")  # who has a dataset has imported it
-    if xarray is None or not isinstance(source, xarray.Dataset):
+    if xarray is not None and isinstance(source, xarray.Dataset):
+        if len(source.sizes) != 1:
+            raise InputError("dataset", f"dimensions {', '.join(map(str, source.sizes))}", "one, of time or of points",
+                             "select along the others")
+        return source.to_dataframe().reset_index()
+    if isinstance(source, pd.DataFrame):
+        names = [str(name) for name in source.columns]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise InputError(f"table: column {twice[0]}", f"{names.count(twice[0])} of that name", "every column once",
+                             "drop or rename the others")
+        return source if names == list(source.columns) else source.set_axis(names, axis=1)
+    if isinstance(source, str | Path | Imported | Recording | SteadyPoints | PetrolRecording | RigRecording):
         return source
-    if len(source.sizes) != 1:
-        raise InputError("dataset", f"dimensions {', '.join(map(str, source.sizes))}", "one, of time or of points",
-                         "select along the others")
-    return source.to_dataframe().reset_index()
+    do = "give its .table()" if isinstance(source, Result) else "give one of these"
+    raise InputError("recording", f"a {type(source).__name__}", "a file, a table, a dataset or what `read` gave", do)

@@ -20,13 +20,14 @@ from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note
 from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
 from dieseltwin.rigs.fitting import fitted
 from dieseltwin.rigs.parameters import RigParameters, save_rig
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import simulate_rig
 from dieseltwin.rigs.twin import model_of
-from dieseltwin.rigs.verdict import details, document, sentence
+from dieseltwin.rigs.verdict import LONG_STEPS, details, document, sentence
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import refuse_options
 from dieseltwin.settings.params import params_sha256
@@ -61,6 +62,10 @@ class RigDiscovered(Discovered):
     @property
     def sentence(self) -> str:
         return sentence(self.found, self.document)
+
+    def lines(self) -> list[str]:
+        long = [doubt for doubt in self.document.warnings if doubt.code == LONG_STEPS]
+        return [self.sentence, *(Note(doubt.text, doubt.code) for doubt in long)]
 
     def plot(self, name: str | None = None) -> Figure:
         """`readings`: the repaired machine in free runs beside what was recorded."""

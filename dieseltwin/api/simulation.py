@@ -25,7 +25,7 @@ from dieseltwin.recordings.channels import INPUTS, optional_inputs
 from dieseltwin.recordings.reader import Recording, write_recording
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
-from dieseltwin.rigs.simulate import simulate_rig
+from dieseltwin.rigs.simulate import refuse_runaway, simulate_rig
 from dieseltwin.settings.names import refuse_options
 
 if TYPE_CHECKING:
@@ -95,7 +95,9 @@ def simulate(
     if isinstance(machine, RigParameters):
         refuse_options({"--effect": effects or None, "--channels": channels}, f"for {machine.name}")
         found = rig_recording(inputs, machine)
-        return Simulation(simulate_rig(machine, found), machine, found.readings)
+        frame = simulate_rig(machine, found)
+        refuse_runaway(machine, frame)
+        return Simulation(frame, machine, found.readings)
     if isinstance(inputs, RigRecording):
         raise InputError("inputs", "a rig's recording", "inputs of an engine", "name the rig's file")
     if isinstance(machine, PetrolParameters):

@@ -19,7 +19,7 @@ from dieseltwin.atomic import atomic_folder
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Course, course
 from dieseltwin.learning.files import LearnedEngine, load_learned
-from dieseltwin.learning.history import Entry, History
+from dieseltwin.learning.history import Entry, History, sketch
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.dates import Dated, dated
 from dieseltwin.recordings.dates import date_in as date_in
@@ -95,7 +95,8 @@ def watch(
 ) -> Watched:
     """Judge recordings one by one, add them to the history of their engine, and say whether it has changed.
 
-    A recording that is there already is passed over. One that can't be used stops none of the others.
+    A recording that is there already is passed over. One that can't be used, or is in part one of the history, stops
+    none of the others.
 
     Args:
         recordings: files; their dates are in them, in their names (2026-03-14), or those of the files.
@@ -137,6 +138,7 @@ def _added(store: History, question: DrivingQuestion, day: Dated) -> str | None:
     """What a recording shows by itself, now in the history; None where its rows were there already."""
     if store.holds(day.recording.rows_sha256):
         return None
+    store.refuse_shared(sketch(day.recording), str(day.recording.path))
     entry = _entry(question.answer(), day)
     return entry.verdict if store.add(entry) else None
 
@@ -216,5 +218,5 @@ def _entry(found: DrivingDiscovered, day: Dated) -> Entry:
         p_amb_pa=recording.p_amb_pa, t_amb_k=recording.t_amb_k, health=seen.health,
         health_covariance=seen.health_covariance, since=seen.since, since_std=seen.since_std, scores=seen.scores,
         verdict=" + ".join(effect.name for effect in document.effects) or "healthy", sentence=found.sentence,
-        rows_sha256=recording.rows_sha256,
+        rows_sha256=recording.rows_sha256, rows_sketch=sketch(recording),
     )  # fmt: skip

@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,14 +21,21 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.atomic import check_folder
+from dieseltwin.engine import MEASURED
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Array, Score
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.reader import Recording
+from dieseltwin.recordings.shared_rows import MOST_SHARED
 from dieseltwin.version import __version__
 
 SCHEMA = 1
 FILE_NAME = "history.sqlite"
 _APPLICATION = 0x64_74_77_68  # "dtwh": what `PRAGMA application_id` of our files says
 _WAIT_S = 60.0
+_SKETCHED = 1024  # rows of a sketch: a tenth of what a history holds of a recording otherwise
+_LEAST_SHARED = 4  # of two sketches: one row may repeat by chance
+_LAST = b"\xff" * 8  # no hash is beyond
 _NEW = "keep a copy, and add the recordings to a new folder"
 _TABLES = (
     "CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT",
@@ -50,6 +57,7 @@ class Entry:
         scores: of every effect.
         verdict: names of what the recording shows by itself, "healthy" without any; sentence: the same in words.
         rows_sha256: of what is in the file, "" in histories from before it was kept.
+        rows_sketch: a sample of its rows, by which shared driving is noticed (`sketch`); "" likewise.
     """
 
     sha256: str
@@ -67,6 +75,7 @@ class Entry:
     verdict: str
     sentence: str
     rows_sha256: str = ""
+    rows_sketch: str = ""
 
     @property
     def moment(self) -> datetime:
@@ -101,6 +110,7 @@ class History:
         return self.path.is_file()
 
     def _make(self) -> None:
+        before = self.folder.exists()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -124,6 +134,9 @@ class History:
                     made.rename(self.path)
         finally:  # a full disk, too, leaves nothing behind
             made.unlink(missing_ok=True)
+            if not before and not self._begun():
+                with suppress(OSError):  # another process has begun something there
+                    self.folder.rmdir()
 
     @contextmanager
     def _opened(self, path: Path | None = None) -> Iterator[sqlite3.Connection]:
@@ -175,8 +188,30 @@ class History:
         with self._opened() as connection:
             return _holds(connection, sha256)
 
+    def refuse_shared(self, rows_sketch: str, where: str) -> None:
+        """Refuse a recording that is in part another of the history: a half-copied file beside the whole one.
+
+        Raises:
+            InputError: more than a little of its rows are in another.
+        """
+        if self._begun():
+            with self._opened() as connection:
+                self._refuse_shared(connection, rows_sketch, where)
+
+    def _refuse_shared(self, connection: sqlite3.Connection, rows_sketch: str, where: str) -> None:
+        asked = "SELECT json_extract(row, '$.rows_sketch'), json_extract(row, '$.path') FROM recordings ORDER BY date"
+        for known, path in connection.execute(asked):
+            if known and (share := shared(rows_sketch, known)) > MOST_SHARED:
+                got = f"driving of {path} in the history ({100 * share:.0f} % of the shorter one's rows)"
+                raise InputError(where, got, "recordings that share no driving",
+                                 f"leave it out, or begin a new --history without {path}")
+
     def add(self, entry: Entry) -> bool:
-        """Add a recording; False where it is there already, which stays as it is."""
+        """Add a recording; False where it is there already, which stays as it is.
+
+        Raises:
+            InputError: as `refuse_shared`, or a disk that takes nothing.
+        """
         if not self._begun():
             self._make()
             self._check()
@@ -185,6 +220,7 @@ class History:
         with self._opened() as connection:
             if _holds(connection, entry.sha256) or (entry.rows_sha256 and _holds(connection, entry.rows_sha256)):
                 return False
+            self._refuse_shared(connection, entry.rows_sketch, entry.path)
             values = (*columns, row, _checksum(row))
             connection.execute("INSERT INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
             return True
@@ -211,6 +247,33 @@ class History:
 def _holds(connection: sqlite3.Connection, sha256: str) -> bool:
     asked = "SELECT 1 FROM recordings WHERE sha256 = ?1 OR json_extract(row, '$.rows_sha256') = ?1"
     return connection.execute(asked, (sha256,)).fetchone() is not None
+
+
+def sketch(recording: Recording) -> str:
+    """The `_SKETCHED` smallest hashes of a recording's different rows, inputs and readings without the time: a random
+    sample of them that any two recordings draw alike."""
+    names = sorted({*INPUTS, *MEASURED} & set(recording.columns))
+    rows = np.column_stack([recording.columns[name] for name in names])
+    salt = hashlib.blake2b(" ".join(names).encode(), digest_size=16).digest()
+    hashes = {hashlib.blake2b(row.tobytes(), digest_size=8, salt=salt).digest() for row in rows}
+    return base64.b64encode(b"".join(sorted(hashes)[:_SKETCHED])).decode()
+
+
+def shared(one: str, other: str) -> float:
+    """About which share of the rows of the shorter of two sketched recordings is in the other, 0-1; 0 where too few
+    are compared to tell."""
+    first, second = _hashes(one), _hashes(other)
+    if not first or not second:
+        return 0.0
+    reach = min(max(hashes) if len(hashes) >= _SKETCHED else _LAST for hashes in (first, second))
+    first, second = ({value for value in hashes if value <= reach} for hashes in (first, second))
+    both = len(first & second)
+    return both / min(len(first), len(second)) if both >= _LEAST_SHARED else 0.0
+
+
+def _hashes(text: str) -> set[bytes]:
+    raw = base64.b64decode(text)
+    return {raw[k : k + 8] for k in range(0, len(raw), 8)}
 
 
 def _text(raw: bytes) -> str:

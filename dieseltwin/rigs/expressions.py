@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import ast
 import keyword
+import math
+import operator
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, cast
 
@@ -15,6 +17,7 @@ import numpy as np
 from dieseltwin.settings.names import unknown_name
 
 LONGEST = 500  # characters of a formula
+_SHORT = 100  # characters of one that is said twice
 
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "abs": np.abs, "exp": np.exp, "log": np.log, "tanh": np.tanh, "sin": np.sin, "cos": np.cos, "min": np.minimum,
@@ -22,6 +25,12 @@ FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "positive": lambda x: np.maximum(x, 0.0), "where_positive": lambda x: np.where(x > 0.0, 1.0, 0.0),
 }  # fmt: skip
 """All are element-wise; `root` and `positive` take what is negative for zero."""
+
+_OF_TWO = ("min", "max")  # all others are of one value
+_NUMERIC: Mapping[type[ast.operator], Callable[[float, float], Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}  # fmt: skip
 
 _OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd, ast.Load)
 _NODES = (ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Constant, *_OPERATORS)
@@ -135,4 +144,39 @@ def _checked(formula: str) -> ast.Expression:
             raise ValueError(f"{formula!r}: only {', '.join(FUNCTIONS)} can be called")
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id not in FUNCTIONS:
             raise ValueError(unknown_name(formula, node.func.id, list(FUNCTIONS)).line(200))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            asked, text = (2, "two values, nested for more") if node.func.id in _OF_TWO else (1, "one value")
+            if len(node.args) != asked:  # NumPy would write its result into one more
+                raise ValueError(f"{formula!r}: {node.func.id} takes {text}; got {len(node.args)}")
+    _value(tree.body, formula)
     return tree
+
+
+def _value(node: ast.expr, formula: str) -> float | None:
+    """Value of a part without names and functions, None of any other.
+
+    Raises:
+        ValueError: it has none that a float can hold: as integers its powers could be computed for years.
+    """
+    if isinstance(node, ast.Call):
+        for argument in node.args:
+            _value(argument, formula)
+        return None
+    value: Any = None
+    try:
+        if isinstance(node, ast.Constant):
+            value = float(cast(float, node.value))
+        elif isinstance(node, ast.UnaryOp):
+            inner = _value(node.operand, formula)
+            value = inner if inner is None or isinstance(node.op, ast.UAdd) else -inner
+        elif isinstance(node, ast.BinOp):
+            left, right = _value(node.left, formula), _value(node.right, formula)
+            if right == 0.0 and isinstance(node.op, ast.Div):
+                raise ZeroDivisionError
+            value = None if left is None or right is None else _NUMERIC[type(node.op)](left, right)
+        if value is None or (isinstance(value, float) and math.isfinite(value)):
+            return value
+    except (OverflowError, ZeroDivisionError):
+        pass
+    part = ast.unparse(node) if len(formula) <= _SHORT else "a part"
+    raise ValueError(f"{formula!r}: {part} has no value")

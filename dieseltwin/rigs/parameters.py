@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +14,7 @@ from dieseltwin.discovery.laws.grammar import Factor, Form, Kind
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.rigs.expressions import names_in, usable
 from dieseltwin.sealed import sealed_text
-from dieseltwin.settings.names import did_you_mean
+from dieseltwin.settings.names import did_you_mean, listed
 from dieseltwin.settings.strict import StrictModel, read_mapping, validate
 
 KIND = "rig"
@@ -139,31 +140,49 @@ class RigParameters(StrictModel):
         for name in (*known, *self.quantities):
             if not usable(name):
                 raise ValueError(f"{name!r} can't be a name: letters, digits and _ after a letter, and no function's")
+        earlier: list[str] = []
         for name, quantity in self.quantities.items():
-            self._check(name, quantity.formula, known)
+            _check(name, _names(name, quantity.formula), known)
+            _check(f"ports of {name}", quantity.ports, [*self.states, *self.inputs, *earlier])
             known.append(name)
-        for name, formula in {**self.rates, **self.readings}.items():
-            self._check(name, formula, known)
-        for term in self.terms:
-            if term.effect not in self.effects:
-                raise ValueError(f"term {term.effect!r}: {did_you_mean(term.effect, list(self.effects))}")
-        for law in self.laws:
-            if law.at not in self.quantities:
-                raise ValueError(f"law at {law.at!r}: {did_you_mean(law.at, list(self.quantities))}")
+            earlier.append(name)
+        for name, formula in [*self.rates.items(), *self.readings.items()]:
+            _check(name, _names(name, formula), known)
+        _check("term", [term.effect for term in self.terms], self.effects)
+        _check("law at", [law.at for law in self.laws], self.quantities)
+        _check("floors", self.floors, self.readings)
         for name, state in self.states.items():
-            if state.nearest is not None and state.nearest not in self.readings:
-                raise ValueError(f"{name}: nearest: {did_you_mean(state.nearest, list(self.readings))}")
+            _check(f"{name}: nearest", [] if state.nearest is None else [state.nearest], self.readings)
         return self
 
-    @staticmethod
-    def _check(name: str, formula: str, known: list[str]) -> None:
-        try:
-            names = names_in(formula)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        for used in names:
-            if used not in known:
-                raise ValueError(f"{name}: unknown name {used!r}; {did_you_mean(used, known)}")
+    @model_validator(mode="after")
+    def _findable(self) -> RigParameters:
+        """Every effect is in a formula, and may be absent."""
+        formulae = [*(q.formula for q in self.quantities.values()), *self.rates.values(), *self.readings.values()]
+        used = {name for formula in formulae for name in names_in(formula)}
+        for name, effect in self.effects.items():
+            if name not in used:
+                raise ValueError(f"effect {name}: in no formula, so that it could never be found")
+            low, high = effect.limits
+            if not low <= 0.0 <= high or low == high:
+                raise ValueError(f"effect {name}: limits {low:g} to {high:g}; the lower first, and 0, absent, in them")
+            if not all(low <= size <= high for size in effect.sizes):
+                raise ValueError(f"effect {name}: sizes {listed([f'{s:g}' for s in effect.sizes])} beyond its limits")
+        return self
+
+
+def _names(where: str, formula: str) -> tuple[str, ...]:
+    try:
+        return names_in(formula)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _check(where: str, names: Iterable[str], known: Collection[str]) -> None:
+    for name in names:
+        if name not in known:
+            hint = did_you_mean(name, list(known))
+            raise ValueError(f"{where}: unknown name {name!r}; {hint if '?' in hint else f'known: {listed([*known])}'}")
 
 
 def is_rig(path: str | Path) -> bool:

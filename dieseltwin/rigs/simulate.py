@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.discovery.twins.interface import Array, Lanes, single
+from dieseltwin.errors import InputError
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.twin import RigTwin
@@ -16,6 +17,7 @@ _LEAST_ROWS = 5
 _DIFFERENCE = 1e-4  # of a state's scale
 _GROW, _SHRINK = 2.0, 0.4  # of a step that helped, and of one that didn't
 _CONDITION = 1e-8
+_AWAY = 1e9  # scales of a state, the size of a typical change: no machine goes so far
 
 
 def simulate_rig(rig: RigParameters, recording: RigRecording) -> pd.DataFrame:
@@ -24,10 +26,34 @@ def simulate_rig(rig: RigParameters, recording: RigRecording) -> pd.DataFrame:
     A run starts where its first readings (`rig.first_rows`) say; without readings at the states' own `first`.
     """
     twin = RigTwin(rig, recording, rig.run_s)
-    lanes = single(values_of(rig), first_states(twin, values_of(rig), rig.first_rows))
-    known = {name: v for name, v in twin.variables(lanes).items() if ":" not in name}
-    shown = dict(zip(twin.channels, twin.simulate(lanes)[0].T, strict=True))
+    with np.errstate(all="ignore"):  # a quotient may have no value at some rows; see `refuse_runaway` for what matters
+        lanes = single(values_of(rig), first_states(twin, values_of(rig), rig.first_rows))
+        known = {name: v for name, v in twin.variables(lanes).items() if ":" not in name}
+        shown = dict(zip(twin.channels, twin.simulate(lanes)[0].T, strict=True))
     return pd.DataFrame({"time_s": recording.time_s, **known, **shown})
+
+
+def refuse_runaway(rig: RigParameters, table: pd.DataFrame) -> None:
+    """Whether a simulation of `simulate_rig` is one of a machine; other quantities may be without value (a quotient).
+
+    Raises:
+        InputError: a state that goes a billion times farther than it changes typically, a reading that isn't finite.
+    """
+    values = table[[*rig.states, *rig.readings]]
+    scales = pd.Series({name: state.scale for name, state in rig.states.items()})
+    away = ~np.isfinite(values) | (values.abs() > _AWAY * scales.reindex(values.columns))
+    for row in np.flatnonzero(away.any(axis=1))[:1]:
+        name = values.columns[int(np.argmax(away.iloc[row]))]
+        got = f"{name} = {values[name].iloc[row]:.3g} at {table['time_s'].iloc[row]:g} s"
+        raise InputError(f"simulating {rig.name}", got, "a machine that doesn't run away",
+                         "check values and units, give more sub_steps or a shorter run_s")  # fmt: skip
+
+
+def step_error(twin: RigTwin, lanes: Lanes) -> Array:
+    """By how much the readings of one lane change where every step of the integration is halved, (n, C) [their
+    units]: three quarters of their error."""
+    finer = RigTwin(twin.rig.model_copy(update={"sub_steps": 2 * twin.rig.sub_steps}), twin.recording, twin.window_s)
+    return np.asarray(finer.simulate(lanes)[0] - twin.simulate(lanes)[0])
 
 
 def values_of(rig: RigParameters) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.discovery.likelihood.score import minimum_detectable
-from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.twins.interface import Array, single
 from dieseltwin.discovery.verdict.assemble import details_of_search, finite_only, p_value
 from dieseltwin.discovery.verdict.document import (
     NONE_OF_THESE,
@@ -32,11 +32,15 @@ from dieseltwin.discovery.verdict.findings import (
 )
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
+from dieseltwin.notes import Note
 from dieseltwin.rigs.discover import RigDiscovery, Round
+from dieseltwin.rigs.simulate import step_error
+from dieseltwin.rigs.twin import RigTwin
 from dieseltwin.version import __version__
 
 MORE = "more is missing; no law foretells it"
 """What is said where no name and no law is left."""
+LONG_STEPS = "long_steps"
 
 
 def document(result: RigDiscovery) -> Discrepancy:
@@ -57,7 +61,23 @@ def document(result: RigDiscovery) -> Discrepancy:
         minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
-    return with_warnings(made, fit_doubts(made))
+    return with_warnings(made, [*fit_doubts(made), *_step_notes(result)])
+
+
+def _step_notes(result: RigDiscovery) -> list[Note]:
+    """Whether the error of the integration is large enough to raise an alarm by itself."""
+    at = result.fit_after
+    twin: RigTwin = at.twin  # type: ignore[assignment]
+    error = step_error(twin, single(at.fit.parameters, at.fit.local))
+    weights = np.nansum((error / twin.misfit) ** 2, axis=0)  # of gains, whose fourth root goes with the step
+    if not (whole := float(weights.sum())) > result.options.search.alarm_gain:
+        return []
+    worst = int(np.argmax(weights))
+    name, change = twin.channels[worst], float(np.nanmax(np.abs(error[:, worst])))
+    steps = int(np.ceil(twin.rig.sub_steps * whole**0.25))
+    text = (f"steps of the integration are too long to judge by: halved, they change {name} by up to {change:.2g}, and "
+            f"what is found may be theirs; give sub_steps: {steps} in place of {twin.rig.sub_steps}")  # fmt: skip
+    return [Note(text, LONG_STEPS, [name])]
 
 
 def shares(result: RigDiscovery) -> list[tuple[tuple[str, ...], float]]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+import dieseltwin as dt
 from dieseltwin.api.discovery import ask
 from dieseltwin.api.reading import Made, diesel_recording, over_time, petrol_recording, read, settled, settled_points
 from dieseltwin.challenge.petrol_plant import drive as drive_petrol
@@ -93,3 +95,32 @@ def test_the_time_of_a_table_may_be_its_index(driven: pd.DataFrame) -> None:
             read(values.assign(**{name: stamps}))
     apart = values.head(5).assign(date=pd.date_range("2026-03-01", periods=5))
     assert isinstance(read(apart), SteadyPoints)
+
+
+@pytest.mark.parametrize("source", [None, 3, ["a.csv"], {"time_s": [0.0]}, np.zeros((3, 2)), b"a.csv"])
+def test_what_is_no_recording_is_said(source: Any) -> None:
+    """It was given back as if it had been read."""
+    with pytest.raises(InputError, match=f"got a {type(source).__name__}; allowed: a file, a table"):
+        read(source)
+
+
+def test_columns_of_a_table_are_named_once_by_text(driven: pd.DataFrame) -> None:
+    both = pd.concat([driven, driven[["p_im_pa"]]], axis=1)
+    with pytest.raises(InputError, match="table: column p_im_pa: got 2 of that name"):
+        read(both)
+    assert isinstance(read(driven.assign(**{"x": 1.0}).rename(columns={"x": 5})), Recording)
+
+
+def test_arguments_of_another_kind_are_said(driven: pd.DataFrame) -> None:
+    simulation = dt.simulate(driven)
+    for wrong, says in (
+        (lambda: dt.simulate(simulation), "give its .table()"),
+        (lambda: dt.read(driven, channels={"p": "p_im_pa"}), "got a dict; allowed: a channel map's file"),
+        (lambda: dt.engine({"V_d": 0.0128}), "engine: got a dict; allowed: we2011"),
+        (lambda: dt.simulate(driven, effects=["boost_leak"]), "effects: got a list; allowed: a mapping"),
+        (lambda: dt.simulate(driven, effects={"boost_leak": None}), "boost_leak: got None; allowed: a number from"),
+        (lambda: dt.discover(driven, withhold="bost_leak"), "unknown name 'bost_leak'"),  # not b, o, s ...
+    ):
+        with pytest.raises(InputError) as refused:
+            wrong()
+        assert says in str(refused.value)

@@ -13,7 +13,7 @@ from dieseltwin.cli.app import main
 from dieseltwin.learning.history import FILE_NAME, History
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
-from tests.learning.test_history import entry
+from tests.learning.test_history import driving, entry
 
 TANKS = Path(__file__).resolve().parents[2] / "examples" / "rigs" / "cascaded_tanks.yaml"
 
@@ -65,7 +65,7 @@ def test_recordings_of_one_name_in_two_folders_keep_their_own_verdicts(tmp_path:
     }
 
     def asked(path: Path, *_: object) -> tuple[SimpleNamespace, SimpleNamespace]:
-        recording = SimpleNamespace(rows_sha256=f"rows of {path}")
+        recording = driving(list(judged).index(path), 50)
         return SimpleNamespace(answer=lambda: judged[path]), SimpleNamespace(recording=recording)
 
     monkeypatch.setattr("dieseltwin.api.watch._asked", asked)

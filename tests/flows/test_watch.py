@@ -6,6 +6,7 @@ import importlib
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,15 +14,18 @@ import tiny_settings
 
 import dieseltwin as dt
 from dieseltwin.errors import InputError
+from dieseltwin.learning.history import sketch, to_json
 from tasks import run_context
 from tasks import watch as steps
 from tasks.failures import StepFailed
 from tasks.progress import Display
 from tasks.run_context import RunContext
 from tasks.settings import load_settings
+from tasks.store import Artifact
 from tasks.workspace import Workspace
 from tests.api.learned import learned_file
 from tests.api.simulated import drive
+from tests.learning.test_history import driving, entry, part
 
 LONG_AGO = 1.7e9
 
@@ -116,6 +120,20 @@ def test_a_first_batch_without_a_good_recording_says_why(
     assert batch.history == "lorry_7" and batch.page is None and "no recording" in batch.sentence
     with pytest.raises(StepFailed, match="too short"):
         steps.show(batch, [], {"2026-01-01.csv": StepFailed("too short", 2)}, {})
+
+
+def test_a_recording_that_is_in_part_in_the_history_stops_none(fresh: Callable[[], None], tmp_path: Path) -> None:
+    mine, found = learned_file(tmp_path), {}
+    for k, rows in enumerate((part(driving(1, 600), slice(250)), driving(1, 600), driving(2, 600))):
+        name = f"2026-0{k + 1}-01.csv"
+        (tmp_path / name).mkdir()
+        row = to_json(replace(entry(k), path=name, rows_sketch=sketch(rows)))
+        (tmp_path / name / steps.ENTRY).write_text(row, encoding="utf-8")
+        found[name] = Artifact(tmp_path / name, str(k))
+    fresh()
+    batch = steps.add(found, str(mine), str(tmp_path / "lorry_7"), load_settings("tiny")["watch"])  # nothing is judged
+    assert batch.added == ("2026-01-01.csv", "2026-03-01.csv")
+    assert "driving of 2026-01-01.csv in the history" in str(batch.refused["2026-02-01.csv"])
 
 
 def test_histories_in_folders_of_one_name_have_reports_of_their_own(fresh: Callable[[], None], tmp_path: Path) -> None:

@@ -14,7 +14,9 @@ import pytest
 
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Alarm, Course, Score
-from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, to_json
+from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, shared, sketch, to_json
+from dieseltwin.recordings.channels import INPUTS
+from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.history import sentence
 from tests.disk import full_beyond
 
@@ -123,6 +125,9 @@ def test_a_full_disk_leaves_no_half_of_a_history(tmp_path: Path):
     with full_beyond(4096), pytest.raises(InputError, match="a history that can be written to"):  # its tables need more
         History(tmp_path, ENGINE).add(entry(0))
     assert list(tmp_path.iterdir()) == []
+    with full_beyond(4096), pytest.raises(InputError, match="a history that can be written to"):
+        History(tmp_path / "new", ENGINE).add(entry(0))
+    assert list(tmp_path.iterdir()) == []  # nor an empty folder
 
 
 def test_the_same_rows_in_another_file_are_the_same_recording(tmp_path: Path):
@@ -130,6 +135,46 @@ def test_the_same_rows_in_another_file_are_the_same_recording(tmp_path: Path):
     assert store.add(replace(entry(0), rows_sha256=rows)) and store.holds(rows)
     assert not store.add(replace(entry(1), rows_sha256=rows)) and len(store.entries()) == 1
     assert store.add(entry(1)) and store.add(entry(2))  # of before rows were told apart
+
+
+def driving(seed: int, n: int, resting: int = 0) -> Recording:
+    """Rows of which the first stand still at what every engine rests at."""
+    readings = np.random.default_rng(seed).uniform(1.0, 2.0, (n, 2))
+    readings[:resting] = 1.0
+    columns = {**dict.fromkeys(INPUTS, readings[:, 0]), "p_im_pa": readings[:, 1], "time_s": np.arange(n) + 0.2 * seed}
+    return Recording(columns["time_s"], columns, 1e5, 298.0)
+
+
+def part(of: Recording, rows: slice) -> Recording:
+    columns = {name: values[rows] for name, values in of.columns.items()}
+    return Recording(columns["time_s"], columns, 1e5, 298.0)
+
+
+@pytest.mark.parametrize("n", [600, 30000])
+def test_shared_driving_is_told_from_sketches(n: int):
+    whole = driving(1, n)
+    for rows in (slice(0, n // 2), slice(n // 3, None), slice(None, None, 2)):  # half-copied, cut, at half the rate
+        share = shared(sketch(part(whole, rows)), sketch(whole))
+        assert share == pytest.approx(1.0) and share == shared(sketch(whole), sketch(part(whole, rows)))
+    later, half = driving(2, n).columns, n // 2
+    mixed = {name: np.r_[values[:half], later[name][half:]] for name, values in whole.columns.items()}
+    assert shared(sketch(Recording(np.arange(n), mixed, 1e5, 298.0)), sketch(whole)) == pytest.approx(0.5, abs=0.06)
+    assert shared(sketch(driving(2, n)), sketch(whole)) == 0.0
+    assert shared(sketch(driving(2, n, n // 2)), sketch(driving(1, n, n // 2))) == 0.0  # one row, over and over
+    assert shared("", sketch(whole)) == 0.0  # of before sketches were kept
+    assert len(sketch(whole)) < 12000
+
+
+def test_a_half_copied_recording_and_the_whole_one_do_not_both_count(tmp_path: Path):
+    store, whole = History(tmp_path, ENGINE), driving(1, 600)
+    half = replace(entry(0), rows_sketch=sketch(part(whole, slice(0, 250))))
+    assert store.add(half)
+    with pytest.raises(InputError, match=r"1\.csv: got driving of 0\.csv in the history \(100 %.*without 0\.csv"):
+        store.add(replace(entry(1), rows_sketch=sketch(whole)))
+    with pytest.raises(InputError, match=r"whole\.csv: got driving of 0"):
+        store.refuse_shared(sketch(whole), "whole.csv")
+    assert not store.add(half)  # was there already, which is no mistake
+    assert store.add(replace(entry(2), rows_sketch=sketch(driving(2, 600)))) and len(store.entries()) == 2
 
 
 def test_a_history_belongs_to_one_engine(tmp_path: Path):

@@ -15,21 +15,21 @@ import yaml
 import dieseltwin as dt
 from dieseltwin.errors import InputError
 from dieseltwin.rigs.expressions import moment, names_in
-from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm, load_rig, save_rig
+from dieseltwin.rigs.parameters import LawFactor, Quantity, RigLaw, RigParameters, RigTerm, load_rig, save_rig
 from dieseltwin.rigs.recording import read_rig
 from dieseltwin.rigs.simulate import run_error, simulate_rig
 from dieseltwin.rigs.twin import RigTwin, model_of
 
 RIGS = Path(__file__).resolve().parents[2] / "examples" / "rigs"
 
+BALANCE = {"formula": "q - (k + leak)*h", "unit": "m/s", "site": "tank", "relative": False, "ports": ["h"]}
+LEAK = {"site": "tank", "law": "c h lost", "unit": "1/s", "tolerance": 0.01, "limits": [0.0, 1.0]}
 TANK: dict[str, Any] = {
     "kind": "rig", "name": "tank", "states": {"h": {"scale": 1.0, "unit": "m", "nearest": "level"}},
     "inputs": {"q": "m/s"},
     "parameters": {"k": {"value": 0.5, "prior_std": 0.5, "scale": 0.05, "unit": "1/s"}},
-    "quantities": {"balance": {"formula": "q - (k + leak)*h", "unit": "m/s", "site": "tank", "relative": False,
-                               "ports": ["h"]}},
-    "rates": {"h": "balance"}, "readings": {"level": "h"}, "sub_steps": 4,
-    "effects": {"leak": {"site": "tank", "law": "c h lost", "unit": "1/s", "tolerance": 0.01, "limits": [0.0, 1.0]}},
+    "quantities": {"balance": BALANCE}, "rates": {"h": "balance"}, "readings": {"level": "h"}, "sub_steps": 4,
+    "effects": {"leak": LEAK},
 }  # fmt: skip
 
 
@@ -54,6 +54,22 @@ def test_a_formula_is_arithmetic_and_nothing_else(formula: str) -> None:
         names_in(formula)
 
 
+@pytest.mark.parametrize("formula", ["min(h, 2, k)", "max(h)", "abs()", "abs(h, k)", "root(h, k)", "positive()"])
+def test_a_function_takes_its_own_number_of_values(formula: str) -> None:
+    """Given one more, NumPy writes into it: `min(h, 2, k)` would change k."""
+    with pytest.raises(ValueError, match=r"takes (one|two) value.*; got [0-3]$"):
+        names_in(formula)
+
+
+@pytest.mark.parametrize(
+    "formula", ["h*9**9**9**9", "10.0**400", "h/0", "h/(1 - 1)", "h*" + "9" * 400, "(-8)**(1/3)", "abs(1/0)"]
+)
+def test_a_number_that_no_float_holds_is_refused(formula: str) -> None:
+    with pytest.raises(ValueError, match="has no value"):
+        names_in(formula)
+    assert names_in("h**2*10**300 + min(2**-1*k, -3/4)") == ("h", "k")
+
+
 @pytest.mark.parametrize("name", ["__class__", "_x", "abs", "for", "h-2", "h; import os", "ℎ", ""])
 def test_a_name_is_a_plain_identifier(name: str, tank: RigParameters) -> None:
     changed = {**TANK, "inputs": {"q": "m/s", name: "-"}}
@@ -74,6 +90,14 @@ def test_a_name_is_a_plain_identifier(name: str, tank: RigParameters) -> None:
         ({"readings": {}}, "at least"),
         ({"parameters": {"h": {"value": 1.0, "prior_std": 1.0, "scale": 0.1}}}, "stands for two things"),
         ({"substeps": 2}, "did you mean sub_steps"),
+        ({"states": {"h": {"scale": 1.0, "nearest": "q"}}}, "h: nearest: unknown name 'q'; known: level"),
+        ({"floors": {"levle": 0.1}}, "floors: unknown name 'levle'; did you mean level?"),
+        ({"quantities": {"balance": {**BALANCE, "ports": ["height"]}}}, "ports of balance: unknown name 'height'"),
+        ({"quantities": {"balance": {**BALANCE, "ports": ["k"]}}}, "ports of balance: unknown name 'k'; known: h, q"),
+        ({"quantities": {"balance": {**BALANCE, "formula": "q - k*h"}}}, "effect leak: in no formula"),
+        ({"effects": {"leak": {**LEAK, "limits": [1.0, 0.0]}}}, "effect leak: limits 1 to 0; the lower first"),
+        ({"effects": {"leak": {**LEAK, "limits": [0.1, 1.0]}}}, "effect leak: limits 0.1 to 1; "),
+        ({"effects": {"leak": {**LEAK, "sizes": [0.1, 2.0]}}}, "effect leak: sizes 0.1, 2 beyond its limits"),
         ({"rates": {"h": f"balance{' + balance' * 30} - h^2"}}, "h: a power is written **, not ^"),
         ({"rates": {"h": f"balance{' + balance' * 30} - (h % 2)"}}, "h: Mod is no arithmetic"),
     ],
@@ -107,6 +131,16 @@ def test_the_simulation_is_that_of_the_equations(tank: RigParameters) -> None:
     assert list(table) == ["time_s", "h", "q", "balance", "level"]
     (axes,) = dt.simulate(emptying(0.7), tank).plot().axes
     assert axes.get_ylabel() == "level" and len(axes.lines) == 2
+
+
+@pytest.mark.parametrize("k", [-500.0, 500.0])
+def test_a_simulation_that_runs_away_is_refused(k: float, tank: RigParameters) -> None:
+    """A tank that fills itself, and steps too long for one that empties in milliseconds: both gave 1e200 and more."""
+    parameters = {"k": tank.parameters["k"].model_copy(update={"value": k})}
+    with pytest.raises(InputError, match=r"tank: got h = .*e\+[0-9]+ at 0\.[0-9]* s; .*sub_steps"):
+        dt.simulate(emptying(0.5), tank.model_copy(update={"parameters": parameters}))
+    empty = tank.model_copy(update={"quantities": {**tank.quantities, "share": Quantity(formula="h/q")}})
+    assert np.isinf(dt.simulate(emptying(0.5), empty).table()["share"]).all()
 
 
 def _noted(passed: dict[str, Any], name: str, value: Any) -> Any:

@@ -1,0 +1,60 @@
+"""A sound cart, and one that is too light for the steps of the integration."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import dieseltwin as dt
+from dieseltwin.rigs.parameters import RigParameters
+
+CART: dict[str, Any] = {
+    "name": "cart", "states": {"v": {"scale": 0.5, "unit": "m/s", "nearest": "v_m_s"}}, "inputs": {"force_n": "N"},
+    "parameters": {"m": {"value": 1.5, "prior_std": 0.1, "scale": 0.05, "unit": "kg"},
+                   "b": {"value": 2.0, "prior_std": 0.1, "scale": 0.1, "unit": "N s/m"}},
+    "quantities": {"drag": {"formula": "(b + worn)*v", "unit": "N", "site": "bearing", "ports": ["v"]},
+                   "net": {"formula": "force_n - drag - dry*tanh(v/0.05)", "unit": "N", "site": "balance",
+                           "relative": False, "ports": ["v"], "scale": 0.2}},
+    "rates": {"v": "net/m"}, "readings": {"v_m_s": "v"}, "sub_steps": 4, "window_s": 5.0, "first_rows": 10,
+    "effects": {"worn": {"site": "bearing", "law": "(b + c) v", "unit": "N s/m", "tolerance": 0.05, "limits": [0, 5]},
+                "dry": {"site": "balance", "law": "F sign(v)", "unit": "N", "tolerance": 0.02, "limits": [0, 3]}},
+}  # fmt: skip
+
+
+def driven(mass: float = 1.5, n: int = 900) -> pd.DataFrame:
+    """Samples every 0.05 s, integrated here in small steps."""
+    rng, parts, step = np.random.default_rng(1), 40, 0.05
+    force = np.interp(np.arange(n), np.arange(0, n + 40, 20), rng.uniform(-8.0, 8.0, n // 20 + 2))
+    v, rows = 0.0, []
+    for k in range(n):
+        rows.append((k * step, force[k], v + 0.004 * rng.standard_normal()))
+        for share in (np.arange(parts) + 0.5) / parts:
+            now = force[k] + share * (force[min(k + 1, n - 1)] - force[k])
+            v += step / parts * (now - 2.0 * v) / mass
+    return pd.DataFrame(rows, columns=["time_s", "force_n", "v_m_s"])
+
+
+@cache
+def rig() -> RigParameters:
+    return RigParameters.model_validate(CART)
+
+
+def test_a_sound_cart_has_nothing() -> None:
+    assert not dt.discover(driven(), rig()).document.mismatch
+
+
+def test_steps_that_are_too_long_are_said_with_what_would_do() -> None:
+    """A light cart comes to rest within one sample; what four steps make of that looked like physics."""
+    light = {**CART["parameters"], "m": {"value": 0.1, "prior_std": 0.01, "scale": 0.01, "unit": "kg"}}
+    coarse = RigParameters.model_validate({**CART, "parameters": light, "sub_steps": 2})
+    found = dt.discover(driven(mass=0.1), coarse)
+    (doubt,) = [item for item in found.document.warnings if item.code == "long_steps"]
+    assert doubt.affects == ("v_m_s",) and "in place of 2" in doubt.text
+    assert found.lines()[1:] == [f"note: {doubt.text}"]
+    enough = int(doubt.text.split("sub_steps: ")[1].split()[0])
+    assert 3 <= enough <= 30
+    finer = dt.discover(driven(mass=0.1), coarse.model_copy(update={"sub_steps": enough}))
+    assert not finer.document.mismatch and not finer.document.warnings and len(finer.lines()) == 1
