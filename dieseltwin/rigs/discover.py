@@ -181,17 +181,27 @@ def _best_course(
         found: the first search of what is so from the first row on.
         midway: what explains most where it begins in the middle.
     """
-    settings, dated_course = options.search, None
+    settings = options.search
+
+    def begun(midway: Linearisation) -> _Course | None:
+        """The course with an onset; None where it finds nothing, or runs away with it."""
+        try:
+            course = _course(before, fit, recording, options, *_since(midway, options))
+        except np.linalg.LinAlgError:
+            return None
+        return course if course.finds else None
+
     if midway is not None and _left_by(_explained(found), midway) > _FAR_BEHIND * _left_by(midway, midway):
-        dated_course = _course(before, fit, recording, options, *_since(midway, options))
-        if dated_course.finds:
+        dated_course = begun(midway)
+        if dated_course is not None:
             return dated_course
+        midway = None
     course = _course(before, fit, recording, options, found)
-    if midway is None or dated_course is not None or not _ahead(midway, course, midway, settings):
-        return course
-    dated_course = _course(before, fit, recording, options, *_since(midway, options))
-    clearly = dated_course.finds and _ahead(dated_course.fit, course, dated_course.fit, settings)
-    return dated_course if clearly else course
+    if midway is not None and _ahead(midway, course, midway, settings):
+        dated_course = begun(midway)
+        if dated_course is not None and _ahead(dated_course.fit, course, dated_course.fit, settings):
+            return dated_course
+    return course
 
 
 def _explained(found: Search) -> Linearisation:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import replace
 from typing import cast
 
@@ -39,16 +40,19 @@ def first_onset(at: Linearisation, settings: RigSettings, withhold: Collection[s
     best: dict[str, tuple[Scored, float]] = {}
     for time in map(float, twin.time_s[np.unique(np.linspace(rows[0], rows[-1], _TIMES).round().astype(int))]):
         for item in score(at, wanted, effect_responses(twin.since(time), at, wanted)):
-            if item.name not in best or item.gain > best[item.name][0].gain:
+            if np.isfinite(item.gain) and (item.name not in best or item.gain > best[item.name][0].gain):
                 best[item.name] = item, time
     leaders = sorted(best.values(), key=lambda found: -found[0].gain)[:_LEADERS]
     # Where the misfit is large and slow, few of its readings are independent, and no gain is: then the share tells.
-    if leaders[0][0].gain < min(settings.variant_gain, settings.least_explained * at.fit.objective):
+    if not leaders or leaders[0][0].gain < min(settings.variant_gain, settings.least_explained * at.fit.objective):
         return None
     fits = []
     for item, time in leaders:
         fit = replace(at.fit, candidate=Candidate((item.name,)), magnitudes=np.array([item.magnitude]))
-        fits.append(dated(twin.since(time), twin.whitening(), fit, settings))
+        with suppress(np.linalg.LinAlgError):  # the machine runs away with it
+            fits.append(dated(twin.since(time), twin.whitening(), fit, settings))
+    if not fits:
+        return None
     midway = min(fits, key=lambda found: found.fit.objective)
     # once more in the size of the misfit that it leaves
     twin = cast(RigTwin, midway.twin).about(midway.residual)
