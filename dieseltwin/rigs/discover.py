@@ -251,11 +251,19 @@ def _course(
         bar = settings.gain_of_law if law is not None else settings.loss_of_name
         later, by = foretold(candidate, recording, checked)
         taken = bool(np.isfinite(later).all() and np.mean(later / errors) <= bar)
+        repaired, refit = fitted(candidate, recording) if taken else (here, fit)
+        if rounds and not all(_sure(term, settings) for term in repaired.terms if term.effect in names):
+            break  # what is left is nothing that has a size
         rounds.append(Round(found, names, law, errors, later, taken, by, since))
         if not taken:
             break
-        (here, fit), errors = fitted(candidate, recording), later
+        here, fit, errors = repaired, refit, later
     return _Course(tuple(rounds), here, fit, early)
+
+
+def _sure(term: RigTerm, settings: RigSettings) -> bool:
+    """Whether a further effect's size is away from nought, with all that is believed only."""
+    return term.std is None or abs(term.magnitude) > settings.second_size_std * term.std
 
 
 def _since(midway: Linearisation, options: Options) -> tuple[Search, float]:
