@@ -21,7 +21,6 @@ from tasks.server import prefect_server
 from tasks.workspace import PROJECT, Workspace, quiet_settings
 
 FAKES = Path(__file__).parent / "fakes"
-UNDRAWN = Path(__file__).parent / "undrawn"
 
 
 @pytest.fixture(autouse=True)
@@ -46,14 +45,6 @@ def tables_made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Calla
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tracking, "_make_database", made)
         yield make
-
-
-@pytest.fixture(scope="session", autouse=True)
-def undrawn() -> Iterator[None]:
-    """Steps draw no pictures of pages: the pages' own tests do (`tests/paper`, `tests/report`)."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [str(UNDRAWN), *sys.path])
-        yield
 
 
 @pytest.fixture
