@@ -59,9 +59,12 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
                              "name the columns as the rig's file does")
     n = len(columns[TIME]) // rig.every * rig.every
     time_s = np.asarray(columns[TIME][:n : rig.every], dtype=np.float64)
-    if len(time_s) < LEAST_ROWS or not np.isfinite(time_s).all() or np.any(np.diff(time_s) <= 0.0):
-        raise InputError(f"{where}: column {TIME}", f"{len(time_s)} samples that don't all increase",
-                         f"{LEAST_ROWS} or more increasing times", "sort the rows")
+    if len(time_s) < LEAST_ROWS:
+        rows = f"{len(columns[TIME])} rows" + (f", {len(time_s)} samples of {rig.every} rows" if rig.every > 1 else "")
+        raise InputError(where, rows, f"{LEAST_ROWS} or more samples", "record longer" if rig.every == 1 else
+                         f"record longer, or lower `every` of {rig.name}")  # fmt: skip
+    if not np.isfinite(time_s).all() or np.any(np.diff(time_s) <= 0.0):
+        raise InputError(f"{where}: column {TIME}", "times that don't all increase", "increasing ones", "sort the rows")
     inputs = {name: columns[name][:n].reshape(-1, rig.every).mean(axis=1) for name in rig.inputs}
     for name, values in inputs.items():
         if not np.isfinite(values).all():

@@ -179,13 +179,18 @@ def test_rows_are_averaged_and_runs_start_anew(tank: RigParameters) -> None:
         (lambda t: t.drop(columns="q"), "column q"),
         (lambda t: t.assign(q=t["q"].where(t.index != 5)), "sample 6"),
         (lambda t: t.iloc[::-1], "increas"),
-        (lambda t: t.iloc[:10], "10 samples"),
+        (lambda t: t.iloc[:10], "10 rows; allowed: 20 or more"),
         (lambda t: t.drop(columns="level"), "column level"),
     ],
 )
 def test_a_recording_that_does_not_fit_is_refused(change: Any, says: str, tank: RigParameters) -> None:
     with pytest.raises(InputError, match=says):
         dt.discover(change(emptying(0.5)), tank)
+
+
+def test_rows_that_one_sample_stands_for_are_counted(tank: RigParameters) -> None:
+    with pytest.raises(InputError, match=r"60 rows, 12 samples of 5 rows.*lower `every`"):
+        read_rig(emptying(0.5), tank.model_copy(update={"every": 5}))
 
 
 def test_engines_and_rigs_are_told_apart(tank: RigParameters) -> None:
