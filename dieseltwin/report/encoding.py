@@ -69,7 +69,7 @@ def _in_two(tasks: Sequence[Callable[[], T]]) -> list[T]:
     os.close(told)  # who finds the pipe empty is at the end of it
     context = get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_send, args=(sender, numbers, tasks), daemon=True)
+    process = context.Process(target=_send, args=(receiver, sender, numbers, tasks), daemon=True)
     process.start()
     sender.close()
     begun = time.perf_counter()
@@ -94,6 +94,8 @@ def _taken(numbers: int) -> Iterator[int]:
         yield number[0]
 
 
-def _send(sender: Connection, numbers: int, tasks: Sequence[Callable[[], Any]]) -> None:
-    sender.send({number: tasks[number]() for number in _taken(numbers)})
+def _send(receiver: Connection, sender: Connection, numbers: int, tasks: Sequence[Callable[[], Any]]) -> None:
+    receiver.close()  # else the fork of a process that was killed would wait for ever for itself to read
+    with suppress(BrokenPipeError):
+        sender.send({number: tasks[number]() for number in _taken(numbers)})
     sender.close()

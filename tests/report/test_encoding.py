@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -97,3 +101,26 @@ def test_a_process_with_another_thread_does_not_fork(monkeypatch: pytest.MonkeyP
     finally:
         over.set()
         other.join()
+
+
+KILLED_WHILE_DRAWING = """
+import os, signal, time
+from dieseltwin.report import encoding
+first = os.getpid()
+
+def draw():
+    if os.getpid() == first:
+        time.sleep(0.5)
+        os.kill(first, signal.SIGKILL)
+    return bytes(1_000_000)
+
+encoding._in_two([draw] * 4)
+"""
+"""More than a pipe holds, for a process that is gone."""
+
+
+def test_the_fork_of_a_process_that_is_killed_ends_too() -> None:
+    """It waited for ever for a reader, which it was itself, and held the standard streams that it had got."""
+    done = subprocess.run([sys.executable, "-c", KILLED_WHILE_DRAWING], capture_output=True, text=True, check=False,
+                          timeout=60, env={**os.environ, "DIESELTWIN_THREADS": "2"})  # fmt: skip
+    assert done.returncode == -signal.SIGKILL and not done.stderr
