@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shutil
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -41,6 +43,8 @@ _STEP_S = 430.0
 # Results of steps that nothing asked for within this time are removed.
 _UNUSED_S = 30 * 24 * 3600.0
 
+_END_S = 10.0  # after a signal; one to three are usual
+
 _ROOM_BYTES = 500_000_000  # data, models, cache and reports of the quick profile take about half of it
 
 
@@ -50,7 +54,7 @@ def launch(flow: Callable[..., Any], **parameters: Any) -> int:
     warnings.filterwarnings("ignore")
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
-    workers.stop_on(signal.SIGTERM, signal.SIGINT)
+    workers.stop_on(signal.SIGTERM, signal.SIGINT, then=_end_anyway)
     context = run_context.current()
     # A profile has its own run times.
     context.display.history = workspace.cache / f"expected_seconds-{parameters.get('profile', 'default')}.json"
@@ -69,6 +73,17 @@ def launch(flow: Callable[..., Any], **parameters: Any) -> int:
         # The signal's exception is lost where it meets a finaliser, and the steps then fail as their processes end.
         return _interrupted() if workers.stopping() else _failed(error, workspace)
     return 0
+
+
+def _end_anyway() -> None:
+    """End the process where what the signal raised doesn't; what is finished is in its place by then.
+
+    Raised while the first thread imports, it leaves Python's import lock taken for ever, and every thread that imports
+    anything waits for it: Prefect's own, which the flow's end waits for.
+    """
+    time.sleep(_END_S)
+    print(INTERRUPTED, file=sys.stderr, flush=True)
+    os._exit(INTERRUPTED_CODE)
 
 
 def _interrupted() -> int:

@@ -72,8 +72,8 @@ def _kill() -> None:
         worker.kill()
 
 
-def stop_on(*signals: signal.Signals) -> None:
-    """Stop the workers as soon as one of the signals comes, whoever handles it.
+def stop_on(*signals: signal.Signals, then: Callable[[], None] = lambda: None) -> None:
+    """Stop the workers as soon as one of the signals comes, whoever handles it; `then` is called after it.
 
     In a flow Prefect's handler of SIGTERM stands in the place of ours, and what it raises waits for the threads that
     wait for the workers. So a thread of our own hears of the signal by Python's pipe; the handlers end the process.
@@ -86,6 +86,7 @@ def stop_on(*signals: signal.Signals) -> None:
         while number := os.read(heard, 1):
             if number[0] in signals:
                 stop()
+                then()
 
     threading.Thread(target=listen, daemon=True).start()
 
