@@ -138,8 +138,9 @@ def _added(store: History, question: DrivingQuestion, day: Dated) -> str | None:
     """What a recording shows by itself, now in the history; None where its rows were there already."""
     if store.holds(day.recording.rows_sha256):
         return None
-    store.refuse_shared(sketch(day.recording), str(day.recording.path))
-    entry = _entry(question.answer(), day)
+    sketched = sketch(day.recording)
+    store.refuse_shared(sketched, str(day.recording.path))
+    entry = _entry(question.answer(), day, sketched)
     return entry.verdict if store.add(entry) else None
 
 
@@ -148,7 +149,7 @@ def judge(
 ) -> Entry:
     """What `watch` would add for one recording, without a history to add it to; arguments and errors as there."""
     question, day = _asked(Path(recording), engine, _learned(engine), channels, sensors)
-    return _entry(question.answer(), day)
+    return _entry(question.answer(), day, sketch(day.recording))
 
 
 def begun(folder: str | Path, engine: str | Path) -> History:
@@ -205,8 +206,8 @@ def _known_sha256(learned: LearnedEngine) -> str:
     return hashlib.sha256(belief.mean.tobytes() + belief.covariance.tobytes()).hexdigest()
 
 
-def _entry(found: DrivingDiscovered, day: Dated) -> Entry:
-    """A judged recording as a row of the history."""
+def _entry(found: DrivingDiscovered, day: Dated, sketched: str) -> Entry:
+    """A judged recording, and the sketch of its rows, as a row of the history."""
     seen, document, recording = found.found.observed, found.document, day.recording
     if seen is None:
         raise InputError(str(recording.path), "no fit with an interval", "one that the engine's maps explain",
@@ -218,5 +219,5 @@ def _entry(found: DrivingDiscovered, day: Dated) -> Entry:
         p_amb_pa=recording.p_amb_pa, t_amb_k=recording.t_amb_k, health=seen.health,
         health_covariance=seen.health_covariance, since=seen.since, since_std=seen.since_std, scores=seen.scores,
         verdict=" + ".join(effect.name for effect in document.effects) or "healthy", sentence=found.sentence,
-        rows_sha256=recording.rows_sha256, rows_sketch=sketch(recording),
+        rows_sha256=recording.rows_sha256, rows_sketch=sketched,
     )  # fmt: skip

@@ -116,8 +116,8 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
     """
     recording, rig = found.recording, found.repaired
     units, first = units_of(rig), found.rounds[0].found
-    begun, since = found.rounds[0].names if found.onset_s is not None else (), ""
-    if begun and document.location is not None:
+    since = ""
+    if found.begun and document.location is not None:
         since = f"Each as it would be {when_words(document.location)}."
     seconds = float(recording.time_s[-1] - recording.time_s[0])
     checked = recording.time_s[found.checked]
@@ -141,7 +141,7 @@ def rig_page(found: RigDiscovery, document: Discrepancy, words: str, machine: Ma
         about=f"{rig.name} · recording: {Path(recording.path).name} · {seconds:.4g} s · {len(rig.readings)} reading"
         f"{'' if len(rig.readings) == 1 else 's'}",
         headline=escape(words), alarm=document.mismatch,
-        findings=findings.findings(document, shares(found), findings.as_it_is, begun),
+        findings=findings.findings(document, shares(found), findings.as_it_is, found.begun),
         cards=law_cards(document, lambda effect: told(rig, effect)),
         tables=(findings.places(document), findings.levels(document, "parameter", units),
                 findings.fit(document, units)),

@@ -135,6 +135,11 @@ class RigDiscovery:
         return self.rounds[0].onset_s if self.taken else None
 
     @property
+    def begun(self) -> tuple[str, ...]:
+        """Names of what is so since the onset; none where there is no onset."""
+        return () if self.onset_s is None else self.rounds[0].names
+
+    @property
     def checked(self) -> slice:
         """The rows that judged what was found."""
         return checked_rows(self.recording, self.options.search.checked_share, self.onset_s)

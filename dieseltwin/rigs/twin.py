@@ -79,19 +79,22 @@ class RigTwin(SimpleTwin):
         rig: its laws are part of the twin, its terms free parameters.
         recording: what was recorded; a reading that is absent counts as missing.
         window_s: of a fit [s]; None for one run.
-        since_s: all effects that are looked for act since then [s]; None: always.
+
+    Attributes:
+        misfit: (C,) size that counts as noise [units of the readings]; see `about`.
+        since_s: all effects that are looked for act since then [s]; None: always. See `since`.
     """
 
     exact_responses = True  # integrated with steps far below what any force changes in
     strained = True  # without its friction an axis is fitted with twice its mass
 
-    def __init__(self, rig: RigParameters, recording: RigRecording, window_s: float | None = None,
-                 since_s: float | None = None) -> None:  # fmt: skip
+    def __init__(self, rig: RigParameters, recording: RigRecording, window_s: float | None = None) -> None:
         none = np.full(len(recording.time_s), np.nan)
         measured = np.stack([recording.readings.get(name, none) for name in rig.readings], axis=1)
         self._laws: dict[str, list[LawTerm]] = {}
         super().__init__(model_of(rig), recording.time_s, recording.inputs, measured, window_s)
-        self.rig, self.recording, self.window_s, self.since_s = rig, recording, window_s, since_s
+        self.rig, self.recording, self.window_s = rig, recording, window_s
+        self.since_s: float | None = None
         self._begun = {len(rig.parameters) + k: term for k, term in enumerate(rig.terms) if term.onset_s is not None}
         self.floors = np.array([rig.floors.get(name, 0.0) for name in rig.readings])
         self.misfit = np.maximum(np.nanstd(np.diff(measured, axis=0), axis=0), self.floors)
@@ -103,14 +106,15 @@ class RigTwin(SimpleTwin):
 
     def about(self, residual: Array) -> RigTwin:
         """The same twin with the size of its misfit as a fit left it: residual (n, C) [units of the readings]."""
-        twin = RigTwin(self.rig, self.recording, self.window_s, self.since_s)
+        twin = copy(self)
+        twin._begins = None  # its runs are no continuation of this one's
         share = np.isfinite(residual).sum() / independent(residual, self.starts, len(self.states))
         size = np.sqrt(np.nanmean(residual**2, axis=0) * max(share, 1.0))
         twin.misfit = np.maximum(size, self.floors)
         return twin
 
-    def since(self, onset_s: float | None) -> RigTwin:
-        """The same twin, in which all effects that are looked for begin at a time [s]; None: always there."""
+    def since(self, onset_s: float) -> RigTwin:
+        """The same twin, in which all effects that are looked for begin at a time [s]."""
         twin = copy(self)
         twin.since_s = onset_s
         return twin

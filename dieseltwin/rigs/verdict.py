@@ -169,8 +169,7 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
                 told.append(f"none of the known effects: {e.law}")
             continue
         apart = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
-        begun = e.name in result.rounds[0].names and result.onset_s is not None
-        when = f" {when_words(found.location)}" if begun else ""
+        when = f" {when_words(found.location)}" if e.name in result.begun else ""
         size = f"{e.magnitude:.4g}{'' if e.std is None else f' ± {e.std:.2g}'} {e.unit}"
         told.append(f"{e.name} {size} ({e.law}){when}{apart}")
     judged = [item for item in result.taken if item.after.size]

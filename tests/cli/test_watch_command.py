@@ -69,7 +69,7 @@ def test_recordings_of_one_name_in_two_folders_keep_their_own_verdicts(tmp_path:
         return SimpleNamespace(answer=lambda: judged[path]), SimpleNamespace(recording=recording)
 
     monkeypatch.setattr("dieseltwin.api.watch._asked", asked)
-    monkeypatch.setattr("dieseltwin.api.watch._entry", lambda answer, day: answer)
+    monkeypatch.setattr("dieseltwin.api.watch._entry", lambda answer, day, sketched: answer)
     monday, tuesday = dt.watch(list(judged), learned_file(tmp_path), tmp_path / "history").lines()[:2]
     assert monday.endswith("monday/drive.csv: added, healthy by itself")
     assert tuesday.endswith("tuesday/drive.csv: added, boost_leak by itself")
