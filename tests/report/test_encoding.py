@@ -104,14 +104,15 @@ def test_a_process_with_another_thread_does_not_fork(monkeypatch: pytest.MonkeyP
 
 
 KILLED_WHILE_DRAWING = """
-import os, signal, time
+import os, signal
 from dieseltwin.report import encoding
-first = os.getpid()
+first, (begun, begin) = os.getpid(), os.pipe()
 
 def draw():
     if os.getpid() == first:
-        time.sleep(0.5)
+        os.write(begin, bytes(4))
         os.kill(first, signal.SIGKILL)
+    os.read(begun, 1)  # else the fork might take all before the first process has taken one
     return bytes(1_000_000)
 
 encoding._in_two([draw] * 4)
