@@ -16,7 +16,7 @@ from dieseltwin.calibration.lasting_errors import sensor_errors, with_lasting_er
 from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.outlying import without_slips
 from dieseltwin.calibration.steady_model import EXTRA_ROWS, MAP_MODE, ROWS, SENSOR_ERROR, SteadyModel, term_values
-from dieseltwin.engine.parameters import EngineParameters
+from dieseltwin.engine.parameters import EngineParameters, validated
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.recordings.steady_points import JUDGED, SteadyPoints
@@ -117,7 +117,7 @@ def read_geometry(path: str | Path, base: EngineParameters) -> EngineParameters:
     """The base engine with the geometry of a YAML file: bore_mm, stroke_mm or displacement_l, and any engine parameter.
 
     Raises:
-        InputError: unknown name, bore without stroke, or a value out of range.
+        InputError: unknown name, bore without stroke, the displacement twice, or a value out of range.
     """
     content = read_mapping(path)
     known = [*GEOMETRY, *EngineParameters.model_fields]
@@ -136,12 +136,18 @@ def read_geometry(path: str | Path, base: EngineParameters) -> EngineParameters:
                 raise InputError(f"{path}: {name}", numbers[name], "a number above 0", "change this value")
     if ("bore_mm" in numbers) != ("stroke_mm" in numbers):
         raise InputError(str(path), "bore or stroke alone", "both, or displacement_l", "add the other one")
+    sizes = {"bore_mm and stroke_mm": "bore_mm" in numbers, "displacement_l": "displacement_l" in numbers,
+             "V_d": "V_d" in changes}  # fmt: skip
+    if sum(sizes.values()) > 1:
+        given = " beside ".join(name for name, there in sizes.items() if there)
+        raise InputError(str(path), given, "the displacement once", "leave all but one of them out")
+    engine = validated({**base.model_dump(), **changes}, source=str(path))
     if "bore_mm" in numbers:
-        cylinders = int(changes.get("n_cyl", base.n_cyl))
-        changes["V_d"] = np.pi / 4.0 * (numbers["bore_mm"] / 1e3) ** 2 * (numbers["stroke_mm"] / 1e3) * cylinders
-    elif "displacement_l" in numbers:
-        changes["V_d"] = numbers["displacement_l"] / 1e3
-    return base.replace(**changes)
+        cylinder_m3 = np.pi / 4.0 * (numbers["bore_mm"] / 1e3) ** 2 * (numbers["stroke_mm"] / 1e3)
+        return validated({**engine.model_dump(), "V_d": cylinder_m3 * engine.n_cyl}, f"{path}: bore_mm, stroke_mm")
+    if "displacement_l" in numbers:
+        return validated({**engine.model_dump(), "V_d": numbers["displacement_l"] / 1e3}, f"{path}: displacement_l")
+    return engine
 
 
 def split(points: SteadyPoints, seed: int = 0) -> NDArray[np.bool_]:
@@ -178,8 +184,8 @@ def calibrate(
         InputError: too few points or swapped columns.
     """
     geometry = geometry or base
-    points = check_points(points, where)
-    valves = actuators(points)
+    points = check_points(points, where, geometry.n_cyl)
+    valves = actuators(points, geometry.n_cyl)
     read = [Note(note, "reading") for note in points.notes]
     points, turned = _turned(points, valves)
     notes = [*read, *turned]

@@ -52,8 +52,11 @@ class Actuator:
         return f"{span}: {way} with rising position ({self.significance:.0f} standard deviations)"
 
 
-def check_points(points: SteadyPoints, where: str) -> SteadyPoints:
+def check_points(points: SteadyPoints, where: str, cylinders: int = 6) -> SteadyPoints:
     """Refuse what can't be calibrated from; drop copies and rows that lack more than one reading.
+
+    Args:
+        points: as read; where: name for messages; cylinders: how many the engine has.
 
     Raises:
         InputError: too few points, columns that are swapped.
@@ -68,17 +71,17 @@ def check_points(points: SteadyPoints, where: str) -> SteadyPoints:
     if points.size < FEWEST_POINTS:
         raise InputError(where, f"{points.size} usable points", f"at least {FEWEST_POINTS}; 60 or more to tell "
                          "the maps' coefficients", "measure more points over speed, load, EGR and VGT")
-    _swapped(points, where)
+    _swapped(points, where, cylinders)
     return points
 
 
-def _swapped(points: SteadyPoints, where: str) -> None:
+def _swapped(points: SteadyPoints, where: str, cylinders: int) -> None:
     p_im, p_em, omega, W_c, W_egr, _ = points.states().T
     p_0, T_em = points["p_amb_pa"], points["t_em_k"]
     if np.nanmedian(W_egr) > 0.0 and np.nanmean((p_em < p_im) & (W_egr > 0.05 * W_c)) > 0.5:
         raise InputError(f"{where}: columns p_im_pa and p_em_pa", "p_em below p_im while EGR flows in most points",
                          "p_em above p_im where EGR flows", "are the two columns swapped?")
-    W_f = 1e-6 / 120.0 * points["u_delta_mg"] * points["n_e_rpm"] * 6
+    W_f = _fuel_flow(points, cylinders)
     if np.nanmedian(W_c / (W_f * STOICHIOMETRIC)) < 0.9 and np.nanmedian(W_egr / W_c) > 1.0:
         raise InputError(f"{where}: columns w_c_kg_s and w_egr_kg_s", "less air than the fuel needs, more EGR than air",
                          "lambda above 1", "are the two columns swapped?")
@@ -93,7 +96,7 @@ def _swapped(points: SteadyPoints, where: str) -> None:
     if good.sum() > FEWEST_POINTS // 2 and _rank_correlation(omega[good], expected[good]) < 0.0:
         raise InputError(f"{where}: column omega_t_rad_s", "a turbo that runs slower the more it boosts",
                          "speed rising with boost", "is another column under this name?")
-    egr, vgt = conductances(points)
+    egr, vgt = conductances(points, cylinders)
     own = _explained(egr, points["u_egr_pct"]) + _explained(vgt, points["u_vgt_pct"])
     crossed = _explained(egr, points["u_vgt_pct"]) + _explained(vgt, points["u_egr_pct"])
     if crossed > own + 0.5 and crossed > 1.0:
@@ -102,13 +105,18 @@ def _swapped(points: SteadyPoints, where: str) -> None:
                          "way round", "each its own", "are the two columns swapped?")
 
 
-def conductances(points: SteadyPoints) -> tuple[Array, Array]:
+def _fuel_flow(points: SteadyPoints, cylinders: int) -> Array:
+    """Fuel into all cylinders, (n,) [kg/s], Eq. (A.5)."""
+    return 1e-6 / 120.0 * points["u_delta_mg"] * points["n_e_rpm"] * cylinders
+
+
+def conductances(points: SteadyPoints, cylinders: int = 6) -> tuple[Array, Array]:
     """Logarithm of the effective areas of the EGR valve and the turbine, up to constants, (n,) each.
 
     The pressure quotients are taken as those of plain nozzles; that is enough to see which way an actuator opens.
     """
     p_im, p_em, _, W_c, W_egr, T_em = points.states().T
-    W_f = 1e-6 / 120.0 * points["u_delta_mg"] * points["n_e_rpm"] * 6
+    W_f = _fuel_flow(points, cylinders)
     with np.errstate(invalid="ignore", divide="ignore"):
         drop = np.sqrt(np.clip(1.0 - p_im / p_em, 1e-4, 0.35))
         egr = np.log(np.maximum(W_egr, 1e-6) * np.sqrt(T_em) / (p_em * drop))
@@ -118,9 +126,9 @@ def conductances(points: SteadyPoints) -> tuple[Array, Array]:
     return np.where(shut, np.nan, egr), vgt
 
 
-def actuators(points: SteadyPoints) -> tuple[Actuator, Actuator]:
+def actuators(points: SteadyPoints, cylinders: int = 6) -> tuple[Actuator, Actuator]:
     """EGR valve and VGT: ranges, whether they move, which way they open."""
-    egr, vgt = conductances(points)
+    egr, vgt = conductances(points, cylinders)
     found = []
     for column, area in (("u_egr_pct", egr), ("u_vgt_pct", vgt)):
         u = points[column]

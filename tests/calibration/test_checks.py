@@ -9,7 +9,7 @@ import pytest
 
 from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate, read_geometry
-from dieseltwin.calibration.checks import actuators, check_points, egr_shut
+from dieseltwin.calibration.checks import actuators, check_points, conductances, egr_shut
 from dieseltwin.calibration.outlying import without_slips
 from dieseltwin.calibration.steady_model import ROWS, SteadyModel
 from dieseltwin.engine import we2011
@@ -148,6 +148,33 @@ def test_geometry_file(tmp_path: Path) -> None:
     file.write_text("bor_mm: 130\n")
     with pytest.raises(InputError, match="bore_mm"):
         read_geometry(file, we2011.PARAMETERS)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("bore_mm: 130\nstroke_mm: 162\nn_cyl: six\n", r"geometry\.yaml: engine parameter n_cyl: got 'six'"),
+     ("bore_mm: 130\nstroke_mm: 162\nn_cyl: -6\n", r"geometry\.yaml: engine parameter n_cyl: got -6"),
+     ("bore_mm: 130\nstroke_mm: 162\ndisplacement_l: 12.9\n", "got bore_mm and stroke_mm beside displacement_l"),
+     ("V_d: 0.0129\ndisplacement_l: 12.9\n", "got displacement_l beside V_d; allowed: the displacement once"),
+     ("bore_mm: 1300\nstroke_mm: 1620\n", r"geometry\.yaml: bore_mm, stroke_mm: engine parameter V_d: got 12.9")],
+)  # fmt: skip
+def test_a_geometry_that_cannot_be_is_refused_by_what_was_typed(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "geometry.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_geometry(file, we2011.PARAMETERS)
+
+
+def test_the_fuel_is_that_of_all_cylinders(few: SteadyPoints) -> None:
+    """Air flow and EGR flow in each other's column: four cylinders burn two thirds of what six do of one injection."""
+    four, six = (conductances(few, cylinders)[1] for cylinders in (4, 6))
+    fuel = 1e-6 / 120.0 * few["u_delta_mg"] * few["n_e_rpm"]
+    assert np.exp(six - four) == pytest.approx((few["w_c_kg_s"] + 6.0 * fuel) / (few["w_c_kg_s"] + 4.0 * fuel))
+    little = few.with_columns(w_c_kg_s=few["w_egr_kg_s"], w_egr_kg_s=few["w_c_kg_s"])
+    scarce = np.median(little["w_c_kg_s"] / (14.57 * fuel))  # cylinders that this air would do for
+    check_points(little, "points.csv", int(scarce))
+    with pytest.raises(InputError, match="w_c_kg_s and w_egr_kg_s"):
+        check_points(little, "points.csv", int(scarce) + 2)
 
 
 def test_infinite_cells_count_as_missing_and_are_said(few: SteadyPoints) -> None:
