@@ -45,11 +45,13 @@ def watch(profile: str, folder: str, engine: str, history: str) -> list[str]:
         for name, recording in arrived.new.items()
     }
     found, refused = discover.gathered(pending)
+    refused, growing = steps.parted(refused)
+    left = {**arrived.left, **growing}
     batch = steps.add(found, engine, history, settings["watch"])
     refused = {**refused, **batch.refused}
-    if batch.added:
+    if batch.recordings:  # also where nothing is new: an earlier run may have been killed before it logged
         records.watched(batch, found, refused, settings)
-    steps.show(batch, [name for name in found if name not in {*batch.added, *batch.refused}], refused, arrived.left)
+    steps.show(batch, [name for name in found if name not in {*batch.added, *batch.refused}], refused, left)
     return list(batch.added)
 
 

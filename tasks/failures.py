@@ -51,3 +51,8 @@ class StepFailed(RuntimeError):
 
 class WorkerKilled(StepFailed):
     """A step's process was killed by a signal that isn't ours (out of memory, a ``kill``): worth another try."""
+
+
+class InputChanged(StepFailed):
+    """A file that a step was given was written to before the step was through: its result would be kept under the
+    contents from before."""

@@ -109,6 +109,11 @@ def log(name: str, *records: Record) -> None:
         tracker.log(experiment_id, record)
 
 
+def tracked(name: str, tag: str, value: str) -> frozenset[str]:
+    """Digests of the datasets of the runs of a flow that have a tag."""
+    return _tracker().datasets(experiment(name), tag, value)
+
+
 def identity(*parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 

@@ -6,28 +6,39 @@ from collections.abc import Mapping
 from typing import Any
 
 from tasks.failures import StepFailed
-from tasks.records import identity, log
+from tasks.records import identity, log, tracked
 from tasks.run_context import seconds_of
 from tasks.store import Artifact
-from tasks.tracking import Record, flat
+from tasks.tracking import Record, digest_of, flat
 from tasks.watch import Batch
+
+_HISTORY = "dieseltwin.history"
 
 
 def watched(
     batch: Batch, found: Mapping[str, Artifact], refused: Mapping[str, StepFailed], settings: Mapping[str, Any]
 ) -> None:
-    """Log a batch: what the history says after it, its page, the recordings that were added."""
-    added = {name: found[name] for name in batch.added}
-    hashes = sorted(artifact.sha256 for artifact in added.values())
+    """Log what a history says, its page, and the recordings of it that no earlier run shows.
+
+    Those of this batch are; and those of one that was killed, or had no database, after they were in the history.
+    """
+    tag = identity(batch.history)
+    shown = tracked("watch", _HISTORY, tag)
+    new = {sha256: name for sha256, name in batch.recordings.items() if digest_of(sha256) not in shown}
+    if not new:
+        return
+    named: dict[str, str] = {}
+    for sha256, name in new.items():
+        named[name if name not in named else f"{name} {digest_of(sha256)}"] = sha256
     record = Record(
-        f"{batch.history}: {len(added)} recordings",
-        identity("watch", batch.history, *hashes),
+        f"{batch.history}: {len(new)} recordings",
+        identity("watch", batch.history, *sorted(batch.recordings)),
         params={"history": batch.history} | flat(settings["watch"]),
-        metrics={**batch.figures, "added": float(len(added)), "refused": float(len(refused))},
+        metrics={**batch.figures, "added": float(len(new)), "refused": float(len(refused))},
         artifacts={} if batch.page is None else {batch.page.name: batch.page},
-        tags={"profile": settings["profile"]},
+        tags={"profile": settings["profile"], _HISTORY: tag},
         description=batch.sentence,
-        seconds=sum(seconds_of(artifact) for artifact in added.values()),
-        datasets={name: artifact.sha256 for name, artifact in added.items()},
+        seconds=sum(seconds_of(found[name]) for name in batch.added),
+        datasets=named,
     )
     log("watch", record)

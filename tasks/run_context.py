@@ -33,7 +33,7 @@ from tasks.fork_server import HEAVY
 from tasks.progress import Display
 from tasks.remembered import Remembered
 from tasks.sources import LIBRARY, LibrarySources, Sources, function_sources
-from tasks.store import RUNTIME, Artifact, Store
+from tasks.store import RUNTIME, Artifact, Store, check_inputs
 from tasks.workspace import PROJECT, Workspace
 
 # Set for processes whose terminal is not the user's (workers of a cluster): they print nothing.
@@ -275,12 +275,7 @@ def execute(
     found = context.store.find(step.name, key)
     if found is not None:
         return found
-    for name, artifact in inputs.items():
-        if not artifact.still_agrees():
-            raise StepFailed(
-                f"{step.name}: input {name} ({context.workspace.relative(artifact.path)}) changed while the run was on;"
-                " run again"
-            )
+    check_inputs(step.name, inputs, context.workspace.root)
     provenance = {
         "inputs": {name: artifact.to_dict(context.workspace.root) for name, artifact in inputs.items()},
         "parameters": dict(parameters),
@@ -293,8 +288,13 @@ def execute(
     started = time.perf_counter()
     try:
         with context.store.writing(step.name, key, provenance) as out:
-            cpu_s = _run_worker(step, context, key, out, inputs, parameters)
+            try:
+                cpu_s = _run_worker(step, context, key, out, inputs, parameters)
+            except StepFailed:
+                check_inputs(step.name, inputs, context.workspace.root)  # what is half written is no fault
+                raise
             seconds = time.perf_counter() - started
+            check_inputs(step.name, inputs, context.workspace.root)
             _check_code(step, context)
             (out / TIMING).parent.mkdir()
             (out / TIMING).write_text(

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from dieseltwin.paths import file_sha256
+from tasks.failures import InputChanged
 
 MANIFEST = "manifest.json"
 
@@ -63,6 +64,14 @@ class Artifact:
     def __truediv__(self, name: str) -> Artifact:
         """One file or folder inside, hashed by itself: who needs only that isn't disturbed by the others."""
         return Artifact.of(self.path / name)
+
+
+def check_inputs(step: str, inputs: Mapping[str, Artifact], root: Path) -> None:
+    """Raise ``InputChanged`` where an input is no longer what the key of a step's result says of it."""
+    for name, artifact in inputs.items():
+        if not artifact.still_agrees():
+            where = artifact.to_dict(root)["path"]
+            raise InputChanged(f"{step}: input {name} ({where}) changed while the run was on; run again")
 
 
 class Store:

@@ -138,6 +138,18 @@ class Tracker:
         with self._alone() if self.uri.startswith("sqlite") else nullcontext():
             return self._known(experiment_id, record.identity) or self._logged(experiment_id, record)
 
+    def datasets(self, experiment_id: str, tag: str, value: str) -> frozenset[str]:
+        """Digests (`digest_of`) of what the finished runs with that tag were made from."""
+        asked = f"tags.`{tag}` = '{value}' and attributes.status = 'FINISHED'"
+        digests: set[str] = set()
+        token: str | None = None
+        while True:
+            page = self.client.search_runs([experiment_id], asked, page_token=token)
+            digests |= {given.dataset.digest for run in page for given in run.inputs.dataset_inputs}
+            token = page.token
+            if not token:
+                return frozenset(digests)
+
     def _logged(self, experiment_id: str, record: Record, parent: str | None = None) -> str:
         ended = int(time.time() * 1000)
         tags = {"mlflow.runName": record.name, "mlflow.user": "dieseltwin", _IDENTITY: record.identity, **record.tags}
@@ -273,12 +285,16 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return result
 
 
+def digest_of(sha256: str) -> str:
+    """What MLflow keeps of a hash: its digests are at most 36 characters."""
+    return sha256[:12]
+
+
 def _dataset(name: str, sha256: str) -> Any:
     from mlflow.entities import Dataset, DatasetInput
 
-    # MLflow's digests are at most 36 characters
     source = json.dumps({"path": name, "sha256": sha256})
-    return DatasetInput(Dataset(name=name, digest=sha256[:12], source_type="local", source=source), tags=[])
+    return DatasetInput(Dataset(name=name, digest=digest_of(sha256), source_type="local", source=source), tags=[])
 
 
 def _text(value: Any) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tasks.failures import StepFailed
+from tasks.failures import InputChanged, StepFailed
 from tasks.run_context import Progress, current, step
 from tasks.store import Artifact
 
@@ -48,13 +48,14 @@ def watched(
 class Batch:
     """What one run of the flow added.
 
-    ``history``: its name; ``added``: recordings by name that weren't in it; ``sentence``: what it says now; ``page``:
-    file, None of a history without a recording; ``figures``: numbers for the tracker; ``refused``: recordings by name
-    that are in part one of the history.
+    ``history``: its name; ``added``: recordings by name that weren't in it; ``recordings``: all that it holds now,
+    sha256 of the file -> name; ``sentence``: what it says now; ``page``: file, None of a history without a recording;
+    ``figures``: numbers for the tracker; ``refused``: recordings by name that are in part one of the history.
     """
 
     history: str
     added: tuple[str, ...]
+    recordings: Mapping[str, str]
     sentence: str
     page: Path | None
     figures: Mapping[str, float]
@@ -139,6 +140,12 @@ def _age_s(path: Path) -> float:
     return max(now - (about.st_mtime if about.st_mtime <= now else about.st_ctime), 0.0)
 
 
+def parted(refused: Mapping[str, StepFailed]) -> tuple[dict[str, StepFailed], dict[str, str]]:
+    """What was refused for good, and what was written to while it was read, as `Arrived.left` says it."""
+    growing = {name: str(error) for name, error in refused.items() if isinstance(error, InputChanged)}
+    return {name: error for name, error in refused.items() if name not in growing}, growing
+
+
 def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapping[str, Any]) -> Batch:
     """Add entries to the history and write its page."""
     from dieseltwin.api.watch import as_it_stands, begun
@@ -159,7 +166,7 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
             refused[recording] = StepFailed(str(error), 2)
     state, name = as_it_stands(store, WatchConfig(**settings)), _name(Path(history).resolve())
     if not state.entries:
-        return Batch(name, (), state.sentence, None, {}, refused)
+        return Batch(name, (), {}, state.sentence, None, {}, refused)
     folder = state.save(current().workspace.reports / "watch" / name)
     last = state.entries[-1]
     figures = {
@@ -169,7 +176,8 @@ def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapp
         "hours": sum(entry.hours for entry in state.entries),
     }
     figures |= {f"{health}_since_reference": float(value) for health, value in zip(HEALTH, last.since, strict=True)}
-    return Batch(name, tuple(added), state.sentence, folder / PAGE, figures, refused)
+    held = {entry.sha256: entry.path for entry in state.entries}
+    return Batch(name, tuple(added), held, state.sentence, folder / PAGE, figures, refused)
 
 
 def _name(history: Path) -> str:

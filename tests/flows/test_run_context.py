@@ -19,6 +19,7 @@ import toy_library
 import toy_steps
 
 from tasks import run_context
+from tasks.failures import InputChanged
 from tasks.run_context import RunContext, StepFailed
 from tasks.store import Artifact
 from tasks.workspace import PROJECT
@@ -146,6 +147,27 @@ def test_a_result_is_not_stored_under_the_key_of_code_that_was_edited_meanwhile(
             with pytest.raises(StepFailed, match=r"^toy-sum: code of .* changed while the run was on; run again"):
                 running.result()
     assert bool(list(context.workspace.cache.glob("toy-sum/*"))) is stored
+
+
+@pytest.mark.parametrize("written", ["1.0\n2.0\n", "half a nu"])
+def test_an_input_that_is_written_to_meanwhile_is_neither_kept_nor_blamed(
+    context: RunContext, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str
+) -> None:
+    """A recording that is still being copied: what was read of it isn't what the key says, readable or not."""
+    folder, hold = tmp_path / "arriving", tmp_path / "hold"
+    folder.mkdir()
+    (folder / "numbers.txt").write_text("1.0\n")
+    given = Artifact.of(folder)
+    hold.touch()
+    monkeypatch.setenv("TOY_HOLD", str(hold))
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(toy_steps.total, numbers=given, scale=2.0)
+        wait_for(lambda: list(context.workspace.cache.glob("toy-sum/.partial-*/half.txt")))
+        (folder / "numbers.txt").write_text(written)
+        hold.unlink()
+        with pytest.raises(InputChanged, match=r"^toy-sum: input numbers \(arriving\) changed while the run was on"):
+            running.result()
+    assert not list(context.workspace.cache.glob("toy-sum/*"))
 
 
 def test_arrays_are_refused(context: RunContext) -> None:

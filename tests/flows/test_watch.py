@@ -13,11 +13,12 @@ import pytest
 import tiny_settings
 
 import dieseltwin as dt
+from dieseltwin.api.watch import begun
 from dieseltwin.errors import InputError
 from dieseltwin.learning.history import sketch, to_json
 from tasks import run_context
 from tasks import watch as steps
-from tasks.failures import StepFailed
+from tasks.failures import InputChanged, StepFailed
 from tasks.progress import Display
 from tasks.run_context import RunContext
 from tasks.settings import load_settings
@@ -146,6 +147,11 @@ def test_histories_in_folders_of_one_name_have_reports_of_their_own(fresh: Calla
     assert all(name.startswith("lorry_7-") for name in called[2:])
 
 
+def test_a_recording_that_grows_while_it_is_read_is_left_for_the_next_time() -> None:
+    grown, short = InputChanged("watched: input recording (a.csv) changed"), StepFailed("too short", 2)
+    assert steps.parted({"a.csv": grown, "b.csv": short}) == ({"b.csv": short}, {"a.csv": str(grown)})
+
+
 @pytest.mark.flow
 def test_a_batch_is_added_once_and_logged_once(
     prefect: None, fresh: Callable[[], None], tmp_path: Path
@@ -166,9 +172,20 @@ def test_a_batch_is_added_once_and_logged_once(
     (folder / "2026-02-01.csv").unlink()
     fresh()
     assert watch("tiny", str(folder), str(mine), str(history)) == []
-
     client = Tracker(Workspace(tmp_path)).client
     experiment = client.get_experiment_by_name("watch")
     run, = client.search_runs([experiment.experiment_id])
+
+    here, = dt.history(history).entries
+    later = replace(here, sha256="7" * 64, rows_sha256="8" * 64, rows_sketch="", date="2026-03-01T00:00:00+00:00")
+    begun(history, mine).add(later)  # as a run leaves it that is killed behind that
+    fresh()
+    assert watch("tiny", str(folder), str(mine), str(history)) == []
+    second, first = client.search_runs([experiment.experiment_id])
+    assert first.info.run_id == run.info.run_id
+    assert second.data.metrics["added"] == 1.0 and second.data.metrics["recordings"] == 2.0
+    given, = second.inputs.dataset_inputs
+    assert given.dataset.digest == later.sha256[:12]
+
     assert run.data.metrics["added"] == run.data.metrics["refused"] == run.data.metrics["recordings"] == 1.0
     assert run.data.metrics["alarm"] == 0.0 and run.data.params["history"] == "lorry_7"
