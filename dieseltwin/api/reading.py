@@ -196,7 +196,8 @@ def rig_recording(source: object, rig: RigParameters, *, all_readings: bool = Fa
     found = source if isinstance(source, RigRecording) else read_rig(source, rig)
     missing = [name for name in rig.readings if name not in found.readings]
     if all_readings and missing:
-        raise InputError(f"{found.path}: column {missing[0]}", "none", f"every reading of {rig.name}", "add it")
+        raise InputError(f"{found.path}: column {missing[0]}", "none, or no number in it",
+                         f"every reading of {rig.name}", "add it")
     return found
 
 

@@ -25,7 +25,7 @@ from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
 from dieseltwin.rigs.fitting import fitted
 from dieseltwin.rigs.parameters import RigParameters, save_rig
 from dieseltwin.rigs.recording import RigRecording
-from dieseltwin.rigs.simulate import simulate_rig
+from dieseltwin.rigs.simulate import run_error, simulate_rig
 from dieseltwin.rigs.twin import model_of
 from dieseltwin.rigs.verdict import LONG_STEPS, details, document, sentence
 from dieseltwin.sealed import sealed_json
@@ -36,6 +36,7 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+UNTOLD = 0.9  # of what was believed beforehand: a deviation that a recording left as wide
 OWNED = ("engine.yaml", "report.html", "report.pdf", "figures", "runtime.json", DETAILS, FILE_NAME)
 
 
@@ -153,16 +154,27 @@ class RigIdentified(Result):
     Attributes:
         engine: the rig with them.
         seconds: wall time.
+        off: column -> root mean square error of the fitted rig's free runs [unit of the reading].
     """
 
     engine: RigParameters
     seconds: float
+    off: Mapping[str, float]
 
     @property
     def sentence(self) -> str:
         rows = self.table()
         values = (f"{n} {m:.4g} ± {s:.2g}" for n, m, s in zip(rows.index, rows["mean"], rows["std"], strict=True))
         return f"{self.engine.name}: {', '.join(values)}."
+
+    def lines(self) -> list[str]:
+        off = ", ".join(f"{name} {size:.3g}" for name, size in self.off.items())
+        untold = [name for name, p in self.engine.parameters.items() if not (p.std or 0.0) <= UNTOLD * p.prior_std]
+        said = [self.sentence, f"error of free runs (rms): {off}"]
+        if untold:
+            said.append(f"note: this recording says next to nothing of {', '.join(untold)}: what stands there is what "
+                        "was believed before")
+        return said
 
     def table(self) -> pd.DataFrame:
         """One row a parameter or term: mean, standard deviation in the size of the misfit, unit."""
@@ -191,4 +203,6 @@ def identify_rig(recording: Source | RigRecording, rig: RigParameters) -> RigIde
     """
     began = time.perf_counter()
     source = rig_recording(recording, rig, all_readings=True)
-    return RigIdentified(fitted(rig, source)[0], time.perf_counter() - began)
+    found = fitted(rig, source)[0]
+    off = dict(zip(rig.readings, map(float, run_error(found, source)), strict=True))
+    return RigIdentified(found, time.perf_counter() - began, off)

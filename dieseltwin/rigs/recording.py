@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import TIME
-from dieseltwin.recordings.named_columns import Imported, named_columns
+from dieseltwin.recordings.named_columns import Imported, named_columns, numbers
 from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.settings.names import listed
 
@@ -27,7 +27,7 @@ class RigRecording:
     Attributes:
         time_s: (n,) ascending [s].
         inputs: column -> (n,), no gaps.
-        readings: column -> (n,), NaN where missing; columns that aren't there are left out.
+        readings: column -> (n,), NaN where missing; columns that aren't there, or are empty, are left out.
         path, sha256: where it comes from.
     """
 
@@ -48,14 +48,15 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
     """Read a recording of a rig, inputs averaged over the rows that one sample stands for.
 
     Raises:
-        InputError: a file that can't be read, a column that is missing, times that don't increase, gaps in an input.
+        InputError: a file that can't be read, a column that is missing or holds text, times that don't increase, an
+            input that isn't there in every row.
     """
     found, where, digest = named_columns(source)
-    columns = {name: np.asarray(pd.to_numeric(pd.Series(values), errors="coerce"), dtype=np.float64)
-               for name, values in found.items()}  # fmt: skip
+    asked = (TIME, *rig.inputs, *rig.readings)
+    columns = {name: numbers(name, found[name], where, needed=True) for name in asked if name in found}
     for name in (TIME, *rig.inputs):
         if name not in columns:
-            raise InputError(f"{where}: column {name}", f"none ({listed(list(columns))})", f"a column of {rig.name}",
+            raise InputError(f"{where}: column {name}", f"none ({listed(list(found))})", f"a column of {rig.name}",
                              "name the columns as the rig's file does")
     n = len(columns[TIME]) // rig.every * rig.every
     time_s = np.asarray(columns[TIME][:n : rig.every], dtype=np.float64)
@@ -63,12 +64,25 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
         rows = f"{len(columns[TIME])} rows" + (f", {len(time_s)} samples of {rig.every} rows" if rig.every > 1 else "")
         raise InputError(where, rows, f"{LEAST_ROWS} or more samples", "record longer" if rig.every == 1 else
                          f"record longer, or lower `every` of {rig.name}")  # fmt: skip
-    if not np.isfinite(time_s).all() or np.any(np.diff(time_s) <= 0.0):
-        raise InputError(f"{where}: column {TIME}", "times that don't all increase", "increasing ones", "sort the rows")
+    _refuse_disorder(columns[TIME], where)
     inputs = {name: columns[name][:n].reshape(-1, rig.every).mean(axis=1) for name in rig.inputs}
     for name, values in inputs.items():
         if not np.isfinite(values).all():
             raise InputError(f"{where}: column {name}, sample {int(np.flatnonzero(~np.isfinite(values))[0]) + 1}",
                              "no number", "a number in every row of an input", "fill in or drop this row")
-    readings = {name: columns[name][:n : rig.every].astype(np.float64) for name in rig.readings if name in columns}
+    readings = {name: columns[name][:n : rig.every] for name in rig.readings
+                if name in columns and np.isfinite(columns[name][:n : rig.every]).any()}  # fmt: skip
     return RigRecording(time_s, inputs, readings, where, digest)
+
+
+def _refuse_disorder(time_s: Array, where: str) -> None:
+    """Times (n,) of every row must be there and increase."""
+    missing = np.flatnonzero(~np.isfinite(time_s))
+    if missing.size:
+        raise InputError(f"{where}: column {TIME}, data row {missing[0] + 1}", "no number", "a time in every row",
+                         "fill in or drop this row")
+    back = np.flatnonzero(np.diff(time_s) <= 0.0)
+    if back.size:
+        row = int(back[0]) + 1
+        raise InputError(f"{where}: column {TIME}, data row {row + 1}", f"{time_s[row]:g} after {time_s[row - 1]:g}",
+                         "times that increase", "sort the rows, drop repeated ones, or give two recordings one by one")

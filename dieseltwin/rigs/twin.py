@@ -97,7 +97,10 @@ class RigTwin(SimpleTwin):
         self.since_s: float | None = None
         self._begun = {len(rig.parameters) + k: term for k, term in enumerate(rig.terms) if term.onset_s is not None}
         self.floors = np.array([rig.floors.get(name, 0.0) for name in rig.readings])
-        self.misfit = np.maximum(np.nanstd(np.diff(measured, axis=0), axis=0), self.floors)
+        steps = np.diff(measured, axis=0)
+        there = np.isfinite(steps).any(axis=0)  # a sensor that is absent has no noise
+        self.misfit = self.floors.copy()
+        self.misfit[there] = np.maximum(np.nanstd(steps[:, there], axis=0), self.floors[there])
         for law in rig.laws:
             placed = law.placed
             self._laws.setdefault(law.at, []).append(

@@ -178,7 +178,11 @@ def test_rows_are_averaged_and_runs_start_anew(tank: RigParameters) -> None:
     [
         (lambda t: t.drop(columns="q"), "column q"),
         (lambda t: t.assign(q=t["q"].where(t.index != 5)), "sample 6"),
-        (lambda t: t.iloc[::-1], "increas"),
+        (lambda t: t.iloc[::-1], r"column time_s, data row 2: got 5.8 after 5.9; allowed: times that increase"),
+        (lambda t: pd.concat([t, t]), r"data row 61: got 0 after 5.9.*two recordings one by one"),
+        (lambda t: t.assign(time_s=t["time_s"].where(t.index != 5)), r"column time_s, data row 6: got no number"),
+        (lambda t: t.assign(level=t["level"].astype(object).where(t.index != 5, "oops")), r"data row 6: got 'oops'"),
+        (lambda t: t.assign(level=np.nan), "column level: got none, or no number in it"),
         (lambda t: t.iloc[:10], "10 rows; allowed: 20 or more"),
         (lambda t: t.drop(columns="level"), "column level"),
     ],
@@ -186,6 +190,33 @@ def test_rows_are_averaged_and_runs_start_anew(tank: RigParameters) -> None:
 def test_a_recording_that_does_not_fit_is_refused(change: Any, says: str, tank: RigParameters) -> None:
     with pytest.raises(InputError, match=says):
         dt.discover(change(emptying(0.5)), tank)
+
+
+@pytest.mark.parametrize("change", [lambda t: t.drop(columns="level"), lambda t: t.assign(level=np.nan)])
+def test_a_machine_without_its_sensor_starts_where_its_file_says(change: Any, tank: RigParameters) -> None:
+    state = tank.states["h"].model_copy(update={"first": 3.0})
+    rig = tank.model_copy(update={"states": {"h": state}})
+    table = dt.simulate(change(emptying(0.5)), rig).table()
+    assert table["level"].to_numpy() == pytest.approx(3.0 * np.exp(-0.5 * table["time_s"]), rel=1e-3)
+
+
+def test_behind_a_gap_a_machine_starts_anew(tank: RigParameters) -> None:
+    """Inflow that nobody recorded: one straight line over the gap would be held against the parameters."""
+    second = emptying(0.5, 40).assign(time_s=lambda t: t["time_s"] + 60.0)
+    recording = read_rig(pd.concat([emptying(0.5, 40), second]), tank)
+    assert RigTwin(tank, recording, None).starts.tolist() == [0, 40]
+    assert run_error(tank, recording)[0] < 1e-3
+    found = dt.identify(pd.concat([emptying(0.4, 40), second.assign(level=emptying(0.4, 40)["level"])]), tank)
+    assert found.table().loc["k", "mean"] == pytest.approx(0.4, rel=1e-3)
+
+
+def test_what_a_recording_says_nothing_of_is_said(tank: RigParameters) -> None:
+    """An empty tank: what was believed before looked like a result."""
+    empty = emptying(0.5).assign(level=1e-3 * np.random.default_rng(0).standard_normal(60))
+    dull = dt.identify(empty, tank).lines()
+    assert dull[-1].startswith("note: this recording says next to nothing of k:")
+    good = dt.identify(emptying(0.4), tank)
+    assert len(good.lines()) == 2 and good.off["level"] < 1e-3
 
 
 def test_rows_that_one_sample_stands_for_are_counted(tank: RigParameters) -> None:

@@ -24,6 +24,8 @@ from dieseltwin.recordings.noise import Noise, estimate_noise
 Moment = Callable[[Any, Any, Any, "Insertion", Any], tuple[Any, ...]]
 LawTerm = Callable[[Mapping[str, Any]], Any]
 
+GAP = 10.0  # median steps: nobody knows what the inputs did meanwhile, and one step of an integration is far too long
+
 
 class Insertion:
     """What a twin's functions call at each named quantity: inserts signals and laws, and notes the value.
@@ -113,7 +115,8 @@ class SimpleTwin(TwinDefaults):
         time_s: (n,) sample times [s].
         inputs: name -> (n,).
         measured: (n, C), NaN where missing.
-        window_s: length of the windows [s]; None for one free run over the whole recording.
+        window_s: length of the windows [s]; None for one free run over the whole recording. A new one begins behind a
+            gap.
 
     Raises:
         InputError: shapes, names or times don't fit.
@@ -144,7 +147,9 @@ class SimpleTwin(TwinDefaults):
         self.conditions: Mapping[str, Array] = dict(self._inputs)
         self._points = {p.name: p for p in model.points}
         first_times = self.time_s[:1] if window_s is None else _edges(self.time_s, window_s)
-        self.starts = np.unique(np.searchsorted(self.time_s, first_times))
+        steps = np.diff(self.time_s)
+        behind_gaps = 1 + np.flatnonzero(steps > GAP * np.median(steps))
+        self.starts = np.union1d(np.searchsorted(self.time_s, first_times), behind_gaps)
         ends = np.append(self.starts[1:], n)
         longest = int(np.max(ends - self.starts))
         rows = self.starts[:, None] + np.arange(longest)
@@ -163,7 +168,8 @@ class SimpleTwin(TwinDefaults):
         for channel, state in self.model.nearest.items():
             values = self.measured[:, self.channels.index(channel)]
             present = np.flatnonzero(np.isfinite(values))
-            local[:, self.states.index(state)] = np.interp(self.starts, present, values[present])
+            if present.size:
+                local[:, self.states.index(state)] = np.interp(self.starts, present, values[present])
         return local
 
     def simulate(self, lanes: Lanes) -> Array:
