@@ -107,6 +107,7 @@ class Arrived:
 def arrived(folder: str, engine: str, history: str) -> Arrived:
     """What lies in a folder, each content once. Hidden files, as copying programs write first, are passed over."""
     from dieseltwin.api.watch import begun
+    from dieseltwin.errors import InputError
     from dieseltwin.recordings.importers.content import ENDINGS
 
     store, new, left = begun(history, engine), {}, {}
@@ -126,6 +127,11 @@ def arrived(folder: str, engine: str, history: str) -> Arrived:
             left[path.name] = f"can't be read: {error.strerror or error}"
             continue
         if store.holds(artifact.sha256):
+            continue
+        try:
+            store.refuse_taken_out([artifact.sha256], path.name)
+        except InputError as error:
+            left[path.name] = str(error).removeprefix(f"{path.name}: ")
             continue
         if (other := first.setdefault(artifact.sha256, path.name)) != path.name:
             left[path.name] = f"the same as {other}"

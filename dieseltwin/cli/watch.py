@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 watch_app = typer.Typer(help="The history of one engine: add recordings, see what has changed.", add_completion=False)
 
 HistoryFolder = Annotated[Path, typer.Option("--history", metavar="DIR", help="Folder of the engine's history.")]
+Which = Annotated[str, typer.Argument(metavar="RECORDING", help="Its name, date, hash (8 digits will do) or the file.")]
 Rate = Annotated[
     float | None,
     typer.Option("--alarms-per-year", metavar="X", help="False alarms an engine and year; else the settings'."),
@@ -88,6 +89,26 @@ def show_command(
     if out is not None:
         found.save(out)
         say([f"results: {out}"])
+
+
+@watch_app.command("remove")
+def remove_command(
+    recording: Which,
+    history: HistoryFolder,
+    reason: Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why; it stands on the page.")],
+) -> None:
+    """Take out a recording that was added by mistake; the evidence with it is said from then on."""
+    from dieseltwin.api.watch import remove
+
+    say(remove(history, recording, reason).lines())
+
+
+@watch_app.command("restore")
+def restore_command(recording: Which, history: HistoryFolder) -> None:
+    """Let a recording count again that was taken out."""
+    from dieseltwin.api.watch import restore
+
+    say(restore(history, recording).lines())
 
 
 def _settings(params: Path | None, profile: str, alarms_per_year: float | None) -> WatchConfig:

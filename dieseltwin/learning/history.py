@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -21,11 +21,9 @@ from typing import Any
 import numpy as np
 
 from dieseltwin.atomic import check_folder
-from dieseltwin.engine import MEASURED
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Array, Score
-from dieseltwin.recordings.channels import INPUTS
-from dieseltwin.recordings.reader import Recording
+from dieseltwin.learning.sketches import shared
 from dieseltwin.recordings.shared_rows import MOST_SHARED
 from dieseltwin.version import __version__
 
@@ -33,14 +31,17 @@ SCHEMA = 1
 FILE_NAME = "history.sqlite"
 _APPLICATION = 0x64_74_77_68  # "dtwh": what `PRAGMA application_id` of our files says
 _WAIT_S = 60.0
-_SKETCHED = 1024  # rows of a sketch: a tenth of what a history holds of a recording otherwise
-_LEAST_SHARED = 4  # of two sketches: one row may repeat by chance
-_LAST = b"\xff" * 8  # no hash is beyond
 _NEW = "keep a copy, and add the recordings to a new folder"
 _TABLES = (
     "CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT",
     "CREATE TABLE recordings (sha256 TEXT PRIMARY KEY, date TEXT NOT NULL, hours REAL NOT NULL, p_amb_pa REAL NOT NULL,"
     " t_amb_k REAL NOT NULL, verdict TEXT NOT NULL, row TEXT NOT NULL, checksum TEXT NOT NULL) STRICT",
+)
+
+
+_TAKEN_OUT = (  # made with the first recording that is taken out: most histories have none
+    "CREATE TABLE IF NOT EXISTS taken_out (sha256 TEXT PRIMARY KEY, row TEXT NOT NULL, day TEXT NOT NULL,"
+    " reason TEXT NOT NULL, checksum TEXT NOT NULL) STRICT"
 )
 
 
@@ -57,7 +58,7 @@ class Entry:
         scores: of every effect.
         verdict: names of what the recording shows by itself, "healthy" without any; sentence: the same in words.
         rows_sha256: of what is in the file, "" in histories from before it was kept.
-        rows_sketch: a sample of its rows, by which shared driving is noticed (`sketch`); "" likewise.
+        rows_sketch: a sample of its rows, by which shared driving is noticed (`sketches.sketch`); "" likewise.
     """
 
     sha256: str
@@ -81,6 +82,22 @@ class Entry:
     def moment(self) -> datetime:
         """The date."""
         return datetime.fromisoformat(self.date).astimezone(UTC)
+
+
+@dataclass(frozen=True)
+class TakenOut:
+    """A recording that was in the history and doesn't count any more.
+
+    Attributes:
+        entry: as it was added; day: when it was taken out (ISO 8601, UTC); reason: why, in the words of who did it.
+    """
+
+    entry: Entry
+    day: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.entry.path}, on {self.day[:10]}: {self.reason}"
 
 
 class History:
@@ -215,15 +232,62 @@ class History:
         if not self._begun():
             self._make()
             self._check()
-        row = to_json(entry)
-        columns = (entry.sha256, entry.date, entry.hours, entry.p_amb_pa, entry.t_amb_k, entry.verdict)
         with self._opened() as connection:
             if _holds(connection, entry.sha256) or (entry.rows_sha256 and _holds(connection, entry.rows_sha256)):
                 return False
+            _refuse_taken_out(connection, (entry.sha256, entry.rows_sha256), entry.path)
             self._refuse_shared(connection, entry.rows_sketch, entry.path)
-            values = (*columns, row, _checksum(row))
-            connection.execute("INSERT INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
+            _insert(connection, entry)
             return True
+
+    def refuse_taken_out(self, hashes: Iterable[str], where: str) -> None:
+        """Refuse a recording that was taken out, by the hash of a file or of its rows.
+
+        Raises:
+            InputError: it was, when, and why.
+        """
+        if self._begun():
+            with self._opened() as connection:
+                _refuse_taken_out(connection, hashes, where)
+
+    def take_out(self, sha256: str, reason: str) -> None:
+        """Let a recording count no more. It stays in the file, with the day and the reason."""
+        with self._opened() as connection:
+            row, = connection.execute("SELECT row FROM recordings WHERE sha256 = ?", (sha256,)).fetchone()
+            connection.execute(_TAKEN_OUT)
+            day = datetime.now(UTC).isoformat(timespec="seconds")
+            values = (sha256, row, day, reason, _checksum(row, day, reason))
+            connection.execute("INSERT INTO taken_out VALUES (?, ?, ?, ?, ?)", values)
+            connection.execute("DELETE FROM recordings WHERE sha256 = ?", (sha256,))
+
+    def put_back(self, taken: TakenOut) -> None:
+        """Let a recording count again.
+
+        Raises:
+            InputError: as `refuse_shared`: another one with its driving was added since.
+        """
+        with self._opened() as connection:
+            self._refuse_shared(connection, taken.entry.rows_sketch, taken.entry.path)
+            _insert(connection, taken.entry)
+            connection.execute("DELETE FROM taken_out WHERE sha256 = ?", (taken.entry.sha256,))
+
+    def taken_out(self) -> tuple[TakenOut, ...]:
+        """Recordings that were taken out, by the day of that.
+
+        Raises:
+            InputError: a row that isn't what was written.
+        """
+        if not self._begun():
+            return ()
+        with self._opened() as connection:
+            rows = _rows_taken_out(connection)
+        out = []
+        for sha256, row, day, reason, checksum in rows:
+            entry = from_json(row) if _checksum(row, day, reason) == checksum else None
+            if entry is None or entry.sha256 != sha256:
+                raise self._damaged(f"the row of {sha256[:12]}, taken out, is not as it was written")
+            out.append(TakenOut(entry, day, reason))
+        return tuple(out)
 
     def entries(self) -> tuple[Entry, ...]:
         """All recordings by date, whatever the order in which they were added.
@@ -249,31 +313,26 @@ def _holds(connection: sqlite3.Connection, sha256: str) -> bool:
     return connection.execute(asked, (sha256,)).fetchone() is not None
 
 
-def sketch(recording: Recording) -> str:
-    """The `_SKETCHED` smallest hashes of a recording's different rows, inputs and readings without the time: a random
-    sample of them that any two recordings draw alike."""
-    names = sorted({*INPUTS, *MEASURED} & set(recording.columns))
-    rows = np.column_stack([recording.columns[name] for name in names])
-    salt = hashlib.blake2b(" ".join(names).encode(), digest_size=16).digest()
-    hashes = {hashlib.blake2b(row.tobytes(), digest_size=8, salt=salt).digest() for row in rows}
-    return base64.b64encode(b"".join(sorted(hashes)[:_SKETCHED])).decode()
+def _insert(connection: sqlite3.Connection, entry: Entry) -> None:
+    row = to_json(entry)
+    values = (entry.sha256, entry.date, entry.hours, entry.p_amb_pa, entry.t_amb_k, entry.verdict, row, _checksum(row))
+    connection.execute("INSERT INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?, ?)", values)
 
 
-def shared(one: str, other: str) -> float:
-    """About which share of the rows of the shorter of two sketched recordings is in the other, 0-1; 0 where too few
-    are compared to tell."""
-    first, second = _hashes(one), _hashes(other)
-    if not first or not second:
-        return 0.0
-    reach = min(max(hashes) if len(hashes) >= _SKETCHED else _LAST for hashes in (first, second))
-    first, second = ({value for value in hashes if value <= reach} for hashes in (first, second))
-    both = len(first & second)
-    return both / min(len(first), len(second)) if both >= _LEAST_SHARED else 0.0
+def _rows_taken_out(connection: sqlite3.Connection) -> list[tuple[str, str, str, str, str]]:
+    if connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'taken_out'").fetchone() is None:
+        return []
+    asked = "SELECT sha256, row, day, reason, checksum FROM taken_out ORDER BY day, sha256"
+    return connection.execute(asked).fetchall()
 
 
-def _hashes(text: str) -> set[bytes]:
-    raw = base64.b64decode(text)
-    return {raw[k : k + 8] for k in range(0, len(raw), 8)}
+def _refuse_taken_out(connection: sqlite3.Connection, hashes: Iterable[str], where: str) -> None:
+    asked = {sha256 for sha256 in hashes if sha256}
+    for _, row, day, reason, _ in _rows_taken_out(connection):
+        entry = from_json(row)
+        if entry is not None and asked & {entry.sha256, entry.rows_sha256}:
+            raise InputError(where, f"what was taken out of the history ({TakenOut(entry, day, reason)})",
+                             "other recordings", "leave it out, or let it count again: `dieseltwin watch restore`")
 
 
 def _text(raw: bytes) -> str:
@@ -281,8 +340,8 @@ def _text(raw: bytes) -> str:
     return raw.decode(errors="replace")
 
 
-def _checksum(row: str) -> str:
-    return hashlib.sha256(row.encode()).hexdigest()
+def _checksum(*parts: str) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def to_json(entry: Entry) -> str:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from dieseltwin.engine import HEALTH
 from dieseltwin.learning.alarm import Course
-from dieseltwin.learning.history import Entry
+from dieseltwin.learning.history import Entry, TakenOut
 from dieseltwin.notes import counted
 from dieseltwin.report import quantities, style
 from dieseltwin.report.discovery_words import magnitude_words, site_words
@@ -48,6 +48,16 @@ def sentence(entries: Sequence[Entry], course: Course, alarms_per_year: float) -
         f"then, {way} {alarm.since:{_DAY}}{perhaps}{alone}; {span}; {rate}. "
         "`dieseltwin discover` on these recordings together says what it is."
     )
+
+
+def without(taken_out: Sequence[TakenOut], with_them: Course) -> str:
+    """What was taken out of the history, what it would say with that, and for which the rate of false alarms holds."""
+    them = "it" if len(taken_out) == 1 else "them"
+    they = "it" if len(taken_out) == 1 else "they"
+    says = ", an alarm" if with_them.alarm is not None else ", no alarm"
+    return (f"Taken out: {'; '.join(map(str, taken_out))}. With {them} the evidence comes to "
+            f"{np.max(with_them.evidence):.2g} at most{says}. The rate of false alarms holds with {them}; without "
+            f"{them} only if what {they} showed was no reason to take {them} out.")  # fmt: skip
 
 
 def _days(first: datetime, last: datetime) -> str:
@@ -127,8 +137,8 @@ def _when(entries: Sequence[Entry], course: Course) -> tuple[list, list]:
     return dates, [] if course.alarm is None else [dates[course.alarm.at]]
 
 
-def page(entries: Sequence[Entry], course: Course, alarms_per_year: float) -> Page:
-    """What the page says."""
+def page(entries: Sequence[Entry], course: Course, said: str, taken_out: Sequence[TakenOut] = ()) -> Page:
+    """What the page says; `said` is its headline."""
     figures = [figure for figure in (health(entries, course), evidence(entries, course)) if figure is not None]
     hours = sum(entry.hours for entry in entries)
     dates = " or its ".join(sorted({entry.date_from for entry in entries}))
@@ -143,14 +153,23 @@ def page(entries: Sequence[Entry], course: Course, alarms_per_year: float) -> Pa
     return Page(
         title="Alarm: the engine has changed" if course.alarm else "No change but wear",
         about=f"{len(entries)} recordings · {hours:.3g} h of running engine",
-        headline=Markup(quantities.with_symbols(sentence(entries, course, alarms_per_year))),
+        headline=Markup(quantities.with_symbols(said)),
         alarm=course.alarm is not None,
         sections=(
             Section("course", "Since the reference", tuple(figures)),
             Section("recordings", "Recordings", words=words,
-                    tables=(Table(heads, rows, words=(0, 1, len(heads) - 1), long=(len(heads) - 1,)),)),
+                    tables=(Table(heads, rows, words=(0, 1, len(heads) - 1), long=(len(heads) - 1,)),
+                            *_gone(taken_out))),
         ),
     )  # fmt: skip
+
+
+def _gone(taken_out: Sequence[TakenOut]) -> tuple[Table, ...]:
+    """What doesn't count any more, and why; no table without any."""
+    rows = [(f"{out.entry.moment:{_DAY}}", out.entry.path, out.day[:10], out.reason, out.entry.verdict)
+            for out in taken_out]  # fmt: skip
+    heads = ("date", "recording", "taken out", "reason", "by itself")
+    return (Table(heads, rows, words=(0, 1, 2, 3, 4), long=(3, 4), title="Taken out"),) if rows else ()
 
 
 def _changes(entry: Entry) -> list[str]:

@@ -13,9 +13,10 @@ import pytest
 import tiny_settings
 
 import dieseltwin as dt
-from dieseltwin.api.watch import begun
+from dieseltwin.api.watch import begun, remove
 from dieseltwin.errors import InputError
-from dieseltwin.learning.history import sketch, to_json
+from dieseltwin.learning.history import to_json
+from dieseltwin.learning.sketches import sketch
 from tasks import run_context
 from tasks import watch as steps
 from tasks.failures import InputChanged, StepFailed
@@ -65,6 +66,17 @@ def test_what_is_new_is_what_the_history_does_not_hold(tmp_path: Path) -> None:
     assert found.left.keys() == {"2026-02-01.csv", "notes.pdf", copy.name}  # and each says why
     assert "s after the last change" in found.left["2026-02-01.csv"] and "ending .pdf" in found.left["notes.pdf"]
     assert found.left[copy.name] == "the same as 2026-01-01.csv"
+
+
+def test_what_was_taken_out_of_the_history_is_left(tmp_path: Path) -> None:
+    mine, history = learned_file(tmp_path), tmp_path / "history"
+    arrived(tmp_path / "in", "2026-01-01.csv", 20.0)
+    sha256 = Artifact.of(tmp_path / "in" / "2026-01-01.csv").sha256
+    begun(history, mine).add(replace(entry(0), sha256=sha256))
+    remove(history, tmp_path / "in" / "2026-01-01.csv", "the wrong lorry")
+    found = steps.arrived(str(tmp_path / "in"), str(mine), str(history))
+    assert not found.new
+    assert found.left["2026-01-01.csv"].startswith("got what was taken out of the history (0.csv, on ")
 
 
 def test_a_recording_whose_clock_is_ahead_is_taken_once_it_has_lain(

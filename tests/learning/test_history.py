@@ -14,7 +14,8 @@ import pytest
 
 from dieseltwin.errors import InputError
 from dieseltwin.learning.alarm import Alarm, Course, Score
-from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, shared, sketch, to_json
+from dieseltwin.learning.history import FILE_NAME, Entry, History, from_json, to_json
+from dieseltwin.learning.sketches import shared, sketch
 from dieseltwin.recordings.channels import INPUTS
 from dieseltwin.recordings.reader import Recording
 from dieseltwin.report.history import sentence
@@ -201,3 +202,28 @@ def test_an_alarm_says_where_the_last_recording_by_itself_says_another_name() ->
         assert f"by then, growing since {first} (at the earliest {first}, at the latest {second})" in words
     sure = replace(told, alarm=replace(alarm, latest=alarm.earliest))
     assert "at the latest" not in sentence(entries, sure, 0.02)
+
+
+def test_what_is_taken_out_counts_no_more_is_kept_and_comes_back(tmp_path: Path) -> None:
+    store = History(tmp_path, ENGINE)
+    half, whole = (replace(entry(k), rows_sketch=sketch(driving(1, 600 - 300 * (1 - k)))) for k in (0, 1))
+    store.add(half)
+    with pytest.raises(InputError, match=r"driving of 0\.csv in the history"):
+        store.add(whole)
+    store.take_out(half.sha256, "half copied")
+    assert store.add(whole) and [e.path for e in store.entries()] == ["1.csv"]
+    taken, = History(tmp_path).taken_out()
+    assert to_json(taken.entry) == to_json(half) and str(taken).endswith(": half copied")
+    assert not store.holds(half.sha256)
+    with pytest.raises(InputError, match=r"taken out of the history \(0.csv, on 20..-..-..: half copied\)"):
+        store.add(half)
+    with pytest.raises(InputError, match=r"driving of 1\.csv in the history"):
+        store.put_back(taken)
+    store.take_out(whole.sha256, "once more")
+    store.put_back(taken)
+    assert [e.path for e in store.entries()] == ["0.csv"] and [t.entry.path for t in store.taken_out()] == ["1.csv"]
+    with sqlite3.connect(tmp_path / FILE_NAME) as connection:
+        connection.execute("UPDATE taken_out SET reason = 'of no interest'")
+    connection.close()
+    with pytest.raises(InputError, match="taken out, is not as it was written"):
+        store.taken_out()
