@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.discovery import discover as discover
     from dieseltwin.api.engines import engine as engine
     from dieseltwin.api.export import export as export
+    from dieseltwin.api.histories import history as history
     from dieseltwin.api.identification import Setup as Setup
     from dieseltwin.api.identification import identify as identify
     from dieseltwin.api.learning import learn as learn
@@ -32,7 +33,6 @@ if TYPE_CHECKING:  # for type checkers and editors; at run time `__getattr__` fe
     from dieseltwin.api.reading import read as read
     from dieseltwin.api.simulation import simulate as simulate
     from dieseltwin.api.versions import show_versions as show_versions
-    from dieseltwin.api.watch import history as history
     from dieseltwin.api.watch import watch as watch
 
 # Name -> module of `dieseltwin.api` that holds it. Loaded when first used: `import dieseltwin` loads no numpy.
@@ -43,7 +43,7 @@ _ROOMS = {
     "dataset": "reading",
     "discover": "discovery",
     "export": "export",
-    "history": "watch",
+    "history": "histories",
     "identify": "identification",
     "imply": "points",
     "learn": "learning",

@@ -154,7 +154,8 @@ def parted(refused: Mapping[str, StepFailed]) -> tuple[dict[str, StepFailed], di
 
 def add(found: Mapping[str, Artifact], engine: str, history: str, settings: Mapping[str, Any]) -> Batch:
     """Add entries to the history and write its page."""
-    from dieseltwin.api.watch import as_it_stands, begun
+    from dieseltwin.api.histories import as_it_stands
+    from dieseltwin.api.watch import begun
     from dieseltwin.engine import HEALTH
     from dieseltwin.errors import InputError
     from dieseltwin.learning.history import from_json

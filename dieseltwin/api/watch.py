@@ -4,93 +4,23 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import pandas as pd
 
 from dieseltwin.api.driving import DrivingDiscovered, DrivingQuestion, ask
 from dieseltwin.api.engines import NAMED, diesel_engine
 from dieseltwin.api.findings import Asked
+from dieseltwin.api.histories import Watched, as_it_stands
 from dieseltwin.api.reading import Channels, several
-from dieseltwin.api.results import Result, drawn
-from dieseltwin.atomic import atomic_folder
 from dieseltwin.errors import InputError
-from dieseltwin.learning.alarm import Course, course
 from dieseltwin.learning.files import LearnedEngine, load_learned
-from dieseltwin.learning.history import Entry, History, TakenOut
+from dieseltwin.learning.history import Entry, History
 from dieseltwin.learning.sketches import sketch
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.dates import Dated, dated
 from dieseltwin.recordings.dates import date_in as date_in
 from dieseltwin.recordings.named_columns import import_columns
-from dieseltwin.report import history as pages
-from dieseltwin.report.page import write_page
-from dieseltwin.settings.names import listed
-from dieseltwin.settings.params import default_watch
 from dieseltwin.settings.watch import WatchConfig
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-PAGE, TABLE = "history.html", "history.csv"
-SHORTEST_HASH = 8  # digits of it that stand for a recording
-
-
-@dataclass(frozen=True, repr=False)
-class Watched(Result):
-    """The history of an engine.
-
-    Attributes:
-        entries: recordings by date.
-        course: evidence after each, and the alarm.
-        alarms_per_year: false alarms per engine and year, at most.
-        added: names of the recordings that were added now.
-        verdicts: of those, each by itself.
-        known: names of those that were there before.
-        refused: name -> why it can't be used.
-        taken_out: recordings that don't count any more, and why; course_with_them: evidence as if they did, None for
-            none of them.
-    """
-
-    entries: tuple[Entry, ...]
-    course: Course
-    alarms_per_year: float
-    added: tuple[str, ...] = ()
-    verdicts: tuple[str, ...] = ()
-    known: tuple[str, ...] = ()
-    refused: tuple[tuple[str, str], ...] = ()
-    taken_out: tuple[TakenOut, ...] = ()
-    course_with_them: Course | None = None
-
-    @property
-    def sentence(self) -> str:
-        said = pages.sentence(self.entries, self.course, self.alarms_per_year)
-        if self.course_with_them is None:
-            return said
-        return f"{said} {pages.without(self.taken_out, self.course_with_them)}"
-
-    def table(self) -> pd.DataFrame:
-        """One row a recording: date, name, hours, ambient, health since the reference, evidence, verdict."""
-        return pages.table(self.entries, self.course)
-
-    def plot(self, name: str | None = None) -> Figure:
-        """`health`: health parameters since the reference; `evidence`: that something else has changed."""
-        return drawn(self, {"health": lambda self: pages.health(self.entries, self.course),
-                            "evidence": lambda self: pages.evidence(self.entries, self.course)}, name)  # fmt: skip
-
-    def save(self, out: str | Path) -> Path:
-        """Write history.html and history.csv."""
-        with atomic_folder(out) as folder:
-            self.table().to_csv(folder / TABLE, index=False, lineterminator="\n")
-            write_page(pages.page(self.entries, self.course, self.sentence, self.taken_out), folder / PAGE)
-        return Path(out)
-
-    def lines(self) -> list[str]:
-        told = [f"{name}: added, {said} by itself" for name, said in zip(self.added, self.verdicts, strict=True)]
-        told += [f"{name}: was there already" for name in self.known]
-        return [*told, *(f"{name}: not added: {why}" for name, why in self.refused), self.sentence]
 
 
 def watch(
@@ -172,77 +102,6 @@ def begun(folder: str | Path, engine: str | Path) -> History:
         InputError: an engine of which nothing was learned, a history of another engine, a damaged one.
     """
     return History(folder, _known_sha256(_learned(engine)))
-
-
-def history(folder: str | Path, *, settings: WatchConfig | None = None) -> Watched:
-    """The history of an engine as it stands.
-
-    Raises:
-        InputError: no history there, or a damaged one.
-    """
-    return as_it_stands(History(folder), settings)
-
-
-def remove(folder: str | Path, recording: str | Path, reason: str) -> Watched:
-    """Take a recording out of a history that was added by mistake.
-
-    It stays in the file with the day and the reason, and what the evidence is with it is said from then on: an alarm
-    can't be taken out unseen.
-
-    Args:
-        folder: of the history.
-        recording: its name, its date, the first digits of its hash, or the file itself.
-        reason: in a few words.
-
-    Raises:
-        InputError: no history, no such recording or several, no reason.
-    """
-    store = History(folder)
-    if not reason.strip():
-        raise InputError("--reason", "no word", "why the recording shouldn't count", "say it: it stands on the page")
-    store.take_out(_one(recording, store.entries(), "in the history").sha256, " ".join(reason.split()))
-    return history(folder)
-
-
-def restore(folder: str | Path, recording: str | Path) -> Watched:
-    """Let a recording count again that was taken out; arguments and errors as of `remove`."""
-    store = History(folder)
-    taken = {out.entry.sha256: out for out in store.taken_out()}
-    found = _one(recording, [out.entry for out in taken.values()], "taken out of the history")
-    store.put_back(taken[found.sha256])
-    return history(folder)
-
-
-def _one(recording: str | Path, entries: Sequence[Entry], where: str) -> Entry:
-    """The one entry that a name, a date, the beginning of a hash or a file stands for."""
-    text = str(recording)
-    sha256 = file_sha256(Path(text)) if Path(text).is_file() else ""
-    ways: list[Callable[[Entry], bool]] = [
-        lambda entry: entry.sha256 == sha256,
-        lambda entry: entry.path == Path(text).name,
-        lambda entry: len(text) >= SHORTEST_HASH and entry.sha256.startswith(text.lower()),
-        lambda entry: entry.date[:10] == text,
-    ]
-    found = next((some for way in ways if (some := [entry for entry in entries if way(entry)])), [])
-    if len(found) == 1:
-        return found[0]
-    shown = listed([f"{e.path} ({e.date[:10]}, {e.sha256[:SHORTEST_HASH]})" for e in found or entries]) or "none"
-    if found:
-        raise InputError(text, f"{len(found)} recordings {where}: {shown}", "one of them", "give its hash")
-    raise InputError(text, f"no recording {where}", shown, "give one by its name, its hash or as a file")
-
-
-def as_it_stands(store: History, settings: WatchConfig | None) -> Watched:
-    """What a history says, also one that holds no recording yet; arguments as of `watch`."""
-    settings = default_watch() if settings is None else settings
-    entries = store.entries()
-    found = course([entry.scores for entry in entries], [entry.moment for entry in entries], settings)
-    taken = store.taken_out()
-    every = sorted([*entries, *(out.entry for out in taken)], key=lambda entry: (entry.date, entry.sha256))
-    with_them = None
-    if taken:
-        with_them = course([entry.scores for entry in every], [entry.moment for entry in every], settings)
-    return Watched(entries, found, settings.alarms_per_year, taken_out=taken, course_with_them=with_them)
 
 
 def _learned(engine: str | Path) -> LearnedEngine:

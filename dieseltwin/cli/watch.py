@@ -82,7 +82,7 @@ def show_command(
     """Show the history: whether there is an alarm, and with --out a page with all trends."""
     if out is not None:
         check_folder(out)
-    from dieseltwin.api.watch import history as history_of
+    from dieseltwin.api.histories import history as history_of
 
     found = history_of(history, settings=_settings(params, profile, alarms_per_year))
     say(found.lines())
@@ -98,7 +98,7 @@ def remove_command(
     reason: Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why; it stands on the page.")],
 ) -> None:
     """Take out a recording that was added by mistake; the evidence with it is said from then on."""
-    from dieseltwin.api.watch import remove
+    from dieseltwin.api.histories import remove
 
     say(remove(history, recording, reason).lines())
 
@@ -106,7 +106,7 @@ def remove_command(
 @watch_app.command("restore")
 def restore_command(recording: Which, history: HistoryFolder) -> None:
     """Let a recording count again that was taken out."""
-    from dieseltwin.api.watch import restore
+    from dieseltwin.api.histories import restore
 
     say(restore(history, recording).lines())
 

@@ -56,7 +56,7 @@ def without(taken_out: Sequence[TakenOut], with_them: Course) -> str:
     they = "it" if len(taken_out) == 1 else "they"
     says = ", an alarm" if with_them.alarm is not None else ", no alarm"
     return (f"Taken out: {'; '.join(map(str, taken_out))}. With {them} the evidence comes to "
-            f"{np.max(with_them.evidence):.2g} at most{says}. The rate of false alarms holds with {them}; without "
+            f"{np.max(with_them.evidence):.3g} at most{says}. The rate of false alarms holds with {them}; without "
             f"{them} only if what {they} showed was no reason to take {them} out.")  # fmt: skip
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import dieseltwin as dt
-from dieseltwin.api.watch import begun, remove
+from dieseltwin.api.histories import remove
+from dieseltwin.api.watch import begun
 from dieseltwin.cli.app import main
 from dieseltwin.learning.history import FILE_NAME, Entry, History
 from dieseltwin.paths import file_sha256

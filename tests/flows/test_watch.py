@@ -13,7 +13,8 @@ import pytest
 import tiny_settings
 
 import dieseltwin as dt
-from dieseltwin.api.watch import begun, remove
+from dieseltwin.api.histories import remove
+from dieseltwin.api.watch import begun
 from dieseltwin.errors import InputError
 from dieseltwin.learning.history import to_json
 from dieseltwin.learning.sketches import sketch
