@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from numbers import Integral, Real
 from pathlib import Path
+from typing import Any
 
 from dieseltwin.api.engines import NAMED, PUBLISHED, Engine, diesel_engine, petrol_base
 from dieseltwin.api.petrol import PetrolCalibrated, calibrate_petrol
@@ -17,12 +20,14 @@ from dieseltwin.recordings.steady_points import SteadyPoints
 from dieseltwin.rigs.parameters import RigParameters, is_rig
 from dieseltwin.settings.names import refuse_options
 
+LARGEST_NOISE_PCT = 20.0
+
 
 def calibrate(
     points: Source | SteadyPoints | PetrolRecording,
     base: Engine | str | Path = PUBLISHED,
     *,
-    geometry: EngineParameters | str | Path | None = None,
+    geometry: EngineParameters | Mapping[str, Any] | str | Path | None = None,
     channels: Channels | None = None,
     noise_pct: float | None = None,
     seed: int = 0,
@@ -33,8 +38,8 @@ def calibrate(
         points: a file, a table or what `read` gave: steady points, or a recording whose quiet stretches stand for them;
             for a petrol engine a fault-free recording of ten minutes or more.
         base: engine to begin with: name, file or parameters.
-        geometry: of this diesel engine: a YAML file (bore_mm, stroke_mm or displacement_l, n_cyl, r_c, ...) or
-            parameters; the base's without it.
+        geometry: of this diesel engine: a YAML file or a mapping (bore_mm, stroke_mm or displacement_l, n_cyl, r_c,
+            ...) or parameters; the base's without it.
         channels: channel map for foreign names and units.
         noise_pct: standard deviation of every sensor [%].
         seed: of the held-out third.
@@ -51,6 +56,11 @@ def calibrate(
     if isinstance(points, PetrolRecording):
         raise InputError("points", "a petrol engine's recording", "points of a diesel engine, as the base is",
                          "name a petrol engine as base")
+    if noise_pct is not None and not (isinstance(noise_pct, Real) and 0.0 < noise_pct <= LARGEST_NOISE_PCT):
+        raise InputError("--noise", noise_pct, f"0 to {LARGEST_NOISE_PCT:g} %",
+                         "give the sensors' standard deviation in %")
+    if not isinstance(seed, Integral) or seed < 0:
+        raise InputError("--seed", repr(seed), "a whole number from 0 on", "choose another")
     return calibrate_points(points, first, geometry, channels, noise_pct, seed)
 
 
@@ -62,6 +72,9 @@ def base_engine(base: Engine | str | Path) -> EngineParameters | PetrolParameter
     """
     if isinstance(base, EngineParameters | PetrolParameters):
         return base
+    if not isinstance(base, RigParameters | str | Path):
+        raise InputError("base", f"a {type(base).__name__}", f"{', '.join(NAMED)}, an engine file or parameters",
+                         "give one of these")
     if isinstance(base, RigParameters) or (os.path.isfile(base) and is_rig(base)):
         name = base.name if isinstance(base, RigParameters) else base
         raise InputError("--base", f"{name}, a rig", "an engine", "use `dieseltwin identify` on a recording of it")

@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NEEDED = (*INPUTS, *SENSORS, "w_c_kg_s")
-LARGEST_NOISE_PCT = 20.0
 SHOWN = 5  # names of a round in the printed lines
 DECIDED = 0.5  # of a variance, from which beliefs are said to decide
 FAR = 3.0  # standard deviations of the inputs that the engine was calibrated with
@@ -130,7 +129,7 @@ class Calibrated(Result):
 def calibrate_points(
     points: Source | SteadyPoints,
     base: EngineParameters,
-    geometry: EngineParameters | str | Path | None,
+    geometry: EngineParameters | Mapping[str, Any] | str | Path | None,
     channels: Channels | None,
     noise_pct: float | None,
     seed: int,
@@ -140,10 +139,7 @@ def calibrate_points(
     Raises:
         InputError: files that can't be used, too few points, swapped columns.
     """
-    if noise_pct is not None and not 0.0 < noise_pct <= LARGEST_NOISE_PCT:
-        raise InputError("--noise", noise_pct, f"0 to {LARGEST_NOISE_PCT:g} %",
-                         "give the sensors' standard deviation in %")
-    shape = read_geometry(geometry, base) if isinstance(geometry, str | Path) else geometry or base
+    shape = base if geometry is None else read_geometry(geometry, base)
     source = settled_points(points, channels, shape, NEEDED)
     noise = None if noise_pct is None else {name: noise_pct / 100.0 for name in NOISE}
     began = time.perf_counter()
@@ -377,8 +373,11 @@ def imply(
 
 
 def _answers(engine: PointsDiscovered | str | Path) -> tuple[Answers, tuple[str, ...]]:
-    if not isinstance(engine, PointsDiscovered):
+    if isinstance(engine, str | Path):
         return load_answers(Path(engine))
+    if not isinstance(engine, PointsDiscovered):
+        raise InputError("engine", f"a {type(engine).__name__}", "what `discover` found on points, or its file",
+                         "run `dieseltwin discover POINTS --engine engine.yaml --out DIR` first")  # fmt: skip
     return engine.answers, tuple(a.column for a in engine.found.calibration.actuators if a.opens < 0)
 
 

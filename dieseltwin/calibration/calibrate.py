@@ -113,17 +113,25 @@ class Calibration:
         return {name: fit.tolerance for name, fit in self.fits.items()}
 
 
-def read_geometry(path: str | Path, base: EngineParameters) -> EngineParameters:
-    """The base engine with the geometry of a YAML file: bore_mm, stroke_mm or displacement_l, and any engine parameter.
+def read_geometry(
+    source: EngineParameters | Mapping[str, Any] | str | Path, base: EngineParameters
+) -> EngineParameters:
+    """The base engine with the geometry of a YAML file or mapping: bore_mm, stroke_mm or displacement_l, and any engine
+    parameter; parameters as they are.
 
     Raises:
-        InputError: unknown name, bore without stroke, the displacement twice, or a value out of range.
+        InputError: none of these, unknown name, bore without stroke, the displacement twice, or a value out of range.
     """
-    content = read_mapping(path)
+    if isinstance(source, EngineParameters):
+        return source
+    if not isinstance(source, str | Path | Mapping):
+        raise InputError("geometry", f"a {type(source).__name__}", "a YAML file, a mapping or parameters",
+                         'give one of these: {"displacement_l": 12.9, "n_cyl": 6}')  # fmt: skip
+    content, path = (source, "geometry") if isinstance(source, Mapping) else (read_mapping(source), str(source))
     known = [*GEOMETRY, *EngineParameters.model_fields]
     for name in content:
         if name not in known:
-            raise unknown_name(str(path), str(name), known)
+            raise unknown_name(path, str(name), known)
     changes = {name: value for name, value in content.items() if name not in GEOMETRY}
     numbers: dict[str, float] = {}
     for name in GEOMETRY:
@@ -135,13 +143,13 @@ def read_geometry(path: str | Path, base: EngineParameters) -> EngineParameters:
             if not numbers[name] > 0:
                 raise InputError(f"{path}: {name}", numbers[name], "a number above 0", "change this value")
     if ("bore_mm" in numbers) != ("stroke_mm" in numbers):
-        raise InputError(str(path), "bore or stroke alone", "both, or displacement_l", "add the other one")
+        raise InputError(path, "bore or stroke alone", "both, or displacement_l", "add the other one")
     sizes = {"bore_mm and stroke_mm": "bore_mm" in numbers, "displacement_l": "displacement_l" in numbers,
              "V_d": "V_d" in changes}  # fmt: skip
     if sum(sizes.values()) > 1:
         given = " beside ".join(name for name, there in sizes.items() if there)
-        raise InputError(str(path), given, "the displacement once", "leave all but one of them out")
-    engine = validated({**base.model_dump(), **changes}, source=str(path))
+        raise InputError(path, given, "the displacement once", "leave all but one of them out")
+    engine = validated({**base.model_dump(), **changes}, source=path)
     if "bore_mm" in numbers:
         cylinder_m3 = np.pi / 4.0 * (numbers["bore_mm"] / 1e3) ** 2 * (numbers["stroke_mm"] / 1e3)
         return validated({**engine.model_dump(), "V_d": cylinder_m3 * engine.n_cyl}, f"{path}: bore_mm, stroke_mm")

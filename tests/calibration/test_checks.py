@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
+import dieseltwin as dt
 from dieseltwin.calibration import calibrate as module
 from dieseltwin.calibration.calibrate import calibrate, read_geometry
 from dieseltwin.calibration.checks import actuators, check_points, conductances, egr_shut
@@ -163,6 +166,28 @@ def test_a_geometry_that_cannot_be_is_refused_by_what_was_typed(tmp_path: Path, 
     file.write_text(text)
     with pytest.raises(InputError, match=words):
         read_geometry(file, we2011.PARAMETERS)
+
+
+def test_a_geometry_may_be_a_mapping() -> None:
+    engine = read_geometry({"displacement_l": 4.4, "n_cyl": 4}, we2011.PARAMETERS)
+    assert (engine.V_d, engine.n_cyl) == (0.0044, 4)
+    with pytest.raises(InputError, match="geometry: engine parameter n_cyl: got 0"):
+        read_geometry({"displacement_l": 4.4, "n_cyl": 0}, we2011.PARAMETERS)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [(lambda frame: dt.calibrate(frame, geometry=3), "geometry: got a int; allowed: a YAML file, a mapping"),
+     (lambda frame: dt.calibrate(frame, 5), "base: got a int; allowed: we2011"),
+     (lambda frame: dt.calibrate(frame, ["we2011"]), "base: got a list"),
+     (lambda frame: dt.calibrate(frame, noise_pct="1"), "--noise: got 1; allowed: 0 to 20 %"),
+     (lambda frame: dt.calibrate(frame, seed=1.5), "--seed: got 1.5; allowed: a whole number"),
+     (lambda frame: dt.imply(frame, None), "engine: got a NoneType; allowed: what `discover` found"),
+     (lambda frame: dt.imply(frame, we2011.PARAMETERS), "engine: got a EngineParameters")],
+)  # fmt: skip
+def test_python_arguments_of_another_kind_are_refused(few: SteadyPoints, call: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        call(pd.DataFrame(dict(few.columns)))
 
 
 def test_the_fuel_is_that_of_all_cylinders(few: SteadyPoints) -> None:
