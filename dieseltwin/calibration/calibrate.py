@@ -30,6 +30,7 @@ STARTS = 3  # of every submodel, besides the base engine's values
 START_SPREAD = 0.7  # prior standard deviations
 HELD_OUT = 3  # every third point of a drawn order is held out
 STANDS_STILL = 1e-6  # of its mean: a quantity that moves less has no variance to explain
+LEAST_EXPLAINED = 0.5  # of a submodel's variance: of T_em 0.4 with fuel in kg/h under mg, 0.97 and more else
 RANGE_MARGIN = 0.02  # input ranges are widened beyond the data by this share
 
 
@@ -198,6 +199,10 @@ def calibrate(
     points, turned = _turned(points, valves)
     notes = [*read, *turned]
     notes += [valve.sentence() for valve in valves]
+    if all((points[c] == v).all() for c, v in (("p_amb_pa", geometry.p_amb), ("t_amb_k", geometry.T_amb))):
+        notes.append(f"the ambient of every point is the engine's own, {geometry.p_amb / 1e3:.4g} kPa and "
+                     f"{geometry.T_amb:.4g} K; give p_amb_pa and t_amb_k, or p_amb and T_amb in the geometry file, "
+                     "where it was another")  # fmt: skip
     engine = _with_ambient_and_ranges(geometry, points)
     extra = tuple(name for name in EXTRA_ROWS if name in points and np.isfinite(points[name]).mean() > 0.5)
     model = SteadyModel(engine, extra=extra)
@@ -226,6 +231,10 @@ def calibrate(
     if "t_im_k" not in points:
         notes.append("volumetric efficiency and T_im enter as a quotient: T_im is the geometry file's or the base's")
     fits = _fits(model, points, mask, {**start, **trained.values()}, whole)
+    notes += [Note(f"{name}: {100 * max(fit.coefficient_of_determination, 0.0):.0f} % of how the held-out points vary "
+                   "is explained, where 95 and more are usual: is a column in another unit (fuel in kg/h under "
+                   "u_delta_mg), or another quantity?", "misfit")
+              for name, fit in fits.items() if fit.coefficient_of_determination < LEAST_EXPLAINED]  # fmt: skip
     calibrated = with_scalars(engine, final)
     return Calibration(calibrated, base, points, mask, fits, _identified(whole), whole.covariance, valves,
                        tuple(notes), whole, model, final, {**start, **trained.values()})

@@ -139,6 +139,19 @@ def test_shut_egr_is_stated(monkeypatch: pytest.MonkeyPatch, few: SteadyPoints) 
     assert not {c.name for c in found.coefficients} & {"A_egrmax", "c_egr1", "c_egr3", "Pi_egropt"}
 
 
+def test_fuel_in_kg_h_under_mg_is_asked_about_and_a_missing_ambient_said(few: SteadyPoints) -> None:
+    """27 mg or 27 kg/h: both could be, but not with this exhaust."""
+    right = calibrate(few.with_columns(p_amb_pa=few["p_amb_pa"] - 100.0), we2011.PARAMETERS)
+    assert not any("another unit" in note or "the ambient" in note for note in right.notes)
+    hourly = 1e-6 * few["u_delta_mg"] * few["n_e_rpm"] * 6 / 120.0 * 3600.0
+    base = we2011.PARAMETERS
+    plain = few.with_columns(u_delta_mg=hourly, p_amb_pa=np.full(few.size, base.p_amb),
+                             t_amb_k=np.full(few.size, base.T_amb))  # fmt: skip
+    said = " ".join(calibrate(plain, base).notes)
+    assert "exhaust_temperature: " in said and "fuel in kg/h under u_delta_mg" in said
+    assert "the ambient of every point is the engine's own, 101.1 kPa and 298" in said
+
+
 def test_geometry_file(tmp_path: Path) -> None:
     file = tmp_path / "geometry.yaml"
     file.write_text("bore_mm: 130\nstroke_mm: 162\nn_cyl: 6\nr_c: 19\n")
