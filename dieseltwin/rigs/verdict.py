@@ -41,6 +41,8 @@ from dieseltwin.version import __version__
 MORE = "more is missing; no law foretells it"
 """What is said where no name and no law is left."""
 LONG_STEPS = "long_steps"
+UNEXPLAINED = "wrong_engine"
+LEAST_EXPLAINED = 0.5  # of a reading's variance; the tanks without what they lack explain 0.95
 
 
 def document(result: RigDiscovery) -> Discrepancy:
@@ -61,7 +63,19 @@ def document(result: RigDiscovery) -> Discrepancy:
         minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
-    return with_warnings(made, [*fit_doubts(made), *_step_notes(result)])
+    return with_warnings(made, [*fit_doubts(made), *_unexplained(result, made.fit), *_step_notes(result)])
+
+
+def _unexplained(result: RigDiscovery, fit: Fit) -> list[Note]:
+    """Readings of which the machine explains less than half: what is missing in it has nothing to stand out from."""
+    notes = []
+    for name, values in result.recording.readings.items():
+        off, spread = fit.rmse_after[name], float(np.nanstd(values))
+        if off > max(LEAST_EXPLAINED**0.5 * spread, result.repaired.floors.get(name, 0.0)):
+            text = (f"{name} is off by {off:.3g} (rms) where it varies by {spread:.3g}: fitted as it may be, this "
+                    "machine explains less than half of it; check units, columns and the values of its file")  # fmt: skip
+            notes.append(Note(text, UNEXPLAINED, [name]))
+    return notes
 
 
 def _step_notes(result: RigDiscovery) -> list[Note]:
@@ -161,6 +175,9 @@ def sentence(result: RigDiscovery, found: Discrepancy) -> str:
     """The verdict in words."""
     name = result.repaired.name
     if not found.mismatch or found.location is None:
+        unexplained = [doubt.text for doubt in found.warnings if doubt.code == UNEXPLAINED]
+        if unexplained:
+            return f"Nothing can be said of {name}: {'; '.join(unexplained)}."
         return f"No mismatch of {name} beyond what its recording can tell."
     told = []
     for e in found.effects:

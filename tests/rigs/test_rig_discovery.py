@@ -46,6 +46,16 @@ def test_a_sound_cart_has_nothing() -> None:
     assert not dt.discover(driven(), rig()).document.mismatch
 
 
+def test_a_recording_that_is_not_the_machines_is_no_clean_bill() -> None:
+    """Speeds in mm/s under a name in m/s were "no mismatch": no effect has such a size."""
+    foreign = driven().assign(v_m_s=lambda t: 1000.0 * t["v_m_s"])
+    found = dt.discover(foreign, rig())
+    assert found.sentence.startswith("Nothing can be said of cart: v_m_s is off by ")
+    (doubt,) = [item for item in found.document.warnings if item.code == "wrong_engine"]
+    assert doubt.affects == ("v_m_s",) and not found.document.mismatch
+    assert not dt.discover(driven(), rig()).document.warnings
+
+
 def test_steps_that_are_too_long_are_said_with_what_would_do() -> None:
     """A light cart comes to rest within one sample; what four steps make of that looked like physics."""
     light = {**CART["parameters"], "m": {"value": 0.1, "prior_std": 0.01, "scale": 0.01, "unit": "kg"}}
