@@ -73,7 +73,7 @@ def _unexplained(result: RigDiscovery, fit: Fit) -> list[Note]:
         off, spread = fit.rmse_after[name], float(np.nanstd(values))
         if off > max(LEAST_EXPLAINED**0.5 * spread, result.repaired.floors.get(name, 0.0)):
             text = (f"{name} is off by {off:.3g} (rms) where it varies by {spread:.3g}: fitted as it may be, this "
-                    "machine explains less than half of it; check units, columns and the values of its file")  # fmt: skip
+                    "machine explains less than half of it; check units, columns and its file's values")  # fmt: skip
             notes.append(Note(text, UNEXPLAINED, [name]))
     return notes
 
