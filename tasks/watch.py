@@ -106,7 +106,7 @@ class Arrived:
 
 def arrived(folder: str, engine: str, history: str) -> Arrived:
     """What lies in a folder, each content once. Hidden files, as copying programs write first, are passed over."""
-    from dieseltwin.api.watch import begun
+    from dieseltwin.api.watch import begun, date_in
     from dieseltwin.errors import InputError
     from dieseltwin.recordings.importers.content import ENDINGS
 
@@ -129,7 +129,7 @@ def arrived(folder: str, engine: str, history: str) -> Arrived:
         if store.holds(artifact.sha256):
             continue
         try:
-            store.refuse_taken_out([artifact.sha256], path.name)
+            store.refuse_taken_out([artifact.sha256], path.name, date_in(path.name))
         except InputError as error:
             left[path.name] = str(error).removeprefix(f"{path.name}: ")
             continue

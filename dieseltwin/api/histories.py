@@ -43,6 +43,7 @@ class Watched(Result):
         verdicts: of those, each by itself.
         known: names of those that were there before.
         refused: name -> why it can't be used.
+        dated_by_file: names and days of those among the added that have no other date than their file's last change.
         taken_out: recordings that don't count any more, and why; course_with_them: evidence as if they did, None for
             none of them.
     """
@@ -54,6 +55,7 @@ class Watched(Result):
     verdicts: tuple[str, ...] = ()
     known: tuple[str, ...] = ()
     refused: tuple[tuple[str, str], ...] = ()
+    dated_by_file: tuple[str, ...] = ()
     taken_out: tuple[TakenOut, ...] = ()
     course_with_them: Course | None = None
 
@@ -83,7 +85,12 @@ class Watched(Result):
     def lines(self) -> list[str]:
         told = [f"{name}: added, {said} by itself" for name, said in zip(self.added, self.verdicts, strict=True)]
         told += [f"{name}: was there already" for name in self.known]
-        return [*told, *(f"{name}: not added: {why}" for name, why in self.refused), self.sentence]
+        told += [f"{name}: not added: {why}" for name, why in self.refused]
+        if self.dated_by_file:
+            told.append("note: dated by the file's last change, which copying may have moved: "
+                        f"{listed(self.dated_by_file)}; where that isn't the day, take it out (`dieseltwin watch "
+                        "remove`), put the day into the file's name (2026-03-14.csv) and add it again")  # fmt: skip
+        return [*told, self.sentence]
 
 
 def history(folder: str | Path, *, settings: WatchConfig | None = None) -> Watched:

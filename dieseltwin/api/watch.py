@@ -17,7 +17,7 @@ from dieseltwin.learning.files import LearnedEngine, load_learned
 from dieseltwin.learning.history import Entry, History
 from dieseltwin.learning.sketches import sketch
 from dieseltwin.paths import file_sha256
-from dieseltwin.recordings.dates import Dated, dated
+from dieseltwin.recordings.dates import MODIFIED, Dated, dated
 from dieseltwin.recordings.dates import date_in as date_in
 from dieseltwin.recordings.named_columns import import_columns
 from dieseltwin.settings.watch import WatchConfig
@@ -52,39 +52,41 @@ def watch(
     """
     learned = _learned(engine)
     store = History(history, _known_sha256(learned))
-    added: dict[str, str] = {}  # name -> verdict
+    added: dict[str, Entry] = {}
     known: list[str] = []
     refused: list[tuple[str, str]] = []
     files: Sequence[str | Path] = several(recordings)
     for k, path in enumerate(map(Path, files), 1):
         try:
             sha256 = file_sha256(path) if path.is_file() else ""
-            store.refuse_taken_out([sha256], str(path))
+            store.refuse_taken_out([sha256], str(path), date_in(path.name))
             there = bool(sha256) and store.holds(sha256)
-            verdict = None if there else _added(store, *_asked(path, engine, learned, channels, sensors))
-            if verdict is None:
+            entry = None if there else _added(store, *_asked(path, engine, learned, channels, sensors))
+            if entry is None:
                 known.append(str(path))
             else:
-                added[str(path)] = verdict
+                added[str(path)] = entry
         except InputError as error:
             refused.append((str(path), str(error)))
         if progress is not None:
             progress(k, len(files), path.name)
     found = as_it_stands(store, settings)
+    by_file = [f"{name} ({entry.date[:10]})" for name, entry in added.items() if entry.date_from == MODIFIED]
     return replace(
-        found, added=tuple(added), verdicts=tuple(added.values()), known=tuple(known), refused=tuple(refused)
-    )
+        found, added=tuple(added), verdicts=tuple(entry.verdict for entry in added.values()), known=tuple(known),
+        refused=tuple(refused), dated_by_file=tuple(by_file),
+    )  # fmt: skip
 
 
-def _added(store: History, question: DrivingQuestion, day: Dated) -> str | None:
-    """What a recording shows by itself, now in the history; None where its rows were there already."""
+def _added(store: History, question: DrivingQuestion, day: Dated) -> Entry | None:
+    """A recording, judged and now in the history; None where its rows were there already."""
     if store.holds(day.recording.rows_sha256):
         return None
-    store.refuse_taken_out([day.recording.rows_sha256], str(day.recording.path))
+    store.refuse_taken_out([day.recording.rows_sha256], str(day.recording.path), day.date)
     sketched = sketch(day.recording)
     store.refuse_shared(sketched, str(day.recording.path))
     entry = _entry(question.answer(), day, sketched)
-    return entry.verdict if store.add(entry) else None
+    return entry if store.add(entry) else None
 
 
 def judge(

@@ -235,20 +235,23 @@ class History:
         with self._opened() as connection:
             if _holds(connection, entry.sha256) or (entry.rows_sha256 and _holds(connection, entry.rows_sha256)):
                 return False
-            _refuse_taken_out(connection, (entry.sha256, entry.rows_sha256), entry.path)
+            hashes = (entry.sha256, entry.rows_sha256)
+            _refuse_taken_out(connection, hashes, entry.path, entry.moment)
             self._refuse_shared(connection, entry.rows_sketch, entry.path)
+            for taken in _among_taken_out(connection, hashes):
+                connection.execute("DELETE FROM taken_out WHERE sha256 = ?", (taken.entry.sha256,))
             _insert(connection, entry)
             return True
 
-    def refuse_taken_out(self, hashes: Iterable[str], where: str) -> None:
-        """Refuse a recording that was taken out, by the hash of a file or of its rows.
+    def refuse_taken_out(self, hashes: Iterable[str], where: str, date: datetime | None = None) -> None:
+        """Refuse a recording that was taken out, by the hash of a file or of its rows; not one of another date by now.
 
         Raises:
             InputError: it was, when, and why.
         """
         if self._begun():
             with self._opened() as connection:
-                _refuse_taken_out(connection, hashes, where)
+                _refuse_taken_out(connection, hashes, where, date)
 
     def take_out(self, sha256: str, reason: str) -> None:
         """Let a recording count no more. It stays in the file, with the day and the reason."""
@@ -326,13 +329,20 @@ def _rows_taken_out(connection: sqlite3.Connection) -> list[tuple[str, str, str,
     return connection.execute(asked).fetchall()
 
 
-def _refuse_taken_out(connection: sqlite3.Connection, hashes: Iterable[str], where: str) -> None:
+def _among_taken_out(connection: sqlite3.Connection, hashes: Iterable[str]) -> list[TakenOut]:
     asked = {sha256 for sha256 in hashes if sha256}
-    for _, row, day, reason, _ in _rows_taken_out(connection):
-        entry = from_json(row)
-        if entry is not None and asked & {entry.sha256, entry.rows_sha256}:
-            raise InputError(where, f"what was taken out of the history ({TakenOut(entry, day, reason)})",
-                             "other recordings", "leave it out, or let it count again: `dieseltwin watch restore`")
+    known = [(from_json(row), day, reason) for _, row, day, reason, _ in _rows_taken_out(connection)]
+    return [TakenOut(entry, day, reason) for entry, day, reason in known
+            if entry is not None and asked & {entry.sha256, entry.rows_sha256}]  # fmt: skip
+
+
+def _refuse_taken_out(
+    connection: sqlite3.Connection, hashes: Iterable[str], where: str, date: datetime | None
+) -> None:
+    for taken in _among_taken_out(connection, hashes):
+        if date is None or date.astimezone(UTC) == taken.entry.moment:
+            raise InputError(where, f"what was taken out of the history ({taken})", "other recordings",
+                             "leave it out, or let it count again: `dieseltwin watch restore`")
 
 
 def _text(raw: bytes) -> str:

@@ -64,19 +64,23 @@ def test_a_recording_that_is_no_good_is_named(tmp_path: Path, capsys: pytest.Cap
 def test_recordings_of_one_name_in_two_folders_keep_their_own_verdicts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """As loggers write them: one folder a day, and always the same name."""
     judged = {
-        tmp_path / day / "drive.csv": replace(entry(k), path="drive.csv", verdict=verdict)
-        for k, (day, verdict) in enumerate([("monday", "healthy"), ("tuesday", "boost_leak")])
+        tmp_path / day / "drive.csv": replace(entry(k), path="drive.csv", verdict=verdict, date_from=known)
+        for k, (day, verdict, known) in enumerate(
+            [("monday", "healthy", "time stamp"), ("tuesday", "boost_leak", "file's modification time")]
+        )
     }
 
     def asked(path: Path, *_: object) -> tuple[SimpleNamespace, SimpleNamespace]:
         recording = driving(list(judged).index(path), 50)
-        return SimpleNamespace(answer=lambda: judged[path]), SimpleNamespace(recording=recording)
+        return SimpleNamespace(answer=lambda: judged[path]), SimpleNamespace(recording=recording, date=None)
 
     monkeypatch.setattr("dieseltwin.api.watch._asked", asked)
     monkeypatch.setattr("dieseltwin.api.watch._entry", lambda answer, day, sketched: answer)
-    monday, tuesday = dt.watch(list(judged), learned_file(tmp_path), tmp_path / "history").lines()[:2]
+    monday, tuesday, note = dt.watch(list(judged), learned_file(tmp_path), tmp_path / "history").lines()[:3]
     assert monday.endswith("monday/drive.csv: added, healthy by itself")
     assert tuesday.endswith("tuesday/drive.csv: added, boost_leak by itself")
+    assert note.startswith("note: dated by the file's last change, which copying may have moved: ")
+    assert f"moved: {list(judged)[1]} (2026-01-02); where" in note
 
 
 def test_machines_without_a_history_are_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -220,6 +220,9 @@ def test_what_is_taken_out_counts_no_more_is_kept_and_comes_back(tmp_path: Path)
     with pytest.raises(InputError, match=r"driving of 1\.csv in the history"):
         store.put_back(taken)
     store.take_out(whole.sha256, "once more")
+    dated = replace(half, date="2026-02-11T00:00:00+00:00")
+    assert store.add(dated) and [t.entry.path for t in store.taken_out()] == ["1.csv"]  # of another day: no double
+    store.take_out(dated.sha256, "it was the day before")
     store.put_back(taken)
     assert [e.path for e in store.entries()] == ["0.csv"] and [t.entry.path for t in store.taken_out()] == ["1.csv"]
     with sqlite3.connect(tmp_path / FILE_NAME) as connection:
