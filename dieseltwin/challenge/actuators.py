@@ -50,7 +50,7 @@ def play(u, width):  # type: ignore[no-untyped-def]
 def fine_command(
     fine_s: np.ndarray, driving: Driving, actuator: str, dead_time_s: float, faults: Sequence[Fault]
 ) -> np.ndarray:
-    """Command behind play and dead time at the fine times [%]; `actuator` is "egr" or "vgt"."""
+    """Command behind a valve that stands still, play and dead time at the fine times [%]; `actuator`: "egr", "vgt"."""
     extra = np.zeros(fine_s.size)
     width = np.zeros(fine_s.size)
     for fault in faults:
@@ -59,6 +59,9 @@ def fine_command(
         if fault.effect == f"{actuator}_backlash":
             width += fault.magnitude * schedule(fault, fine_s, driving)
     command = np.interp(fine_s, driving.time_s, getattr(driving, f"u_{actuator}_pct"))
+    for fault in faults:
+        if fault.effect == f"{actuator}_stuck":
+            command = np.where(schedule(fault, fine_s, driving) > 0.0, fault.magnitude, command)
     if width.any():
         command = play(command, width)
     return np.interp(fine_s - dead_time_s - extra, fine_s, command)

@@ -100,6 +100,8 @@ FAMILIES: Mapping[str, Family] = {
         Family("intake_heat_pickup", "intake_temperature", "W/K", 4.0, 40.0, dealt=False),
         Family("egr_offset", "egr_actuator", "%", 1.0, 10.0, signed=True, dealt=False),
         Family("fuel_lag", "fuel_injection", "s", 0.1, 1.0, dealt=False),
+        Family("egr_stuck", "egr_actuator", "%", 1.0, 100.0, dealt=False),
+        Family("vgt_stuck", "vgt_actuator", "%", 1.0, 100.0, dealt=False),
         Family(FLAP, "turbine_flow", "Pa/(kg/s)^2", 2e4, 2e5, onset=False, dealt=False),
         # in no catalogue: P_f = k omega_t^3; eta_vol (1 - k (1 - n_e/2000 rpm)); T_em + k q_HV W_f/(c_pe W_eo)
         Family("disc_windage", "shaft_power", "N m s2", 3.2e-10, 3.2e-9, catalogued=False),

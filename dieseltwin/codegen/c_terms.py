@@ -29,12 +29,15 @@ WHEN = "double t, double t_end, Inputs begin, Inputs end"
 """Arguments of every function that says where terms act: an interval between samples, times since the start [s]."""
 
 _COMMANDS = {
+    "egr_stuck": Entry("command", "egr", "stuck"), "vgt_stuck": Entry("command", "vgt", "stuck"),
     "egr_play": Entry("command", "egr", "play"), "egr_more": Entry("command", "egr", "dead_time"),
     "vgt_play": Entry("command", "vgt", "play"), "vgt_more": Entry("command", "vgt", "dead_time"),
     "u_delta_lag": Entry("input", "u_delta", "lag"),
 }  # fmt: skip
-ACTUATORS = ("egr_play", "egr_more", "egr_share", "vgt_play", "vgt_more", "vgt_share", "u_delta_lag")
-"""Fields of what acts on commands and inputs: widths [%], further dead times [s] and how much of them acts, lag [s]."""
+ACTUATORS = ("egr_stuck", "egr_play", "egr_more", "egr_share", "vgt_stuck", "vgt_play", "vgt_more", "vgt_share",
+             "u_delta_lag")  # fmt: skip
+"""Fields of what acts on commands and inputs: positions at which valves stand still, 0 where they don't, widths [%],
+further dead times [s] and how much of them acts, lag [s]."""
 
 _ARGUMENTS_IN_C = {
     "p_im": "x.p_im", "n_e": "x.n_e", "u_egr": "x.u_egr", "u_vgt": "x.u_vgt", "omega_t": "x.omega_t", "W_c": "q.W_c",
@@ -168,7 +171,8 @@ class TermsInC:
         lines = ["(void)t, (void)t_end, (void)begin, (void)end;", "return (Actuators){",
                  *(f"    .{name} = {values[name]}," for name in ACTUATORS), "};"]  # fmt: skip
         self._function(f"Actuators actuators({WHEN})", lines,
-                       "What acts on commands and inputs over an interval: play [%], further dead time and lag [s].")
+                       "What acts on commands and inputs over an interval: where valves stand still and play [%], "
+                       "further dead time and lag [s].")
 
     def _laws(self) -> None:
         laws = law_terms(self.terms)

@@ -12,7 +12,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.circumstances import Estimate, estimates
 from dieseltwin.discovery.likelihood.score import minimum_detectable
 from dieseltwin.discovery.options import Options
-from dieseltwin.discovery.search import preparation
+from dieseltwin.discovery.search import preparation, standing
 from dieseltwin.discovery.search import run as search
 from dieseltwin.discovery.search.circumstances import leading
 from dieseltwin.discovery.search.state import Search
@@ -66,7 +66,13 @@ def prepare(
         InputError: as `discover`.
     """
     options = options or Options()
-    return Prepared(preparation.prepare(_twin_over(_dated(recordings), engine, options, learned), options.settings()))
+    days, settings = _dated(recordings), options.settings()
+    found = preparation.prepare(_twin_over(days, engine, options, learned), settings)
+    if standing.worth_trying(found):
+        valve = standing.standing_valve(_twin_over(days, engine, options, learned), settings)
+        if valve is not None:
+            found = standing.prepared_beside(_twin_over(days, engine, options, learned), settings, valve)
+    return Prepared(found)
 
 
 def discover(

@@ -1,6 +1,7 @@
 """Actuator states from commands: dead time and lags, and the effects before them; exact for commands that run linearly.
 
-Effects enter a command as play or further dead time, an input of the engine as a lag (`effect.Entry`).
+Effects enter a command as a valve that stands still, play or further dead time, an input of the engine as a lag
+(`effect.Entry`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from dieseltwin.engine.terms import amounts
 from dieseltwin.errors import InputError
 
 _BY_ENTRY = {EFFECTS[name].enters: name for name in ACTUATION_EFFECTS}
+_JUMP_S = 1e-6
+_OF_COMMANDS: tuple[Operator, ...] = ("stuck", "play", "dead_time")
 
 
 def play(time_s: np.ndarray, u: np.ndarray, width: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
@@ -31,6 +34,26 @@ def play(time_s: np.ndarray, u: np.ndarray, width: np.ndarray | float) -> tuple[
     widths = np.broadcast_to(np.asarray(width, dtype=np.float64), u.shape)
     times, values, count = follow_play(time_s, u, np.ascontiguousarray(widths))
     return times[:count], values[:count]
+
+
+def standing(
+    time_s: np.ndarray, u: np.ndarray, position: float, acts: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """A command of a valve that stands still, as break points (times [s], values), linear in between.
+
+    Args:
+        time_s, u: piecewise linear command, (n,) each.
+        position: where it stands [unit of u].
+        acts: (n,) factor of the position over the interval behind each sample, 0 where the valve moves; None: it never
+            does.
+    """
+    if acts is None:
+        return time_s[[0, -1]], np.full(2, position)
+    still = acts > 0.0
+    at = np.where(still, position * acts, u)
+    left = np.append(at[:1], np.where(still[:-1], at[:-1], u[1:]))  # what the interval before each sample ends with
+    jumps = np.flatnonzero(left != at)
+    return np.insert(time_s, jumps, time_s[jumps] - _JUMP_S), np.insert(at, jumps, left[jumps])
 
 
 def _behind_dead_time(
@@ -109,10 +132,14 @@ def actuate_with(
         return None if any(effect(through, kind, operator)[0] > 0.0 for operator in operators) else plain
 
     def positions(kind: str, command: np.ndarray, delay: float, taus: tuple[float, ...]) -> np.ndarray:
-        width, acts = effect("command", kind, "play")
         knots, values = inputs.time_s, command
+        position, acts = effect("command", kind, "stuck")
+        if position > 0.0:
+            knots, values = standing(knots, values, position, acts)
+        width, acts = effect("command", kind, "play")
         if width > 0.0:
-            knots, values = play(knots, values, width if acts is None else width * acts)
+            behind = np.clip(np.searchsorted(inputs.time_s, knots, side="right") - 1, 0, None)
+            knots, values = play(knots, values, width if acts is None else width * acts[behind])
         more, acts = effect("command", kind, "dead_time")
         merged, delayed = _behind_dead_time(knots, values, delay, more, acts, inputs.time_s, half)
         return follow_lags(merged, delayed, np.asarray(taus, dtype=np.float64))[:, np.searchsorted(merged, half)]
@@ -127,12 +154,12 @@ def actuate_with(
     for row, kind, values in ((0, "n_e", inputs.n_e_rpm), (1, "u_delta", inputs.u_delta_mg)):
         as_it_was = still("input", kind, "lag")
         grid[row] = input_at_half_steps(kind, values) if as_it_was is None else as_it_was.grid[row]
-    if as_it_was := still("command", "egr", "play", "dead_time"):
+    if as_it_was := still("command", "egr", *_OF_COMMANDS):
         u_egr1, u_egr2, grid[2] = as_it_was.u_egr1, as_it_was.u_egr2, as_it_was.grid[2]
     else:
         first, second = positions("egr", inputs.u_egr_pct, p.tau_degr, (p.tau_egr1, p.tau_egr2))
         u_egr1, u_egr2, grid[2] = first[at], second[at], egr_valve_position(first, second, constants(p))
-    if as_it_was := still("command", "vgt", "play", "dead_time"):
+    if as_it_was := still("command", "vgt", *_OF_COMMANDS):
         grid[3] = as_it_was.grid[3]
     else:
         (grid[3],) = positions("vgt", inputs.u_vgt_pct, p.tau_dvgt, (p.tau_vgt,))

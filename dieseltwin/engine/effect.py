@@ -20,7 +20,7 @@ from dieseltwin.sensors import MEASURED
 
 Kind = Literal["physics", "actuator", "input", "sensor"]
 Through = Literal["quantity", "gas", "command", "input", "reading"]
-Operator = Literal["", "gain", "offset", "lag", "play", "dead_time"]
+Operator = Literal["", "gain", "offset", "lag", "play", "dead_time", "stuck"]
 Law = Callable[..., Array]
 _FUNCTIONS = ("change", "follows")
 

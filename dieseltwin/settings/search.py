@@ -64,6 +64,10 @@ class SearchSettings(StrictModel):
     believed_range: float = Field(gt=1, description="of magnitudes over their tolerance, log-uniform [-]")
     own_metric_gain: PositiveFloat | None = Field(description="from which leading explanations are compared with the "
                                                   "nuisances of each about itself; null: never")
+    standing_from: PositiveFloat | None = Field(description="chi-square per reading that health leaves, from which a "
+                                                "valve that stands still is looked for; null: never")
+    standing_share: float = Field(gt=0, le=1, description="of what health leaves beyond noise, that such a valve must "
+                                  "explain [-]")
     withhold: tuple[str, ...] = Field((), description="effects to do without, besides those that a command names")
     seed: NonNegativeInt = Field(0, description="of the bootstrap; a command's --seed takes its place")
 

@@ -39,8 +39,9 @@ def _engine(*terms: OneTerm) -> EngineParameters:
 
 
 def _everything() -> EngineParameters:
-    """Every effect of the catalogue at its tolerance."""
-    return _engine(*(Term(effect=name, magnitude=effect.tolerance) for name, effect in EFFECTS.items()))
+    """Every effect of the catalogue at its tolerance; a valve that stands still would hide its play and dead time."""
+    return _engine(*(Term(effect=name, magnitude=effect.tolerance) for name, effect in EFFECTS.items()
+                     if effect.enters.operator != "stuck"))  # fmt: skip
 
 
 def build(engine: EngineParameters, compiler: str, folder: Path) -> Path:
@@ -97,7 +98,9 @@ def test_laws_onsets_and_regions_are_what_simulate_makes_of_them(drive: Inputs, 
     engine = _engine(*LAWS, Term(effect="blow_by", magnitude=EFFECTS["blow_by"].limits[1] / 4, region=IN_REGION),
                      Term(effect="boost_leak", magnitude=3e-5, onset_s=5.07, until_s=31.0),
                      Term(effect="back_pressure", magnitude=8e4, onset_s=10.0, grown_s=30.0),
-                     ActuatorTerm(actuator="egr", fault="backlash", magnitude=6.0))  # fmt: skip
+                     ActuatorTerm(actuator="egr", fault="backlash", magnitude=6.0),
+                     Term(effect="egr_stuck", magnitude=40.0, onset_s=12.0, until_s=22.07),
+                     Term(effect="vgt_stuck", magnitude=55.0, until_s=8.0))  # fmt: skip
     off = differences(simulate(drive, engine), run(build(engine, compiler, tmp_path), drive))
     assert off.max() < 2e-4
 

@@ -227,6 +227,21 @@ def test_fuel_behind_its_lag_is_exact_and_begins_at_its_onset() -> None:
     assert from_onset[17] < plain[1, 17] and abs(from_onset[-1] - 120.0) < 0.1
 
 
+def test_a_valve_stands_still_between_its_onset_and_its_end() -> None:
+    inputs = _inputs()
+    time, told = inputs.time_s, actuate(inputs, we2011.PARAMETERS).at_samples()
+    acts = ((time >= 2.0 - 1e-9) & (time < 6.0 - 1e-9)).astype(float)
+    for name, row in (("egr_stuck", 2), ("vgt_stuck", 3)):
+        stood = actuate_with(inputs, we2011.PARAMETERS, {name: 37.0}, {name: acts}).at_samples()
+        np.testing.assert_array_equal(np.delete(stood, row, axis=0), np.delete(told, row, axis=0))
+        np.testing.assert_allclose(stood[row, time <= 2.0], told[row, time <= 2.0], atol=1e-5)  # a jump takes 1 us
+        still = (time > 5.0) & (time < 6.0)  # its lags have come to rest
+        np.testing.assert_allclose(stood[row, still], 37.0, atol=0.02)
+        assert np.abs(told[row, still] - 37.0).max() > 2.0
+        always = actuate_with(inputs, we2011.PARAMETERS, {name: 37.0}).at_samples()
+        np.testing.assert_allclose(always[row], 37.0, rtol=1e-12)
+
+
 def test_lanes_share_actuations() -> None:
     lanes = actuate_lanes(_inputs(), we2011.PARAMETERS, {"egr_backlash": np.array([0, 4.0, 0, 4.0, 8.0])}, 5)
     assert lanes[0] is lanes[2] and lanes[1] is lanes[3] and len({id(lane) for lane in lanes}) == 3
@@ -239,8 +254,8 @@ def test_what_no_effect_moves_is_taken_from_the_actuation_without() -> None:
     inputs, alike = _inputs(), ("steps", "u_egr1", "u_egr2", "u_vgt", "u_egr", "grid")
     plain = actuate_with(inputs, we2011.PARAMETERS, {})
     doubled = replace(plain, grid=2.0 * plain.grid)  # not what would come out anew
-    for name, rows in (("egr_backlash", [2]), ("egr_dead_time", [2]), ("vgt_backlash", [3]), ("vgt_dead_time", [3]),
-                       ("fuel_lag", [1])):  # fmt: skip
+    for name, rows in (("egr_backlash", [2]), ("egr_dead_time", [2]), ("egr_stuck", [2]), ("vgt_backlash", [3]),
+                       ("vgt_dead_time", [3]), ("vgt_stuck", [3]), ("fuel_lag", [1])):  # fmt: skip
         anew = actuate_with(inputs, we2011.PARAMETERS, {name: 1.0})
         beside = actuate_with(inputs, we2011.PARAMETERS, {name: 1.0}, plain=plain)
         for attribute in alike:

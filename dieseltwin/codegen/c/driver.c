@@ -53,6 +53,14 @@ static void command_add(Command *k, double t, double u)
     k->count++;
 }
 
+/* The commands with the positions of valves that stand still in their place. */
+static Inputs standing(Inputs u, Actuators f)
+{
+    u.u_egr_pct = f.egr_stuck > 0.0 ? f.egr_stuck : u.u_egr_pct;
+    u.u_vgt_pct = f.vgt_stuck > 0.0 ? f.vgt_stuck : u.u_vgt_pct;
+    return u;
+}
+
 /* The command runs from `from` to `to` over dt; *y is the output of the play. */
 static void command_run(Command *k, double *y, double t, double dt, double from, double to, double width)
 {
@@ -257,8 +265,9 @@ static void engine_step(Engine *e, Inputs begin, Inputs end, double dt)
     e->m = magnitudes(t, t + dt, begin, end);
     law_shares(e->law_share, t, t + dt, begin, end);
     const Actuators f = actuators(t, t + dt, begin, end);
-    command_run(&e->egr, &e->play_egr, t, dt, begin.u_egr_pct, end.u_egr_pct, f.egr_play);
-    command_run(&e->vgt, &e->play_vgt, t, dt, begin.u_vgt_pct, end.u_vgt_pct, f.vgt_play);
+    const Inputs from = standing(begin, f), to = standing(end, f);
+    command_run(&e->egr, &e->play_egr, t, dt, from.u_egr_pct, to.u_egr_pct, f.egr_play);
+    command_run(&e->vgt, &e->play_vgt, t, dt, from.u_vgt_pct, to.u_vgt_pct, f.vgt_play);
     const double tau = thermal_inertia(e->m);
     const double low[3] = {P_IM_LOW * c.p_amb, P_EM_LOW * c.p_amb, OMEGA_LOW};
     const double high[3] = {P_IM_HIGH * c.p_amb, P_EM_HIGH * c.p_amb, OMEGA_HIGH};
@@ -338,10 +347,11 @@ static void engine_start(Engine *e, double time_s, Inputs u, double p_im, double
     e->T_1 = T_1_START;
     e->T_gas = e->T_em = T_GAS_START;
     e->u_delta = u.u_delta_mg;
-    e->u_egr1 = e->u_egr2 = e->play_egr = u.u_egr_pct;
-    e->u_vgt = e->play_vgt = u.u_vgt_pct;
-    command_start(&e->egr, 0.0, u.u_egr_pct);
-    command_start(&e->vgt, 0.0, u.u_vgt_pct);
+    const Inputs at = standing(u, actuators(0.0, 0.0, u, u));
+    e->u_egr1 = e->u_egr2 = e->play_egr = at.u_egr_pct;
+    e->u_vgt = e->play_vgt = at.u_vgt_pct;
+    command_start(&e->egr, 0.0, at.u_egr_pct);
+    command_start(&e->vgt, 0.0, at.u_vgt_pct);
     e->signals = (Signals){0};
     e->q = (Quantities){.p_bc = e->c.p_amb, .p_es = e->c.p_amb};
     e->m = magnitudes(0.0, 0.0, u, u);

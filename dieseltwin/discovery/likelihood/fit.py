@@ -289,6 +289,8 @@ def fit_fully(
     here = make(start)
     for _ in range(rounds):
         step, predicted = here.step()
+        if not np.isfinite(predicted):  # sensitivities of a run without an end lead nowhere
+            return _marked(here, False)
         if predicted < _CONVERGED:
             return _marked(here, True)
         if here.fit.objective - _PROMISED * predicted > ahead:

@@ -55,10 +55,13 @@ def effect_responses(
 
 
 def secant_sizes(twin: Twin, names: Sequence[str]) -> list[tuple[str, float]]:
-    """The sizes at which effects are tried first: one for smooth ones, several for those without a derivative at 0."""
+    """The sizes at which effects are tried first: one for smooth ones, several for those without a derivative at 0,
+    none for those that take the place of a command."""
     wanted = []
     for name in names:
         hypothesis = twin.hypotheses[name]
+        if hypothesis.in_place_of:
+            continue
         sizes = hypothesis.sizes if not hypothesis.smooth else (_SIZE_OF_TOLERANCE * hypothesis.tolerance,)
         wanted += [(name, float(np.clip(size, -hypothesis.limits[1], hypothesis.limits[1]))) for size in sizes]
     return wanted
@@ -190,6 +193,9 @@ def taken_for(at: Linearisation, scored: Sequence[Scored], gain: float) -> dict[
     rows, std = at.projected.shape[1], np.array([p.prior_std for p in at.twin.parameters])
     moved: dict[str, Array] = {}
     for name, size in minimum_detectable(scored, gain).items():
+        if not np.isfinite(size):  # it does nothing here: play in the drive of a valve that stands still
+            moved[name] = np.zeros(std.size)
+            continue
         item = min((each for each in scored if each.name == name), key=lambda each: each.std)
         falls = at.twin.hypotheses[name].limits[1] <= 0.0
         # `without_parameters` left what each parameter moves by beside its prior

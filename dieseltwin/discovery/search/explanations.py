@@ -160,11 +160,7 @@ def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] =
         return
     found.kind, found.variant = kind, variant
     found.best = first if kind == "single" and first is not None else recentred(found, fit)
-    # a confident lie is what nearly fits: look at what the explanation leaves
-    kinds = generic_features(found.twin, found.best.fit), local_features(found.twin, found.best.fit)
-    found.left = score_what_is_left(found.best, kinds[0], found.structure)
-    found.left_local = score_what_is_left(found.best, kinds[1], found.local)
-    left = found.left[0].gain if found.left else 0.0
+    left = look_at_what_is_left(found, found.best)
     place = {"single": 0, "pair": 1}.get(kind, 2)
     gained = found.gain(fit)
     limit = max(settings.left_gain[place], settings.left_share[place] * gained)
@@ -186,6 +182,13 @@ def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] =
         choose(found, first, fit.candidate.names)
         return
     set_probabilities(found, kind)
+
+
+def look_at_what_is_left(found: Search, best: Linearisation) -> float:
+    """The terms without a name beyond an explanation, and the gain of the strongest: a confident lie nearly fits."""
+    found.left = score_what_is_left(best, generic_features(found.twin, best.fit), found.structure)
+    found.left_local = score_what_is_left(best, local_features(found.twin, best.fit), found.local)
+    return found.left[0].gain if found.left else 0.0
 
 
 def _both_are_sure(found: Search, pair: Fit) -> bool:

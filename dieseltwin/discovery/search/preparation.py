@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -11,7 +11,15 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about, widened
 from dieseltwin.discovery.likelihood.circumstances import at_estimates, circumstance_nuisances
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, first_fit, fit_fully, settle_local, simulate_fits
+from dieseltwin.discovery.likelihood.fit import (
+    Candidate,
+    Fit,
+    Linearisation,
+    first_fit,
+    fit_fully,
+    settle_local,
+    simulate_fits,
+)
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import (
     LearnedTwin,
@@ -44,15 +52,23 @@ _TOLERANCE_DRAWS = 2
 _CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of the tolerances
 _GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
 _PARTS = 4
+_KINKS = 10  # times that windows are given up because they alone tell a parameter
 _REBASINGS = 2  # of a fit about its own estimate of the maps' errors
 
 
-def prepare(twin: Twin, settings: SearchSettings) -> Search:
-    """Noise, health-only fit, tolerances, scores of all hypotheses: everything before a name is thought of."""
+def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> Search:
+    """Noise, health-only fit, tolerances, scores of all hypotheses: everything before a name is thought of.
+
+    Args:
+        twin: bound to its recording.
+        settings: thresholds.
+        beside: an explanation of nearly all: noise, tolerances and scores are then about it (`Search.best`), and the
+            health-only fit is in its metric.
+    """
     clock = time.perf_counter()
     noise = twin.noise() if isinstance(twin, KnownErrors) else estimate_noise(twin.measured)
     whitening = _whitening(twin, noise)
-    rough = fit_fully(twin, whitening, first_fit(twin), rounds=5)
+    rough = fit_fully(twin, whitening, beside or first_fit(twin), rounds=5)
     start = split_growing(rough)
     if start is not None:
         whitening = _whitening(twin, noise)
@@ -76,10 +92,42 @@ def prepare(twin: Twin, settings: SearchSettings) -> Search:
         twin.measured[rows_of(twin, crooked)] = np.nan
         whitening = _whitening(twin, noise, scatter)
         null = settle_local(fit_fully(twin, whitening, null.fit, nuisance, loadings=loadings_of(nuisances)))
+    if beside is not None:
+        null, alone_tell = _without_kinks(null, lambda: _whitening(twin, noise, scatter))
+        crooked |= alone_tell
     found = _scored(null, noise, settings)
+    if beside is not None:
+        alone = replace(null.fit, candidate=Candidate(), magnitudes=np.zeros(0), covariance=None)
+        found.best, found.null = null, fit_fully(twin, null.whitening, alone, frozen=null)
     found.left_out, found.nuisances, found.scatter = crooked, nuisances, scatter
     found.seconds["prepare"] = time.perf_counter() - clock
     return found
+
+
+def telling_alone(at: Linearisation) -> np.ndarray:
+    """(W,) windows that tell more of a parameter than all the others together.
+
+    Where a valve stands still the engine comes to the kink of the EGR flow (both pressures equal), whose slope has no
+    limit: a window there claims to know health a thousand times better than all the rest, linearly and wrongly.
+    """
+    twin = at.twin
+    size, channels = at.residual.size, at.residual.shape[1]
+    own = at.projected[: len(twin.parameters), :size] ** 2
+    shares = np.add.reduceat(own, twin.starts * channels, axis=1)
+    return np.asarray((shares > 0.5 * shares.sum(axis=1, keepdims=True)).any(axis=0))
+
+
+def _without_kinks(at: Linearisation, whitening: Callable[[], Whitening]) -> tuple[Linearisation, np.ndarray]:
+    """A fit without the windows that `telling_alone` finds, and which these are, (W,)."""
+    twin, found = at.twin, np.zeros(at.twin.starts.size, dtype=bool)
+    for _ in range(_KINKS):
+        alone = telling_alone(at)
+        if not alone.any():
+            break
+        found |= alone
+        twin.measured[rows_of(twin, alone)] = np.nan
+        at = settle_local(fit_fully(twin, whitening(), at.fit, at.nuisance_response, loadings=at.loadings))
+    return at, found
 
 
 def _whitening(twin: Twin, noise: Noise, scatter: ModelScatter | None = None) -> Whitening:

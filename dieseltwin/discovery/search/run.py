@@ -34,6 +34,7 @@ from dieseltwin.discovery.search.preparation import (
     verify,
 )
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
+from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
 from dieseltwin.discovery.search.variants import Variant, edge_cost
@@ -80,6 +81,9 @@ def carry_on(
             finished. None: no limit.
         starts: fits of single effects that lie near their minima, where that is far from the fit without any.
     """
+    if found.standing:
+        explain_standing(found)
+        return found
     began = time.perf_counter()
     found = _with_names(found, starts)
     left = None if time_s is None else time_s - (time.perf_counter() - began)

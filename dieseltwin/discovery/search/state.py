@@ -27,7 +27,8 @@ class Search:
 
     `null` is the health-only fit, `best` the explanation; `second_effect_gain` is what the best second effect would
     gain beside the best single one, `spreads` which share of it each second effect keeps without its best window.
-    `stage` is what is looked at, `unfinished` the stages that no time was left for. `widening` is the factor of
+    `standing`: nearly all is explained by a valve that stands still, found before anything was scored. `stage` is what
+    is looked at, `unfinished` the stages that no time was left for. `widening` is the factor of
     the variances of `best` beyond its own fit's. `unsettled` are the explanations
     that led in turns when the likelihood was renewed about the leading one; none where it stayed the same.
     """
@@ -61,6 +62,7 @@ class Search:
     scatter: ModelScatter | None = None
     left_out: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     seconds: dict[str, float] = field(default_factory=dict)
+    standing: bool = False
     stage: str = ""
     unfinished: tuple[str, ...] = ()
     unsettled: list[tuple[str, ...]] = field(default_factory=list)
@@ -93,6 +95,10 @@ class Search:
         pool = {"pair": self.pairs, "variant": [fit for _, fit in self.variants]}.get(self.kind, self.singles)
         return [fit for fit in pool if fit.candidate.names == names] or pool[:1]
 
+    def stood_always(self) -> bool:
+        """Whether a valve that stands still does so from the first row to the last."""
+        return self.standing and self.variant is not None and self.variant.onset_s is self.variant.until_s is None
+
     def remaining(self) -> float:
         """What the strongest further term would gain beyond the explanation, without the window it hangs on most."""
         return max((item.held for item in (*self.left, *self.left_local)), default=0.0)
@@ -113,7 +119,8 @@ class Search:
         """Whether what the explanation leaves is beyond chance and beyond a small share of what it explains."""
         if self.kind == "healthy":
             return False
-        bar = max(self.settings.left_gain[2], self.settings.missing_share * self.explained())
+        share = 0.0 if self.standing else self.settings.missing_share  # it dwarfs whatever else there is
+        bar = max(self.settings.left_gain[2], share * self.explained())
         return self.explained() <= 0.0 or self.remaining() > bar
 
     def lasting(self) -> list[Structure]:

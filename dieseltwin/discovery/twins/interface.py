@@ -110,6 +110,8 @@ class Hypothesis:
         sizes: magnitudes for first differences (one for smooth effects), in `unit`.
         kind: "sensor" effects change readings alone.
         confused_with: names that are known to look alike.
+        in_place_of: condition whose place the magnitude takes, a command that isn't followed; "": none. Small sizes of
+            such an effect say nothing of large ones, so that it has no score (`search.standing`).
     """
 
     name: str
@@ -122,6 +124,7 @@ class Hypothesis:
     sizes: tuple[float, ...] = ()
     kind: Literal["physics", "actuator", "input", "sensor"] = "physics"
     confused_with: tuple[str, ...] = ()
+    in_place_of: str = ""
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,7 @@ def _by_window(found: Search, evidence: Array) -> tuple[Array, Array]:
 
 def p_value(found: Search) -> float:
     """Probability that chance alone gives as much as the strongest finding."""
-    gains = [found.gain(fit) for fit in found.singles[:1]]
+    gains = [found.gain(fit) for fit in found.singles[:1]] or [found.explained()]
     if found.kind == "law" and found.structure:
         gains.append(found.structure[0].gain)
     return float(np.clip(found.chance.p_value(max(gains, default=0.0)), 0.0, 1.0))

@@ -23,13 +23,15 @@ def candidate_rows(found: Search) -> list[Candidate]:
     top = found.gain(found.singles[0]) if found.singles else 0.0
     rows: list[Candidate] = []
     fitted: dict[str, Fit] = {fit.candidate.names[0]: fit for fit in found.singles}
+    if found.standing and found.best is not None:
+        fitted[found.best.fit.candidate.names[0]] = found.best.fit
     evidence = {name: occam(found, fit) for name, fit in fitted.items()}
     total = np.logaddexp.reduce(list(evidence.values())) if evidence else 0.0
     linear = {item.name: item for item in sorted(found.scored, key=lambda s: s.gain)}
     for name, hypothesis in found.twin.hypotheses.items():
-        if name in found.settings.withhold:
-            continue
         fit = fitted.get(name)
+        if name in found.settings.withhold or (fit is None and name not in linear):
+            continue
         gain = found.gain(fit) if fit is not None else linear[name].gain if name in linear else 0.0
         magnitude = float(fit.magnitudes[0]) if fit is not None else linear[name].magnitude
         std = float(fit.std[P]) if fit is not None else linear[name].std
@@ -54,6 +56,8 @@ def _reason(
         return f"chosen: it raises the log-likelihood by {half:.1f} at {size:.2g} times its size of interest"
     if name in equivalent:
         return f"can't be told from the chosen one: only {0.5 * (top - gain):.1f} less in log-likelihood"
+    if found.standing:
+        return f"log-likelihood gain {half:.1f} beside the valve that stands still"
     if found.kind == "healthy":
         threshold = 0.5 * max(found.settings.alarm_gain, found.chance.threshold(found.settings.alarm_level))
         if half < threshold:

@@ -25,7 +25,8 @@ from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.nuisance import FINE, Nuisance, Rebased, nuisance_responses
-from dieseltwin.discovery.search.preparation import tolerance_responses, tolerances
+from dieseltwin.discovery.search.preparation import telling_alone, tolerance_responses, tolerances
+from dieseltwin.discovery.search.standing import scattered
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.verdict.explained import disagreement_of_circumstances
@@ -62,9 +63,20 @@ def told(found: Search, at: Linearisation, after: Array) -> Told:
     if found.kind == "law":
         places = beside_fine_maps(found, found.null, found.twin.measured - after)
         return Told(_law_beside_fine_maps(found, at), _mean([place.circumstances for place in places], apart))
-    places = beside_fine_maps(found, at)
+    # along a valley of positions and health a further fit would go anywhere
+    places = [Told(at.fit, estimates(at))] if found.stood_always() else beside_fine_maps(found, at)
     fit = at.fit if places[0].fit is at.fit else _together(places, found.widening)
+    if found.standing:
+        fit = _within_reach(fit, found, scattered(found))
     return Told(fit, _mean([place.circumstances for place in places], apart, found.widening))
+
+
+def _within_reach(fit: Fit, found: Search, more: float) -> Fit:
+    """A valve's position no better known than others are likely, and no worse than anywhere it can be."""
+    covariance = cast(Array, fit.covariance).copy()
+    low, high = found.twin.hypotheses[fit.candidate.names[0]].limits
+    covariance[-1, -1] = min(covariance[-1, -1] + more**2, (high - low) ** 2 / 12.0)
+    return replace(fit, covariance=covariance)
 
 
 def beside_fine_maps(found: Search, at: Linearisation, residual: Array | None = None) -> list[Told]:
@@ -97,6 +109,8 @@ def _places(found: Search, at: Linearisation, residual: Array | None) -> list[To
             own, responses = _responses_about(at.twin, fine.fit, own, responses, estimate)
             there = _at(at.twin, own, responses, estimate)  # the readings by these responses, too
             fine = fit_fully(there, at.whitening, fine.fit, responses, rounds=_ROUNDS)
+            if found.standing and telling_alone(fine).any():
+                break  # at a kink: what is said there is linear and wrong
             places.append(Told(fine.fit, estimates(fine, residual)))
     except np.linalg.LinAlgError:
         pass  # the machine runs away with some tolerance there: what was told until then counts
