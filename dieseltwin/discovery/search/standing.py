@@ -118,7 +118,12 @@ def standing_valve(twin: Twin, settings: SearchSettings) -> Standing | None:
     if best is None or best.cost > _NEAR * enough:
         return None
     item = _positioned(at, _dated(at, best))
-    return item if item.fit.objective < enough else None
+    if item.fit.objective >= enough:
+        return None
+    again = _dated(at, item)  # edges of a position in steps of 10 % lie where the command passes it
+    if (again.onset_s, again.until_s) == (item.onset_s, item.until_s):
+        return item
+    return min(item, replace(again, fit=_whole(at, again.fit)), key=lambda each: each.fit.objective)
 
 
 def _starts(at: Linearisation, null: Fit) -> Iterator[Fit]:
