@@ -138,11 +138,14 @@ def _starts(at: Linearisation, null: Fit) -> Iterator[Fit]:
 
 
 def _fit(at: Linearisation, out: np.ndarray, start: Fit) -> Fit:
-    """A fit without some rows (n,), and without windows that alone tell a parameter."""
+    """A fit without some rows (n,), and without windows that alone tell a parameter; its start where none is found."""
     twin, noise = at.twin, estimate_noise(at.twin.measured)
     for _ in range(_KINKS):
         whitening = Whitening.of(np.where(out[:, None], np.nan, twin.measured), noise, twin.starts)
-        fitted = fit_fully(twin, whitening, start, rounds=_ROUNDS)
+        try:
+            fitted = fit_fully(twin, whitening, start, rounds=_ROUNDS)
+        except (np.linalg.LinAlgError, ValueError):  # the machine runs away there: numbers without an end
+            return start
         alone = telling_alone(fitted)
         if not alone.any():
             break
@@ -289,7 +292,7 @@ def _whole(at: Linearisation, start: Fit, out: np.ndarray | None = None) -> Fit:
     try:
         fit = _fit(at, np.zeros(at.twin.time_s.size, dtype=bool) if out is None else out, start)
         return Linearisation(at.twin, at.whitening, fit).fit
-    except (np.linalg.LinAlgError, ValueError):  # the machine runs away there: numbers without an end
+    except (np.linalg.LinAlgError, ValueError):  # as in `_fit`
         return replace(start, objective=np.inf)
 
 
@@ -331,7 +334,7 @@ def _elsewhere(best: Linearisation) -> list[Fit]:
         held = cast(Twin, _Held(best.twin, name, size, fit.candidate.schedules[name]))
         try:
             other = fit_fully(held, best.whitening, alone, rounds=_ROUNDS, frozen=best).fit
-        except (np.linalg.LinAlgError, ValueError):  # as in `_whole`
+        except (np.linalg.LinAlgError, ValueError):  # as in `_fit`
             continue
         found.append(replace(other, candidate=fit.candidate, magnitudes=size, covariance=None))
     return found
