@@ -188,26 +188,16 @@ def _best_span(at: Linearisation, names: Sequence[str], start: Fit) -> Standing 
     """The valve, position and windows in a row whose readings are explained best beside what the command says."""
     twin = at.twin
     plain = Fit(Candidate(), start.parameters, np.zeros(0), twin.first_local(), np.inf, False)
-    fits = [plain, *(_standing_fit(name, None, position, plain) for name in names for position in _POSITIONS)]
-    costs = _window_costs(at, simulate_fits(twin, fits))
-    gains = costs[0] - costs[1:]
-    best: tuple[float, int, int, int] = (0.0, 0, 0, 0)
-    for k, own in enumerate(gains):
-        gain, a, b = _largest_sum(own)
-        name = names[k // _POSITIONS.size]
-        if gain > best[0] and _moves(twin, name, *_samples(twin, a, b)):
-            best = gain, k, a, b
-    gain, k, a, b = best
-    if gain <= 0.0:
-        return None
-    name, position = names[k // _POSITIONS.size], float(_POSITIONS[k % _POSITIONS.size])
-    return replace(_standing(twin, name, *_samples(twin, a, b), position, plain), cost=float(costs[0].sum() - gain))
-
-
-def _samples(twin: Twin, a: int, b: int) -> tuple[int, int]:
-    """First sample of window a, and first behind window b - 1."""
+    tried = [(name, float(position)) for name in names for position in _POSITIONS]
+    costs = _window_costs(at, simulate_fits(twin, [plain, *(_standing_fit(*one, None, plain) for one in tried)]))
     edges = np.append(twin.starts, twin.time_s.size)
-    return int(edges[a]), int(edges[b])
+    most, best = 0.0, None
+    for (name, position), gains in zip(tried, costs[0] - costs[1:], strict=True):
+        gain, a, b = _largest_sum(gains)
+        span = int(edges[a]), int(edges[b])
+        if gain > most and _moves(twin, name, *span):
+            most, best = gain, _standing(twin, name, position, *span, plain)
+    return None if best is None else replace(best, cost=float(costs[0].sum() - most))
 
 
 def _moves(twin: Twin, name: str, first: int, end: int) -> bool:
@@ -217,16 +207,16 @@ def _moves(twin: Twin, name: str, first: int, end: int) -> bool:
     return end - first > LEAST_SHARE * size and float(np.std(twin.conditions[column][first:end])) >= _MOVES
 
 
-def _standing(twin: Twin, name: str, first: int, end: int, position: float, health: Fit) -> Standing:
+def _standing(twin: Twin, name: str, position: float, first: int, end: int, health: Fit) -> Standing:
     time_s = twin.time_s
     onset = None if first == 0 else float(time_s[first])
     until = None if end == time_s.size else float(time_s[end])
     acts = np.zeros(time_s.size)
     acts[first:end] = 1.0
-    return Standing(name, onset, until, _standing_fit(name, acts, position, health))
+    return Standing(name, onset, until, _standing_fit(name, position, acts, health))
 
 
-def _standing_fit(name: str, acts: Array | None, position: float, health: Fit) -> Fit:
+def _standing_fit(name: str, position: float, acts: Array | None, health: Fit) -> Fit:
     schedules = {} if acts is None else {name: acts}
     return replace(health, candidate=Candidate((name,), schedules), magnitudes=np.array([position]), covariance=None)
 
@@ -253,8 +243,9 @@ def _largest_sum(values: Array) -> tuple[float, int, int]:
 
 
 def _dated(at: Linearisation, item: Standing) -> Standing:
-    """The same with both edges at the samples where they explain most, and fitted there."""
+    """The same with both edges at the samples where they explain most; position and health stay."""
     twin, fit = at.twin, item.fit
+    position = float(fit.magnitudes[0])
     first, end = _edges(twin, item)
     reach = int(np.diff(np.append(twin.starts, twin.time_s.size)).max())
     for _ in range(2):  # coarse, then every sample
@@ -266,11 +257,11 @@ def _dated(at: Linearisation, item: Standing) -> Standing:
             tried = np.unique(np.linspace(low, high, _EDGES).astype(np.int64))
             spans = [(int(t), end) if which == 0 else (first, int(t)) for t in tried]
             spans = [span for span in spans if span[0] < span[1]]
-            fits = [_standing(twin, item.name, *span, float(fit.magnitudes[0]), fit).fit for span in spans]
+            fits = [_standing(twin, item.name, position, *span, fit).fit for span in spans]
             costs = _window_costs(at, simulate_fits(twin, fits)).sum(axis=1)
             first, end = spans[int(np.argmin(costs))]
         reach = max(reach * 2 // (_EDGES - 1), _EDGES // 2 if reach > _EDGES else 1)
-    return replace(_standing(twin, item.name, first, end, float(fit.magnitudes[0]), fit), cost=item.cost)
+    return replace(_standing(twin, item.name, position, first, end, fit), cost=item.cost)
 
 
 def _positioned(at: Linearisation, item: Standing) -> Standing:
