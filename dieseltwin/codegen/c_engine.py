@@ -167,8 +167,8 @@ def _heading(engine: EngineParameters, name: str) -> str:
 
 def _told(term: object) -> str:
     named = {"effect", "magnitude", "point", "text", "sensor", "fault", "actuator", "onset_s", "until_s", "grown_s",
-             "region"}
-    values = {k: v for k, v in dict(term).items() if k in named and v not in (None, "")}  # type: ignore[call-overload]
+             "gone_s", "region"}
+    values = {k: v for k, v in dict(term).items() if k in named and v not in (None, "", ())}  # type: ignore[call-overload]
     return ", ".join(f"{key} {value}" for key, value in values.items()) or "learned corrections of the maps"
 
 

@@ -105,6 +105,7 @@ class TermsInC:
         """Factor of a term over an interval, "" where it always acts wholly."""
         conditions = [] if term.onset_s is None else [f"t >= {number(term.onset_s)}"]
         conditions += [] if term.until_s is None else [f"t < {number(term.until_s)}"]
+        conditions += [f"!(t >= {number(gone)} && t < {number(again)})" for gone, again in term.gone_s]
         for column, (low, high) in (term.region or {}).items():
             conditions += [f"u.{column} >= {number(low)}", f"u.{column} <= {number(high)}"]
         parts = []

@@ -1,4 +1,4 @@
-"""How the size of an effect goes over time: since when, until when, at once or growing."""
+"""How the size of an effect goes over time: since when, until when, gone in between, at once or growing."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Spans = tuple[tuple[float, float], ...]
+"""Parts of the time, from the first to before the second of each [s], in order."""
 _LEAST_S = 1.0  # that growing takes
 
 
 def course(
-    time_s: Array, onset_s: float | None = None, until_s: float | None = None, grown_s: float | None = None
+    time_s: Array,
+    onset_s: float | None = None,
+    until_s: float | None = None,
+    grown_s: float | None = None,
+    gone_s: Spans = (),
 ) -> Array:
     """(n,) share of its size that an effect has.
 
@@ -20,6 +26,7 @@ def course(
         until_s: before when [s]; None: to the end.
         grown_s: it grows evenly from nothing at the onset to its whole size at this time, which it keeps [s]; None: its
             size is the same all along.
+        gone_s: spans in between in which it is gone, each from its first time to before its second [s].
     """
     share = np.ones(time_s.shape)
     if grown_s is not None:
@@ -29,6 +36,8 @@ def course(
         share[time_s < onset_s] = 0.0
     if until_s is not None:
         share[time_s >= until_s] = 0.0
+    for gone, again in gone_s:
+        share[(time_s >= gone) & (time_s < again)] = 0.0
     return share
 
 

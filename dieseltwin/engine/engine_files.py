@@ -40,7 +40,7 @@ def _refuse_repeated(engine: EngineParameters, path: str | Path) -> None:
     """One effect with two sizes for the same driving is a slip: which one was meant can't be told."""
     seen = set()
     for term in effect_terms(engine.terms):
-        times = term.onset_s, term.until_s, term.grown_s
+        times = term.onset_s, term.until_s, term.grown_s, term.gone_s
         place = (term.slot, *times, None if term.region is None else tuple(sorted(term.region.items())))
         if place in seen:
             raise InputError(f"engine file {path}: terms", f"{term.slot} twice for the same driving", "each once",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 from collections.abc import Collection, Mapping
 from typing import Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from dieseltwin.engine.courses import course
+from dieseltwin.engine.courses import Spans, course
 from dieseltwin.settings.strict import where_told
 
 Region = dict[str, tuple[float, float]]
@@ -24,6 +25,10 @@ def close_names(name: str, known: Collection[str]) -> str:
     return f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(known)}"
 
 
+def _listed(spans: Spans) -> str:
+    return ", ".join(f"{first:g} to {last:g} s" for first, last in spans)
+
+
 class Limited(BaseModel):
     """A term that may act in a part of the time or of the driving only."""
 
@@ -36,6 +41,9 @@ class Limited(BaseModel):
     grown_s: float | None = where_told(
         description="grows evenly from the onset to its magnitude at this time [s] and keeps it; None: at once"
     )
+    gone_s: Spans = where_told(
+        (), description="spans in between in which it is gone, from the first time to before the second of each [s]"
+    )
     region: Region | None = Field(None, description="acts only inside these ranges of input columns; None: everywhere")
     valid_for: str | None = Field(None, description="domain of the data behind it, in words")
 
@@ -45,16 +53,23 @@ class Limited(BaseModel):
         for name, end in (("until_s", self.until_s), ("grown_s", self.grown_s)):
             if end is not None and end <= since:
                 raise ValueError(f"{name} {end:g} s isn't after onset_s, {since:g} s")
+        last = np.inf if self.until_s is None else self.until_s
+        edges = [since, *(time for span in self.gone_s for time in span), last]
+        if self.gone_s and not all(earlier < later for earlier, later in itertools.pairwise(edges)):
+            raise ValueError(f"gone_s {_listed(self.gone_s)}: spans follow each other, between onset_s and until_s")
         return self
 
     @property
     def always(self) -> bool:
         """Whether it acts with its whole magnitude at all times in all driving."""
-        return all(limit is None for limit in (self.onset_s, self.until_s, self.grown_s)) and not self.region
+        return all(limit is None for limit in (self.onset_s, self.until_s, self.grown_s)) and not (
+            self.region or self.gone_s
+        )
 
     def later(self) -> Self | None:
         """The term on a later recording: what began or grew is there from the start, what went again is gone (None)."""
-        return None if self.until_s is not None else self.model_copy(update={"onset_s": None, "grown_s": None})
+        usual = {"onset_s": None, "grown_s": None, "gone_s": ()}
+        return None if self.until_s is not None else self.model_copy(update=usual)
 
     @field_validator("region")
     @classmethod
@@ -78,7 +93,7 @@ class Limited(BaseModel):
         for column, (low, high) in (self.region or {}).items():
             acts &= (conditions[column] >= low) & (conditions[column] <= high)
         since = 0.0 if self.onset_s is None else self.onset_s
-        factor = acts * course(time_s - start_s, since, self.until_s, self.grown_s)
+        factor = acts * course(time_s - start_s, since, self.until_s, self.grown_s, self.gone_s)
         if self.region:  # factors are held over the interval behind their sample; the edge lies somewhere inside
             factor[:-1] = 0.5 * (factor[:-1] + factor[1:])
         return factor

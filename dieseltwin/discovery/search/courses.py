@@ -16,7 +16,7 @@ from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each
 from dieseltwin.discovery.search.variants import SECOND_EDGE, Sums, Variant
 from dieseltwin.discovery.twins.interface import Array, Twin, WithCourses
-from dieseltwin.engine.courses import course
+from dieseltwin.engine.courses import Spans, course
 
 _EDGES = 48  # that both ends of a span are looked for among; refits move them
 _GROWING_SHARE = 0.25  # of the recording that an effect must grow over: what grows faster is a step
@@ -38,18 +38,21 @@ def courses(at: Linearisation, scored: Sequence[Scored], least_share: float) -> 
     return sorted([*_spans(sums), *_growing(sums)], key=lambda v: -v.gain)[:_COUNT]
 
 
-def schedule_of(twin: Twin, onset_s: float, until_s: float | None, grows: bool) -> Array:
+def schedule_of(twin: Twin, onset_s: float, until_s: float | None, grows: bool, gone: Spans = ()) -> Array:
     """(n,) factor of an effect's size; what grows does so through gaps too, and has its whole size at the end."""
     if not grows:
-        return course(twin.time_s, onset_s, until_s)
+        return course(twin.time_s, onset_s, until_s, gone_s=gone)
     time_s = twin.recording_time_s
     return course(time_s, float(time_s[np.searchsorted(twin.time_s, onset_s)]), None, float(time_s[-1]))
 
 
-def at_times(twin: Twin, variant: Variant, onset_s: float, until_s: float | None, grows: bool) -> Variant:
+def at_times(
+    twin: Twin, variant: Variant, onset_s: float, until_s: float | None, grows: bool, gone: Spans = ()
+) -> Variant:
     """A variant with another course; its response stays that of the scan, near enough for a refit."""
-    return replace(variant, onset_s=onset_s, until_s=until_s, grows=grows, edges=0 if until_s is None else 2,
-                   schedule=schedule_of(twin, onset_s, until_s, grows))  # fmt: skip
+    edges = (0 if until_s is None else 2) + 2 * len(gone)
+    return replace(variant, onset_s=onset_s, until_s=until_s, grows=grows, gone=gone, edges=edges,
+                   schedule=schedule_of(twin, onset_s, until_s, grows, gone))  # fmt: skip
 
 
 def moved(twin: Twin, variant: Variant, onsets: Sequence[float], ends: Sequence[float]) -> list[Variant]:
@@ -61,18 +64,19 @@ def moved(twin: Twin, variant: Variant, onsets: Sequence[float], ends: Sequence[
         onsets, ends: candidates of either edge [s].
     """
     onset, until, grows = float(variant.onset_s or 0.0), variant.until_s, variant.grows
-    later = [t for t in onsets if (until is None or t < until) and onset > twin.time_s[0]]
-    found = [at_times(twin, variant, t, until, grows) for t in later]
-    return [*found, *(at_times(twin, variant, onset, t, grows) for t in ends if t > onset)]
+    first, last = (variant.gone[0][0], variant.gone[-1][1]) if variant.gone else (until, onset)
+    later = [t for t in onsets if (first is None or t < first) and onset > twin.time_s[0]]
+    found = [at_times(twin, variant, t, until, grows, variant.gone) for t in later]
+    return [*found, *(at_times(twin, variant, onset, t, grows, variant.gone) for t in ends if t > last)]
 
 
 def first_of_each_course(variants: Sequence[Variant]) -> list[Variant]:
-    """The first of those that begin, of those that come and go, and of those that grow: a large effect that begins two
-    seconds off may be behind one that grows, until its edge is exact."""
-    found: dict[tuple[bool, bool], Variant] = {}
+    """The first of those that begin, of those that go again, that grow and that come and go: a large effect that begins
+    two seconds off may be behind one that grows, until its edge is exact."""
+    found: dict[tuple[bool, bool, bool], Variant] = {}
     for variant in variants:
         if variant.onset_s is not None:
-            found.setdefault((variant.until_s is not None, variant.grows), variant)
+            found.setdefault((variant.until_s is not None, variant.grows, bool(variant.gone)), variant)
     return list(found.values())
 
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all
-from dieseltwin.discovery.likelihood.score import Scored
+from dieseltwin.discovery.likelihood.score import Scored, best_of_each
 from dieseltwin.discovery.search.courses import at_times, courses, first_of_each_course, moved
+from dieseltwin.discovery.search.pauses import in_parts, in_the_same_parts
 from dieseltwin.discovery.search.preparation import in_own_metrics
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import (
@@ -19,13 +23,16 @@ from dieseltwin.discovery.search.variants import (
     same_region,
     scan,
 )
+from dieseltwin.discovery.twins.interface import Twin, WithCourses
 
 _VARIANTS = 6  # that begin or act in a part of the driving are refitted
 _DATINGS = 2  # another effect that leads between the same edges has them moved for itself
 _ONSET_REACH_S = 8.0  # about the first estimate of an onset
-_RIVALS = 4  # other effects that act in the best region
+_RIVALS = 4  # other effects that act in the best region, or in the best parts of the time
 _RESCANS = ((3, 0.04), (2, 0.02), (1, 0.01))  # of so many leading regions, about their own refits, ever finer
 _POLISHED = 4  # of the leading effects
+_ALL_ALONG = 2  # of the leading effects that are there all along are tried in parts, too
+_PARTS = 3  # times that their parts are looked for, at the size found before
 _LEADING_SHARE = 0.7  # of the best gain; refits of regions move far
 
 
@@ -38,10 +45,10 @@ def scan_all(at: Linearisation, scored: Sequence[Scored], least_share: float) ->
 def try_variants(found: Search) -> None:
     """Effects that begin in the middle or act in a part of the operating range only."""
     top = found.gain(found.singles[0]) if found.singles else 0.0
-    variants = [v for v in found.scanned if v.gain > 0.5 * top]
-    if not variants:
+    _refit_variants(found, [v for v in found.scanned if v.gain > 0.5 * top])
+    _try_parts(found)
+    if not found.variants:
         return
-    _refit_variants(found, variants)
     best, fit = found.variants[0]
     if found.gain(fit) < top + 0.5 * freedom_cost(found, best):
         return
@@ -51,6 +58,7 @@ def try_variants(found: Search) -> None:
             dated = _times_of_leader(found)
             if found.variants[0][0].name == dated:
                 break
+            _try_parts(found)
         _polish_variants(found)
         if found.settings.in_own_metrics(found.gain(found.variants[0][1])):
             _compare_leaders(found)
@@ -73,6 +81,36 @@ def try_variants(found: Search) -> None:
         _polish_variants(found)
 
 
+def _try_parts(found: Search) -> None:
+    """The leading effects once more, and the one that is there all along, where they come and go more than once."""
+    if not isinstance(found.twin, WithCourses) or not found.twin.courses:
+        return
+    leaders = _leaders(found) if found.variants else []
+    pairs = [(variant, fit) for variant, fit in leaders if variant.onset_s is not None and not variant.grows]
+    known = {variant.name for variant, _ in pairs}
+    items = {item.name: item for item in best_of_each(found.scored)}
+    for fit in found.singles[:_ALL_ALONG]:
+        (name,) = fit.candidate.names
+        if name not in known and name in items:
+            pairs.append((_all_along(found.twin, items[name]), fit))
+    new = []
+    for variant, fit in pairs:
+        for _ in range(_PARTS):
+            other = in_parts(found.null, variant, fit)
+            if other is None or np.array_equal(other.schedule, variant.schedule):
+                break
+            candidate = Candidate((other.name,), {other.name: other.schedule})
+            start = replace(fit, candidate=candidate)
+            variant, fit = other, fit_fully(found.twin, found.whitening, start, rounds=3, frozen=found.null).fit
+            new.append((variant, fit))
+    found.variants = _in_order(found, [*found.variants, *new])
+
+
+def _all_along(twin: Twin, item: Scored) -> Variant:
+    """An effect that is there from the first row to the last as a variant."""
+    return Variant(item.name, float(twin.time_s[0]), None, np.ones(twin.time_s.size), item.response, item.gain)
+
+
 def _times_of_leader(found: Search) -> str:
     """Move the edges of the leading effect until they fit best, and try the others between the same ones; its name."""
     for reach, count in ((_ONSET_REACH_S, 5), (2.0, 5)):
@@ -81,11 +119,15 @@ def _times_of_leader(found: Search) -> str:
                     for edge in (best.onset_s, best.until_s)]
             _refit_variants(found, moved(found.twin, best, *near))
     best, _ = found.variants[0]
-    if best.until_s is not None or best.grows:  # the same from its onset on: it may not have been refitted yet
+    if best.until_s is not None or best.grows or best.gone:  # the same since its onset: it may not be refitted yet
         _refit_variants(found, [at_times(found.twin, best, float(best.onset_s or 0.0), None, False)])
         best, _ = found.variants[0]  # the times are known by now: other effects at the same ones
+    if best.gone:  # another effect's best part of the time may be none of these
+        likely = in_the_same_parts(found.null, found.scored, best)
+        _refit_variants(found, [variant for variant in likely if variant.name != best.name][:_RIVALS])
+        best, _ = found.variants[0]
     others = {v.name: v for v, _ in reversed(found.variants) if v.onset_s is not None and v.name != best.name}
-    same = float(best.onset_s or 0.0), best.until_s, best.grows
+    same = float(best.onset_s or 0.0), best.until_s, best.grows, best.gone
     _refit_variants(found, [at_times(found.twin, variant, *same) for variant in others.values()])
     return best.name
 
@@ -94,7 +136,7 @@ def _date_anew(found: Search) -> None:
     """Onsets of the leading effects by their responses at the sizes found; the scan takes effects linearly."""
     dated = []
     for variant, fit in _leaders(found):
-        if variant.onset_s is not None and variant.until_s is None and not variant.grows:
+        if variant.onset_s is not None and not (variant.until_s or variant.grows or variant.gone):
             other = redated(found.null, variant.name, float(fit.magnitudes[0]), found.settings.least_share)
             if abs(float(other.onset_s or 0.0) - variant.onset_s) > _ONSET_REACH_S:
                 dated.append(other)
@@ -112,7 +154,7 @@ def _in_order(found: Search, pairs: Sequence[tuple[Variant, Fit]]) -> list[tuple
     """Variants with their fits, best first."""
     def cost(variant: Variant, fit: Fit) -> float:  # a large effect is never met exactly, least of all in a part
         inside = variant.until_s is not None and float(variant.onset_s or 0.0) > found.twin.time_s[0]
-        share = found.settings.missing_share if inside else 0.0
+        share = found.settings.missing_share * (int(inside) + len(variant.gone))
         return freedom_cost(found, variant) + share * max(found.gain(fit), 0.0)
 
     return sorted(pairs, key=lambda pair: pair[1].objective + cost(*pair))

@@ -22,6 +22,7 @@ from dieseltwin.discovery.likelihood.score import (
     without_parameters,
 )
 from dieseltwin.discovery.twins.interface import Array, OverRecordings, Twin
+from dieseltwin.engine.courses import Spans
 
 _BINS = 20  # of a condition, with equal numbers of samples
 LEAST_SHARE = 0.08  # of the samples that a variant must act on, and leave out
@@ -45,10 +46,11 @@ class Variant:
         schedule: (n,) 1 where it acts, else 0.
         response: (n, C) linear response per unit of magnitude.
         gain: linear gain.
-        edges: of the region, inside the range driven.
+        edges: of the region, inside the range driven, or in time.
         profile: way in which its size differs between recordings, or None.
         until_s: before when [s], or None for to the end; see `courses`.
         grows: evenly, from nothing at the onset to its whole size at the end.
+        gone: spans in between in which it is gone [s]; see `pauses`.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Variant:
     profile: str | None = None
     until_s: float | None = None
     grows: bool = False
+    gone: Spans = ()
 
 
 class Sums:
@@ -377,5 +380,5 @@ def _open_ended(edges: Array, a: int, b: int) -> tuple[float, float]:
 
 
 def edge_cost(variant: Variant) -> float:
-    """What the edges of a region cost, beyond the first [units of gain]."""
+    """What the edges of a region or in time cost, beyond the first [units of gain]."""
     return SECOND_EDGE * max(variant.edges - 1, 0)

@@ -243,10 +243,11 @@ def _terms(found: Search, location: Location, twin: EngineTwin | SeveralTwin, fi
         return () if found.law is None else law_terms_of(found.law, twin.points)
     P = len(twin.parameters)
     variant = found.variant if found.kind == "variant" else None
-    times: dict[str, float | None] = {}  # of a recording by itself
+    times: dict[str, Any] = {}  # of a recording by itself
     if not isinstance(twin, SeveralTwin):
         end_s = float(twin.recording_time_s[-1] - twin.recording_time_s[0])
-        times = {"onset_s": location.onset_s, "until_s": location.until_s, "grown_s": end_s if location.grows else None}
+        times = {"onset_s": location.onset_s, "until_s": location.until_s, "gone_s": location.gone_s,
+                 "grown_s": end_s if location.grows else None}  # fmt: skip
     share = 1.0  # of its size, on the last recording
     if variant is not None and variant.profile is not None:
         share = float(variant.schedule[-1])
@@ -320,7 +321,7 @@ def details_of_search(found: Search, rows: list[CandidateRow], best: Linearisati
         "pairs": [_fit_row(found, fit) for fit in found.pairs[:6]],
         "variants": [
             {**_fit_row(found, fit), "onset_s": v.onset_s, "until_s": v.until_s, "grows": v.grows,
-             "region": v.region, "profile": v.profile}
+             "gone_s": v.gone, "region": v.region, "profile": v.profile}
             for v, fit in found.variants[:4]
         ],
         "unnamed": [

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from dieseltwin.atomic import write_json
+from dieseltwin.engine.courses import Spans
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note, warnings_of
 from dieseltwin.sealed import opened_json, sealed_json
@@ -72,7 +73,8 @@ class Location(FrozenModel):
     """Where the mismatch enters the model, in which driving, and since when [s on the recording's clock].
 
     `until_s`: before when, where it went again. `grows`: its size isn't constant but grows evenly from nothing at the
-    onset to what is stated, at the recording's end. Both are in the document where they are so alone.
+    onset to what is stated, at the recording's end. `gone_s`: spans in between in which it was gone. They are in the
+    document where they are so alone.
     Of several recordings: the date of the first that shows it, and of the last one before, where that is known.
     """
 
@@ -83,6 +85,7 @@ class Location(FrozenModel):
     onset_s: float | None = None
     until_s: float | None = where_told()
     grows: bool = where_told(False)
+    gone_s: Spans = where_told(())
     onset_date: str | None = None
     onset_after: str | None = None
 

@@ -40,6 +40,7 @@ def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> 
         regions=_regions(twin, evidence, variant.region if variant else None),
         onset_s=None if onset is None or onset <= twin.time_s[0] else recorded(onset),
         until_s=None if until is None else recorded(until), grows=variant is not None and variant.grows,
+        gone_s=() if variant is None else tuple((recorded(gone), recorded(again)) for gone, again in variant.gone),
     )  # fmt: skip
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dieseltwin.discovery.verdict.document import Location
 
+_LISTED = 4  # spans; more are counted
+
 
 def clock(seconds: float) -> str:
     """A time of the recording, `312 s`, with minutes beyond ten of them."""
@@ -19,6 +21,8 @@ def _span(first_s: float, last_s: float) -> str:
 def when_words(where: Location) -> str:
     """Since when, until when, and whether it grows, on one recording."""
     onset, until = where.onset_s, where.until_s
+    if where.gone_s:
+        return _in_parts(where)
     if where.grows:
         return f"at the end, grown evenly from nothing since {'the start' if onset is None else clock(onset)}"
     if until is not None:
@@ -27,8 +31,28 @@ def when_words(where: Location) -> str:
     return "from the start" if onset is None else f"since {clock(onset)}"
 
 
+def _in_parts(where: Location) -> str:
+    """The spans in which it is there, each where they are few."""
+    begins = [where.onset_s, *(again for _, again in where.gone_s)]
+    ends = [*(gone for gone, _ in where.gone_s), where.until_s]
+    if len(begins) > _LISTED:
+        last = "the end" if ends[-1] is None else clock(ends[-1])
+        first = "the start" if begins[0] is None else clock(begins[0])
+        return f"coming and going: in {len(begins)} spans between {first} and {last}"
+    spans = [_part(*span) for span in zip(begins, ends, strict=True)]
+    return f"coming and going: {', '.join(spans[:-1])} and {spans[-1]}"
+
+
+def _part(begin: float | None, end: float | None) -> str:
+    if end is None:
+        return f"since {clock(begin or 0.0)}"
+    return f"until {clock(end)}" if begin is None else _span(begin, end)
+
+
 def moments(where: Location | None) -> tuple[tuple[str, float], ...]:
     """Onset and end by their names [s], those that there are within one recording."""
     if where is None or where.onset_date is not None:
         return ()
-    return tuple((name, at) for name, at in (("onset", where.onset_s), ("end", where.until_s)) if at is not None)
+    inner = ((name, at) for span in where.gone_s for name, at in zip(("gone", "there again"), span, strict=True))
+    times = (("onset", where.onset_s), *inner, ("end", where.until_s))
+    return tuple((name, at) for name, at in times if at is not None)
