@@ -96,7 +96,7 @@ def test_no_table_over_the_speed_ratio_leaves_no_ends_of_one(compiler: str, tmp_
 def test_laws_onsets_and_regions_are_what_simulate_makes_of_them(drive: Inputs, compiler: str, tmp_path: Path):
     """On the rows as they are, 0.2 s apart; edges of regions and onsets lie at rows in both."""
     engine = _engine(*LAWS, Term(effect="blow_by", magnitude=EFFECTS["blow_by"].limits[1] / 4, region=IN_REGION),
-                     Term(effect="boost_leak", magnitude=3e-5, onset_s=5.07, until_s=31.0),
+                     Term(effect="boost_leak", magnitude=3e-5, onset_s=5.07, until_s=31.0, gone_s=((9.0, 12.33),)),
                      Term(effect="back_pressure", magnitude=8e4, onset_s=10.0, grown_s=30.0),
                      ActuatorTerm(actuator="egr", fault="backlash", magnitude=6.0),
                      Term(effect="egr_stuck", magnitude=40.0, onset_s=12.0, until_s=22.07),

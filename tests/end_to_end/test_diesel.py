@@ -203,3 +203,21 @@ def test_a_fault_that_goes_again_is_told_so_and_undone_when_it_was_there(
     (term,) = load_engine(found.folder / "engine.yaml").terms
     assert (term.onset_s, term.until_s) == (location.onset_s, location.until_s)
     assert not ask(path, "--engine", found.folder / "engine.yaml").document.mismatch
+
+
+def test_a_fault_that_comes_and_goes_is_told_in_its_parts(
+    recording: Callable[[str], Path], ask: Ask, tmp_path: Path
+) -> None:
+    table = pd.read_csv(recording("healthy"))
+    table.loc[table.time_s.between(50.0, 110.0) | table.time_s.between(160.0, 230.0), "w_c_kg_s"] *= 1.06
+    path = tmp_path / "loose.csv"
+    table.to_csv(path, index=False)
+    found = ask(path)
+    (effect,), location = found.document.effects, found.document.location
+    assert effect.name == "w_c_gain" and effect.magnitude == pytest.approx(0.06, abs=0.01) and location is not None
+    times = (location.onset_s, *location.gone_s[0], location.until_s)
+    assert times == pytest.approx((50.0, 110.0, 160.0, 230.0), abs=3.0)
+    words = f"coming and going: from {times[0]:.0f} to {times[1]:.0f} s and from {times[2]:.0f} to {times[3]:.0f} s"
+    assert words in sentence(found.document)
+    (term,) = load_engine(found.folder / "engine.yaml").terms
+    assert term.gone_s == location.gone_s
