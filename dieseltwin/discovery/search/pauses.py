@@ -8,7 +8,7 @@ pay for themselves. The edges' samples are found together, too: each moves what 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,8 +19,44 @@ from dieseltwin.discovery.search.variants import SECOND_EDGE, Sums, Variant
 from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.engine.courses import Spans
 
-_MOST = 12  # spans: what comes and goes oftener follows the driving, and a region or a law says so better
+MOST = 12  # spans: what comes and goes oftener follows the driving, and a region or a law says so better
 _EDGES = 21  # samples that are tried for an edge, twice
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts of a recording's rows.
+
+    Attributes:
+        edges: (E,) rows at which one begins or ends, in order.
+        begins: whether the first begins with the recording.
+    """
+
+    edges: np.ndarray
+    begins: bool
+
+    @classmethod
+    def of_windows(cls, twin: Twin, acts: np.ndarray) -> Parts:
+        """Of whole windows, by whether each (W,) belongs to them."""
+        return cls(twin.starts[np.flatnonzero(np.diff(acts.astype(np.int64))) + 1], bool(acts[0]))
+
+    @property
+    def count(self) -> int:
+        """How many they are."""
+        return (self.edges.size + 1 + self.begins) // 2
+
+    def acts(self, n: int) -> Array:
+        """(n,) 1 in them, else 0."""
+        return np.asarray((np.searchsorted(self.edges, np.arange(n), side="right") + self.begins) % 2, dtype=np.float64)
+
+    def times(self, twin: Twin) -> tuple[float, float | None, bool, Spans]:
+        """Onset, end, that nothing grows, and the spans in between in which nothing acts, as `courses.at_times`."""
+        times = [float(t) for t in twin.time_s[self.edges]]
+        if self.begins:
+            times.insert(0, float(twin.time_s[0]))
+        until = None if len(times) % 2 else times[-1]
+        inner = times[1:] if until is None else times[1:-1]
+        return times[0], until, False, tuple(zip(inner[::2], inner[1::2], strict=True))
 
 
 def in_parts(at: Linearisation, variant: Variant, fit: Fit) -> Variant | None:
@@ -32,15 +68,12 @@ def in_parts(at: Linearisation, variant: Variant, fit: Fit) -> Variant | None:
         fit: its refit: health, initial states and the effect's size stay.
     """
     twin = at.twin
-    edges = np.append(twin.starts, twin.time_s.size)
     left = _left(at, fit)
     costs = _costs(at, fit, left, np.stack([np.zeros(twin.time_s.size), np.ones(twin.time_s.size)]))
-    acts = likeliest_parts(costs[0] - costs[1], SECOND_EDGE)
-    turns = np.flatnonzero(np.diff(acts.astype(np.int64))) + 1
-    parts = int(acts[0]) + int((np.diff(acts.astype(np.int64)) == 1).sum())
-    if not 2 <= parts <= _MOST:
+    parts = Parts.of_windows(twin, likeliest_parts(costs[0] - costs[1], SECOND_EDGE))
+    if not 2 <= parts.count <= MOST:
         return None
-    return _at(twin, variant, _dated(at, fit, left, edges[turns], bool(acts[0])), bool(acts[0]))
+    return at_times(twin, variant, *dated(at, fit, left, parts).times(twin))
 
 
 def in_the_same_parts(at: Linearisation, scored: Sequence[Scored], like: Variant) -> list[Variant]:
@@ -83,41 +116,43 @@ def _left(at: Linearisation, fit: Fit) -> Array:
 
 def _costs(at: Linearisation, fit: Fit, left: Array, schedules: Array) -> Array:
     """(B, W) squared whitened residuals of each window with the effect on schedules (B, n) of its own."""
-    twin, (name,) = at.twin, fit.candidate.names
+    (name,) = fit.candidate.names
     fits = [fit, *(replace(fit, candidate=Candidate((name,), {name: schedule})) for schedule in schedules)]
-    simulated = simulate_fits(twin, fits)
-    rows = at.metric.without_local(np.nan_to_num(left - (simulated[1:] - simulated[0])))[:, : twin.measured.size]
-    return np.add.reduceat(rows**2, twin.starts * twin.measured.shape[1], axis=1)
+    simulated = simulate_fits(at.twin, fits)
+    return window_costs(at, left - (simulated[1:] - simulated[0]))
 
 
-def _schedule(n: int, edges: np.ndarray, begins: bool) -> Array:
-    """(n,) 1 in parts that the edges bound, from the first row on where `begins`."""
-    return np.asarray((np.searchsorted(edges, np.arange(n), side="right") + begins) % 2, dtype=np.float64)
+def window_costs(at: Linearisation, left: Array) -> Array:
+    """(B, W) squared whitened residuals of readings (B, n, C) without what initial states explain; where a simulation
+    ran away, as much as any other. Readings that there aren't have 0."""
+    twin = at.twin
+    wild = np.array([not np.isfinite(each).all() for each in left])
+    rows = at.metric.without_local(np.where(wild[:, None, None], 0.0, left))[:, : twin.measured.size]
+    costs = np.add.reduceat(rows**2, twin.starts * twin.measured.shape[1], axis=1)
+    costs[wild] = costs.max(axis=0)
+    return costs
 
 
-def _dated(at: Linearisation, fit: Fit, left: Array, edges: np.ndarray, begins: bool) -> np.ndarray:
-    """The edges at the samples where they explain most, all of them at once: coarse, then every sample."""
-    twin, n = at.twin, at.twin.time_s.size
+def dated(at: Linearisation, fit: Fit, left: Array, parts: Parts) -> Parts:
+    """The parts with their edges at the samples where they explain most, all at once: coarse, then every sample.
+
+    Args:
+        at: the metric's.
+        fit: with the effect, whose health, initial states and size stay.
+        left: (n, C) what its simulation leaves of the readings.
+        parts: as they were found so far, to a window.
+    """
+    twin, n, edges = at.twin, at.twin.time_s.size, parts.edges
     reach = int(np.diff(np.append(twin.starts, n)).max())
-    for _ in range(2):
+    for _ in range(2 if edges.size else 0):
         gaps = np.diff(np.concatenate([[0], edges, [n]]))
         low = -np.minimum(reach, (gaps[:-1] - 1) // 2)
         high = np.minimum(reach, (gaps[1:] - 1) // 2)
         shares = np.linspace(0.0, 1.0, _EDGES)
         tried = np.rint(edges + low + shares[:, None] * (high - low)).astype(np.int64)  # (T, E)
-        costs = _costs(at, fit, left, np.stack([_schedule(n, each, begins) for each in tried]))
+        costs = _costs(at, fit, left, np.stack([Parts(each, parts.begins).acts(n) for each in tried]))
         bounds = np.searchsorted(twin.starts, np.stack([edges + low, edges + high]), side="right") - 1
         best = [int(np.argmin(costs[:, a : b + 1].sum(axis=1))) for a, b in bounds.T]
         edges = tried[best, np.arange(edges.size)]
         reach = max(2 * reach // (_EDGES - 1), _EDGES // 2)
-    return edges
-
-
-def _at(twin: Twin, variant: Variant, edges: np.ndarray, begins: bool) -> Variant:
-    times = [float(t) for t in twin.time_s[edges]]
-    if begins:
-        times.insert(0, float(twin.time_s[0]))
-    onset, until = times[0], times[-1] if len(times) % 2 == 0 else None
-    inner = times[1:] if until is None else times[1:-1]
-    gone: Spans = tuple(zip(inner[::2], inner[1::2], strict=True))
-    return at_times(twin, variant, onset, until, False, gone)
+    return Parts(edges, parts.begins)

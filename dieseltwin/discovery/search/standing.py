@@ -26,9 +26,10 @@ from dieseltwin.discovery.likelihood.fit import (
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
 from dieseltwin.discovery.likelihood.refit import scatter, widen
 from dieseltwin.discovery.search.explanations import look_at_what_is_left
+from dieseltwin.discovery.search.pauses import MOST, Parts, dated, likeliest_parts, window_costs
 from dieseltwin.discovery.search.preparation import prepare, telling_alone
 from dieseltwin.discovery.search.state import Search, set_probabilities
-from dieseltwin.discovery.search.variants import LEAST_SHARE, Variant
+from dieseltwin.discovery.search.variants import LEAST_SHARE, SECOND_EDGE, Variant
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithCourses, rows_of
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.settings.search import SearchSettings
@@ -38,7 +39,7 @@ _TURNS = 4  # of health and span, until the span stays
 _ROUNDS = 6
 _BELIEF = 10.0  # times what health costs away from the file's, where nothing else tells a position
 _STARTS = 5  # positions from which one is fitted
-_EDGES = 41  # times that are tried about either edge, twice
+_EDGE_SHARE = 0.02  # of what one span gains, that another edge must: a first guess of health is wrong in some windows
 _END_SHARE = 0.25  # of the recording, at either end, that health is guessed from
 _KINKS = 4  # times that windows are given up in a fit
 _HOPELESS = 0.8  # of the misfit of health alone: valves that stood still left 0.15 to 0.6 at first, other faults 0.94
@@ -54,21 +55,20 @@ class Standing:
 
     Attributes:
         name: of the effect.
-        onset_s, until_s: since when and before when [s], None for the recording's own ends.
+        parts: rows in which it stands still.
         fit: position and health.
         cost: squared whitened misfit of all windows with health as it was when the span was found.
     """
 
     name: str
-    onset_s: float | None
-    until_s: float | None
+    parts: Parts
     fit: Fit
     cost: float = np.inf
 
     @property
     def always(self) -> bool:
         """Whether it stands still all along."""
-        return self.onset_s is None and self.until_s is None
+        return self.parts.begins and not self.parts.edges.size
 
 
 def names_of(twin: Twin, settings: SearchSettings) -> list[str]:
@@ -121,7 +121,7 @@ def standing_valve(twin: Twin, settings: SearchSettings) -> Standing | None:
     if item.fit.objective >= enough:
         return None
     again = _dated(at, item)  # edges of a position in steps of 10 % lie where the command passes it
-    if (again.onset_s, again.until_s) == (item.onset_s, item.until_s):
+    if np.array_equal(again.parts.edges, item.parts.edges):
         return item
     return min(item, replace(again, fit=_whole(at, again.fit)), key=lambda each: each.fit.objective)
 
@@ -163,7 +163,7 @@ def _settled(at: Linearisation, names: Sequence[str], start: Fit) -> Standing | 
         item = _best_span(at, names, start)
         if item is None or (best is not None and item.cost >= best.cost):
             break
-        same = best is not None and (item.name, item.onset_s, item.until_s) == (best.name, best.onset_s, best.until_s)
+        same = best is not None and item.name == best.name and _same(item.parts, best.parts)
         best = item
         if same:
             break
@@ -175,6 +175,10 @@ def _settled(at: Linearisation, names: Sequence[str], start: Fit) -> Standing | 
         else:
             start = _whole(at, item.fit, near)
     return best
+
+
+def _same(first: Parts, second: Parts) -> bool:
+    return first.begins == second.begins and np.array_equal(first.edges, second.edges)
 
 
 def _beside_edges(twin: Twin, inside: np.ndarray) -> np.ndarray:
@@ -189,31 +193,25 @@ def _best_span(at: Linearisation, names: Sequence[str], start: Fit) -> Standing 
     twin = at.twin
     plain = Fit(Candidate(), start.parameters, np.zeros(0), twin.first_local(), np.inf, False)
     tried = [(name, float(position)) for name in names for position in _POSITIONS]
-    costs = _window_costs(at, simulate_fits(twin, [plain, *(_standing_fit(*one, None, plain) for one in tried)]))
-    edges = np.append(twin.starts, twin.time_s.size)
+    costs = _costs(at, simulate_fits(twin, [plain, *(_standing_fit(*one, None, plain) for one in tried)]))
     most, best = 0.0, None
     for (name, position), gains in zip(tried, costs[0] - costs[1:], strict=True):
-        gain, a, b = _largest_sum(gains)
-        span = int(edges[a]), int(edges[b])
-        if gain > most and _moves(twin, name, *span):
-            most, best = gain, _standing(twin, name, position, *span, plain)
+        stands = likeliest_parts(gains, max(SECOND_EDGE, _EDGE_SHARE * _largest_sum(gains)))
+        parts, gain = Parts.of_windows(twin, stands), float(gains[stands].sum())
+        if gain > most and parts.count <= MOST and _moves(twin, name, parts):
+            most, best = gain, _standing(twin, name, position, parts, plain)
     return None if best is None else replace(best, cost=float(costs[0].sum() - most))
 
 
-def _moves(twin: Twin, name: str, first: int, end: int) -> bool:
+def _moves(twin: Twin, name: str, parts: Parts) -> bool:
     """Whether the command moves while its valve stands still, long enough to be a state of the machine."""
-    column = twin.hypotheses[name].in_place_of
-    size = twin.time_s.size
-    return end - first > LEAST_SHARE * size and float(np.std(twin.conditions[column][first:end])) >= _MOVES
+    command = twin.conditions[twin.hypotheses[name].in_place_of]
+    stands = parts.acts(command.size) > 0.0
+    return bool(stands.mean() > LEAST_SHARE and np.std(command[stands]) >= _MOVES)
 
 
-def _standing(twin: Twin, name: str, position: float, first: int, end: int, health: Fit) -> Standing:
-    time_s = twin.time_s
-    onset = None if first == 0 else float(time_s[first])
-    until = None if end == time_s.size else float(time_s[end])
-    acts = np.zeros(time_s.size)
-    acts[first:end] = 1.0
-    return Standing(name, onset, until, _standing_fit(name, position, acts, health))
+def _standing(twin: Twin, name: str, position: float, parts: Parts, health: Fit) -> Standing:
+    return Standing(name, parts, _standing_fit(name, position, parts.acts(twin.time_s.size), health))
 
 
 def _standing_fit(name: str, position: float, acts: Array | None, health: Fit) -> Fit:
@@ -221,47 +219,24 @@ def _standing_fit(name: str, position: float, acts: Array | None, health: Fit) -
     return replace(health, candidate=Candidate((name,), schedules), magnitudes=np.array([position]), covariance=None)
 
 
-def _window_costs(at: Linearisation, simulated: Array) -> Array:
-    """(B, W) squared whitened residuals of readings (B, n, C) without what initial states explain; where a simulation
-    ran away, as much as any other."""
-    twin = at.twin
-    left = np.where(np.isfinite(twin.measured), twin.measured - simulated, 0.0)
-    wild = np.array([not np.isfinite(each).all() for each in left])
-    rows = at.metric.without_local(np.where(wild[:, None, None], 0.0, left))[:, : twin.measured.size]
-    costs = np.add.reduceat(rows**2, twin.starts * twin.measured.shape[1], axis=1)
-    costs[wild] = costs.max(axis=0)
-    return costs
+def _costs(at: Linearisation, simulated: Array) -> Array:
+    """(B, W) squared whitened residuals of each window, simulated (B, n, C)."""
+    measured = at.twin.measured
+    return window_costs(at, np.where(np.isfinite(measured), measured - simulated, 0.0))
 
 
-def _largest_sum(values: Array) -> tuple[float, int, int]:
-    """The largest sum of neighbours, and the first of them and the first behind them (Kadane)."""
+def _largest_sum(values: Array) -> float:
+    """The largest sum of neighbours (Kadane)."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
-    lowest = np.minimum.accumulate(sums)
-    b = int(np.argmax(sums - lowest))
-    a = int(np.argmax(sums[: b + 1] == lowest[b]))
-    return float(sums[b] - sums[a]), a, b
+    return float(np.max(sums - np.minimum.accumulate(sums)))
 
 
 def _dated(at: Linearisation, item: Standing) -> Standing:
-    """The same with both edges at the samples where they explain most; position and health stay."""
-    twin, fit = at.twin, item.fit
-    position = float(fit.magnitudes[0])
-    first, end = _edges(twin, item)
-    reach = int(np.diff(np.append(twin.starts, twin.time_s.size)).max())
-    for _ in range(2):  # coarse, then every sample
-        for which in (0, 1):
-            edges = (first, end)
-            if edges[which] in (0, twin.time_s.size):
-                continue
-            low, high = max(edges[which] - reach, 1), min(edges[which] + reach, twin.time_s.size - 1)
-            tried = np.unique(np.linspace(low, high, _EDGES).astype(np.int64))
-            spans = [(int(t), end) if which == 0 else (first, int(t)) for t in tried]
-            spans = [span for span in spans if span[0] < span[1]]
-            fits = [_standing(twin, item.name, position, *span, fit).fit for span in spans]
-            costs = _window_costs(at, simulate_fits(twin, fits)).sum(axis=1)
-            first, end = spans[int(np.argmin(costs))]
-        reach = max(reach * 2 // (_EDGES - 1), _EDGES // 2 if reach > _EDGES else 1)
-    return replace(_standing(twin, item.name, position, first, end, fit), cost=item.cost)
+    """The same with all edges at the samples where they explain most; position and health stay."""
+    left = np.nan_to_num(at.twin.measured - simulate_fits(at.twin, [item.fit])[0])
+    parts = dated(at, item.fit, left, item.parts)
+    position = float(item.fit.magnitudes[0])
+    return replace(_standing(at.twin, item.name, position, parts, item.fit), cost=item.cost)
 
 
 def _positioned(at: Linearisation, item: Standing) -> Standing:
@@ -272,7 +247,7 @@ def _positioned(at: Linearisation, item: Standing) -> Standing:
     best = _whole(at, item.fit)
     if best.objective > _WELL * at.whitening.present.sum() or item.always:
         starts = [replace(item.fit, magnitudes=np.array([position])) for position in _POSITIONS]
-        costs = _window_costs(at, simulate_fits(at.twin, starts)).sum(axis=1)
+        costs = _costs(at, simulate_fits(at.twin, starts)).sum(axis=1)
         others = [_whole(at, starts[k]) for k in np.argsort(costs)[:_STARTS]]
         best = min([best, *others], key=lambda fit: fit.objective)
     return replace(item, fit=best)
@@ -287,11 +262,6 @@ def _whole(at: Linearisation, start: Fit, out: np.ndarray | None = None) -> Fit:
         return replace(start, objective=np.inf)
 
 
-def _edges(twin: Twin, item: Standing) -> tuple[int, int]:
-    first = 0 if item.onset_s is None else int(np.searchsorted(twin.time_s, item.onset_s))
-    return first, twin.time_s.size if item.until_s is None else int(np.searchsorted(twin.time_s, item.until_s))
-
-
 def prepared_beside(twin: Twin, settings: SearchSettings, item: Standing) -> Search:
     """As `preparation.prepare`, about the valve that stands still: noise, tolerances and what else could be seen.
 
@@ -302,8 +272,9 @@ def prepared_beside(twin: Twin, settings: SearchSettings, item: Standing) -> Sea
     """
     found = prepare(twin, settings, item.fit)
     best = cast(Linearisation, found.best)
-    variant = Variant(item.name, item.onset_s, None, item.fit.candidate.schedules[item.name], best.jacobian[-1],
-                      found.gain(best.fit), until_s=item.until_s)  # fmt: skip
+    onset, until, _, gone = item.parts.times(twin)
+    variant = Variant(item.name, None if item.parts.begins else onset, None, item.fit.candidate.schedules[item.name],
+                      best.jacobian[-1], found.gain(best.fit), until_s=until, gone=gone)  # fmt: skip
     found.variants, found.standing = [(variant, best.fit)], True
     if item.always or not best.fit.std[-1] < _VAGUE:
         fits = [best.fit, *_elsewhere(best)]

@@ -97,7 +97,7 @@ class Search:
 
     def stood_always(self) -> bool:
         """Whether a valve that stands still does so from the first row to the last."""
-        return self.standing and self.variant is not None and self.variant.onset_s is self.variant.until_s is None
+        return self.standing and self.variant is not None and bool(self.variant.schedule.all())
 
     def remaining(self) -> float:
         """What the strongest further term would gain beyond the explanation, without the window it hangs on most."""

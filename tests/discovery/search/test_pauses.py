@@ -30,4 +30,4 @@ def test_parts_pay_for_their_edges() -> None:  # the beginning and the end of a 
     gains = np.array([-5.0, 9.0, 9.0, -5.0, 9.0, 9.0, -30.0, 20.0])
     assert likeliest_parts(gains, 8.0).tolist() == [True, True, True, True, True, True, False, True]
     assert likeliest_parts(gains, 2.0).tolist() == [False, True, True, False, True, True, False, True]
-    assert not likeliest_parts(gains, 40.0).any()
+    assert likeliest_parts(gains, 40.0).all() and not likeliest_parts(gains - 5.0, 40.0).any()

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import dieseltwin as dt
 from dieseltwin.discovery.discover import Options, prepare
-from dieseltwin.discovery.search.standing import _largest_sum, names_of, worth_trying
+from dieseltwin.discovery.search.standing import names_of, worth_trying
 from dieseltwin.engine import EngineParameters, we2011
 from dieseltwin.engine.terms import Term
 from tests.api.simulated import drive
@@ -53,6 +52,18 @@ def test_vanes_that_stood_for_a_while_are_given_their_span(tmp_path: Path) -> No
     assert abs((effect.magnitude or 0.0) - 42.0) < 4.0 * (effect.std or 0.0)
 
 
+def test_a_valve_that_sticks_now_and_then_is_given_its_parts(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    term = Term(effect="vgt_stuck", magnitude=42.0, onset_s=25.0, until_s=125.0, gone_s=((60.0, 85.0),))
+    drive(150.0, _with(term)).to_csv(path, index=False)
+    document = dt.discover(path).document
+    (effect,), place = document.effects, document.location
+    assert effect.name == "vgt_stuck" and place is not None and not document.more_is_missing
+    times = (place.onset_s, *place.gone_s[0], place.until_s)
+    assert times == pytest.approx((25.0, 60.0, 85.0, 125.0), abs=2.0)
+    assert abs((effect.magnitude or 0.0) - 42.0) < 4.0 * (effect.std or 0.0)
+
+
 def test_vanes_that_stood_all_along_leave_health_as_believed(tmp_path: Path) -> None:
     """Their position and the area of health can't be told apart, and are told as badly as that."""
     path = tmp_path / "drive.csv"
@@ -72,10 +83,3 @@ def test_no_other_fault_is_taken_for_a_valve(tmp_path: Path) -> None:
     assert worth_trying(leaking) and not leaking.standing
     settings = Options(withhold=("egr_stuck", "vgt_stuck")).settings()
     assert names_of(leaking.twin, settings) == []
-
-
-@pytest.mark.parametrize(("values", "expected"), [
-    ([-1.0, 2.0, -1.0, 3.0, -5.0], (4.0, 1, 4)), ([-1.0, -2.0], (0.0, 0, 0)), ([1.0, 1.0], (2.0, 0, 2)),
-])  # fmt: skip
-def test_the_windows_that_gain_most(values: list[float], expected: tuple[float, int, int]) -> None:
-    assert _largest_sum(np.array(values)) == expected
