@@ -15,7 +15,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each
 from dieseltwin.discovery.search.courses import at_times
-from dieseltwin.discovery.search.variants import SECOND_EDGE, Sums, Variant
+from dieseltwin.discovery.search.variants import Sums, Variant
 from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.engine.courses import Spans
 
@@ -59,18 +59,19 @@ class Parts:
         return times[0], until, False, tuple(zip(inner[::2], inner[1::2], strict=True))
 
 
-def in_parts(at: Linearisation, variant: Variant, fit: Fit) -> Variant | None:
+def in_parts(at: Linearisation, variant: Variant, fit: Fit, edge_gain: float) -> Variant | None:
     """The same effect in two or more parts of the time, None where one part explains as much.
 
     Args:
         at: the health-only fit, in whose metric windows are compared.
         variant: the effect, as it was found so far.
         fit: its refit: health, initial states and the effect's size stay.
+        edge_gain: what each edge must gain.
     """
     twin = at.twin
     left = _left(at, fit)
     costs = _costs(at, fit, left, np.stack([np.zeros(twin.time_s.size), np.ones(twin.time_s.size)]))
-    parts = Parts.of_windows(twin, likeliest_parts(costs[0] - costs[1], SECOND_EDGE))
+    parts = Parts.of_windows(twin, likeliest_parts(costs[0] - costs[1], edge_gain))
     if not 2 <= parts.count <= MOST:
         return None
     return at_times(twin, variant, *dated(at, fit, left, parts).times(twin))

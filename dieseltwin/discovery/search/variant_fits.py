@@ -15,6 +15,7 @@ from dieseltwin.discovery.search.pauses import in_parts, in_the_same_parts
 from dieseltwin.discovery.search.preparation import in_own_metrics
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variants import (
+    SECOND_EDGE,
     Variant,
     edge_cost,
     onset_candidates,
@@ -96,7 +97,8 @@ def _try_parts(found: Search) -> None:
     new = []
     for variant, fit in pairs:
         for _ in range(_PARTS):
-            other = in_parts(found.null, variant, fit)
+            share = 0.5 * found.settings.missing_share  # a pause has two edges
+            other = in_parts(found.null, variant, fit, max(SECOND_EDGE, share * found.gain(fit)))
             if other is None or np.array_equal(other.schedule, variant.schedule):
                 break
             candidate = Candidate((other.name,), {other.name: other.schedule})
