@@ -69,6 +69,13 @@ def sync_file(path: str | Path) -> None:
         os.close(descriptor)
 
 
+def _named(path: str | Path) -> Path:
+    """The path; an empty text would be the current folder."""
+    if isinstance(path, str) and not path.strip():
+        raise InputError("where to write", "an empty text", "a file or a folder", "name one")
+    return Path(path)
+
+
 def _refuse_name(path: Path) -> None:
     """Raise OSError for a name that no file can have, and for a link to nowhere or in a circle."""
     try:
@@ -93,7 +100,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     Raises:
         InputError: full disk, read-only or missing folder.
     """
-    path = Path(path)
+    path = _named(path)
     with _user_errors(path):
         _refuse_name(path)
         temporary = path.with_name(_partial(path))
@@ -119,7 +126,7 @@ def atomic_folder(path: str | Path, owned: Collection[str] = ()) -> Iterator[Pat
     Raises:
         InputError: full disk, read-only folder, `path` is a file.
     """
-    path = Path(path)
+    path = _named(path)
     with _user_errors(path):
         _refuse_name(path)
         if path.exists() and not path.is_dir():

@@ -157,3 +157,11 @@ def test_check_writable_leaves_nothing_and_keeps_the_old_file(tmp_path: Path) ->
     assert (tmp_path / "a.txt").read_text() == "old" and names(tmp_path) == {"a.txt"}
     with pytest.raises(InputError, match="no such file"):
         check_writable(tmp_path / "none" / "a.txt")
+
+
+@pytest.mark.parametrize("writing", [atomic_path, atomic_folder])
+def test_an_empty_name_is_not_the_current_folder(writing, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="an empty text"), writing(""):
+        pass
+    assert not list(tmp_path.iterdir())

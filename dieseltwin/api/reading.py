@@ -84,11 +84,13 @@ def read(
 def description(found: Made) -> list[str]:
     """What was read, in sentences: size and rate, the quantities, and what reading did to the file."""
     if isinstance(found, SteadyPoints):
-        return [f"{found.size} settled points with {', '.join(found.columns)}."]
+        return [f"{found.size} settled points with {', '.join(found.columns)}.", *found.notes]
     if isinstance(found, PetrolRecording):
-        return [f"{found.signals.time_s[-1] / 60.0:.1f} minutes of a petrol engine with {', '.join(found.columns)}."]
+        minutes = found.signals.time_s[-1] / 60.0
+        return [f"{minutes:.1f} minutes of a petrol engine with {', '.join(found.columns)}.", *found.notes]
     if isinstance(found, RigRecording):
-        return [f"{len(found.time_s)} samples of a rig with {', '.join((*found.inputs, *found.readings))}."]
+        columns = ", ".join((*found.inputs, *found.readings))
+        return [f"{len(found.time_s)} samples of a rig with {columns}.", *found.notes]
     rate = 1.0 / float(np.median(np.diff(found.time_s)))
     there = [name for name in found.channels if name != TIME]
     return [f"{found.duration_s / 60.0:.1f} minutes at {rate:.3g} Hz with {', '.join(there)}.", *found.notes]
@@ -111,9 +113,6 @@ def opened(source: Source | Made, machine: Engine, channels: Channels | None) ->
     if isinstance(machine, RigParameters):
         refuse_options({"--channels": channels}, f"for {machine.name}: its file names the columns")
     source = as_table(source)
-    if not isinstance(channels, ChannelMap | str | Path | None):
-        raise InputError("channels", f"a {type(channels).__name__}", "a channel map's file or a ChannelMap",
-                         "write the map into a file: their name, a colon, ours")  # fmt: skip
     return import_columns(source, channels) if isinstance(source, str | Path | pd.DataFrame) else source
 
 

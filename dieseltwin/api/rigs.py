@@ -36,6 +36,7 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+READING = "reading"  # code of a note on what reading did to the file
 UNTOLD = 0.9  # of what was believed beforehand: a deviation that a recording left as wide
 OWNED = ("engine.yaml", "report.html", "report.pdf", "figures", "runtime.json", DETAILS, FILE_NAME)
 
@@ -65,8 +66,8 @@ class RigDiscovered(Discovered):
         return sentence(self.found, self.document)
 
     def lines(self) -> list[str]:
-        long = [doubt for doubt in self.document.warnings if doubt.code == LONG_STEPS]
-        return [self.sentence, *(Note(doubt.text, doubt.code) for doubt in long)]
+        said = [doubt for doubt in self.document.warnings if doubt.code in (LONG_STEPS, READING)]
+        return [self.sentence, *(Note(doubt.text, doubt.code) for doubt in said)]
 
     def plot(self, name: str | None = None) -> Figure:
         """`readings`: the repaired machine in free runs beside what was recorded."""
@@ -155,11 +156,13 @@ class RigIdentified(Result):
         engine: the rig with them.
         seconds: wall time.
         off: column -> root mean square error of the fitted rig's free runs [unit of the reading].
+        notes: what reading did to the recording.
     """
 
     engine: RigParameters
     seconds: float
     off: Mapping[str, float]
+    notes: tuple[Note, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -174,7 +177,7 @@ class RigIdentified(Result):
         if untold:
             said.append(f"note: this recording says next to nothing of {', '.join(untold)}: what stands there is what "
                         "was believed before")
-        return said
+        return [*said, *self.notes]
 
     def table(self) -> pd.DataFrame:
         """One row a parameter or term: mean, standard deviation in the size of the misfit, unit."""
@@ -205,4 +208,4 @@ def identify_rig(recording: Source | RigRecording, rig: RigParameters) -> RigIde
     source = rig_recording(recording, rig, all_readings=True)
     found = fitted(rig, source)[0]
     off = dict(zip(rig.readings, map(float, run_error(found, source)), strict=True))
-    return RigIdentified(found, time.perf_counter() - began, off)
+    return RigIdentified(found, time.perf_counter() - began, off, source.notes)

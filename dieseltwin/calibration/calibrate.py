@@ -234,7 +234,8 @@ def calibrate(
     notes += [Note(f"{name}: {100 * max(fit.coefficient_of_determination, 0.0):.0f} % of how the held-out points vary "
                    "is explained, where 95 and more are usual: is a column in another unit (fuel in kg/h under "
                    "u_delta_mg), or another quantity?", "misfit")
-              for name, fit in fits.items() if fit.coefficient_of_determination < LEAST_EXPLAINED]  # fmt: skip
+              for name, fit in fits.items()
+              if name in ROWS and fit.coefficient_of_determination < LEAST_EXPLAINED]  # fmt: skip
     calibrated = with_scalars(engine, final)
     return Calibration(calibrated, base, points, mask, fits, _identified(whole), whole.covariance, valves,
                        tuple(notes), whole, model, final, {**start, **trained.values()})

@@ -47,6 +47,7 @@ T_CHARGE = 310.0  # K, temperature at which eta_vol's map is meant
 SHARE_OF_HEAD = 0.25  # where the flow has no part in the ellipse, an error of the head counts as four of the flow
 ELLIPSE_MIN = 1e-4  # limiter of the implicit compressor map: keeps the logarithm of trial states finite
 T_ES_MIN = 200.0  # K, limiter: keeps trial states physical
+T_IM_MIN = 100.0  # K, the same of the charge: readings that contradict the engine ask for one below 0 K
 SWEEPS = 4  # of the cylinder's fixed point
 LEAST_FLOW = 1e-5  # kg/s, limiter: keeps trial flows positive
 MAP_MODE = "map:"
@@ -159,7 +160,8 @@ class SteadyModel:
 
         # charge: coolers, cylinder
         eta_vol = changed("eta_vol", _eq.eta_vol(p_im, n_e, c))
-        T_im = known["T_im"] = signal("T_im", t.charge_temperature(c.T_im, known, points))
+        T_im_model = known["T_im"] = signal("T_im", t.charge_temperature(c.T_im, known, points))
+        T_im = self._as_read("t_im_k", points, T_im_model)
         eta_vol = eta_vol * t.wall_heating(T_im)
         c_i = c._replace(T_im=T_im, T_amb=T_0)
         W_ei_model = _eq.cylinder_inflow(eta_vol, p_im, n_e, c_i)
@@ -196,7 +198,7 @@ class SteadyModel:
             "egr_flow": (W_egr, W_egr_model),
             "exhaust_temperature": (T_em, T_em_model),
         }
-        implied = {"p_es": p_es, "p_bc": p_bc, "T_im": T_im, "T_c": T_c}
+        implied = {"p_es": p_es, "p_bc": p_bc, "T_im": T_im_model, "T_c": T_c}
         if WORK_ROW in self.active:
             psi = _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c)
             volume = W_c * c.R_a * T_0 / (p_bc * c.wheel_volume * omega)
@@ -221,6 +223,14 @@ class SteadyModel:
             "Psi_c": _eq.energy_transfer_coefficient(T_0, Pi_c, omega, c_c),
         }  # fmt: skip
         return Relations(residual, pairs, quantities)
+
+    def _as_read(self, column: str, points: SteadyPoints, modelled: Any) -> Any:
+        """What a reading says where there is one, else what is modelled: a charge of one temperature, while the weather
+        and the cooler change it by some per cent from point to point, would be errors of the filling."""
+        if column not in self.extra:
+            return modelled
+        read = points[column]
+        return np.where(np.isfinite(read), read, modelled)
 
     def _entered(self, points: SteadyPoints, values: Mapping[str, Any], lanes: int) -> dict[str, Array]:
         """Signals by insertion point, with the smooth errors of maps; points without their columns are elsewhere and
@@ -348,7 +358,7 @@ class _Terms:
 
     def wall_heating(self, T_im: Any) -> Any:
         """Factor of eta_vol [-]: by belief the charge is heated by the walls."""
-        return (T_im / T_CHARGE) ** self("vol_heating")
+        return (np.maximum(T_im, T_IM_MIN) / T_CHARGE) ** self("vol_heating")
 
     def work_coefficient(self, volume: Any, Pi_c: Any) -> Any:
         """Euler work over tip speed squared [-]: falls with the flow at the wheel's exit (backsweep)."""

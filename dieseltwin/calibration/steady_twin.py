@@ -25,7 +25,7 @@ from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.calibration.lasting_errors import SUBMODEL_OF, sensor_errors
 from dieseltwin.calibration.likelihood import reading_covariance, reading_noise
-from dieseltwin.calibration.steady_model import MAP_MODE, SteadyModel, law_variables
+from dieseltwin.calibration.steady_model import MAP_MODE, T_CHARGE, SteadyModel, law_variables
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
@@ -38,6 +38,7 @@ from dieseltwin.discovery.twins.interface import (
     Parameter,
     Point,
     TwinDefaults,
+    joined,
     single,
 )
 from dieseltwin.engine.effects import ACTUATION_EFFECTS, EFFECTS, GAS_LAG
@@ -54,6 +55,8 @@ MOVING_ONLY = (
 )  # fmt: skip
 """Effects that a settled point can't show: they need time."""
 
+CHARGE = "charge since the reference, by the weather"
+HEATED, VOL_HEATING = "heating of the charge by the walls", 0.35  # power of T_im in eta_vol, as `imply` believes
 _WITHOUT_SIGNAL = ("T_e",)
 _TYPICAL = 0.3  # prior standard deviations of a health parameter or its wear, for differences and step limits
 _COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
@@ -202,6 +205,13 @@ class SteadyTwin(TwinDefaults):
             Nuisance(nuisance.label, response=response)
             for nuisance, response in zip(maps, nuisance_responses(lasting, lanes, simulated, maps), strict=True)
         ]
+        if (warmer := self._warmer_weather()) > 0.0:
+            warm = joined(lanes.signals, {"T_im": np.full(self.data.size, warmer / self.engine.T_im)})
+            found.append(Nuisance(CHARGE, response=self.simulate(replace(lanes, signals=warm))[0] - simulated))
+        if "t_im_k" in self.model.extra:  # walls heat a cold charge more, and more of it stays out
+            colder = np.nan_to_num(VOL_HEATING * np.log(self.data["t_im_k"] / T_CHARGE))
+            filled = joined(lanes.signals, {"eta_vol": colder})
+            found.append(Nuisance(HEATED, response=lasting.simulate(replace(lanes, signals=filled))[0] - simulated))
         free = {p.name for p in self.parameters}
         for c in self._coefficients:
             if c.name not in free:
@@ -210,6 +220,17 @@ class SteadyTwin(TwinDefaults):
                 moved = self._balances(lanes, {c.name: self._fixed[c.name] + step})
                 found.append(Nuisance(c.name, response=(moved[0] - simulated) * c.std / step))
         return found
+
+    def _warmer_weather(self) -> float:
+        """How far the charge of the judged points may be from the reference's: as far as the weather differs [K].
+
+        The model's charge is one temperature, and a cooler's outlet follows the weather: without this a reference of a
+        warm day and points of a cold one are a meter that reads some per cent of air too much. 0 where it is read.
+        """
+        judged, ambient = self._acts > 0.5, self.data["t_amb_k"]
+        if judged.all() or not judged.any() or "t_im_k" in self.model.extra:  # it is read
+            return 0.0
+        return abs(float(np.median(ambient[judged]) - np.median(ambient[~judged])))
 
     def simulate(self, lanes: Lanes) -> Array:
         """Balances that the lanes explain, whitened, (B, n, C)."""

@@ -11,7 +11,7 @@ import gc
 import os
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Annotated
 
@@ -112,6 +112,21 @@ def _fail(error: Exception | str, code: int) -> int:
     return code
 
 
+def _refuse_empty(arguments: Sequence[str]) -> None:
+    """Refuse a word without letters: as a path it is the current folder, where nobody asked for results.
+
+    Raises:
+        InputError: `--out ""`, `--out=`, or an argument that is empty.
+    """
+    for before, word in zip(["", *arguments], arguments, strict=False):
+        option, _, value = word.partition("=")
+        if value.strip() or (word.strip() and not (option.startswith("--") and word != option)):
+            continue
+        name = option if option.strip() else before if before.startswith("-") else "an argument"
+        raise InputError(name, "an empty text", "a name or a value",
+                         "give one, or leave it out (a variable of the shell that isn't set?)")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code (0 done, 2 the input cannot be used, 130 interrupted)."""
     if not sys.warnoptions:  # numerical warnings are for developers: `python -W default -m dieseltwin`
@@ -122,6 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     # Importing makes a million objects that stay: looking for garbage among them every 700 takes a fifth of the start.
     gc.set_threshold(100_000, 50, 100)
     try:
+        _refuse_empty(sys.argv[1:] if arguments is None else arguments)
         result = _commands()(args=arguments, prog_name="dieseltwin", standalone_mode=False)
     except DieselTwinError as error:
         return _fail(error, error.exit_code)

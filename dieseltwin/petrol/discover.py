@@ -49,6 +49,7 @@ from dieseltwin.settings.search import SearchSettings
 from dieseltwin.version import __version__
 
 TOLD_LEVEL = 0.01  # shift of a level that the sentence tells [-]
+AT_LIMIT = 1e-3  # of a limit: so near a size is at it
 NEXT = ("single", "variant")  # kinds of a next finding that is said: one name; more of them are for the next discovery
 ONSET_SHARE = 0.1  # of the recording, before an effect that `minimum_detectable` speaks of
 SPLIT_BY = {
@@ -137,6 +138,7 @@ def judge(
         found.kind, found.best, found.variant = "healthy", None, None
     _one_fault_a_sensor(found)
     _likelier_first(found)
+    _none_at_a_limit(found)
     return twin, found
 
 
@@ -186,6 +188,16 @@ def _likelier_first(found: Search) -> None:
     if likelier is not None and best != found.best.fit.candidate.names and found.of_interest(likelier[1]):
         found.variant, fit = likelier
         found.best = recentred(found, fit)
+
+
+def _none_at_a_limit(found: Search) -> None:
+    """A name whose best size is the largest that is possible explains nothing: it would be larger still."""
+    if found.best is None:
+        return
+    fit = found.best.fit
+    limits = np.array([found.twin.hypotheses[name].limits for name in fit.candidate.names])
+    if np.any((limits != 0.0) & (np.abs(fit.magnitudes[:, None] - limits) <= AT_LIMIT * np.abs(limits))):
+        found.kind, found.best, found.variant = "law", None, None
 
 
 def discover_petrol(
@@ -337,7 +349,8 @@ def _found(d: Discrepancy) -> str:
     told = []
     for e in d.effects:
         if e.magnitude is None:
-            return f"at {d.location.site}, {since}: none of the known effects explains it"
+            when = "" if d.location.onset_s is None else f", {since}"  # whether it was there all along isn't looked for
+            return f"at {d.location.site}{when}: none of the known effects explains it"
         size = f"{100 * e.magnitude:+.1f} %" if e.unit == "-" else f"{e.magnitude:.3g} {e.unit}"
         spread = "" if e.std is None else (f" ± {100 * e.std:.1f} %" if e.unit == "-" else f" ± {e.std:.1g} {e.unit}")
         same = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""

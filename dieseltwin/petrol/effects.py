@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.discovery.twins.interface import Hypothesis
-from dieseltwin.petrol.components import nozzle_flow, signed_leak
+from dieseltwin.petrol.components import signed_leak
 from dieseltwin.petrol.recording import Signals, gaps
 
 Array = NDArray[np.float64]
@@ -106,7 +106,8 @@ _ALL = (
             (5e-7, "m2"), (0.0, 5e-5),
             lambda s, m: replace(s, leak_im=signed_leak(m, s.p_im, s.T_ic, s.p_amb, s.T_amb))),
     _effect("boost_leak", "physics", "intercooler_mass_balance", f"W_leak = {_NOZZLE}, from before the throttle",
-            (4e-6, "m2"), (0.0, 2e-4), lambda s, m: replace(s, leak_ic=nozzle_flow(m, s.p_ic, s.T_ic, s.p_amb))),
+            (4e-6, "m2"), (0.0, 2e-4),
+            lambda s, m: replace(s, leak_ic=-signed_leak(m, s.p_ic, s.T_ic, s.p_amb, s.T_amb))),
 )  # fmt: skip
 EFFECTS: Mapping[str, PetrolEffect] = {e.hypothesis.name: e for e in _ALL}
 HYPOTHESES: Mapping[str, Hypothesis] = {name: e.hypothesis for name, e in EFFECTS.items()}

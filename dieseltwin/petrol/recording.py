@@ -117,7 +117,7 @@ def read_petrol(
     Raises:
         InputError: missing file or column, no rising time, values that can't be in the unit of the column's name.
     """
-    columns, path, sha256 = named_columns(source, channels)
+    columns, path, sha256, read_notes = named_columns(source, channels)
     table = {name.strip().lower(): values for name, values in columns.items()}
     recorded = tuple(table)
     missing = [c for c in ("time_s", *COLUMNS) if c not in table and c not in absent]
@@ -135,7 +135,7 @@ def read_petrol(
     good = np.all([np.isfinite(v) for v in values.values()], axis=0)
     if good.sum() < FEWEST_BLOCKS:
         raise InputError(path, f"{int(good.sum())} complete rows", f"at least {FEWEST_BLOCKS} s", "record longer")
-    notes = _left_out(values, good)
+    notes = (*read_notes, *_left_out(values, good))
     values = {k: v[good] for k, v in values.items()}
     time = values.pop("time_s")
     if np.any(np.diff(time) <= 0.0):

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note, of_reading
 from dieseltwin.paths import file_sha256
 from dieseltwin.recordings.channels import TIME, ChannelMap, channel_map, known_columns, read_channel_map
 from dieseltwin.recordings.derived import NOTHING, Made
@@ -87,14 +88,14 @@ def import_columns(
     Raises:
         InputError: one line saying what is wrong with the file or the map.
     """
+    mapping = _map(channels)
     if isinstance(source, Imported):
         return source
     if isinstance(source, pd.DataFrame):
-        table, mapping = with_index(source), _map(channels)
+        table = with_index(source)
         by_seconds, _, notes = in_seconds(table, "table")
         return Imported(renamed(by_seconds, channels), tuple(notes), first_stamp(table), made=mapping.made)
     path = Path(source)
-    mapping = _map(channels)
     wanted = {*mapping.entries, *known_columns()} if mapping.entries else None
     raw = read_raw(path, mapping.database, wanted)
     if raw.table is None and any(name not in raw.signals for name in mapping.entries):
@@ -113,18 +114,18 @@ def import_columns(
 
 def named_columns(
     source: str | Path | pd.DataFrame | Imported, channels: ChannelMap | str | Path | None = None
-) -> tuple[dict[str, np.ndarray], str, str]:
-    """Columns of a file or of a table in our names, its name for messages, and its hash.
+) -> tuple[dict[str, np.ndarray], str, str, tuple[Note, ...]]:
+    """Columns of a file or of a table in our names, its name for messages, its hash, and what was done to read it.
 
     Raises:
         InputError: one line saying what is wrong with the file or the map.
     """
     read = import_columns(source, channels)
-    columns = dict(read.columns)
+    columns, notes = dict(read.columns), tuple(map(of_reading, read.notes))
     if read.path is not None and read.sha256 is not None:
-        return columns, str(read.path), read.sha256
+        return columns, str(read.path), read.sha256, notes
     rows = pd.util.hash_pandas_object(pd.DataFrame(columns), index=False).to_numpy()
-    return columns, "the table", hashlib.sha256(rows.tobytes()).hexdigest()
+    return columns, "the table", hashlib.sha256(rows.tobytes()).hexdigest(), notes
 
 
 def renamed(table: pd.DataFrame, channels: ChannelMap | str | Path | None) -> dict[str, np.ndarray]:
@@ -140,6 +141,9 @@ def renamed(table: pd.DataFrame, channels: ChannelMap | str | Path | None) -> di
 def _map(channels: ChannelMap | str | Path | None) -> ChannelMap:
     if channels is None:
         return channel_map({})
+    if not isinstance(channels, ChannelMap | str | Path):
+        raise InputError("channels", f"a {type(channels).__name__}", "a channel map's file or a ChannelMap",
+                         "write the map into a file: their name, a colon, ours")  # fmt: skip
     return channels if isinstance(channels, ChannelMap) else read_channel_map(channels)
 
 

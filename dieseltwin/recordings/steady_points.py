@@ -20,7 +20,15 @@ from dieseltwin.engine import we2011
 from dieseltwin.engine.parameters import EngineParameters
 from dieseltwin.errors import InputError
 from dieseltwin.notes import counted
-from dieseltwin.recordings.channels import INPUTS, OPTIONAL_INPUTS, SENSORS, TIME, ChannelMap, foreign_hint
+from dieseltwin.recordings.channels import (
+    INPUTS,
+    OPTIONAL_INPUTS,
+    SENSORS,
+    TIME,
+    ChannelMap,
+    foreign_hint,
+    known_columns,
+)
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.named_columns import Imported, import_columns
 from dieseltwin.recordings.plausibility import check_plausible, mask_wild
@@ -33,6 +41,9 @@ STATES = ("p_im_pa", "p_em_pa", "omega_t_rad_s", "w_c_kg_s", "w_egr_kg_s", "t_em
 
 NEVER_NOUGHT = tuple(name for name in STATES if name != "w_egr_kg_s")
 """What an engine that runs has at every point: 0 or less is no reading of it."""
+
+BESIDE = ("p_es_pa", "p_bc_pa", "t_c_k")
+"""Places of a test bed that points may be measured at besides."""
 
 JUDGED = "judged"
 """Column of 1 for points that are judged and 0 for those of the reference; without it all are judged."""
@@ -131,10 +142,11 @@ def points(
                              foreign_hint(name, names))
     columns: dict[str, np.ndarray] = {}
     notes = []
+    read_as_numbers = {*needed, *known_columns(), *BESIDE}  # text elsewhere is somebody's remark
     for name in names:
         raw = pd.Series(np.asarray(frame[name]))
         values = pd.to_numeric(raw, errors="coerce").to_numpy(dtype=np.float64)
-        if name in needed and (np.isnan(values) & raw.notna().to_numpy()).any():
+        if name in read_as_numbers and (np.isnan(values) & raw.notna().to_numpy()).any():
             row = int(np.flatnonzero(np.isnan(values) & raw.notna().to_numpy())[0])
             raise InputError(f"{where}: column {name}, data row {row + 1}", repr(raw.iloc[row]),
                              "numbers with a decimal point", "mend or empty this cell")
@@ -230,7 +242,7 @@ def read_points(
         columns = quasi_steady(columns, str(read.path or "recording"))
         origin = "averaged quasi-steady windows of a transient recording"
     found = points(columns, engine, where=where, needed=needed, path=read.path, sha256=read.sha256 or "", origin=origin)
-    return replace(found, notes=(*notes, *found.notes))
+    return replace(found, notes=(*read.notes, *notes, *found.notes))
 
 
 def refuse_moving(columns: Mapping[str, np.ndarray], where: str) -> list[str]:

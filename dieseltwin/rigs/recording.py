@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dieseltwin.errors import InputError
+from dieseltwin.notes import Note
 from dieseltwin.recordings.channels import TIME
 from dieseltwin.recordings.named_columns import Imported, named_columns, numbers
 from dieseltwin.rigs.parameters import RigParameters
@@ -29,6 +30,7 @@ class RigRecording:
         inputs: column -> (n,), no gaps.
         readings: column -> (n,), NaN where missing; columns that aren't there, or are empty, are left out.
         path, sha256: where it comes from.
+        notes: what reading did to the file.
     """
 
     time_s: Array
@@ -36,12 +38,13 @@ class RigRecording:
     readings: Mapping[str, Array]
     path: str
     sha256: str
+    notes: tuple[Note, ...] = ()
 
     def part(self, rows: slice) -> RigRecording:
         """Some of its rows."""
         inputs = {name: values[rows] for name, values in self.inputs.items()}
         readings = {name: values[rows] for name, values in self.readings.items()}
-        return RigRecording(self.time_s[rows], inputs, readings, self.path, self.sha256)
+        return RigRecording(self.time_s[rows], inputs, readings, self.path, self.sha256, self.notes)
 
 
 def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -> RigRecording:
@@ -51,7 +54,7 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
         InputError: a file that can't be read, a column that is missing or holds text, times that don't increase, an
             input that isn't there in every row.
     """
-    found, where, digest = named_columns(source)
+    found, where, digest, notes = named_columns(source)
     asked = (TIME, *rig.inputs, *rig.readings)
     columns = {name: numbers(name, found[name], where, needed=True) for name in asked if name in found}
     for name in (TIME, *rig.inputs):
@@ -72,7 +75,7 @@ def read_rig(source: str | Path | pd.DataFrame | Imported, rig: RigParameters) -
                              "no number", "a number in every row of an input", "fill in or drop this row")
     readings = {name: columns[name][:n : rig.every] for name in rig.readings
                 if name in columns and np.isfinite(columns[name][:n : rig.every]).any()}  # fmt: skip
-    return RigRecording(time_s, inputs, readings, where, digest)
+    return RigRecording(time_s, inputs, readings, where, digest, notes)
 
 
 def _refuse_disorder(time_s: Array, where: str) -> None:

@@ -63,7 +63,8 @@ def document(result: RigDiscovery) -> Discrepancy:
         minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
-    return with_warnings(made, [*fit_doubts(made), *_unexplained(result, made.fit), *_step_notes(result)])
+    doubts = [*fit_doubts(made), *_unexplained(result, made.fit), *_step_notes(result), *recording.notes]
+    return with_warnings(made, doubts)
 
 
 def _unexplained(result: RigDiscovery, fit: Fit) -> list[Note]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -124,3 +125,36 @@ def test_arguments_of_another_kind_are_said(driven: pd.DataFrame) -> None:
         with pytest.raises(InputError) as refused:
             wrong()
         assert says in str(refused.value)
+
+
+@pytest.mark.parametrize("channels", [{"Zeit": "time_s"}, 3, ["map.yaml"], b"map.yaml", 1.5])
+def test_channels_of_another_kind_are_said(channels: Any, driven: pd.DataFrame) -> None:
+    points = driven.drop(columns="time_s")
+    for ask_for in (
+        lambda: dt.read(driven, channels=channels),
+        lambda: dt.simulate(driven, channels=channels),
+        lambda: dt.identify(driven, channels=channels),
+        lambda: dt.discover(driven, channels=channels),
+        lambda: dt.learn(driven, channels=channels),
+        lambda: dt.learn(driven, "liu_petrol", channels=channels),
+        lambda: dt.calibrate(points, channels=channels),
+    ):
+        with pytest.raises(InputError, match=f"channels: got a {type(channels).__name__}; allowed: a channel map's"):
+            ask_for()
+
+
+def test_what_reading_did_to_a_file_is_told_of_every_machine(driven: pd.DataFrame, tmp_path: Path) -> None:
+    """Only recordings of diesel engines said it."""
+    german = {"index": False, "sep": ";", "decimal": ","}
+    drive_petrol(90.0, 1).to_csv(tmp_path / "petrol.csv", **german)
+    driven.drop(columns="time_s")[::40].to_csv(tmp_path / "points.csv", **german)
+    tank = tmp_path / "tank.csv"
+    pd.DataFrame({"time_s": np.arange(60.0), "q": 1.0 + 0.1 * np.arange(60.0), "level": 2.5}).to_csv(tank, **german)
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(
+        "kind: rig\nname: tank\nstates: {h: {scale: 1.0, nearest: level}}\ninputs: {q: m3/s}\n"
+        "parameters: {k: {value: 1.0, prior_std: 0.5, scale: 0.1}}\nquantities: {dh: {formula: q - k*h}}\n"
+        "rates: {h: dh}\nreadings: {level: h}\nfloors: {level: 0.1}\n"
+    )
+    for file, engine in (("petrol.csv", "liu_petrol"), ("points.csv", None), ("tank.csv", rig)):
+        assert any("decimal comma" in note for note in read(tmp_path / file, engine=engine).notes), file

@@ -226,3 +226,12 @@ def test_infinite_cells_count_as_missing_and_are_said(few: SteadyPoints) -> None
         "2 infinite values of w_c_kg_s count as missing",
     ]  # fmt: skip
     assert np.isnan(made["w_c_kg_s"]).sum() == 2 and made.size == few.size - 1
+
+
+def test_a_recorded_charge_temperature_is_no_other_unit(few: SteadyPoints, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The model's charge has one temperature: how the recorded one varies is never explained, and says no unit."""
+    monkeypatch.setattr(module, "STARTS", 0)
+    warm = few.with_columns(t_im_k=300.0 + 20.0 * np.random.default_rng(3).uniform(size=few.size))
+    found = calibrate(warm, TRUTH, GEOMETRY)
+    assert found.fits["T_im"].coefficient_of_determination < 0.5
+    assert not any("T_im" in note and "another unit" in note for note in found.notes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,9 +12,9 @@ from dieseltwin.calibration.calibrate import Calibration, calibrate
 from dieseltwin.calibration.coefficients import WEAR
 from dieseltwin.calibration.discover import Options, discover_points
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
-from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR
-from dieseltwin.calibration.steady_twin import SteadyTwin
-from dieseltwin.recordings.steady_points import beside_reference
+from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
+from dieseltwin.calibration.steady_twin import CHARGE, SteadyTwin
+from dieseltwin.recordings.steady_points import SteadyPoints, beside_reference
 from dieseltwin.settings.params import default_search
 from tests.calibration.simulated import GEOMETRY, TRUTH, made_points
 
@@ -60,3 +62,34 @@ def test_the_fault_is_named(blowing: Calibration) -> None:
     assert tuple(found.effects) == ("blow_by",)
     magnitude, std = found.effects["blow_by"]
     assert magnitude == pytest.approx(BLOW_BY, abs=3.0 * std)
+
+
+def test_the_charge_of_another_day_follows_the_weather(blowing: Calibration) -> None:
+    """Points of a cold day beside a reference of a warm one were a meter that reads too much."""
+    day = np.where(blowing.points["judged"] > 0.5, 285.0, 300.0)
+    other = replace(blowing, points=blowing.points.with_columns(t_amb_k=day))
+    labels = {}
+    for name, calibration in (("same", blowing), ("other", other)):
+        there = about_reference(calibration, told_by_reference(calibration))
+        twin = SteadyTwin(there, SEARCH)
+        labels[name] = {n.label: n.response for n in twin.nuisances(twin.plain_lane())}
+    assert CHARGE not in labels["same"]
+    response = labels["other"][CHARGE]
+    cylinder = twin.channels.index("cylinder_flow")
+    assert np.abs(response[twin._acts > 0.5, cylinder]).min() > 0.5 and not response[twin._acts < 0.5].any()
+
+
+def test_a_charge_that_is_read_fills_the_cylinders_as_it_is() -> None:
+    """It was taken to be as warm everywhere: a cold day was air that the meter reads too much, or a filling."""
+    table = made_points(TRUTH, 30, 0.0, 5, u_flap_pct=100.0)
+    read = table.with_columns(t_im_k=np.where(np.arange(table.size) % 2, TRUTH.T_im, TRUTH.T_im - 15.0))
+    known = read.with_columns(t_im_k=np.where(np.arange(table.size) == 3, np.nan, read["t_im_k"]))
+    model = SteadyModel(TRUTH, extra=("t_im_k",))
+
+    def filled(points: SteadyPoints, of: SteadyModel) -> np.ndarray:
+        return np.asarray(of.relations(points, points.states(), {}).quantities["W_ei"][0])
+
+    before = filled(table, SteadyModel(TRUTH))
+    assert filled(read, model)[1::2] == pytest.approx(before[1::2])
+    assert filled(read, model)[::2] == pytest.approx(before[::2] * TRUTH.T_im / (TRUTH.T_im - 15.0))
+    assert filled(known, model)[3] == pytest.approx(before[3])

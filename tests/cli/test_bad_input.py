@@ -339,6 +339,19 @@ def test_options(tmp_path: Path, drive: Path, refuse: Callable[..., Refusal]) ->
     assert "identify" in refuse("identifi", drive).line
 
 
+@pytest.mark.parametrize("words", [("--out", ""), ("--out="), ("--out", " "), ("--channels", "", "--out", "there")])
+def test_an_empty_text_is_no_folder(
+    tmp_path: Path, drive: Path, refuse: Callable[..., Refusal], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    """A variable of the shell that isn't set would be the current folder."""
+    monkeypatch.chdir(tmp_path)
+    words = (words,) if isinstance(words, str) else words
+    for command in ("identify", "simulate"):
+        said = refuse(command, drive, *words)
+        assert has_four_parts(said.line) and words[0].rstrip("=") in said.line and "an empty text" in said.line
+    assert "an argument" in refuse("discover", "", "--out", "there").line
+
+
 METHODS_WITH_NETWORKS = [
     ("--method", "few-shot-adam"),
     ("--method", "few-shot-newton"),

@@ -16,7 +16,9 @@ from dieseltwin.petrol.components import (
     signed_leak,
     storage_flow,
 )
+from dieseltwin.petrol.effects import undo
 from dieseltwin.petrol.maps import roughness, spline_basis, sum_basis, tensor_basis
+from dieseltwin.petrol.recording import Signals
 
 pressure = st.floats(1.5e4, 2.5e5)
 
@@ -60,3 +62,16 @@ def test_splines_sum_to_one_everywhere() -> None:
     np.testing.assert_allclose(spline_basis(x, knots) @ line, np.clip(x, -0.2, 1.2), atol=1e-7)  # a step beyond
     straight = np.arange(8.0)
     assert straight @ roughness(8) @ straight == pytest.approx(0.0)
+
+
+def test_a_hole_before_the_throttle_lets_air_in_below_the_ambient_pressure() -> None:
+    """It let none in, and noise about the ambient pressure was a flow outwards."""
+    p_ic = 1e5 + 200.0 * np.random.default_rng(1).standard_normal(5000)
+    one = np.ones(5000)
+    rest = Signals(0.1 * np.arange(5000), p_ic, 300.0 * one, 3e4 * one, 3e-3 * one, 90.0 * one, 2.0 * one, 1e5 * one,
+                   300.0 * one)  # fmt: skip
+    out = undo("boost_leak", 2e-5, rest).leak_ic
+    assert out is not None
+    below, above = out[p_ic < 1e5], out[p_ic > 1e5]
+    assert (below < 0.0).all() and (above > 0.0).all()
+    assert abs(out.mean()) < 0.02 * np.abs(out).mean()

@@ -310,3 +310,20 @@ def test_real_sensor_faults_in_five_minutes(
     for start in (300.0, 1200.0):
         piece = replace(whole, signals=whole.signals.part(start, start + 300.0))
         _is_like(discover_petrol(piece, liu_engine).document, name, size, within=0.025)
+
+
+def test_a_size_at_its_limit_is_no_name(engine: PetrolParameters, record: Recorder,
+                                        monkeypatch: pytest.MonkeyPatch) -> None:  # fmt: skip
+    """A leak of 40 mm2 was an air-flow offset of -1.2 g/s, the largest that is possible, +- 0.05 g/s."""
+    signals = record(31, leak_m2=2e-5).signals
+    _, found = judge(engine, signals)
+    assert found.best is not None and found.best.fit.candidate.names == ("intake_leak",)
+    leak = HYPOTHESES["intake_leak"]
+    limited = {**HYPOTHESES, "intake_leak": replace(leak, limits=(0.0, 1.2e-5))}
+    monkeypatch.setattr("dieseltwin.petrol.twin.HYPOTHESES", limited)
+    _, found = judge(engine, signals)
+    at_limit = found.best is not None and any(
+        size >= 1.2e-5 for name, size in zip(found.best.fit.candidate.names, found.best.fit.magnitudes, strict=True)
+        if name == "intake_leak"
+    )  # fmt: skip
+    assert found.kind == "law" and not at_limit

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -35,3 +37,9 @@ def test_rows_without_a_reading_are_said(table: pd.DataFrame) -> None:
 def test_a_few_are_not(table: pd.DataFrame) -> None:
     table.loc[[3, 500, 700], ["p_im_pa", "t_ic_k"]] = np.nan
     assert not read_petrol(table).notes
+
+
+def test_what_was_done_to_the_file_is_said(table: pd.DataFrame, tmp_path: Path) -> None:
+    table.to_csv(tmp_path / "a.csv", index=False, sep=";", decimal=",")
+    (note,) = read_petrol(tmp_path / "a.csv").notes
+    assert (note, note.code) == ("note: read with decimal comma", "reading")

@@ -82,3 +82,13 @@ def test_points_without_the_position_of_the_flap_are_left_out(lacking, rows, kep
     found = read_points(grid().assign(u_flap_pct=position), needed=COLUMNS)
     assert (found.size, "u_flap_pct" in found) == (rows, kept)
     assert any("left out" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("column", ["p_em_pa", "t_im_k", "p_amb_pa", "p_es_pa"])
+def test_text_in_a_reading_is_refused_whatever_is_needed(column):
+    """`imply` needs the inputs alone, and counted text in a reading as missing without a word."""
+    table = grid().assign(t_im_k=310.0, p_amb_pa=1e5, p_es_pa=1.05e5).astype({column: object})
+    table.loc[4, column] = "1.2e5 (estimated)"
+    with pytest.raises(InputError, match=f"{column}, data row 5"):
+        read_points(table, needed=COLUMNS[:4])
+    assert read_points(grid().assign(remark="fine"), needed=COLUMNS[:4]).size == 144

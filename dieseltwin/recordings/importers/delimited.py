@@ -32,6 +32,8 @@ from dieseltwin.recordings.importers.signals import RawChannels, unreadable
 from dieseltwin.recordings.importers.text_cells import in_numbers, without_repeated_names, without_statistics
 
 SEPARATORS = (",", ";", "\t", "|")
+ROWS_BEFORE, FEWEST_BEFORE = 50, 3  # the last one: they say how long a row is, if all have as many cells,
+SHORTEST_OF = 15  # and so many at least how long its last cell is
 MOST_COLUMNS = 20_000  # the largest control units have that many labels; a million take minutes to read
 
 
@@ -73,6 +75,8 @@ def read_delimited(path: Path, content: bytes) -> RawChannels:
     twice = [name for name in dict.fromkeys(names) if name and names.count(name) > 1]
     if twice:  # pandas would rename the second one and say nothing
         raise InputError(f"{path}: column {twice[0]}", "a column given twice", "each name once", "drop one")
+    text, cut = _without_cut_row(text, dialect)
+    notes.extend(cut)
     text, dropped = _without_tail(text, dialect)
     if dropped:
         notes.append(f"{dropped} lines of text at the end left out")
@@ -265,6 +269,52 @@ def _text_row(text: str, filled_rows: int) -> int:
                 return number
             seen += 1
     return 0
+
+
+def _without_cut_row(text: str, dialect: Dialect) -> tuple[str, list[str]]:
+    """The text without a last row that was cut off while it was written, and a note.
+
+    Such a row has no line end, and fewer cells than those before it or a last cell that is shorter than all of theirs:
+    its last number may be the beginning of another one. A short row with a line end stays, without what it lacks.
+    """
+    rest, *lines = text.rstrip("\n").rsplit("\n", ROWS_BEFORE + 1)
+    if len(lines) <= ROWS_BEFORE:  # the whole file is that short
+        lines = [line for line in [rest, *lines] if line.strip()][dialect.layout.first_data :]
+    if len(lines) <= FEWEST_BEFORE or not _like_row(lines[-2], lines[-1], dialect):
+        return text, []
+    *before, last = (_cell_count(line, dialect.separator) for line in lines)
+    usual = before[-1]
+    if last > usual or any(count != usual for count in before):
+        return text, []
+    ends = text.endswith("\n")
+    if last < usual and ends:
+        return text, [f"the last row has only {last} of {usual} cells: the others count as missing"]
+    if ends or (last == usual and not _shorter_than_all(lines, dialect.separator)):
+        return text, []
+    note = f"the last row ends in cell {last} of {usual}, without a line end, and is left out: the file seems cut off"
+    return text[: len(text) - len(lines[-1])], [note]
+
+
+def _shorter_than_all(lines: Sequence[str], separator: str) -> bool:
+    """Whether the last line's last cell is shorter than that of every line before it; not told by a few lines."""
+    if len(lines) <= SHORTEST_OF:
+        return False
+    *before, last = (len(line.rsplit(None if separator == r"\s+" else separator, 1)[-1].strip()) for line in lines)
+    return last < min(before)
+
+
+def _cell_count(line: str, separator: str) -> int:
+    if separator == r"\s+":
+        return len(line.split())
+    return line.count(separator) + 1 if '"' not in line else len(_cells([line], separator)[0])
+
+
+def _like_row(whole: str, line: str, dialect: Dialect) -> bool:
+    """Whether a line begins as a row of numbers does: words below the table are no row."""
+    firsts = [next((cell.strip() for cell in _cells([row], dialect.separator)[0] if cell.strip()), "")
+              for row in (whole, line)]  # fmt: skip
+    of_numbers, begun = (is_number(cell) or is_date(cell) for cell in firsts)
+    return begun or not of_numbers
 
 
 def _without_tail(text: str, dialect: Dialect) -> tuple[str, int]:

@@ -204,3 +204,30 @@ def test_refused_in_one_line(tmp_path, what):
         read_raw(path)
     message = str(error.value)
     assert name in message and word in message and "\n" not in message and len(message) < 400, message
+
+
+LONG = "Zeit,Drehzahl,Druck\n" + "".join(f"{0.1 * k:.1f},{1000 + k:.2f},{100 + k:.3f}\n" for k in range(60))
+
+
+@pytest.mark.parametrize(
+    ("ending", "kept", "said"),
+    [
+        ("6.0,10", 60, "ends in cell 2 of 3"),  # of 1060.00
+        ("6.0,1060.00,", 60, "ends in cell 3 of 3"),
+        ("6.0,1060.00,16", 60, "ends in cell 3 of 3"),  # of 160.000
+        ('6.0,"10', 60, "ends in cell 2 of 3"),
+        ("6.0,1060.00\n", 61, "only 2 of 3 cells"),
+        ("6.0,1060.00,160.000", 61, None),
+        ("6.0,1060.00,160.000\n", 61, None),
+        ("6.0,1060.00,\n", 61, None),
+        ("End of measurement\n", 60, "lines of text at the end"),
+    ],
+)
+def test_a_last_row_that_is_cut_off_is_left_out_and_said(
+    ending: str, kept: int, said: str | None, tmp_path: Path
+) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text(LONG + ending)
+    found = read_raw(file)
+    assert found.table is not None and len(found.table) == kept
+    assert len(found.notes) == (said is not None) and (said is None or said in found.notes[0]), found.notes
