@@ -32,15 +32,6 @@ found = FoundEffect(name="swirl_loss", probability=0.9, law=h.law, magnitude=0.0
 print(json.dumps({"candidate": h.tolerance, "told": effect_words(found)}))
 """
 
-# One text makes both kernels of lanes with effects: with the one of `test_new_column` no other is compiled (24 s).
-SIMULATE = """
-from dieseltwin.cli.app import main
-from dieseltwin.engine import extended
-
-extended.integrate_free = extended.integrate_restricted
-raise SystemExit(main(["simulate", "in.csv", "--out", "out.csv", "--effect", "swirl_loss=0.2"]))
-"""
-
 
 def test_one_file_is_listed_a_candidate_and_told(run_grown: Callable[..., str]) -> None:
     lines = run_grown("-m", "dieseltwin", "effects").splitlines()
@@ -53,7 +44,8 @@ def test_one_file_is_simulated(grown: Path, run_grown: Callable[..., str], proje
     columns = ["time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct", "p_im_pa", "p_em_pa", "omega_t_rad_s"]
     table = pd.read_csv(project_root / "tests" / "reference" / "field_random_300s.csv")[columns].iloc[:60]
     table.to_csv(grown / "in.csv", index=False)
-    run_grown("-c", SIMULATE)
+    simulate = ("-m", "dieseltwin", "simulate", "in.csv", "--out", "out.csv")
+    run_grown(*simulate, "--effect", "swirl_loss=0.2")
     out = pd.read_csv(grown / "out.csv")
     c = constants(we2011.PARAMETERS)
     published = bind("numpy").eta_vol(out["p_im_pa"], out["n_e_rpm"], c)
