@@ -6,9 +6,9 @@ begins. An edge is exact to a window, a response in part of the time is that par
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,44 @@ from dieseltwin.engine.courses import Spans, course
 _EDGES = 48  # that both ends of a span are looked for among; refits move them
 _GROWING_SHARE = 0.25  # of the recording that an effect must grow over: what grows faster is a step
 _COUNT = 4  # of the strongest are refitted
+_CHANGES = 12  # of the parts of an effect that comes and goes, from its best span on
+MOST = 12  # spans: what comes and goes oftener follows the driving, and a region or a law says so better
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts of a recording's rows.
+
+    Attributes:
+        edges: (E,) rows at which one begins or ends, in order.
+        begins: whether the first begins with the recording.
+    """
+
+    edges: np.ndarray
+    begins: bool
+
+    @classmethod
+    def of_windows(cls, twin: Twin, acts: np.ndarray) -> Parts:
+        """Of whole windows, by whether each (W,) belongs to them."""
+        return cls(twin.starts[np.flatnonzero(np.diff(acts.astype(np.int64))) + 1], bool(acts[0]))
+
+    @property
+    def count(self) -> int:
+        """How many they are."""
+        return (self.edges.size + 1 + self.begins) // 2
+
+    def acts(self, n: int) -> Array:
+        """(n,) 1 in them, else 0."""
+        return np.asarray((np.searchsorted(self.edges, np.arange(n), side="right") + self.begins) % 2, dtype=np.float64)
+
+    def times(self, twin: Twin) -> tuple[float, float | None, bool, Spans]:
+        """Onset, end, that nothing grows, and the spans in between in which nothing acts, as `courses.at_times`."""
+        times = [float(t) for t in twin.time_s[self.edges]]
+        if self.begins:
+            times.insert(0, float(twin.time_s[0]))
+        until = None if len(times) % 2 else times[-1]
+        inner = times[1:] if until is None else times[1:-1]
+        return times[0], until, False, tuple(zip(inner[::2], inner[1::2], strict=True))
 
 
 def courses(at: Linearisation, scored: Sequence[Scored], least_share: float) -> list[Variant]:
@@ -35,7 +73,10 @@ def courses(at: Linearisation, scored: Sequence[Scored], least_share: float) -> 
     if not items or not isinstance(at.twin, WithCourses) or not at.twin.courses:
         return []
     sums = Sums(at, items, least_share)
-    return sorted([*_spans(sums), *_growing(sums)], key=lambda v: -v.gain)[:_COUNT]
+    spans, coming_and_going = _spans(sums)
+    once = sorted([*spans, *_growing(sums)], key=lambda v: -v.gain)[:_COUNT]
+    often = sorted(coming_and_going, key=lambda v: -v.gain)[:_COUNT]
+    return sorted([*once, *often], key=lambda v: -v.gain)
 
 
 def schedule_of(twin: Twin, onset_s: float, until_s: float | None, grows: bool, gone: Spans = ()) -> Array:
@@ -80,16 +121,18 @@ def first_of_each_course(variants: Sequence[Variant]) -> list[Variant]:
     return list(found.values())
 
 
-def _variant(sums: Sums, h: int, gain: float, onset_s: float, until_s: float | None, grows: bool) -> Variant:
+def _variant(
+    sums: Sums, h: int, gain: float, onset_s: float, until_s: float | None, grows: bool, gone: Spans = ()
+) -> Variant:
     item, twin = sums.items[h], sums.at.twin
-    schedule = schedule_of(twin, onset_s, until_s, grows)
-    edges = 0 if until_s is None else 2
+    schedule = schedule_of(twin, onset_s, until_s, grows, gone)
+    edges = (0 if until_s is None else 2) + 2 * len(gone)
     response = schedule[:, None] * item.response
-    return Variant(item.name, onset_s, None, schedule, response, gain, edges, None, until_s, grows)
+    return Variant(item.name, onset_s, None, schedule, response, gain, edges, None, until_s, grows, gone)
 
 
-def _spans(sums: Sums) -> list[Variant]:
-    """The best span of each effect that ends within the recording."""
+def _spans(sums: Sums) -> tuple[list[Variant], list[Variant]]:
+    """The best span of each effect that ends within the recording, and its best two or more spans."""
     twin = sums.at.twin
     n, windows = twin.time_s.size, twin.starts.size
     edges = np.unique(np.linspace(0, windows, min(windows, _EDGES) + 1).astype(np.int64))
@@ -108,8 +151,53 @@ def _spans(sums: Sums) -> list[Variant]:
         for h, k in enumerate(gains.argmax(axis=0)):
             if h not in best or gains[k, h] > best[h][0]:
                 best[h] = (float(gains[k, h]), a, int(ends[k]))
-    return [_variant(sums, h, gain, float(twin.time_s[firsts[a]]), float(twin.time_s[firsts[b]]), False)
+    once = [_variant(sums, h, gain, float(twin.time_s[firsts[a]]), float(twin.time_s[firsts[b]]), False)
             for h, (gain, a, b) in best.items()]
+    return once, _coming_and_going(sums, parts, firsts, best)
+
+
+def _coming_and_going(
+    sums: Sums, parts: Sequence[Array], firsts: np.ndarray, best: Mapping[int, tuple[float, int, int]]
+) -> list[Variant]:
+    """Two or more spans of each effect: the interval whose change from there to gone, or back, gains most, again and
+    again. What is left between two spans of an effect health has taken up in part, so that no span alone shows it.
+
+    Args:
+        sums: of the effects.
+        parts: of `Sums.of` for every group of windows.
+        firsts: (G + 1,) rows at which groups begin.
+        best: effect's place -> gain and first and last edge of its best span.
+    """
+    groups = len(firsts) - 1
+    acts = np.zeros((groups, len(sums.items)), dtype=bool)
+    reached = np.zeros(len(sums.items))
+    for h, (gain, a, b) in best.items():
+        acts[a:b, h], reached[h] = True, gain
+    low, high = np.array([(a, b) for a in range(groups) for b in range(a + 1, groups + 1)]).T
+    for _ in range(_CHANGES):
+        sign = np.where(acts, -1.0, 1.0)
+        signs, masks = (sign, sign, sign[:, None]), (acts, acts, acts[:, None])
+        changed = [np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(one * part, axis=0)])
+                   for one, part in zip(signs, parts, strict=True)]
+        there = [(mask * part).sum(axis=0) for mask, part in zip(masks, parts, strict=True)]
+        gains = sums.gains(*(whole + turn[high] - turn[low] for whole, turn in zip(there, changed, strict=True)))
+        edge = np.pad(acts[1:] != acts[:-1], ((1, 1), (0, 0)))
+        inner = np.array([0.0, *np.ones(groups - 1), 0.0])[:, None]
+        turned = inner * np.where(edge, -1.0, 1.0)  # of edges, where an interval ends
+        gains -= SECOND_EDGE * np.maximum(edge.sum(axis=0) + turned[low] + turned[high] - 1.0, 0.0)
+        choice = gains.argmax(axis=0)
+        better = gains[choice, np.arange(choice.size)] > reached + 1.0
+        if not better.any():
+            break
+        for k in np.flatnonzero(better):
+            acts[low[choice[k]] : high[choice[k]], k] ^= True
+            reached[k] = gains[choice[k], k]
+    found = []
+    for h in range(acts.shape[1]):
+        parted = Parts(firsts[1:-1][acts[1:, h] != acts[:-1, h]], bool(acts[0, h]))
+        if 2 <= parted.count <= MOST:
+            found.append(_variant(sums, h, float(reached[h]), *parted.times(sums.at.twin)))
+    return found
 
 
 def _growing(sums: Sums) -> list[Variant]:

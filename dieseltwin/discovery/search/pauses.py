@@ -8,55 +8,17 @@ pay for themselves. The edges' samples are found together, too: each moves what 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each
-from dieseltwin.discovery.search.courses import at_times
+from dieseltwin.discovery.search.courses import MOST, Parts, at_times
 from dieseltwin.discovery.search.variants import Sums, Variant
-from dieseltwin.discovery.twins.interface import Array, Twin
-from dieseltwin.engine.courses import Spans
+from dieseltwin.discovery.twins.interface import Array
 
-MOST = 12  # spans: what comes and goes oftener follows the driving, and a region or a law says so better
 _EDGES = 21  # samples that are tried for an edge, twice
-
-
-@dataclass(frozen=True)
-class Parts:
-    """Parts of a recording's rows.
-
-    Attributes:
-        edges: (E,) rows at which one begins or ends, in order.
-        begins: whether the first begins with the recording.
-    """
-
-    edges: np.ndarray
-    begins: bool
-
-    @classmethod
-    def of_windows(cls, twin: Twin, acts: np.ndarray) -> Parts:
-        """Of whole windows, by whether each (W,) belongs to them."""
-        return cls(twin.starts[np.flatnonzero(np.diff(acts.astype(np.int64))) + 1], bool(acts[0]))
-
-    @property
-    def count(self) -> int:
-        """How many they are."""
-        return (self.edges.size + 1 + self.begins) // 2
-
-    def acts(self, n: int) -> Array:
-        """(n,) 1 in them, else 0."""
-        return np.asarray((np.searchsorted(self.edges, np.arange(n), side="right") + self.begins) % 2, dtype=np.float64)
-
-    def times(self, twin: Twin) -> tuple[float, float | None, bool, Spans]:
-        """Onset, end, that nothing grows, and the spans in between in which nothing acts, as `courses.at_times`."""
-        times = [float(t) for t in twin.time_s[self.edges]]
-        if self.begins:
-            times.insert(0, float(twin.time_s[0]))
-        until = None if len(times) % 2 else times[-1]
-        inner = times[1:] if until is None else times[1:-1]
-        return times[0], until, False, tuple(zip(inner[::2], inner[1::2], strict=True))
 
 
 def in_parts(at: Linearisation, variant: Variant, fit: Fit, edge_gain: float) -> Variant | None:

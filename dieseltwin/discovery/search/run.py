@@ -155,7 +155,8 @@ def _explain(found: Search) -> None:
     found.stage = "terms without a name"
     found.scanned = scan_all(found.null, found.scored, settings.least_share)
     tried = [*found.scanned, *(variant for variant, _ in found.variants)]
-    hidden = any(variant.gain > _hidden_bar(found, variant) for variant in tried)
+    once = [variant for variant in tried if not variant.gone]  # many parts follow the driving where a map is off
+    hidden = any(variant.gain > _hidden_bar(found, variant) for variant in once)
     base = verify(found) if found.gain(found.singles[0]) < _REBASED_BELOW else found.null
     clock = time.perf_counter()
     found.structure = score_features(base, generic_features(twin, found.null.fit))

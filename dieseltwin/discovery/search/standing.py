@@ -25,8 +25,9 @@ from dieseltwin.discovery.likelihood.fit import (
 )
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
 from dieseltwin.discovery.likelihood.refit import scatter, widen
+from dieseltwin.discovery.search.courses import MOST, Parts
 from dieseltwin.discovery.search.explanations import look_at_what_is_left
-from dieseltwin.discovery.search.pauses import MOST, Parts, dated, likeliest_parts, window_costs
+from dieseltwin.discovery.search.pauses import dated, likeliest_parts, window_costs
 from dieseltwin.discovery.search.preparation import prepare, telling_alone
 from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import LEAST_SHARE, SECOND_EDGE, Variant
