@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dieseltwin.calibration.checks import Actuator, actuators, check_points, egr_shut
-from dieseltwin.calibration.coefficients import Coefficient, engine_coefficients, wear_coefficients, with_scalars
+from dieseltwin.calibration.coefficients import (
+    BELIEFS,
+    Coefficient,
+    engine_coefficients,
+    wear_coefficients,
+    with_scalars,
+)
 from dieseltwin.calibration.lasting_errors import sensor_errors, with_lasting_errors
 from dieseltwin.calibration.likelihood import Estimate, estimate
 from dieseltwin.calibration.outlying import without_slips
@@ -30,6 +36,7 @@ STARTS = 3  # of every submodel, besides the base engine's values
 START_SPREAD = 0.7  # prior standard deviations
 HELD_OUT = 3  # every third point of a drawn order is held out
 STANDS_STILL = 1e-6  # of its mean: a quantity that moves less has no variance to explain
+WALL_HEATING = "vol_heating"
 LEAST_EXPLAINED = 0.5  # of a submodel's variance: of T_em 0.4 with fuel in kg/h under mg, 0.97 and more else
 RANGE_MARGIN = 0.02  # input ranges are widened beyond the data by this share
 
@@ -207,6 +214,8 @@ def calibrate(
     extra = tuple(name for name in EXTRA_ROWS if name in points and np.isfinite(points[name]).mean() > 0.5)
     model = SteadyModel(engine, extra=extra)
     free, fixed = _free(points, base, engine, valves, notes)
+    if "t_im_k" in extra:  # walls heat a cold charge more, and more of it stays out: a filling of another day
+        free += [belief for belief in BELIEFS if belief.name == WALL_HEATING]
     if JUDGED not in points and believed is not None:
         free += sensor_errors(points, believed)
     start = {**fixed, **{c.name: c.mean for c in free}, **term_values(engine.terms)}

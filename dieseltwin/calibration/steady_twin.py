@@ -25,7 +25,7 @@ from dieseltwin.calibration.calibrate import Calibration
 from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.calibration.lasting_errors import SUBMODEL_OF, sensor_errors
 from dieseltwin.calibration.likelihood import reading_covariance, reading_noise
-from dieseltwin.calibration.steady_model import MAP_MODE, T_CHARGE, SteadyModel, law_variables
+from dieseltwin.calibration.steady_model import MAP_MODE, SteadyModel, law_variables
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.diesel_points import POINT_FACTS
@@ -56,7 +56,6 @@ MOVING_ONLY = (
 """Effects that a settled point can't show: they need time."""
 
 CHARGE = "charge since the reference, by the weather"
-HEATED, VOL_HEATING = "heating of the charge by the walls", 0.35  # power of T_im in eta_vol, as `imply` believes
 _WITHOUT_SIGNAL = ("T_e",)
 _TYPICAL = 0.3  # prior standard deviations of a health parameter or its wear, for differences and step limits
 _COEFFICIENT_STEP = 0.02  # of a prior standard deviation, for linear responses
@@ -208,10 +207,6 @@ class SteadyTwin(TwinDefaults):
         if (warmer := self._warmer_weather()) > 0.0:
             warm = joined(lanes.signals, {"T_im": np.full(self.data.size, warmer / self.engine.T_im)})
             found.append(Nuisance(CHARGE, response=self.simulate(replace(lanes, signals=warm))[0] - simulated))
-        if "t_im_k" in self.model.extra:  # walls heat a cold charge more, and more of it stays out
-            colder = np.nan_to_num(VOL_HEATING * np.log(self.data["t_im_k"] / T_CHARGE))
-            filled = joined(lanes.signals, {"eta_vol": colder})
-            found.append(Nuisance(HEATED, response=lasting.simulate(replace(lanes, signals=filled))[0] - simulated))
         free = {p.name for p in self.parameters}
         for c in self._coefficients:
             if c.name not in free:

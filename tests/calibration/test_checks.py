@@ -233,5 +233,5 @@ def test_a_recorded_charge_temperature_is_no_other_unit(few: SteadyPoints, monke
     monkeypatch.setattr(module, "STARTS", 0)
     warm = few.with_columns(t_im_k=300.0 + 20.0 * np.random.default_rng(3).uniform(size=few.size))
     found = calibrate(warm, TRUTH, GEOMETRY)
-    assert found.fits["T_im"].coefficient_of_determination < 0.5
+    assert found.fits["T_im"].coefficient_of_determination < 0.5  # it is read as it likes
     assert not any("T_im" in note and "another unit" in note for note in found.notes)
