@@ -12,8 +12,6 @@ import pandas as pd
 import pytest
 
 import dieseltwin as dt
-from dieseltwin.discovery.verdict.document import load_discrepancy
-from dieseltwin.engine.courses import course
 from dieseltwin.petrol.calibrate import fit_maps
 from dieseltwin.petrol.discover import discover_petrol
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm, load_petrol
@@ -61,21 +59,6 @@ def test_a_fault_that_goes_again(
     then = (read.time_s >= FIRST_S + SINCE_S) & (read.time_s < FIRST_S + UNTIL_S)
     off = [float(np.median(np.abs(t[column.lower()] - read[column])[then])) for t in (simulated, before)]
     assert off[0] < 0.5 * off[1]
-
-
-def test_a_fault_that_comes_and_goes(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
-    pause = 0.5 * (SINCE_S + UNTIL_S) - 40.0, 0.5 * (SINCE_S + UNTIL_S) + 40.0
-    path = _bent(record, tmp_path, "p_im_Pa", lambda t: 1.0 - 0.06 * course(t, SINCE_S, UNTIL_S, gone_s=(pause,)))
-    found = dt.discover(path, engine)
-    (effect,), location = found.document.effects, found.document.location
-    assert effect.name == "p_im_gain" and effect.magnitude == pytest.approx(-0.06, abs=0.01) and location is not None
-    times = FIRST_S + np.array([SINCE_S, *pause, UNTIL_S])
-    np.testing.assert_allclose([location.onset_s, *location.gone_s[0], location.until_s], times, atol=3.0)
-    assert "coming and going: from " in found.sentence
-    found.save(tmp_path / "out")
-    (term,) = load_petrol(tmp_path / "out" / "engine.yaml").terms
-    assert term.gone_s == location.gone_s
-    assert load_discrepancy(tmp_path / "out" / "discrepancy.json").location == location
 
 
 def test_a_fault_that_is_repaired_in_the_middle(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:

@@ -75,7 +75,8 @@ def courses(at: Linearisation, scored: Sequence[Scored], least_share: float) -> 
     sums = Sums(at, items, least_share)
     spans, coming_and_going = _spans(sums)
     once = sorted([*spans, *_growing(sums)], key=lambda v: -v.gain)[:_COUNT]
-    often = sorted(coming_and_going, key=lambda v: -v.gain)[:_COUNT]
+    # Balances without states have two faults since two times as one that comes and goes, and name a third for both.
+    often = sorted(coming_and_going if at.twin.states else [], key=lambda v: -v.gain)[:_COUNT]
     return sorted([*once, *often], key=lambda v: -v.gain)
 
 

@@ -84,8 +84,8 @@ def try_variants(found: Search) -> None:
 
 def _try_parts(found: Search) -> None:
     """The leading effects once more, and the one that is there all along, where they come and go more than once."""
-    if not isinstance(found.twin, WithCourses) or not found.twin.courses:
-        return
+    if not isinstance(found.twin, WithCourses) or not found.twin.courses or not found.twin.states:
+        return  # as `courses.courses`
     leaders = _leaders(found) if found.variants else []
     pairs = [(variant, fit) for variant, fit in leaders if variant.onset_s is not None and not variant.grows]
     known = {variant.name for variant, _ in pairs}
