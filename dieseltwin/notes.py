@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+READING = "reading"
+"""Code of a note on what reading did to a file."""
+
 STRICT_CODE = 3
 """Exit code of a command with --strict whose answer carries a note."""
 
@@ -39,7 +42,7 @@ class Note(str):
 
 def of_reading(note: str, where: str = "") -> Note:
     """What reading did to a file as a note; one that says what kind of doubt it is keeps that."""
-    code, affects = (note.code, note.affects) if isinstance(note, Note) else ("reading", ())
+    code, affects = (note.code, note.affects) if isinstance(note, Note) else (READING, ())
     return Note(f"{where}{note.removeprefix('note: ')}", code, affects)
 
 

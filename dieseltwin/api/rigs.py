@@ -20,7 +20,7 @@ from dieseltwin.atomic import atomic_folder, write_json
 from dieseltwin.discovery.verdict.document import FILE_NAME, Discrepancy
 from dieseltwin.discovery.verdict.explain import DETAILS, Known, answers
 from dieseltwin.errors import InputError
-from dieseltwin.notes import Note
+from dieseltwin.notes import READING, Note
 from dieseltwin.rigs.discover import Options, RigDiscovery, discover_rig
 from dieseltwin.rigs.fitting import fitted
 from dieseltwin.rigs.parameters import RigParameters, save_rig
@@ -36,7 +36,6 @@ from dieseltwin.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-READING = "reading"  # code of a note on what reading did to the file
 UNTOLD = 0.9  # of what was believed beforehand: a deviation that a recording left as wide
 OWNED = ("engine.yaml", "report.html", "report.pdf", "figures", "runtime.json", DETAILS, FILE_NAME)
 

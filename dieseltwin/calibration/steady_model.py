@@ -43,7 +43,6 @@ EXTRA_ROWS: Mapping[str, str] = {"t_im_k": "T_im", "t_c_k": "T_c", "p_es_pa": "p
 
 IMPLIED = ("p_es", "p_bc", "T_im", "T_c")
 WORK_ROW = "compressor_work"
-COMPRESSION, FEWEST_READ = 0.286, 10  # (gamma - 1)/gamma of air [-]; points that the usual charge is told by
 T_CHARGE = 310.0  # K, temperature at which eta_vol's map is meant
 SHARE_OF_HEAD = 0.25  # where the flow has no part in the ellipse, an error of the head counts as four of the flow
 ELLIPSE_MIN = 1e-4  # limiter of the implicit compressor map: keeps the logarithm of trial states finite
@@ -161,7 +160,7 @@ class SteadyModel:
 
         # charge: coolers, cylinder
         eta_vol = changed("eta_vol", _eq.eta_vol(p_im, n_e, c))
-        T_well = usual_charge(points) if "t_im_k" in self.extra else None
+        T_well = points.usual_charge if "t_im_k" in self.extra else None
         T_charge = t.charge_temperature(c.T_im if T_well is None else T_well, known, points)
         T_im_model = known["T_im"] = signal("T_im", T_charge)
         T_im = self._as_read("t_im_k", points, T_im_model)
@@ -309,23 +308,6 @@ def term_values(terms: Sequence[OneTerm]) -> dict[str, float]:
             names = {key: name for name, key in FLAP_COEFFICIENTS.items()}
             found |= {names[key]: value for key, value in term.shape.items() if key in names}
     return found
-
-
-def usual_charge(points: SteadyPoints) -> Array | None:
-    """Charge temperature (n,) [K] by how it is read over the ambient where the engine is known to be well (else in all
-    points): it goes with what the cooler gets and with the share and heat of EGR. None where too few were read.
-    """
-    read, T_0, p_0 = points["t_im_k"], points["t_amb_k"], points["p_amb_pa"]
-    p_im, W_c, W_egr, T_em = (points.columns.get(name, np.full(points.size, np.nan))
-                              for name in ("p_im_pa", "w_c_kg_s", "w_egr_kg_s", "t_em_k"))  # fmt: skip
-    compressed = (p_im / p_0) ** COMPRESSION - 1.0
-    along = np.stack([np.ones(points.size), compressed, W_egr / (W_c + W_egr) * (T_em - T_0) / T_0], axis=1)
-    along = np.where(np.isfinite(along), along, np.nanmedian(along, axis=0))
-    well = points.columns.get(JUDGED, np.zeros(points.size)) < 0.5
-    used = well & np.isfinite(read) & np.isfinite(along).all(axis=1)
-    if used.sum() < FEWEST_READ:
-        return None
-    return np.asarray(T_0 + along @ np.linalg.lstsq(along[used], (read - T_0)[used], rcond=None)[0])
 
 
 class _Terms:

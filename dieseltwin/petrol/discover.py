@@ -272,7 +272,6 @@ def _location(recording: PetrolRecording, found: Search) -> Location:
     return ranked_location(
         site_probabilities(found), onset_s=_stamp(recording, variant.onset_s) if variant.onset_s > first else None,
         until_s=None if last is None else _stamp(recording, last), grows=variant.grows,
-        gone_s=tuple((_stamp(recording, gone), _stamp(recording, again)) for gone, again in variant.gone),
     )  # fmt: skip
 
 
@@ -303,7 +302,7 @@ def _terms(recording: PetrolRecording, d: Discrepancy) -> list[PetrolTerm]:
     grown = recording.time0_s + float(recording.signals.time_s[-1]) if where.grows else None
     return [
         PetrolTerm(effect=e.name, magnitude=e.magnitude, std=e.std, onset_s=where.onset_s, until_s=where.until_s,
-                   grown_s=grown, gone_s=where.gone_s, found_in=recording.sha256, valid_for=e.valid_for or "")
+                   grown_s=grown, found_in=recording.sha256, valid_for=e.valid_for or "")
         for e in d.effects if e.magnitude is not None
     ]  # fmt: skip
 
@@ -382,7 +381,6 @@ def details(found: PetrolDiscovery, options: Mapping[str, object]) -> dict[str, 
         for key in ("onset_s", "until_s"):
             if row[key] is not None:
                 row[key] += found.time0_s - 0.5 * BLOCK_S
-        row["gone_s"] = [[time + found.time0_s - 0.5 * BLOCK_S for time in span] for span in row["gone_s"]]
     return {
         "sentence": found.sentence, "recording_sha256": found.document.recording.sha256, "options": dict(options),
         "alarm": found.threshold, "notes": [], "laws": [],

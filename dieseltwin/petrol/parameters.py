@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, model_validator
 
 from dieseltwin.atomic import write_text
-from dieseltwin.engine.courses import Spans
 from dieseltwin.errors import InputError
 from dieseltwin.petrol.recording import Geometry
 from dieseltwin.sealed import sealed_text
@@ -127,7 +126,7 @@ class PetrolTerm(StrictModel):
         magnitude, std: its size and standard deviation [unit of the effect].
         onset_s: time stamp since when it acts in the recording `found_in` [s]; None for all along. In every other
             recording it is taken to be there from the first row on.
-        until_s, grown_s, gone_s: as of `engine.courses.course`, in that recording.
+        until_s, grown_s: as of `engine.courses.course`, in that recording.
         found_in: SHA-256 of the recording that it was found in.
         valid_for: the driving behind it, in words.
     """
@@ -138,7 +137,6 @@ class PetrolTerm(StrictModel):
     onset_s: float | None = None
     until_s: float | None = where_told()
     grown_s: float | None = where_told()
-    gone_s: Spans = where_told(())
     found_in: str = ""
     valid_for: str = ""
 

@@ -19,7 +19,7 @@ def active_sizes(engine: PetrolParameters, recording: PetrolRecording) -> dict[s
     time_s = recording.signals.time_s + recording.time0_s
     for term in engine.terms:
         if term.found_in == recording.sha256:
-            share = course(time_s, term.onset_s, term.until_s, term.grown_s, term.gone_s)
+            share = course(time_s, term.onset_s, term.until_s, term.grown_s)
         else:
             share = np.full(len(time_s), float(term.until_s is None))
         sizes[term.effect] = sizes.get(term.effect, np.zeros(len(time_s))) + term.magnitude * share

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,9 @@ NEVER_NOUGHT = tuple(name for name in STATES if name != "w_egr_kg_s")
 
 BESIDE = ("p_es_pa", "p_bc_pa", "t_c_k")
 """Places of a test bed that points may be measured at besides."""
+
+COMPRESSION = 0.286  # (gamma - 1)/gamma of air [-]
+FEWEST_READ = 10  # points that the usual charge is told by
 
 JUDGED = "judged"
 """Column of 1 for points that are judged and 0 for those of the reference; without it all are judged."""
@@ -94,6 +98,25 @@ class SteadyPoints:
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
+
+    @cached_property
+    def usual_charge(self) -> np.ndarray | None:
+        """Charge temperature (n,) [K] by how it is read over the ambient where the engine is known to be well (else in
+        all points): it goes with what the cooler gets and with the share and heat of EGR. None where too few were read.
+
+        Kept: a balance of the points asks for it thousands of times.
+        """
+        read, T_0, p_0 = self["t_im_k"], self["t_amb_k"], self["p_amb_pa"]
+        p_im, W_c, W_egr, T_em = (self.columns.get(name, np.full(self.size, np.nan))
+                                  for name in ("p_im_pa", "w_c_kg_s", "w_egr_kg_s", "t_em_k"))  # fmt: skip
+        compressed = (p_im / p_0) ** COMPRESSION - 1.0
+        along = np.stack([np.ones(self.size), compressed, W_egr / (W_c + W_egr) * (T_em - T_0) / T_0], axis=1)
+        along = np.where(np.isfinite(along), along, np.nanmedian(along, axis=0))
+        well = self.columns.get(JUDGED, np.zeros(self.size)) < 0.5
+        used = well & np.isfinite(read) & np.isfinite(along).all(axis=1)
+        if used.sum() < FEWEST_READ:
+            return None
+        return np.asarray(T_0 + along @ np.linalg.lstsq(along[used], (read - T_0)[used], rcond=None)[0])
 
     def states(self) -> np.ndarray:
         """The measured states, (n, 6) in the order of `STATES`; NaN where not measured, none below `LEAST`."""

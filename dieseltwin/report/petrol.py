@@ -74,9 +74,8 @@ def _misfits(found: PetrolDiscovery, name: str) -> tuple[np.ndarray, list[tuple[
 def _acts(found: PetrolDiscovery, stamps: np.ndarray) -> np.ndarray:
     """Whether the effect acts at time stamps [s], as the document says it; everywhere without one."""
     location = found.document.location
-    if location is None:
-        return np.ones(stamps.shape, dtype=bool)
-    return np.asarray(course(stamps, location.onset_s, location.until_s, gone_s=location.gone_s) > 0.0)
+    times = (None, None) if location is None else (location.onset_s, location.until_s)
+    return np.asarray(course(stamps, *times) > 0.0)
 
 
 def balances_over_time(found: PetrolDiscovery) -> Series:

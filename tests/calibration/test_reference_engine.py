@@ -12,7 +12,7 @@ from dieseltwin.calibration.calibrate import Calibration, calibrate
 from dieseltwin.calibration.coefficients import WEAR
 from dieseltwin.calibration.discover import Options, discover_points
 from dieseltwin.calibration.reference_engine import about_reference, told_by_reference
-from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel, usual_charge
+from dieseltwin.calibration.steady_model import MAP_MODE, SENSOR_ERROR, SteadyModel
 from dieseltwin.calibration.steady_twin import CHARGE, SteadyTwin
 from dieseltwin.recordings.steady_points import SteadyPoints, beside_reference
 from dieseltwin.settings.params import default_search
@@ -105,6 +105,6 @@ def test_the_usual_charge_is_that_of_the_reference_in_the_weather_of_the_day() -
     usual = T_amb + cooled + 30.0 * share * (both["t_em_k"] / T_amb - 1.0)
     worse = np.where(both["judged"] > 0.5, 8.0, 0.0)
     points = both.with_columns(t_amb_k=T_amb, t_im_k=usual + worse)
-    assert usual_charge(points) == pytest.approx(usual)
+    assert points.usual_charge == pytest.approx(usual)
     few = points.with_columns(t_im_k=np.where(np.arange(points.size) < 5, points["t_im_k"], np.nan))
-    assert usual_charge(few) is None
+    assert few.usual_charge is None

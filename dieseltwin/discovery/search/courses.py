@@ -6,7 +6,7 @@ begins. An edge is exact to a window, a response in part of the time is that par
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -38,9 +38,9 @@ class Parts:
     begins: bool
 
     @classmethod
-    def of_windows(cls, twin: Twin, acts: np.ndarray) -> Parts:
-        """Of whole windows, by whether each (W,) belongs to them."""
-        return cls(twin.starts[np.flatnonzero(np.diff(acts.astype(np.int64))) + 1], bool(acts[0]))
+    def of_groups(cls, firsts: np.ndarray, acts: np.ndarray) -> Parts:
+        """Of groups of rows that begin at `firsts` (G,) or end there (G + 1,), by whether each (G,) belongs to them."""
+        return cls(firsts[1 : acts.size][acts[1:] != acts[:-1]], bool(acts[0]))
 
     @property
     def count(self) -> int:
@@ -70,14 +70,30 @@ def courses(at: Linearisation, scored: Sequence[Scored], least_share: float) -> 
         least_share: of the samples that a span must act on, and leave out.
     """
     items = best_of_each(scored)
-    if not items or not isinstance(at.twin, WithCourses) or not at.twin.courses:
+    if not items or not _has_courses(at.twin):
         return []
     sums = Sums(at, items, least_share)
-    spans, coming_and_going = _spans(sums)
-    once = sorted([*spans, *_growing(sums)], key=lambda v: -v.gain)[:_COUNT]
-    # Balances without states have two faults since two times as one that comes and goes, and name a third for both.
-    often = sorted(coming_and_going if at.twin.states else [], key=lambda v: -v.gain)[:_COUNT]
-    return sorted([*once, *often], key=lambda v: -v.gain)
+    return sorted([*_spans(sums), *_growing(sums)], key=lambda v: -v.gain)[:_COUNT]
+
+
+def coming_and_going(at: Linearisation, scored: Sequence[Scored], least_share: float) -> list[Variant]:
+    """The strongest effects in two or more spans, where the twin's may have them; arguments as of `courses`."""
+    items = best_of_each(scored)
+    if not items or not has_parts(at.twin):
+        return []
+    return sorted(_in_spans(Sums(at, items, least_share)), key=lambda v: -v.gain)[:_COUNT]
+
+
+def _has_courses(twin: Twin) -> bool:
+    return isinstance(twin, WithCourses) and twin.courses
+
+
+def has_parts(twin: Twin) -> bool:
+    """Whether the twin's effects may come and go more than once.
+
+    Balances without states have two faults since two times as one that does, and name a third for both.
+    """
+    return _has_courses(twin) and bool(twin.states)
 
 
 def schedule_of(twin: Twin, onset_s: float, until_s: float | None, grows: bool, gone: Spans = ()) -> Array:
@@ -92,9 +108,13 @@ def at_times(
     twin: Twin, variant: Variant, onset_s: float, until_s: float | None, grows: bool, gone: Spans = ()
 ) -> Variant:
     """A variant with another course; its response stays that of the scan, near enough for a refit."""
-    edges = (0 if until_s is None else 2) + 2 * len(gone)
-    return replace(variant, onset_s=onset_s, until_s=until_s, grows=grows, gone=gone, edges=edges,
+    return replace(variant, onset_s=onset_s, until_s=until_s, grows=grows, gone=gone, edges=_edges(until_s, gone),
                    schedule=schedule_of(twin, onset_s, until_s, grows, gone))  # fmt: skip
+
+
+def _edges(until_s: float | None, gone: Spans) -> int:
+    """How many edges a course pays for: an onset by itself pays as such."""
+    return (0 if until_s is None else 2) + 2 * len(gone)
 
 
 def moved(twin: Twin, variant: Variant, onsets: Sequence[float], ends: Sequence[float]) -> list[Variant]:
@@ -126,24 +146,29 @@ def _variant(
     sums: Sums, h: int, gain: float, onset_s: float, until_s: float | None, grows: bool, gone: Spans = ()
 ) -> Variant:
     item, twin = sums.items[h], sums.at.twin
-    schedule = schedule_of(twin, onset_s, until_s, grows, gone)
-    edges = (0 if until_s is None else 2) + 2 * len(gone)
+    schedule, edges = schedule_of(twin, onset_s, until_s, grows, gone), _edges(until_s, gone)
     response = schedule[:, None] * item.response
     return Variant(item.name, onset_s, None, schedule, response, gain, edges, None, until_s, grows, gone)
 
 
-def _spans(sums: Sums) -> tuple[list[Variant], list[Variant]]:
-    """The best span of each effect that ends within the recording, and its best two or more spans."""
+def _grouped(sums: Sums) -> tuple[tuple[Array, Array, Array], np.ndarray]:
+    """Sums over groups of windows as of `Sums.of`, and the rows at which those begin and the last one ends (G + 1,)."""
     twin = sums.at.twin
     n, windows = twin.time_s.size, twin.starts.size
     edges = np.unique(np.linspace(0, windows, min(windows, _EDGES) + 1).astype(np.int64))
     firsts = np.append(twin.starts, n)[edges]
     of_sample = np.searchsorted(firsts, np.arange(n), side="right") - 1
-    parts = sums.of(sums.per_row(of_sample), len(edges) - 1)
+    return sums.of(sums.per_row(of_sample), len(edges) - 1), firsts
+
+
+def _best_spans(sums: Sums, parts: Sequence[Array], firsts: np.ndarray) -> dict[int, tuple[float, int, int]]:
+    """Each effect's place -> gain, first group and the one behind the last of its best span that ends within the
+    recording; arguments as `_grouped` gives them."""
+    n = sums.at.twin.time_s.size
     totals = [np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(part, axis=0)]) for part in parts]
     best: dict[int, tuple[float, int, int]] = {}
-    for a in range(len(edges) - 2):
-        ends = np.arange(a + 1, len(edges) - 1)
+    for a in range(len(firsts) - 2):
+        ends = np.arange(a + 1, len(firsts) - 1)
         sizes = firsts[ends] - firsts[a]
         ends = ends[(sizes > sums.least_share * n) & (sizes < (1.0 - sums.least_share) * n)]
         if not ends.size:
@@ -152,53 +177,57 @@ def _spans(sums: Sums) -> tuple[list[Variant], list[Variant]]:
         for h, k in enumerate(gains.argmax(axis=0)):
             if h not in best or gains[k, h] > best[h][0]:
                 best[h] = (float(gains[k, h]), a, int(ends[k]))
-    once = [_variant(sums, h, gain, float(twin.time_s[firsts[a]]), float(twin.time_s[firsts[b]]), False)
-            for h, (gain, a, b) in best.items()]
-    return once, _coming_and_going(sums, parts, firsts, best)
+    return best
 
 
-def _coming_and_going(
-    sums: Sums, parts: Sequence[Array], firsts: np.ndarray, best: Mapping[int, tuple[float, int, int]]
-) -> list[Variant]:
-    """Two or more spans of each effect: the interval whose change from there to gone, or back, gains most, again and
-    again. What is left between two spans of an effect health has taken up in part, so that no span alone shows it.
+def _spans(sums: Sums) -> list[Variant]:
+    """The best span of each effect that ends within the recording."""
+    parts, firsts = _grouped(sums)
+    times = sums.at.twin.time_s
+    return [_variant(sums, h, gain, float(times[firsts[a]]), float(times[firsts[b]]), False)
+            for h, (gain, a, b) in _best_spans(sums, parts, firsts).items()]
 
-    Args:
-        sums: of the effects.
-        parts: of `Sums.of` for every group of windows.
-        firsts: (G + 1,) rows at which groups begin.
-        best: effect's place -> gain and first and last edge of its best span.
-    """
+
+def _in_spans(sums: Sums) -> list[Variant]:
+    """Two or more spans of each effect: from its best one on, the interval whose change from there to gone, or back,
+    gains most, again and again. What is left between two spans of an effect health has taken up in part, so that no
+    span alone shows it."""
+    parts, firsts = _grouped(sums)
     groups = len(firsts) - 1
     acts = np.zeros((groups, len(sums.items)), dtype=bool)
     reached = np.zeros(len(sums.items))
-    for h, (gain, a, b) in best.items():
+    for h, (gain, a, b) in _best_spans(sums, parts, firsts).items():
         acts[a:b, h], reached[h] = True, gain
     low, high = np.array([(a, b) for a in range(groups) for b in range(a + 1, groups + 1)]).T
+    inner = np.array([0.0, *np.ones(groups - 1), 0.0])[:, None]  # the recording's ends are no edges
     for _ in range(_CHANGES):
-        sign = np.where(acts, -1.0, 1.0)
-        signs, masks = (sign, sign, sign[:, None]), (acts, acts, acts[:, None])
-        changed = [np.concatenate([np.zeros((1, *part.shape[1:])), np.cumsum(one * part, axis=0)])
-                   for one, part in zip(signs, parts, strict=True)]
-        there = [(mask * part).sum(axis=0) for mask, part in zip(masks, parts, strict=True)]
+        there, changed = zip(*(_there_and_changed(part, acts) for part in parts), strict=True)
         gains = sums.gains(*(whole + turn[high] - turn[low] for whole, turn in zip(there, changed, strict=True)))
         edge = np.pad(acts[1:] != acts[:-1], ((1, 1), (0, 0)))
-        inner = np.array([0.0, *np.ones(groups - 1), 0.0])[:, None]
-        turned = inner * np.where(edge, -1.0, 1.0)  # of edges, where an interval ends
+        turned = inner * np.where(edge, -1.0, 1.0)  # edges more where an interval begins or ends
         gains -= SECOND_EDGE * np.maximum(edge.sum(axis=0) + turned[low] + turned[high] - 1.0, 0.0)
         choice = gains.argmax(axis=0)
         better = gains[choice, np.arange(choice.size)] > reached + 1.0
         if not better.any():
             break
-        for k in np.flatnonzero(better):
-            acts[low[choice[k]] : high[choice[k]], k] ^= True
-            reached[k] = gains[choice[k], k]
-    found = []
-    for h in range(acts.shape[1]):
-        parted = Parts(firsts[1:-1][acts[1:, h] != acts[:-1, h]], bool(acts[0, h]))
-        if 2 <= parted.count <= MOST:
-            found.append(_variant(sums, h, float(reached[h]), *parted.times(sums.at.twin)))
-    return found
+        for h in map(int, np.flatnonzero(better)):
+            acts[low[choice[h]] : high[choice[h]], h] ^= True
+            reached[h] = gains[choice[h], h]
+    spans = [Parts.of_groups(firsts, acts[:, h]) for h in range(acts.shape[1])]
+    return [_variant(sums, h, float(reached[h]), *each.times(sums.at.twin))
+            for h, each in enumerate(spans) if 2 <= each.count <= MOST]
+
+
+def _there_and_changed(part: Array, acts: np.ndarray) -> tuple[Array, Array]:
+    """The sum (..., H) of what acts, and by how much it changes with all groups before each edge turned, (G + 1, ...).
+
+    Args:
+        part: (G, ..., H) of `Sums.of`.
+        acts: (G, H) whether each effect acts in each group.
+    """
+    acts = acts.reshape(acts.shape[0], *(1,) * (part.ndim - 2), acts.shape[1])
+    changed = np.cumsum(np.where(acts, -part, part), axis=0)
+    return np.where(acts, part, 0.0).sum(axis=0), np.concatenate([np.zeros((1, *part.shape[1:])), changed])
 
 
 def _growing(sums: Sums) -> list[Variant]:

@@ -31,9 +31,9 @@ def in_parts(at: Linearisation, variant: Variant, fit: Fit, edge_gain: float) ->
         edge_gain: what each edge must gain.
     """
     twin = at.twin
-    left = _left(at, fit)
+    left = left_by(at, fit)
     costs = _costs(at, fit, left, np.stack([np.zeros(twin.time_s.size), np.ones(twin.time_s.size)]))
-    parts = Parts.of_windows(twin, likeliest_parts(costs[0] - costs[1], edge_gain))
+    parts = Parts.of_groups(twin.starts, likeliest_parts(costs[0] - costs[1], edge_gain))
     if not 2 <= parts.count <= MOST:
         return None
     return at_times(twin, variant, *dated(at, fit, left, parts).times(twin))
@@ -42,8 +42,7 @@ def in_parts(at: Linearisation, variant: Variant, fit: Fit, edge_gain: float) ->
 def in_the_same_parts(at: Linearisation, scored: Sequence[Scored], like: Variant) -> list[Variant]:
     """All hypotheses in the parts of the time of one variant, strongest first; arguments as of `courses.courses`."""
     sums = Sums(at, best_of_each(scored))
-    group = sums.per_row(np.where(like.schedule > 0.0, 0, -1))
-    gains = sums.gains(*(part[0] for part in sums.of(group, 1)))
+    gains = sums.gains_where(like.schedule > 0.0)
     found = [replace(like, name=item.name, response=like.schedule[:, None] * item.response, gain=float(gain))
              for item, gain in zip(sums.items, gains, strict=True)]  # fmt: skip
     return sorted(found, key=lambda variant: -variant.gain)
@@ -69,7 +68,7 @@ def likeliest_parts(gains: Array, edge_gain: float) -> np.ndarray:
     return path.astype(bool)
 
 
-def _left(at: Linearisation, fit: Fit) -> Array:
+def left_by(at: Linearisation, fit: Fit) -> Array:
     """(n, C) what the simulation of a fit and the most likely errors of maps and sensors leave of the readings."""
     left = np.nan_to_num(at.twin.measured - simulate_fits(at.twin, [fit])[0])
     if at.nuisance_response is not None:

@@ -27,7 +27,7 @@ from dieseltwin.discovery.likelihood.metric import Metric, Whitening
 from dieseltwin.discovery.likelihood.refit import scatter, widen
 from dieseltwin.discovery.search.courses import MOST, Parts
 from dieseltwin.discovery.search.explanations import look_at_what_is_left
-from dieseltwin.discovery.search.pauses import dated, likeliest_parts, window_costs
+from dieseltwin.discovery.search.pauses import dated, left_by, likeliest_parts, window_costs
 from dieseltwin.discovery.search.preparation import prepare, telling_alone
 from dieseltwin.discovery.search.state import Search, set_probabilities
 from dieseltwin.discovery.search.variants import LEAST_SHARE, SECOND_EDGE, Variant
@@ -198,7 +198,7 @@ def _best_span(at: Linearisation, names: Sequence[str], start: Fit) -> Standing 
     most, best = 0.0, None
     for (name, position), gains in zip(tried, costs[0] - costs[1:], strict=True):
         stands = likeliest_parts(gains, max(SECOND_EDGE, _EDGE_SHARE * _largest_sum(gains)))
-        parts, gain = Parts.of_windows(twin, stands), float(gains[stands].sum())
+        parts, gain = Parts.of_groups(twin.starts, stands), float(gains[stands].sum())
         if gain > most and parts.count <= MOST and _moves(twin, name, parts):
             most, best = gain, _standing(twin, name, position, parts, plain)
     return None if best is None else replace(best, cost=float(costs[0].sum() - most))
@@ -234,8 +234,7 @@ def _largest_sum(values: Array) -> float:
 
 def _dated(at: Linearisation, item: Standing) -> Standing:
     """The same with all edges at the samples where they explain most; position and health stay."""
-    left = np.nan_to_num(at.twin.measured - simulate_fits(at.twin, [item.fit])[0])
-    parts = dated(at, item.fit, left, item.parts)
+    parts = dated(at, item.fit, left_by(at, item.fit), item.parts)
     position = float(item.fit.magnitudes[0])
     return replace(_standing(at.twin, item.name, position, parts, item.fit), cost=item.cost)
 

@@ -10,7 +10,14 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.refit import refit_all
 from dieseltwin.discovery.likelihood.score import Scored, best_of_each
-from dieseltwin.discovery.search.courses import at_times, courses, first_of_each_course, moved
+from dieseltwin.discovery.search.courses import (
+    at_times,
+    coming_and_going,
+    courses,
+    first_of_each_course,
+    has_parts,
+    moved,
+)
 from dieseltwin.discovery.search.pauses import in_parts, in_the_same_parts
 from dieseltwin.discovery.search.preparation import in_own_metrics
 from dieseltwin.discovery.search.state import Search
@@ -24,7 +31,7 @@ from dieseltwin.discovery.search.variants import (
     same_region,
     scan,
 )
-from dieseltwin.discovery.twins.interface import Twin, WithCourses
+from dieseltwin.discovery.twins.interface import Twin
 
 _VARIANTS = 6  # that begin or act in a part of the driving are refitted
 _DATINGS = 2  # another effect that leads between the same edges has them moved for itself
@@ -46,7 +53,8 @@ def scan_all(at: Linearisation, scored: Sequence[Scored], least_share: float) ->
 def try_variants(found: Search) -> None:
     """Effects that begin in the middle or act in a part of the operating range only."""
     top = found.gain(found.singles[0]) if found.singles else 0.0
-    _refit_variants(found, [v for v in found.scanned if v.gain > 0.5 * top])
+    often = coming_and_going(found.null, found.scored, found.settings.least_share)
+    _refit_variants(found, [v for v in (*found.scanned, *often) if v.gain > 0.5 * top])
     _try_parts(found)
     if not found.variants:
         return
@@ -84,8 +92,8 @@ def try_variants(found: Search) -> None:
 
 def _try_parts(found: Search) -> None:
     """The leading effects once more, and the one that is there all along, where they come and go more than once."""
-    if not isinstance(found.twin, WithCourses) or not found.twin.courses or not found.twin.states:
-        return  # as `courses.courses`
+    if not has_parts(found.twin):
+        return
     leaders = _leaders(found) if found.variants else []
     pairs = [(variant, fit) for variant, fit in leaders if variant.onset_s is not None and not variant.grows]
     known = {variant.name for variant, _ in pairs}

@@ -119,6 +119,10 @@ class Sums:
         gains = _gain(push, information, self.low, self.high)
         return np.where(information > 1e-4 * squares, gains, 0.0)
 
+    def gains_where(self, acts: np.ndarray) -> Array:
+        """Gains (H,) of acting in some samples (n,)."""
+        return self.gains(*(part[0] for part in self.of(self.per_row(np.where(acts, 0, -1)), 1)))
+
     def per_row(self, of_sample: np.ndarray) -> np.ndarray:
         """(n,) group of each sample -> (rows,) group of each row; rows of priors belong to none."""
         channels = self.at.residual.shape[1]
@@ -314,7 +318,7 @@ def same_region(at: Linearisation, scored: Sequence[Scored], like: Variant) -> l
         return []
     sums = Sums(at, best_of_each(scored))
     acts = inside_region(at.twin.conditions, like.region)
-    gains = sums.gains(*(part[0] for part in sums.of(sums.per_row(np.where(acts, 0, -1)), 1)))
+    gains = sums.gains_where(acts)
     found = [_variant(at.twin, sums.items[h], None, like.region, acts, gain) for h, gain in enumerate(gains)]
     return sorted(found, key=lambda v: -v.gain)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dieseltwin.discovery.search import run as search
-from dieseltwin.discovery.search.courses import courses, schedule_of
+from dieseltwin.discovery.search.courses import coming_and_going, schedule_of
 from dieseltwin.discovery.search.pauses import likeliest_parts
 from dieseltwin.discovery.twins.interface import Twin
 from tests.discovery.toy import SETTINGS, Toy
@@ -32,7 +32,7 @@ def test_parts_are_found_of_an_effect_that_leads_nowhere_else() -> None:
     toy.courses = True
     schedule = schedule_of(cast(Twin, toy), 60.0, 260.0, False, ((110.0, 160.0),))
     found = search.prepare(toy.record(leak=(0.08, schedule)), SETTINGS)
-    leak = next(v for v in courses(found.null, found.scored, 0.08) if v.gone and v.name == "leak")
+    leak = next(v for v in coming_and_going(found.null, found.scored, 0.08) if v.gone and v.name == "leak")
     assert (leak.onset_s, leak.until_s) == pytest.approx((60.0, 260.0), abs=10.0)
     np.testing.assert_allclose(leak.gone, [(110.0, 160.0)], atol=25.0)  # refits move them
 
