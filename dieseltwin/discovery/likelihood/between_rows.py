@@ -11,6 +11,7 @@ from dieseltwin.discovery.likelihood.circumstances import clock_scatter
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.discovery.twins.offers import Offer
 from dieseltwin.recordings.noise import Noise
 
 _MEDIAN_CHI2 = 0.4549364231195724  # of one degree of freedom
@@ -23,7 +24,7 @@ _MOST_BEYOND = 1.0 / 3.0  # of the windows; with more, it is the engine that isn
 
 
 @runtime_checkable
-class WithOpenInputs(Protocol):
+class WithOpenInputs(Offer, Protocol):
     """A twin whose inputs may have moved between the rows."""
 
     def covariance_between_rows(self, lanes: Lanes) -> tuple[Array, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.discovery.twins.offers import Offer
 from dieseltwin.recordings.circumstances import TIME_SHIFT, Circumstance
 from dieseltwin.settings.search import CircumstanceSettings
 
@@ -24,7 +25,7 @@ _PLAINLY = 4.0  # standard deviations of an estimate: errors of maps are Gaussia
 
 
 @runtime_checkable
-class WithCircumstances(Protocol):
+class WithCircumstances(Offer, Protocol):
     """A twin of a recording that doesn't say all that it was made under.
 
     Attributes:

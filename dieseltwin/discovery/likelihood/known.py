@@ -12,11 +12,12 @@ from typing import Protocol, runtime_checkable
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance
 from dieseltwin.discovery.twins.interface import Lanes
+from dieseltwin.discovery.twins.offers import Offer
 from dieseltwin.recordings.noise import Noise
 
 
 @runtime_checkable
-class KnownErrors(Protocol):
+class KnownErrors(Offer, Protocol):
     """What such a twin offers beside `discovery.twins.interface.Twin`; its channels are balances, not sensors."""
 
     def noise(self) -> Noise:

@@ -15,6 +15,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, signal_responses
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.discovery.twins.offers import Offer
 from dieseltwin.engine import MEASURED
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
 from dieseltwin.engine.quantities import POINTS
@@ -25,7 +26,7 @@ _SEEN = 1e-2  # of squared whitened response to one standard deviation: a tenth 
 
 
 @runtime_checkable
-class LearnedTwin(Protocol):
+class LearnedTwin(Offer, Protocol):
     """A twin that may know its engine.
 
     Attributes:

@@ -14,6 +14,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from dieseltwin.discovery.twins.offers import Offer
+
 Array = NDArray[np.float64]
 
 
@@ -159,7 +161,7 @@ class Lanes:
 
 
 @runtime_checkable
-class Twin(Protocol):
+class Twin(Offer, Protocol):
     """A model of a machine, bound to one recording of n samples, C channels and W windows.
 
     Attributes:
@@ -243,7 +245,7 @@ class TwinDefaults:
 
 
 @runtime_checkable
-class WithExactResponses(Protocol):
+class WithExactResponses(Offer, Protocol):
     """A twin whose responses are true to far less than a hundredth: what is left of a term beside its like is physics.
 
     An axis' constant force and a friction that differs with the direction are the same but where it stands still.
@@ -253,7 +255,7 @@ class WithExactResponses(Protocol):
 
 
 @runtime_checkable
-class WithLawScope(Protocol):
+class WithLawScope(Offer, Protocol):
     """A twin that says what its laws may be made of."""
 
     law_scope: LawScope
