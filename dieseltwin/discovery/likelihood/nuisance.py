@@ -87,6 +87,8 @@ def tolerance_modes(arguments: Sequence[Array], detail: Detail = LEADING) -> Arr
     values, vectors = np.linalg.eigh(kernel(knots, knots))
     order = np.argsort(values)[::-1]
     values, vectors = values[order], vectors[:, order]
+    # a mode's sign is any, another one on another processor; draws along the modes would be other draws
+    vectors *= np.sign(vectors[np.argmax(np.abs(vectors), axis=0), np.arange(order.size)])
     count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), detail.kept)) + 1, detail.most)
     return (kernel(x, knots) @ vectors[:, :count] / np.sqrt(values[:count])).T
 

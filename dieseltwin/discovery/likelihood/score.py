@@ -163,8 +163,9 @@ def chance(at: Linearisation, scored: Sequence[Scored], seed: int) -> Chance:
             one_sided.append(at.twin.hypotheses[item.name].limits[0] >= 0.0)
     gram = np.stack(units) @ np.stack(units).T
     values, vectors = np.linalg.eigh(gram)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    draws = np.random.default_rng(seed).normal(size=(_DRAWS, len(units))) @ root.T
+    # the symmetric root: unlike that along eigenvectors, whose signs are any, it's the same on every processor
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    draws = np.random.default_rng(seed).normal(size=(_DRAWS, len(units))) @ root
     draws = np.where(one_sided, np.maximum(draws, 0.0), draws)
     largest = (draws**2).max(axis=1)
     at_level = np.quantile(largest, 0.98)

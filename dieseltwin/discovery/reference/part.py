@@ -217,10 +217,11 @@ class Part:
         """(W,) windows in which draws of what is believed now, (D, D) about x, don't act linearly."""
         which = self.prior.open
         values, vectors = np.linalg.eigh(covariance[np.ix_(which, which)])
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T  # symmetric: as of `likelihood.score.chance`
         shown = self.shown(x, self.local)
         worst, change = np.zeros(self.twin.starts.size), np.zeros(x.size)
         for _ in range(_DRAWS):
-            change[which] = vectors @ (rng.standard_normal(values.size) * np.sqrt(np.maximum(values, 0.0)))
+            change[which] = root @ rng.standard_normal(values.size)
             bend = self.shown(x + change, self.local) - shown - np.tensordot(change, here.columns, 1)
             projected = here.metric.project(bend[None])[0][: bend.size].reshape(bend.shape)
             worst = np.maximum(worst, np.add.reduceat((projected**2).sum(axis=1), self.twin.starts))
