@@ -294,3 +294,9 @@ def covariance_of(information: Array) -> Array:
     """
     silent = np.diag(information) == 0.0
     return np.asarray(np.linalg.inv(information + np.diag(silent.astype(np.float64))), dtype=np.float64)
+
+
+def symmetric_root(covariance: Array) -> Array:
+    """R with R R = covariance, (D, D). Draws with it are the same on every processor; eigenvectors have any signs."""
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.likelihood.metric import symmetric_root
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
 
 _DRAWS = 4000  # of the parametric bootstrap; beyond their reach the tail of chi-square is taken
@@ -162,10 +163,7 @@ def chance(at: Linearisation, scored: Sequence[Scored], seed: int) -> Chance:
             units.append(item.projected / norm)
             one_sided.append(at.twin.hypotheses[item.name].limits[0] >= 0.0)
     gram = np.stack(units) @ np.stack(units).T
-    values, vectors = np.linalg.eigh(gram)
-    # the symmetric root: unlike that along eigenvectors, whose signs are any, it's the same on every processor
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    draws = np.random.default_rng(seed).normal(size=(_DRAWS, len(units))) @ root
+    draws = np.random.default_rng(seed).normal(size=(_DRAWS, len(units))) @ symmetric_root(gram)
     draws = np.where(one_sided, np.maximum(draws, 0.0), draws)
     largest = (draws**2).max(axis=1)
     at_level = np.quantile(largest, 0.98)

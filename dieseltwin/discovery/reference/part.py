@@ -9,7 +9,7 @@ import numpy as np
 from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about
 from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
 from dieseltwin.discovery.likelihood.learned import map_columns
-from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening, symmetric_root
 from dieseltwin.discovery.likelihood.score import secant_sizes
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
@@ -216,12 +216,11 @@ class Part:
     def crooked(self, here: Linear, x: Array, covariance: Array, rng: np.random.Generator) -> np.ndarray:
         """(W,) windows in which draws of what is believed now, (D, D) about x, don't act linearly."""
         which = self.prior.open
-        values, vectors = np.linalg.eigh(covariance[np.ix_(which, which)])
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T  # symmetric: as of `likelihood.score.chance`
+        root = symmetric_root(covariance[np.ix_(which, which)])
         shown = self.shown(x, self.local)
         worst, change = np.zeros(self.twin.starts.size), np.zeros(x.size)
         for _ in range(_DRAWS):
-            change[which] = root @ rng.standard_normal(values.size)
+            change[which] = root @ rng.standard_normal(len(root))
             bend = self.shown(x + change, self.local) - shown - np.tensordot(change, here.columns, 1)
             projected = here.metric.project(bend[None])[0][: bend.size].reshape(bend.shape)
             worst = np.maximum(worst, np.add.reduceat((projected**2).sum(axis=1), self.twin.starts))

@@ -34,7 +34,7 @@ BUMP = LawTerm(
 )  # fmt: skip
 
 
-def _searched(bump: bool) -> Search:
+def _searched(bump: bool, seed: int = 0) -> Search:
     laboratory = we2011.PARAMETERS
     driving = draw_driving("random", 300.0, laboratory.model_dump(), np.random.default_rng(5))
     engine = laboratory.replace(A_egrmax=1.1 * laboratory.A_egrmax, terms=(BUMP,) if bump else ())
@@ -46,7 +46,7 @@ def _searched(bump: bool) -> Search:
     }
     columns = {name: table[name].to_numpy() for name in ("time_s", "n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")}
     twin = EngineTwin(recording(pd.DataFrame({**columns, **noisy})), laboratory)
-    return run(twin, default_search().driving, laws=False)
+    return run(twin, default_search().driving.asked((), seed), laws=False)
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +112,24 @@ def test_the_law_of_an_engine_file_is_the_bump_itself() -> None:
     assert BUMP.signal(at) == pytest.approx(0.08 * np.exp([0.0, -0.5, -4.5]))
 
 
-def test_what_is_left_widens_health_as_far_as_it_is_off(bumped: Search) -> None:
+@pytest.fixture(scope="module")
+def bumped_without_the_bend() -> Search:
+    return _searched(True, seed=1)
+
+
+@pytest.mark.parametrize(
+    ("searched", "most"),
+    [
+        ("bumped_without_the_bend", 1.645),
+        # of eight draws of map errors (seeds 0 to 7) four miss a window in which the turbo goes elsewhere
+        ("bumped", 3.0),
+    ],
+)
+def test_what_is_left_widens_health_as_far_as_it_is_off(
+    searched: str, most: float, request: pytest.FixtureRequest
+) -> None:
     """Taken for healthy the bump is all in health; the term that is left says by how much."""
+    bumped: Search = request.getfixturevalue(searched)
     at, count = bumped.null, len(bumped.twin.parameters)
     truth = we2011.PARAMETERS.replace(A_egrmax=1.1 * we2011.PARAMETERS.A_egrmax)
     true = np.array([getattr(truth, parameter.name) for parameter in bumped.twin.parameters])
@@ -121,9 +137,8 @@ def test_what_is_left_widens_health_as_far_as_it_is_off(bumped: Search) -> None:
     std = np.sqrt(np.diag(at.covariance)[:count])
     assert (off / std).max() > 3.0
     apart = disagreement(replace(bumped, kind="single", singles=bumped.singles[:1], left=bumped.local), at)
-    # of eight draws of map errors (seeds 0 to 7) four leave a window out in which the turbo goes elsewhere: 0.7 to 1.0
-    # deviations then; the others 2.5, where 7 would be said without
-    assert (off / np.hypot(std, apart)).max() < 3.0 and (off / np.hypot(std, apart)).max() < 0.5 * (off / std).max()
+    covered = (off / np.hypot(std, apart)).max()
+    assert covered < most and covered < 0.5 * (off / std).max()
     nothing_found = replace(bumped, kind="healthy")  # an effect that may be there all the same is all that counts then
     assert disagreement(nothing_found, at).any()
     assert not disagreement(replace(nothing_found, singles=[]), at).any()
