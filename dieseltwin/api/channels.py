@@ -10,16 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from dieseltwin.api.engines import Engine
+from dieseltwin.api.reading import as_engine
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import write_text
+from dieseltwin.errors import InputError
+from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.channels import CONVERSIONS, TIME, channel_map, unit_of
 from dieseltwin.recordings.derived import AMBIENT, DERIVATIONS, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts, signals_of
+from dieseltwin.recordings.guess.machines import DIESEL, PETROL
 from dieseltwin.recordings.guess.propose import Proposal, propose
-from dieseltwin.recordings.guess.words import COSTS, ORDER, channel_lines, guess_lines, map_text, missing, remarks
+from dieseltwin.recordings.guess.words import channel_lines, guess_lines, map_text, missing, remarks
 from dieseltwin.recordings.importers.content import ENDINGS
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.report.over_time import overview
+from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.symbols import symbol
 
 if TYPE_CHECKING:
@@ -53,14 +59,14 @@ class Quantity:
 
 
 def quantities() -> tuple[Quantity, ...]:
-    """Our quantities, time first, then in the order of their weight."""
+    """Our quantities of a diesel engine, time first, then in the order of their weight."""
     found = []
-    for column in (TIME, *ORDER):
+    for column in (TIME, *DIESEL.order):
         entry, unit = symbol(column), unit_of(column) or ""
         formulas = {name: (item.words, tuple(item.units), item.needs, item.cylinders)
                     for name, item in DERIVATIONS.items() if column in item.gives}  # fmt: skip
         found.append(Quantity(column, entry.name, entry.meaning, unit, tuple(CONVERSIONS.get(unit, ())), formulas,
-                              COSTS.get(column, "")))  # fmt: skip
+                              DIESEL.costs.get(column, "")))  # fmt: skip
     return tuple(found)
 
 
@@ -79,7 +85,7 @@ class ChannelsFound(Result):
         proposal = self.proposal
         doubtful = sum(bool(candidate.reading.warnings) for candidate in proposal.guesses.values())
         text = (f"{proposal.raw.kind}, {len(proposal.facts)} channels of numbers: {len(proposal.guesses)} of our "
-                f"{len(ORDER)} quantities found")  # fmt: skip
+                f"{len(proposal.machine.order)} quantities found")  # fmt: skip
         return f"{text}, {doubtful} of them to check." if doubtful else f"{text}."
 
     def table(self) -> pd.DataFrame:
@@ -98,7 +104,7 @@ class ChannelsFound(Result):
 
     def _taken(self) -> list[tuple[str, str, np.ndarray | None, np.ndarray]]:
         signals = signals_of(self.proposal.raw)
-        rows = [(column, signals[self.proposal.guesses[column].channel]) for column in ORDER
+        rows = [(column, signals[self.proposal.guesses[column].channel]) for column in self.proposal.machine.order
                 if column in self.proposal.guesses]
         return [(column, s.name if (s.unit or "?") in s.name else f"{s.name} [{s.unit or '?'}]", s.time_s, s.values)
                 for column, s in rows]
@@ -127,23 +133,31 @@ class ChannelsFound(Result):
             "cylinders": proposal.cylinders, "cylinders_given": proposal.cylinders_given,
             "channels": [{str(key): None if pd.isna(value) else value for key, value in row.items()}
                          for row in table.to_dict("records")],
-            "guesses": guesses, "missing": {column: COSTS[column] for column in missing(proposal)},
+            "guesses": guesses, "missing": {column: proposal.machine.costs[column] for column in missing(proposal)},
         }  # fmt: skip
 
 
-def channels(file: str | Path, dbc: str | Path | None = None, cylinders: int | None = None) -> ChannelsFound:
+def channels(
+    file: str | Path, dbc: str | Path | None = None, cylinders: int | None = None,
+    engine: Engine | str | Path | None = None,
+) -> ChannelsFound:
     """Say what is in a file and guess which channel is which of our quantities.
 
     Args:
         file: CSV of any dialect, Parquet, Excel, MATLAB, MDF, or a CAN trace.
         dbc: database of a CAN trace; without one the trace is read as J1939.
         cylinders: of the engine, for fuel and air per stroke; None assumes six.
+        engine: whose quantities are looked for; None is a diesel engine.
 
     Raises:
-        InputError: a file that can't be read.
+        InputError: a file that can't be read, or a rig, whose file names its columns itself.
     """
     database = None if dbc is None else Path(dbc)
-    return ChannelsFound(propose(read_raw(file, database), cylinders, database))
+    made = as_engine(engine)
+    if isinstance(made, RigParameters):
+        raise InputError("--engine", f"a rig, {made.name}", "an engine", "its file names the columns")
+    machine = PETROL if isinstance(made, PetrolParameters) else DIESEL
+    return ChannelsFound(propose(read_raw(file, database), cylinders, database, machine))
 
 
 def _rate(fact: Facts) -> float | None:

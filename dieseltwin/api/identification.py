@@ -29,7 +29,7 @@ from dieseltwin.notes import Note, doubts_among, of_reading, warnings_of
 from dieseltwin.recordings.channel_checks import channel_notes
 from dieseltwin.recordings.channels import SENSORS
 from dieseltwin.recordings.circumstances import with_charge
-from dieseltwin.recordings.guess.words import COSTS
+from dieseltwin.recordings.guess.machines import DIESEL
 from dieseltwin.recordings.reader import CRANKING_RPM, Recording, rows_out_of_range
 from dieseltwin.report.beside import begin_beside, ready_beside
 from dieseltwin.report.circumstance_words import circumstance_words
@@ -307,7 +307,7 @@ def ask(
     masked = None if setup.sensors is None else used
     problems, left_out = _usable(problems_of(source, parameters, settings, segment_s, masked), source)
     networks = setup.networks(chosen)
-    without = [Note(f"without {name}: {COSTS[name]}", "missing_sensor", (name,))
+    without = [Note(f"without {name}: {DIESEL.costs[name]}", "missing_sensor", (name,))
                for name in SENSORS if name not in used]
     fitted = tuple(used) if masked is not None else tuple(name for name in MEASURED if name in source.columns)
     notes = (*_notes(source, parameters), *channel_notes(source, fitted), *without, *left_out)

@@ -26,14 +26,19 @@ def channels_command(
     cylinders: Annotated[
         int | None, typer.Option("--cylinders", metavar="N", min=1, max=32, help="Of the engine; 6 is assumed.")
     ] = None,
+    engine: Annotated[
+        Path | None,
+        typer.Option("--engine", metavar="FILE", help="Of which engine: liu_petrol or a file; else a diesel."),
+    ] = None,
 ) -> None:
     """Say what is in a file, guess which channel is which quantity, and write a channel map to edit."""
-    for line in run_channels(file, out, dbc=dbc, cylinders=cylinders):
+    for line in run_channels(file, out, dbc=dbc, cylinders=cylinders, engine=engine):
         typer.echo(line)
 
 
 def run_channels(
-    file: Path, out: Path | None = None, *, dbc: Path | None = None, cylinders: int | None = None
+    file: Path, out: Path | None = None, *, dbc: Path | None = None, cylinders: int | None = None,
+    engine: Path | None = None,
 ) -> Iterator[str]:
     """Lines to print; the map is written last.
 
@@ -42,6 +47,7 @@ def run_channels(
         out: channel map to write, None only prints.
         dbc: database of a CAN trace.
         cylinders: of the engine, for fuel and air per stroke; None assumes six.
+        engine: whose quantities are looked for; None is a diesel engine.
 
     Raises:
         InputError: a file that cannot be read, or a map that cannot be written.
@@ -54,7 +60,7 @@ def run_channels(
         check_writable(out)
     from dieseltwin.api.channels import channels
 
-    found = channels(file, dbc, cylinders)
+    found = channels(file, dbc, cylinders, engine)
     yield from found.lines()
     if out is not None:
         found.save(out)

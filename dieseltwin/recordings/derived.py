@@ -214,7 +214,7 @@ def _lambda(value: np.ndarray, columns: Columns, constants: Constants) -> np.nda
 _TABLE = (
     Derivation(
         "gauge",
-        ("p_im_pa", "p_em_pa"),
+        ("p_im_pa", "p_em_pa", "p_ic_pa"),
         {"p_amb_pa": 0},
         PRESSURE,
         False,

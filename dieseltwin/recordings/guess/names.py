@@ -39,6 +39,8 @@ class Meaning:
         spns: numbers of J1939 that are this, best first.
         commanded: words of a wanted value.
         plain: words beside a meaning's own that say nothing more.
+        usual: range of a median in our unit, which decides on the file's unit; None for the rules of `reading`.
+        least: absolute pressure [Pa] below which no reading can be: what is lower is gauge.
     """
 
     name: str
@@ -49,12 +51,14 @@ class Meaning:
     spns: tuple[int, ...]
     commanded: re.Pattern[str]
     plain: re.Pattern[str]
+    usual: tuple[float, float] | None = None
+    least: float = 0.0
 
     def score(self, name: str, words: str, spn: int | None) -> float:
         """How clearly a channel's number or name says this, 0 to 1."""
         if spn is not None:
             return 1.0 - LATER_SPN * self.spns.index(spn) if spn in self.spns else 0.0
-        if name == self.column:
+        if name.lower() == self.column:
             return 1.0
         if self.wanted(words):
             return WANTED_ONLY * self.score(name, self.commanded.sub("asked", words), None)
@@ -104,8 +108,8 @@ class Vocabulary:
 
 
 @cache
-def vocabulary() -> Vocabulary:
-    """The vocabulary as it stands in the package."""
+def vocabulary(section: str = "meanings") -> Vocabulary:
+    """The vocabulary as it stands in the package, for the quantities of one kind of machine."""
     text = resources.files("dieseltwin").joinpath("data/channel_names.yaml").read_text(encoding="utf-8")
     content = yaml.safe_load(text)
 
@@ -122,8 +126,10 @@ def vocabulary() -> Vocabulary:
             tuple(entry.get("spns", ())),
             re.compile(content["commanded"]),
             pattern(content["plain"]),
+            (float(entry["usual"][0]), float(entry["usual"][1])) if "usual" in entry else None,
+            float(entry.get("least", 0.0)),
         )
-        for name, entry in content["meanings"].items()
+        for name, entry in content[section].items()
     )
     kinds = {kind: pattern(expression) for kind, expression in content["kinds"].items()}
     return Vocabulary(meanings, kinds)

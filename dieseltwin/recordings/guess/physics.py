@@ -25,6 +25,7 @@ SMOKE_LIMIT, LEANEST = 15.0, 250.0  # air to fuel: below, a diesel smokes black;
 USUAL_LOADED = (15.0, 42.0)  # air to fuel in the richest tenth of driving
 NOMINAL_AIR_K, NOMINAL_AMBIENT_PA, NOMINAL_AMBIENT_K = 320.0, 1.0e5, 295.0
 EGR_FLOWS = 0.05  # of the air flow
+MOSTLY_ABOVE = 0.3  # of the rows, of a pressure behind a throttle that is above the one before it
 SENSORS_DIFFER = 0.05  # of a pressure: noise of 3 % in both readings makes 4 %; gauge against absolute makes tens
 BACKWARDS = 0.2  # share of rows with EGR in which p_em may lie below p_im: sensors of 1 to 2 %
 LOWEST_RATIO = (0.9, 1.4)  # lowest exhaust over lowest intake pressure: at idle both are near the ambient
@@ -152,6 +153,24 @@ def displacement(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
         return None
     size = 120.0 * R_AIR * temperature[usable] * flow[usable]
     return size / (VOLUMETRIC_EFFICIENCY * pressure[usable] * speed[usable])
+
+
+def petrol_agreements(columns: Mapping[str, np.ndarray]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """As `agreements`, of a petrol engine: the displacement that its air flow implies, and pressures in each other's
+    place."""
+    reasons, warnings = {}, {}
+    if {"p_im_pa", "p_ic_pa"} <= set(columns):
+        above = float(np.mean(columns["p_im_pa"] > (1.0 + SENSORS_DIFFER) * columns["p_ic_pa"]))
+        if above > MOSTLY_ABOVE:
+            warnings["p_im_pa"] = [f"above the pressure before the throttle in {above:.0%} of the rows: are the two "
+                                   "swapped?"]  # fmt: skip
+    if "omega_e_rad_s" in columns:
+        ours = {"w_af_kg_s": "w_c_kg_s", "t_ic_k": "t_im_k"}
+        size = displacement({**{ours.get(name, name): values for name, values in columns.items()},
+                             "n_e_rpm": columns["omega_e_rad_s"] * 30.0 / np.pi})  # fmt: skip
+        if size is not None:
+            reasons["w_af_kg_s"] = [f"air balance: {1e3 * float(np.median(size)):.3g} L of displacement"]
+    return reasons, warnings
 
 
 def heat_per_fuel(columns: Mapping[str, np.ndarray], cylinders: int) -> float | None:

@@ -13,11 +13,13 @@ import numpy as np
 from dieseltwin.recordings.channels import ChannelMap, unit_of
 from dieseltwin.recordings.guess.evidence import Support
 from dieseltwin.recordings.guess.facts import Facts, clock_of, facts_of, signals_of
-from dieseltwin.recordings.guess.names import Meaning, spn_of, vocabulary, words_of
+from dieseltwin.recordings.guess.machines import DIESEL, PETROL, Machine
+from dieseltwin.recordings.guess.names import Meaning, Vocabulary, spn_of, vocabulary, words_of
 from dieseltwin.recordings.guess.physics import (
     Meeting,
     agreements,
     misfit,
+    petrol_agreements,
     reversed_positions,
     unchecked_positions,
 )
@@ -25,6 +27,7 @@ from dieseltwin.recordings.guess.reading import Reading, reading_of
 from dieseltwin.recordings.guess.units import Unit, understood
 from dieseltwin.recordings.guess.unnamed import FINER, Option, assigned
 from dieseltwin.recordings.importers.j1939 import ENGINE_ADDRESSES, ENGINE_SPEED
+from dieseltwin.recordings.importers.layout import without_unit
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
 from dieseltwin.settings.names import listed
 from dieseltwin.symbols import BY_COLUMN
@@ -42,7 +45,7 @@ OTHER_READING = 0.2  # of support, for a unit that isn't the likeliest, or gauge
 OTHER_UNIT = 0.7  # factor of a reading in another unit than the file's: too bold without a name
 SELDOM = ("EGR rate", "air per stroke", "fuel volume flow")  # less often recorded than what else gives the quantity
 VOLUMES = ("volume flow", "gas volume flow")
-MAY_STAND_STILL = ("p_amb_pa", "t_amb_k", "t_im_k", "u_egr_pct", "u_vgt_pct")
+MAY_STAND_STILL = ("p_amb_pa", "t_amb_k", "t_im_k", "t_ic_k", "u_egr_pct", "u_vgt_pct")
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,8 @@ class Proposal:
         cylinders_given: False where the number is an assumption.
         database: DBC that the trace was read with.
         unconverted: our column that no channel gives -> the channel whose name says it, and a unit without conversion.
+        machine: whose quantities were looked for.
+        throttle: channel by whose name a file without an EGR valve, a VGT or fuel may be of a petrol engine.
     """
 
     raw: RawChannels
@@ -92,6 +97,8 @@ class Proposal:
     cylinders_given: bool
     database: Path | None
     unconverted: Mapping[str, tuple[str, str]]
+    machine: Machine
+    throttle: str | None = None
 
     def channel_map(self) -> ChannelMap:
         """The guesses as a map that a reader takes."""
@@ -99,13 +106,16 @@ class Proposal:
         return ChannelMap(entries, "proposal", self.database)
 
 
-def propose(raw: RawChannels, cylinders: int | None = None, database: Path | None = None) -> Proposal:
+def propose(
+    raw: RawChannels, cylinders: int | None = None, database: Path | None = None, machine: Machine = DIESEL
+) -> Proposal:
     """Guess which channel is which of our quantities.
 
     Args:
         raw: a file as its importer read it.
         cylinders: of the engine; None assumes six and says so.
         database: DBC that the trace was read with, for the map.
+        machine: whose quantities are looked for.
     """
     signals = signals_of(raw)
     clock = clock_of(raw)
@@ -113,12 +123,19 @@ def propose(raw: RawChannels, cylinders: int | None = None, database: Path | Non
     count = DEFAULT_CYLINDERS if cylinders is None else cylinders
     candidates = [
         candidate for name, fact in facts.items() if clock is None or name != clock[0]
-        for candidate in _candidates(fact, count)
+        for candidate in _candidates(fact, count, vocabulary(machine.section))
     ]  # fmt: skip
     candidates = _of_one_engine(candidates, facts)
     chosen = _assigned(candidates)
-    chosen = {**chosen, **_by_behaviour(chosen, signals, facts, count)}
-    chosen = _by_physics(chosen, signals, facts, count)
+    throttle = None
+    if machine is DIESEL:
+        throttle = _throttle(chosen, facts, count)
+        chosen = {**chosen, **_by_behaviour(chosen, signals, facts, count)}
+        chosen = _by_physics(chosen, signals, facts, count)
+    else:
+        meeting = Meeting({c.channel: signals[c.channel] for c in chosen.values()}, facts, count)
+        named = _named(chosen, {column: c.reading for column, c in chosen.items()})
+        chosen = _told(chosen, *petrol_agreements(meeting.columns(named)))
     chosen = {column: _warned(candidate, facts[candidate.channel], candidates, cylinders is not None)
               for column, candidate in chosen.items()}  # fmt: skip
     taken = {candidate.channel: candidate for candidate in chosen.values()}
@@ -129,17 +146,29 @@ def propose(raw: RawChannels, cylinders: int | None = None, database: Path | Non
             others[candidate.channel] = (*others.get(candidate.channel, ()), candidate)
     free = [fact for name, fact in facts.items() if name not in taken]
     return Proposal(raw, facts, chosen, others, clock, count, cylinders is not None, database,
-                    _unconverted(free, chosen))  # fmt: skip
+                    _unconverted(free, chosen, vocabulary(machine.section)), machine, throttle)  # fmt: skip
 
 
-def _unconverted(free: Sequence[Facts], chosen: Mapping[str, Candidate]) -> dict[str, tuple[str, str]]:
+def _throttle(chosen: Mapping[str, Candidate], facts: Mapping[str, Facts], cylinders: int) -> str | None:
+    """A channel that is named as a throttle, where no name is one that only a diesel engine's channels have."""
+    if {"u_egr_pct", "u_vgt_pct", "u_delta_mg"} & set(chosen):
+        return None
+    petrol = vocabulary(PETROL.section)
+    found = [name for name, fact in facts.items() for candidate in _candidates(fact, cylinders, petrol)
+             if candidate.column == "alpha_th_pct"]  # fmt: skip
+    return found[0] if found else None
+
+
+def _unconverted(
+    free: Sequence[Facts], chosen: Mapping[str, Candidate], names: Vocabulary
+) -> dict[str, tuple[str, str]]:
     """Columns that a channel's name says, in a flow of volume that can't be converted to one of mass."""
     found: dict[str, tuple[str, str]] = {}
     for fact in free:
         unit, words = understood(fact.unit), words_of(fact.name)
         if unit is None or unit.dimension not in VOLUMES:
             continue
-        for meaning in vocabulary().meanings:
+        for meaning in names.meanings:
             flows = "mass flow" in meaning.dimensions and meaning.column not in chosen
             if flows and meaning.score(fact.name, words, spn_of(fact.name, fact.spn)) >= LEAST_SCORE:
                 found.setdefault(meaning.column, (fact.name, fact.unit or ""))
@@ -154,31 +183,31 @@ def _of_one_engine(candidates: list[Candidate], facts: Mapping[str, Facts]) -> l
     return [candidate for candidate in candidates if addresses.get(candidate.channel) not in engines[1:]]
 
 
-def _candidates(fact: Facts, cylinders: int) -> list[Candidate]:
+def _candidates(fact: Facts, cylinders: int, names: Vocabulary) -> list[Candidate]:
     if fact.readings < 2:
         return []
     spn = spn_of(fact.name, fact.spn)
-    found = _said(fact, words_of(fact.name), spn, cylinders)
+    found = _said(fact, words_of(fact.name), spn, cylinders, names)
     if found or spn is not None or not fact.origin:
         return found
     text = f"told by {fact.origin!r}, where it stands in the file: check"
     return [replace(each, reading=each.reading.with_warning(text), score=BY_ORIGIN * each.score)
-            for each in _said(fact, words_of(f"{fact.origin} {fact.name}"), None, cylinders)
+            for each in _said(fact, words_of(f"{fact.origin} {fact.name}"), None, cylinders, names)
             if BY_ORIGIN * each.score >= LEAST_SCORE]  # fmt: skip
 
 
-def _said(fact: Facts, words: str, spn: int | None, cylinders: int) -> list[Candidate]:
+def _said(fact: Facts, words: str, spn: int | None, cylinders: int, names: Vocabulary) -> list[Candidate]:
     """What a channel's words or its number of J1939 say that it is."""
     unit = understood(fact.unit)
     found = []
-    for meaning in vocabulary().meanings:
+    for meaning in names.meanings:
         if fact.name in BY_COLUMN and fact.name != meaning.column:
             continue  # another quantity of our own nomenclature
         score = meaning.score(fact.name, words, spn)
         if score <= 0.0:
             continue
         own = _own_unit(fact, meaning)
-        if own is None and unit is None and spn is None and not set(meaning.dimensions) & vocabulary().kinds_of(words):
+        if own is None and unit is None and spn is None and not set(meaning.dimensions) & names.kinds_of(words):
             continue
         reading = reading_of(fact, meaning, own or unit, words, cylinders)
         if reading is None:
@@ -196,7 +225,7 @@ def _said(fact: Facts, words: str, spn: int | None, cylinders: int) -> list[Cand
 
 def _own_unit(fact: Facts, meaning: Meaning) -> Unit | None:
     """The unit that our own column names carry."""
-    return understood(unit_of(fact.name)) if fact.name == meaning.column else None
+    return understood(unit_of(meaning.column)) if fact.name.lower() == meaning.column else None
 
 
 def _assigned(candidates: Sequence[Candidate]) -> dict[str, Candidate]:
@@ -292,12 +321,17 @@ def _by_physics(chosen: Mapping[str, Candidate], signals: Mapping[str, Signal], 
         mirrored = entry.model_copy(update={"scale": -entry.scale, "offset": 100.0 - entry.offset})
         warning = f"{text}; turned round (100 minus it): check with the actuator's data sheet"
         result[column] = replace(candidate, reading=replace(candidate.reading, entry=mirrored).with_warning(warning))
-    reasons, warnings = agreements(columns, cylinders)
+    return _told(result, *agreements(columns, cylinders))
+
+
+def _told(chosen: Mapping[str, Candidate], reasons: Mapping[str, Sequence[str]], warnings: Mapping[str, Sequence[str]]
+          ) -> dict[str, Candidate]:
+    """With what speaks for the candidates of some columns, and what is to be checked."""
     return {
         column: replace(candidate, reading=replace(
             candidate.reading, reasons=_each_once((*candidate.reading.reasons, *reasons.get(column, ()))),
             warnings=(*candidate.reading.warnings, *warnings.get(column, ()))))
-        for column, candidate in result.items()
+        for column, candidate in chosen.items()
     }  # fmt: skip
 
 
@@ -333,10 +367,11 @@ def _warned(candidate: Candidate, fact: Facts, candidates: Sequence[Candidate], 
               and c.score > candidate.score - CLOSE]  # fmt: skip
     if doubts:
         reading = reading.with_warning(f"the name could also mean {doubts[0].meaning.name}")
-    unread = candidate.meaning.unread(words_of(fact.name))
+    unread = candidate.meaning.unread(words_of(without_unit(fact.name)))
     if candidate.meaning.wanted(words_of(fact.name)):
         reading = reading.with_warning("a wanted value, as no channel says what was given: check that it follows")
-    elif unread and not _told_otherwise(reading) and not (spn_of(fact.name, fact.spn) or fact.name in BY_COLUMN):
+    elif unread and not (_told_otherwise(reading) or spn_of(fact.name, fact.spn)
+                         or fact.name.lower() == candidate.column):  # fmt: skip
         reading = reading.with_warning(f"nothing is known of {listed(unread)} in the name: check")
     if candidate.score < 0.7 and not reading.warnings:
         reading = reading.with_warning("the name says little: check")

@@ -6,8 +6,10 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from dieseltwin.recordings.channels import ChannelEntry
-from dieseltwin.recordings.derived import DERIVATIONS
+import numpy as np
+
+from dieseltwin.recordings.channels import ChannelEntry, unit_of
+from dieseltwin.recordings.derived import DERIVATIONS, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.names import Meaning
 from dieseltwin.recordings.guess.units import Unit
@@ -16,6 +18,7 @@ from dieseltwin.symbols import symbol
 GAUGE_BELOW_PA = 6.0e4  # an absolute pressure of a running engine at 3 km altitude stays above
 ABSOLUTE_ABOVE_PA = 7.5e4  # between the two it could be either
 HIGH_LOWEST_PA = 1.35e5  # an intake pressure that never comes down to the ambient may be either, too
+HIGH_GAUGE_PA = 1.0e4  # above the ambient: an engine that idles has less boost
 LOWEST_GAUGE_PA = -3.5e4  # behind a throttle or a clogged filter
 ENGINE_RPM = (300.0, 5000.0)
 FRACTION_HIGH = 1.2
@@ -27,6 +30,8 @@ COLD_EXHAUST = 330.0  # a value below this is in degC: exhaust gas of a running 
 HOT_AIR = 180.0  # an air temperature above this is in K, below in degC
 
 UNKNOWN_UNIT = 0.9  # factor where the file says a unit that isn't known
+LIKELY_UNITS = {"Pa": ("kPa", "hPa", "bar", "Pa"), "K": ("degC", "K"), "kg/s": ("kg/h", "g/s", "kg/s"),
+                "rad/s": ("rpm", "rad/s")}  # fmt: skip
 COMMON_PRESSURES = ("kPa", "bar", "hPa", "mbar", "Pa", "psi", "MPa")  # that values alone may tell
 _NO_UNIT = "the file gives no unit"
 _SAYS_GAUGE = re.compile(r"\b(gauge|gage|rel|relativ|relative|ueberdruck|g)\b")
@@ -87,7 +92,8 @@ def reading_of(facts: Facts, meaning: Meaning, unit: Unit | None, words: str, cy
         "per cycle": _per_cycle,
         "torque": _torque,
     }
-    found = read[dimension](facts, meaning, unit, words)
+    by_rules = read[dimension] if meaning.usual is None or dimension == "share" else _in_usual_range
+    found = by_rules(facts, meaning, unit, words)
     return None if found is None else _with_cylinders(found, cylinders)
 
 
@@ -179,6 +185,27 @@ def _pressure(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> 
                 f"{in_our_unit(found.entry, facts.low) / 1e3:.4g} kPa")
         judged = replace(judged, alternatives=(*judged.alternatives, Reading(other, 0.8, (), (text,))))
     return judged
+
+
+def _in_usual_range(facts: Facts, meaning: Meaning, unit: Unit | None, words: str) -> Reading | None:
+    """By the range in which the quantity's median is, and the pressure below which no reading can be."""
+    low, high = meaning.usual or (-np.inf, np.inf)
+    ours = unit_of(meaning.column) or ""
+    entries = [ChannelEntry(column=meaning.column, unit=name) for name in _or_own(LIKELY_UNITS[ours], unit)]
+    if ours != "Pa":
+        return _choose(facts, unit, [(entry, low, high) for entry in entries])
+    gauge = _says_gauge(facts, unit, words)
+    lowest = {entry.unit: in_our_unit(entry, facts.low) for entry in entries}
+    absolute = [entry for entry in entries if gauge is False or (gauge is None and lowest[entry.unit] >= meaning.least)]
+    relative = [entry for entry in entries if gauge is not False and entry not in absolute]
+    found = _choose(facts, unit, [
+        *((entry, low, high) for entry in absolute),
+        *((entry.model_copy(update={"via": "gauge"}), low - STAND_IN_PA, high - STAND_IN_PA) for entry in relative),
+    ])  # fmt: skip
+    if found is None or found.entry.via is None or gauge is True or lowest[found.entry.unit] < HIGH_GAUGE_PA:
+        return found
+    return found.with_warning(f"its lowest value of {lowest[found.entry.unit] / 1e3:.3g} kPa is low for an absolute "
+                              "pressure there and high for gauge: is it another pressure?")  # fmt: skip
 
 
 def _or_own(usual: Sequence[str], unit: Unit | None) -> tuple[str, ...]:

@@ -6,27 +6,13 @@ from collections.abc import Iterator, Mapping
 
 import yaml
 
-from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, OPTIONAL_INPUTS, TIME
+from dieseltwin.recordings.channels import TIME
 from dieseltwin.recordings.derived import DIESEL_KG_L, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts
 from dieseltwin.recordings.guess.propose import Candidate, Proposal
-from dieseltwin.sensors import MEASURED, SENSORS
-from dieseltwin.symbols import symbol
+from dieseltwin.symbols import BY_COLUMN
 
-ORDER = (*INPUTS, *OPTIONAL_INPUTS, *MEASURED, INTAKE, *AMBIENT, "torque_nm")
 NAME_WIDTH = 44
-
-# What the twin cannot tell without a channel.
-COSTS: Mapping[str, str] = {
-    "n_e_rpm": "without engine speed nothing can be simulated or fitted",
-    "u_delta_mg": "without fuel nothing can be simulated or fitted; fuel per hour would do, or air flow and lambda",
-    "u_egr_pct": "without the EGR valve's position nothing can be simulated; if there is none, add a column of zeros",
-    "u_vgt_pct": "without the VGT's position nothing can be simulated; for a fixed turbine, add a constant column",
-    **{sensor.column: sensor.without for sensor in SENSORS},
-    "t_im_k": "the engine file's constant stands in; charge cooler loss and EGR heating show through flows only",
-    "p_amb_pa": "the engine file's value stands in: at 1000 m that is 11 kPa wrong in every pressure ratio",
-    "t_amb_k": "the engine file's value stands in: 10 K change compressor flow and speed by 1.7 %",
-}
 
 
 def channel_lines(proposal: Proposal) -> Iterator[str]:
@@ -67,7 +53,7 @@ def remarks(fact: Facts) -> list[str]:
 
 def guess_lines(proposal: Proposal) -> Iterator[str]:
     """What each of our quantities could be, why, and what to check; then what is missing and what it costs."""
-    for column in ORDER:
+    for column in proposal.machine.order:
         candidate = proposal.guesses.get(column)
         if candidate is None:
             continue
@@ -76,13 +62,17 @@ def guess_lines(proposal: Proposal) -> Iterator[str]:
         for warning in candidate.reading.warnings:
             yield f"{'':<14}   CHECK: {warning}"
     for column in missing(proposal):
-        yield f"{column:<14} not found: {COSTS[column]}"
+        yield f"{column:<14} not found: {proposal.machine.costs[column]}"
         for name, others in proposal.others.items():
             rival = next((c for c in others if c.column == column), None)
             if rival is not None:
                 yield f"{'':<14}   could be {name} ({rival.meaning.name}), which is taken for something else"
         if column in proposal.unconverted:
             yield f"{'':<14}   CHECK: {unconverted(*proposal.unconverted[column])}"
+    if proposal.throttle is not None:
+        yield ""
+        yield (f"CHECK: {proposal.throttle!r} is a throttle, and no name is an EGR valve's, a VGT's or fuel's: "
+               "for a petrol engine give --engine (liu_petrol, or a file of your own with kind: petrol)")
 
 
 def how(candidate: Candidate) -> str:
@@ -101,7 +91,8 @@ def unconverted(channel: str, unit: str) -> str:
 
 def missing(proposal: Proposal) -> list[str]:
     """Our columns that nobody gives, in the order of their weight."""
-    return [column for column in ORDER if column not in proposal.guesses and column in COSTS]
+    machine = proposal.machine
+    return [column for column in machine.order if column not in proposal.guesses and column in machine.costs]
 
 
 def needed_but_unmapped(proposal: Proposal) -> dict[str, list[str]]:
@@ -118,7 +109,8 @@ def map_text(proposal: Proposal) -> str:
     """The channel map as YAML with comments, ready to edit and to give to `--channels`."""
     raw = proposal.raw
     name = " ".join(raw.path.name.split())  # a comment ends with its line
-    command = "calibrate" if proposal.clock is None and raw.table is not None else "identify"  # points have no time
+    points = proposal.clock is None and raw.table is not None  # no time
+    command = proposal.machine.commands[points]
     lines = [
         f"# Channel map of {name} ({raw.kind}), a first guess of `dieseltwin channels`.",
         f"# Check every line, then: dieseltwin {command} {name} --channels THIS_FILE ...",
@@ -131,10 +123,10 @@ def map_text(proposal: Proposal) -> str:
         unit = {1.0: "s", 1e-3: "ms", 1e-6: "us", 60.0: "min", 3600.0: "h", 86400.0: "d"}[scale]
         lines.append(f"{_scalar(name)}: {{column: {TIME}, unit: {unit}}}")
     unmet = needed_but_unmapped(proposal)
-    for column in ORDER:
+    for column in proposal.machine.order:
         if column in proposal.guesses:
             lines.extend(_entry_lines(proposal.guesses[column], unmet))
-    lines.extend(f"# {column} not found: {COSTS[column]}" for column in missing(proposal))
+    lines.extend(f"# {column} not found: {proposal.machine.costs[column]}" for column in missing(proposal))
     lines.extend(f"# CHECK: {column}: {unconverted(*channel)}" for column, channel in proposal.unconverted.items())
     taken = {candidate.channel for candidate in proposal.guesses.values()}
     clock = proposal.clock[0] if proposal.clock is not None else None
@@ -148,7 +140,9 @@ def map_text(proposal: Proposal) -> str:
 
 def _entry_lines(candidate: Candidate, unmet: Mapping[str, list[str]]) -> Iterator[str]:
     entry = candidate.reading.entry
-    yield f"# {symbol(candidate.column).meaning}: {'; '.join(candidate.reading.reasons)}"
+    ours = BY_COLUMN.get(candidate.column)
+    meaning = candidate.meaning.name if ours is None else ours.meaning
+    yield f"# {meaning}: {'; '.join(candidate.reading.reasons)}"
     for warning in candidate.reading.warnings:
         yield f"# CHECK: {warning}"
     parts = [f"column: {entry.column}"]

@@ -186,13 +186,33 @@ def _bare(unit: str) -> str:
 _IN_NAME = re.compile(r"(?:\[\s*([^\[\]]{1,16}?)\s*\]|[\[(]\s*([^\[\]()]{1,16}?)\s*[\])])\s*$")  # [bar(g)], (bar)
 _AFTER_NAME = re.compile(r"(?:[ _/,]|\bin\b)\s*([A-Za-z%°µ/0-9^³·*-]{1,10})\s*$")
 
+_QUOTIENT = re.compile(r"[ _](kg|g|mg|lb|l|rad)_(s|sec|h|hr|min|hub|stroke|cycle|cyc)$", re.IGNORECASE)
+_DEGREES = re.compile(r"[ _]([CKF])$")
+_OF_HEAT = re.compile(r"(?i:t|\w*temp\w*)")
+
 
 def unit_in_name(name: str) -> str | None:
-    """The unit that a name carries: 'Drehzahl [1/min]', 'T_exh (degC)', 'p2 in mbar', 'boost_kPa'; None without one."""
+    """The unit that a name carries: 'Drehzahl [1/min]', 'T_exh (degC)', 'p2 in mbar', 'boost_kPa', 'HFM_kg_h',
+    'Umg_T_C' ('T_C' is a symbol); None without one."""
     found = _IN_NAME.search(name)
     if found:
         return (found.group(1) or found.group(2) or "").strip()
     found = _AFTER_NAME.search(name)
     if found and found.group(1).lower() in _UNIT_WORDS - _AMBIGUOUS:
         return found.group(1)
-    return None
+    found = _QUOTIENT.search(name)
+    if found:
+        return f"{found.group(1)}/{found.group(2)}"
+    found = _DEGREES.search(name)
+    return f"deg{found.group(1)}".replace("degK", "K") if found and _says_heat(name[: found.start()]) else None
+
+
+def without_unit(name: str) -> str:
+    """A name without the unit behind it that `unit_in_name` reads: 'HFM_kg_h' -> 'HFM'."""
+    found = _QUOTIENT.search(name) or _AFTER_NAME.search(name)
+    return name[: found.start()] if found and unit_in_name(name) is not None else name
+
+
+def _says_heat(before: str) -> bool:
+    words = re.split(r"[ _]", before)
+    return any(_OF_HEAT.fullmatch(word) and (len(words) > 1 or len(word) > 1) for word in words)
