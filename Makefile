@@ -33,7 +33,7 @@ export DIESELTWIN_MLFLOW := $(MLFLOW)
 export DIESELTWIN_PREFECT := $(PREFECT)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run repro discover proof evaluate bench promote test check docs ui champion serve
+.PHONY: help setup run repro discover proof evaluate bench promote test test-all check docs ui champion serve
 
 help:  ## this list
 	@echo "make run    the whole chain: data, pretraining, identification, report (PROFILE=quick or paper)"
@@ -43,7 +43,8 @@ help:  ## this list
 	@echo "make evaluate  the paper's tables and figures, from ensembles of every method (PROFILE=quick or paper)"
 	@echo "make bench  every speed, part by part, into docs/speed.md; goes on where it was stopped (PROFILE=paper: an hour)"
 	@echo "make promote  put newly trained networks into MLflow's registry, in use if physics holds and they aren't worse"
-	@echo "make test   all tests"
+	@echo "make test   the tests: every part, every command, every kind of machine"
+	@echo "make test-all  the same and some sixty more whole judgements (twice as long)"
 	@echo "make check  style, types, import directions, hygiene"
 	@echo "make docs   the documentation as a site, in site/"
 	@echo "make ui     MLflow with the results (PORT=5000)"
@@ -93,8 +94,11 @@ promote: $(READY)  ## the registry's champion, from models/
 
 # Where a machine forbids Python to keep what it compiled, every process would compile all test modules anew, and every
 # step and command of the tests its part of the library.
-test: export PYTHONDONTWRITEBYTECODE :=
-test: $(READY)  ## all tests on two processes
+test test-all: export PYTHONDONTWRITEBYTECODE :=
+test: $(READY)  ## all tests but the thorough ones, on two processes
+	@$(BIN)/python -m pytest -n 2 --no-loadscope-reorder -q -m "not thorough"
+
+test-all: $(READY)  ## all tests on two processes
 	@$(BIN)/python -m pytest -n 2 --no-loadscope-reorder -q
 
 check: $(READY)  ## style, types, directions, hygiene

@@ -98,6 +98,7 @@ def quick_points(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration, "STARTS", 0)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick_points")
 def test_points_are_calibrated_discovered_and_answered_for(points: Path, tmp_path: Path) -> None:
     calibrated = dt.calibrate(points, geometry=GEOMETRY)
@@ -127,6 +128,7 @@ def test_points_are_calibrated_discovered_and_answered_for(points: Path, tmp_pat
 # --- petrol
 
 
+@pytest.mark.thorough
 def test_petrol_engine(tmp_path: Path) -> None:
     drive_petrol(600.0, 1).to_csv(tmp_path / "healthy.csv", index=False)
     drive_petrol(250.0, 10, W_af_kg_s=0.12).to_csv(tmp_path / "drive.csv", index=False)

@@ -45,6 +45,7 @@ def test_function_and_command_find_and_write_the_same(
     assert from_table.found.to_json() == found.found.to_json()
 
 
+@pytest.mark.thorough
 def test_a_hill_that_no_column_tells_is_found_and_identified_as_such() -> None:
     there = drive(180.0, we2011.PARAMETERS.replace(A_egrmax=3e-4, p_amb=93e3, T_amb=285.0))
     found = dt.identify(there, runs=1, seed=3)

@@ -38,6 +38,7 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return learned_file(tmp_path_factory.mktemp("mine"))
 
 
+@pytest.mark.thorough
 def test_a_leak_that_began_is_named_with_its_date(year: list[Path], tmp_path: Path):
     found = dt.discover(year)
     document = found.document.to_json()
@@ -74,6 +75,7 @@ def test_so_many_recordings_that_memory_runs_out_are_refused_before_they_are_jud
         dt.discover(files)
 
 
+@pytest.mark.thorough
 def test_a_history_grows_once_by_each_recording_in_any_order(year: list[Path], mine: Path, tmp_path: Path):
     bad = tmp_path / "2026-10-01.csv"
     bad.write_text("time_s,n_e_rpm\n0,1000\n")

@@ -134,6 +134,7 @@ def test_from_drop_to_verdict(server: Server, browser: playwright.Browser, logge
     assert problems == []
 
 
+@pytest.mark.thorough
 def test_an_engine_is_learned_and_judges_by_keyboard_and_on_a_phone(
     server: Server, browser: playwright.Browser, tmp_path: Path
 ) -> None:

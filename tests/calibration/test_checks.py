@@ -139,6 +139,7 @@ def test_shut_egr_is_stated(monkeypatch: pytest.MonkeyPatch, few: SteadyPoints) 
     assert not {c.name for c in found.coefficients} & {"A_egrmax", "c_egr1", "c_egr3", "Pi_egropt"}
 
 
+@pytest.mark.thorough
 def test_fuel_in_kg_h_under_mg_is_asked_about_and_a_missing_ambient_said(few: SteadyPoints) -> None:
     """27 mg or 27 kg/h: both could be, but not with this exhaust."""
     right = calibrate(few.with_columns(p_amb_pa=few["p_amb_pa"] - 100.0), we2011.PARAMETERS)

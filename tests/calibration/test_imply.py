@@ -113,6 +113,7 @@ def test_files_answer_for_inputs_alone(
         imply(file, engine)
 
 
+@pytest.mark.thorough
 def test_readings_that_contradict_the_engine_are_said(
     mended: PointsDiscovery, answers: Answers, data: SteadyPoints, tmp_path: Path
 ) -> None:

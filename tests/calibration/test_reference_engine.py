@@ -57,6 +57,7 @@ def test_without_a_reference_nothing_is_told(blowing: Calibration) -> None:
     assert about_reference(blowing, {}) is blowing
 
 
+@pytest.mark.thorough
 def test_the_fault_is_named(blowing: Calibration) -> None:
     found = discover_points(blowing, Options(law_search=False, search=SEARCH))
     assert tuple(found.effects) == ("blow_by",)

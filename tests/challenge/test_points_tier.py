@@ -46,6 +46,7 @@ def test_the_same_seed_draws_the_same_points(small: None, monkeypatch: pytest.Mo
     assert draw_points(2, 7, healthy=True)[2]["effects"] == []
 
 
+@pytest.mark.thorough
 def test_made_run_and_scored(small: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, jobs = tmp_path / "sealed_points", ("--jobs", "1")
     assert main(["challenge", "make", "--tier", "points", "--n", "1", "--seed", "8", "--out", str(out), *jobs]) == 0

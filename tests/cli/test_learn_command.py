@@ -136,6 +136,7 @@ def test_driving_that_two_recordings_share_is_no_reference(
     assert "recordings that share no driving" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_siblings_are_learned_engines(folder: Path, capsys: pytest.CaptureFixture[str]):
     plain = folder / "plain.yaml"
     plain.write_text("eta_sc: 1.1\n")

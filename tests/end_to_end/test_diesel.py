@@ -108,6 +108,7 @@ def test_a_healthy_engine_is_let_be(answer: Callable[[str], Answer]) -> None:
     assert smallest["boost_leak"] == pytest.approx(5.3e-6, rel=0.3) and smallest["p_em_gain"] < 0.04
 
 
+@pytest.mark.thorough
 def test_a_law_takes_the_place_of_a_name_that_is_withheld(answer: Callable[[str], Answer]) -> None:
     found = answer("withheld")
     document = found.document
@@ -140,6 +141,7 @@ def test_the_library_says_what_the_command_says(
     assert {"total", "singles", "variants"} <= set(found.runtime)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "effect"), [("healthy", None), ("leak", "boost_leak")])
 def test_held_and_rounded_channels_count_at_their_own_readings(name: str, effect: str | None) -> None:
     """Counted in every row, they raise the twin's chi-square to 1.4 and put `blow_by` beside the leak."""
@@ -152,6 +154,7 @@ def test_held_and_rounded_channels_count_at_their_own_readings(name: str, effect
         assert document.effects[0].std == pytest.approx(2.57e-6, rel=0.2)
 
 
+@pytest.mark.thorough
 def test_a_manifold_may_be_slow() -> None:
     """Ten seconds, not a lag of the fuel."""
     document = discover(reading(recorded(MACHINES["inertia"])), we2011.PARAMETERS).document
@@ -185,6 +188,7 @@ def test_everything_beside_the_document_is_written(answer: Callable[[str], Answe
     assert answer("leak").details["singles"][0]["names"] == ["boost_leak"]
 
 
+@pytest.mark.thorough
 def test_a_fault_that_goes_again_is_told_so_and_undone_when_it_was_there(
     recording: Callable[[str], Path], ask: Ask, tmp_path: Path
 ) -> None:
@@ -205,6 +209,7 @@ def test_a_fault_that_goes_again_is_told_so_and_undone_when_it_was_there(
     assert not ask(path, "--engine", found.folder / "engine.yaml").document.mismatch
 
 
+@pytest.mark.thorough
 def test_a_fault_that_comes_and_goes_is_told_in_its_parts(
     recording: Callable[[str], Path], ask: Ask, tmp_path: Path
 ) -> None:

@@ -109,6 +109,7 @@ def test_simulate_foretells_settled_points_better_with_the_repaired_machine(flap
     assert np.sqrt(np.mean(error["after"] ** 2)) < 0.5 * np.sqrt(np.mean(error["before"] ** 2))
 
 
+@pytest.mark.thorough
 def test_the_repaired_machine_calls_for_nothing_more(flap: Calibrated, tmp_path: Path) -> None:
     again = tmp_path / "again"
     with without_pictures():
@@ -171,6 +172,7 @@ def test_withheld_channels_fall_into_their_intervals(flap: Calibrated) -> None:
     assert 0.85 <= np.mean(inside) <= 0.99
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("one_start")
 def test_a_flap_that_nobody_recorded_is_something_behind_the_turbine(flap: Calibrated, tmp_path: Path) -> None:
     points = pd.read_csv(flap.points).drop(columns="u_flap_pct").iloc[::2]

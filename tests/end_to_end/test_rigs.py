@@ -120,6 +120,7 @@ def tanks(tmp_path_factory: pytest.TempPathFactory) -> Case:
     return _asked("cascaded_tanks", tanks_recording(700), 350, tmp_path_factory.mktemp("tanks"))
 
 
+@pytest.mark.thorough
 def test_axis_names_its_friction(axis: Case) -> None:
     found = axis.answer.document
     first = found.effects[0]
@@ -157,6 +158,7 @@ def test_the_page_says_it_all(tanks: Case) -> None:
     assert share is not None and share > 0.9 and "90 % interval" in text and "misfit explained" in text
 
 
+@pytest.mark.thorough
 def test_the_repaired_machines_run_free_where_no_fit_has_seen_them(axis: Case, tanks: Case) -> None:
     assert axis.errors[1] < 0.2 * axis.errors[0]
     assert tanks.errors[1] < 0.02 < 0.2 * tanks.errors[0]  # the readings' noise is 0.01 V

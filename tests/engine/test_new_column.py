@@ -91,18 +91,21 @@ def test_the_patch_is_two_files(tmp_path: Path, project_root: Path) -> None:
     assert list(differences(project_root / "dieseltwin", library)) == ["data/channel_names.yaml", "sensors.py"]
 
 
+@pytest.mark.thorough
 def test_it_is_simulated_with_its_fault_and_has_noise(told: dict[str, Any]) -> None:
     assert told["columns"] == [*MEASURED, "t_c_k"]
     assert told["gain"] == pytest.approx(1.05, rel=1e-9)
     assert told["noise"] == pytest.approx(0.01, rel=0.15)
 
 
+@pytest.mark.thorough
 def test_it_is_guessed_checked_and_drawn(told: dict[str, Any]) -> None:
     assert told["unit"] == "degC"
     assert "column t_c_k" in told["refused"] and "looks like degC" in told["refused"]
     assert "$T_c$ [K]" in told["figure"]
 
 
+@pytest.mark.thorough
 def test_the_likelihoods_compare_it(told: dict[str, Any]) -> None:
     six, seven = told["std"]
     assert 0.9 * six < seven < 0.995 * six

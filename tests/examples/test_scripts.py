@@ -21,6 +21,7 @@ def run(name: str, folder: Path, minutes: float) -> dict[str, Any]:
     return names
 
 
+@pytest.mark.thorough
 def test_health_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = run("health_parameters.py", tmp_path, 2.0)
     assert (names["compared"]["off_by_std"].abs() < 4.0).all()

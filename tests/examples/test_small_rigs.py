@@ -34,6 +34,7 @@ def _halves(rig_name: str, relative: str, most_effects: int) -> tuple[RigDiscove
     return found, float(run_error(found.repaired, late)[0] / run_error(found.before, late)[0])
 
 
+@pytest.mark.thorough
 def test_positioning_axis() -> None:
     found, share = _halves("positioning_axis", "emps/emps_train.csv", 2)
     sizes = {term.effect: term.magnitude for term in found.repaired.terms}
@@ -44,6 +45,7 @@ def test_positioning_axis() -> None:
     assert share < 0.35
 
 
+@pytest.mark.thorough
 def test_cascaded_tanks() -> None:
     found, share = _halves("cascaded_tanks", "cascaded_tanks/estimation.csv", 2)
     assert "upper_overflow" in found.rounds[0].names

@@ -96,6 +96,7 @@ def test_a_second_run_computes_nothing_and_changes_nothing(chain: tuple[Path, se
     assert len(client.search_runs(experiments)) == records
 
 
+@pytest.mark.thorough
 @pytest.mark.flow
 def test_trained_networks_become_a_version_and_stay_in_use_against_worse_ones(
     chain: tuple[Path, set[str]], tmp_path: Path

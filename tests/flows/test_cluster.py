@@ -73,6 +73,7 @@ def test_the_setting_is_one_word_and_a_wrong_one_is_one_line(monkeypatch: pytest
         assert isinstance(task_runner(wrong), ThreadPoolTaskRunner)
 
 
+@pytest.mark.thorough
 @pytest.mark.flow
 def test_a_local_cluster_gives_the_same_numbers(prefect: None, workspace: Callable[[str], RunContext]) -> None:
     workspace("threads")
@@ -86,6 +87,7 @@ def test_a_local_cluster_gives_the_same_numbers(prefect: None, workspace: Callab
     assert not again.timings
 
 
+@pytest.mark.thorough
 @pytest.mark.flow
 def test_a_worker_killed_in_the_middle_costs_a_retry(
     prefect: None, workspace: Callable[[str], RunContext], tmp_path: Path

@@ -79,6 +79,7 @@ def test_a_process_forked_while_its_server_is_killed_is_not_waited_for(tmp_path:
         pass
 
 
+@pytest.mark.thorough
 @pytest.mark.flow
 def test_a_signal_ends_a_schedule(tmp_path: Path) -> None:
     process = start(tmp_path, "toy_served.py")

@@ -42,6 +42,7 @@ def test_the_tool_sees_the_recording_alone(
     assert "runtime.json" not in json.loads((found.path / "manifest.json").read_text())["files"]
 
 
+@pytest.mark.thorough
 def test_a_case_that_fails_is_a_result_without_its_time(
     faked_discovery: Callable[[], RunContext], monkeypatch: pytest.MonkeyPatch
 ) -> None:

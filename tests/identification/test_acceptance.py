@@ -73,6 +73,7 @@ def test_what_cannot_be_computed_is_failed_and_strict_json(driving: HeldOutDrivi
     assert test.to_json()["figure"] is None and test.to_json()["passed"] is False
 
 
+@pytest.mark.thorough
 def test_driving_with_a_map_that_is_off_shows_how_far_it_takes_the_states(driving: HeldOutDriving) -> None:
     off = {**EXACT, "eta_tm": lambda w, T, Pi, c: 0.8 * EXACT["eta_tm"](w, T, Pi, c)}
     test = acceptance.driving_errors(off, driving, 0.03)
@@ -80,6 +81,7 @@ def test_driving_with_a_map_that_is_off_shows_how_far_it_takes_the_states(drivin
     assert "omega_t" in test.sentence and "3 minutes" in test.sentence
 
 
+@pytest.mark.thorough
 def test_a_known_engine_is_found_and_another_one_is_not(driving: HeldOutDriving) -> None:
     identify = load_params(None, "quick").identify
     found = acceptance.known_engine({}, ENGINE, driving, identify, LIMITS.known_engine)

@@ -93,6 +93,7 @@ def test_compiled_equals_eager_and_32_bits_are_safe(lanes: list[Lane], maps: Emp
         assert float((short.double() - expected).norm() / expected.norm()) < 5e-6
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_compiled_runs_are_the_eager_ones_and_repeat(lanes: list[Lane], caplog: pytest.LogCaptureFixture) -> None:
     runs = [

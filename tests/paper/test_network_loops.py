@@ -62,6 +62,7 @@ def test_compiled_equals_eager_and_32_bits_are_safe(problem: SegmentProblem) -> 
         assert single is None or float((single[1][:, columns].double() - expected).norm() / expected.norm()) < 5e-6
 
 
+@pytest.mark.thorough
 def test_training_repeats_and_equals_the_eager_one(problem: SegmentProblem) -> None:
     ends = []
     for compiled in (True, True, False):

@@ -118,6 +118,7 @@ def test_an_alarm_in_the_reference_is_said_by_every_discovery(engine: PetrolPara
     assert isinstance(sure, PetrolQuestion) and sure.notes == ()
 
 
+@pytest.mark.thorough
 def test_learned_from_references_in_one_go(
     record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,6 +140,7 @@ def test_learned_from_references_in_one_go(
     assert f"--reference: got beside {mine}, which has its maps already" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_calibrated_anew_is_learned(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -201,6 +203,7 @@ def test_engine_of_a_discovery_is_accepted_by_the_next_and_by_simulate(
     capsys.readouterr()
 
 
+@pytest.mark.thorough
 def test_choices_of_the_user(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -223,6 +226,7 @@ def test_choices_of_the_user(
     assert "t_amb_k" not in document.recording.channels and document.effects[0].name == "p_im_gain"
 
 
+@pytest.mark.thorough
 def test_explained_from_what_is_there(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,6 +34,7 @@ def _bent(record: Recorder, tmp_path: Path, column: str, factor: Callable[[np.nd
     return path
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("column", "name", "size"), [("W_af_kg_s", "w_af_gain", 0.1), ("p_im_Pa", "p_im_gain", -0.06)])
 def test_a_fault_that_goes_again(
     engine: PetrolParameters, record: Recorder, tmp_path: Path, column: str, name: str, size: float

@@ -176,6 +176,7 @@ def rms_errors(engine: PetrolParameters, recording: PetrolRecording) -> dict[str
     }
 
 
+@pytest.mark.thorough
 def test_repaired_engine_is_quiet_and_simulates_the_readings(engine: PetrolParameters, record: Recorder) -> None:
     first, later = record(13, 500.0, p_im_Pa=0.1), record(14, 300.0, onset_s=0.0, p_im_Pa=0.1)
     repaired = discover_petrol(first, engine).engine
@@ -301,6 +302,7 @@ def test_real_fault_free(liu: Path, liu_engine: PetrolParameters) -> None:
     assert not discover_petrol(read_petrol(liu / "wltp_NF.csv"), liu_engine).document.mismatch
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("file", "name", "size", "_onset_s"), REAL, ids=[r[1] for r in REAL])
 def test_real_sensor_faults_in_five_minutes(
     liu: Path, liu_engine: PetrolParameters, file: str, name: str, size: float, _onset_s: float

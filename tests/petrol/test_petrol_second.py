@@ -15,6 +15,7 @@ from dieseltwin.petrol.recording import PetrolRecording, read_petrol
 Recorder = Callable[..., PetrolRecording]
 
 
+@pytest.mark.thorough
 def test_two_faults_since_different_times(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
     table = pd.read_csv(record(18, 420.0, onset_s=80.0, W_af_kg_s=0.06).path)
     table.loc[table.time_s >= 250.0, "T_ic_K"] += 15.0

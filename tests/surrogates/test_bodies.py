@@ -195,6 +195,7 @@ def test_bodies_as_printed(cases: Mapping[str, pd.DataFrame]) -> None:
     assert all(after[column] < before[column] for column in before)
 
 
+@pytest.mark.thorough
 def test_the_same_seed_gives_the_same_bytes(
     cases: Mapping[str, pd.DataFrame], conditioned: Bodies, tmp_path: Path
 ) -> None:

@@ -112,6 +112,7 @@ def test_training_lowers_the_loss(operators: ActuatorOperators) -> None:
         assert operator.curve[-1, 1] < 0.05 * operator.curve[0, 1]
 
 
+@pytest.mark.thorough
 def test_noisy_labels_cost_little(cases: dict[str, pd.DataFrame], operators: ActuatorOperators) -> None:
     noisy = train_operators(cases, config(UPDATES, finish_ridge=1e-5), 1, PARAMETERS, label_noise_rel=0.03)
     errors, clean = noisy.errors(driving(77, 3.0)), operators.errors(driving(77, 3.0))

@@ -70,6 +70,7 @@ def test_weather_that_no_column_gives_differs_from_day_to_day():
         assert twin.values.get("p_amb_pa", we2011.PARAMETERS.p_amb) == pytest.approx(day["p_amb"], abs=2500.0)
 
 
+@pytest.mark.thorough
 def test_a_charge_that_no_column_gives_may_differ_from_piece_to_piece():
     ambient = {"p_amb_pa": we2011.PARAMETERS.p_amb, "t_amb_k": we2011.PARAMETERS.T_amb}
     pieces = [

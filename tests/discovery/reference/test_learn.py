@@ -98,6 +98,7 @@ def test_a_window_in_which_a_response_runs_away_says_nothing_of_finer_maps(recor
     assert np.any(rows != 0.0) and np.abs(rows).max() < 1e6
 
 
+@pytest.mark.thorough
 def test_a_fault_that_no_map_takes_up_is_suspected():
     offset = Fault("p_im_offset", 1e4)
     first = learn([_recording(1, offset)], we2011.PARAMETERS, MAP_RMS).suspicions[0]

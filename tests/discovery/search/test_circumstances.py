@@ -97,6 +97,7 @@ def test_a_healthy_engine_on_a_hill_is_let_be() -> None:
     assert "the ambient pressure is 9" in sentence(document)
 
 
+@pytest.mark.thorough
 def test_a_barometer_that_is_a_placeholder_is_not_believed() -> None:
     """101.3 kPa written by a logger on a hill of 84: what is found is held away from the truth by it."""
     faults = (Fault("boost_leak", 4e-5),)
@@ -116,6 +117,7 @@ def _mapped(frame: pd.DataFrame, column: str, line: str, values: np.ndarray) -> 
     return read_recording(frame.drop(columns=[column]).assign(theirs=values), mapping)
 
 
+@pytest.mark.thorough
 def test_a_gauge_pressure_on_a_hill_is_no_fault_of_its_sensor() -> None:
     """700 m, boost recorded over an ambient that nobody recorded: p_im read 8 kPa high, more than 99 % sure."""
     frame = _driven(p_amb=93_000.0, T_amb=285.15)
@@ -130,6 +132,7 @@ def test_a_gauge_pressure_on_a_hill_is_no_fault_of_its_sensor() -> None:
     assert right.columns["p_im_pa"] - frame["p_im_pa"].to_numpy() == pytest.approx(right.p_amb_pa - 93_000.0, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_fuel_per_hour_over_a_late_engine_speed_is_put_right_with_it() -> None:
     """The speed was 0.11 s late and two channels in time early, as fuel per stroke stayed that of the late one."""
     frame = _driven()
@@ -154,6 +157,7 @@ def test_a_cold_charge_that_no_column_gives_is_followed_by_simulation() -> None:
     assert document.health["A_vgtmax"].value == pytest.approx(we2011.PARAMETERS.A_vgtmax, rel=0.004)
 
 
+@pytest.mark.thorough
 def test_each_of_several_recordings_has_a_weather_and_clocks_of_its_own() -> None:
     hill, late = _driven(90.0, p_amb=93_000.0, T_amb=285.15), _driven(90.0)
     late["n_e_rpm"] = np.interp(late["time_s"] - LATE_S, late["time_s"], late["n_e_rpm"])

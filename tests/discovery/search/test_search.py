@@ -143,6 +143,7 @@ def test_chord_refit_agrees_with_the_full_one() -> None:
     assert chord.magnitudes[0] == pytest.approx(full.magnitudes[0], abs=0.2 * full.std[1])
 
 
+@pytest.mark.thorough
 def test_chance_gives_its_own_level() -> None:
     """On healthy machines the largest gain exceeds the 20 % threshold in about 20 % of draws."""
     exceeded = 0

@@ -42,6 +42,7 @@ def test_vanes_that_seized_are_named_dated_and_repaired(tmp_path: Path) -> None:
         assert abs(value.value - getattr(WORN, name)) < 4.0 * (value.std or 0.0)
 
 
+@pytest.mark.thorough
 def test_vanes_that_stood_for_a_while_are_given_their_span(tmp_path: Path) -> None:
     path = tmp_path / "drive.csv"
     drive(150.0, _with(Term(effect="vgt_stuck", magnitude=42.0, onset_s=40.0, until_s=95.0))).to_csv(path, index=False)
@@ -64,6 +65,7 @@ def test_a_valve_that_sticks_now_and_then_is_given_its_parts(tmp_path: Path) -> 
     assert abs((effect.magnitude or 0.0) - 42.0) < 4.0 * (effect.std or 0.0)
 
 
+@pytest.mark.thorough
 def test_vanes_that_stood_all_along_leave_health_as_believed(tmp_path: Path) -> None:
     """Their position and the area of health can't be told apart, and are told as badly as that."""
     path = tmp_path / "drive.csv"
