@@ -39,7 +39,7 @@ from dieseltwin.discovery.verdict.findings import effects, finite, ranked_locati
 from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note
-from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
+from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS, sized
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
 from dieseltwin.petrol.recording import BLOCK_S, COLUMNS, PetrolRecording, Signals
 from dieseltwin.petrol.terms import without_terms
@@ -331,7 +331,7 @@ def sentence(d: Discrepancy, twin: PetrolTwin, drifts: Mapping[str, float]) -> s
 
         def limits(smallest: Mapping[str, float]) -> str:
             shown: Sequence[str] = [n for n in IN_THE_SENTENCE if n in smallest]
-            return ", ".join(f"{n} {smallest[n]:.2g} {twin.hypotheses[n].unit}".removesuffix(" -") for n in shown)
+            return ", ".join(sized(n, smallest[n], signed=False) for n in shown)
 
         return ("No mismatch beyond what healthy recordings differ by. Visible, if begun after a tenth of it: "
                 f"{limits(d.minimum_detectable)}; if grown slowly from there on, only from these at the end: "
@@ -350,10 +350,8 @@ def _found(d: Discrepancy) -> str:
         if e.magnitude is None:
             when = "" if d.location.onset_s is None else f", {since}"  # whether it was there all along isn't looked for
             return f"at {d.location.site}{when}: none of the known effects explains it"
-        size = f"{100 * e.magnitude:+.1f} %" if e.unit == "-" else f"{e.magnitude:.3g} {e.unit}"
-        spread = "" if e.std is None else (f" ± {100 * e.std:.1f} %" if e.unit == "-" else f" ± {e.std:.1g} {e.unit}")
         same = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
-        told.append(f"{e.name} {size}{spread}{same}")
+        told.append(f"{sized(e.name, e.magnitude, e.std)} ({e.name}){same}")
     return f"at {d.location.site}: {'; and '.join(told)}; {since}"
 
 

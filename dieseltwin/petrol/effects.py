@@ -45,10 +45,11 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class PetrolEffect:
-    """One effect: what is known of it, and the signals of an engine without it."""
+    """One effect: what is known of it, the signals of an engine without it, and `phrase`, words around its size."""
 
     hypothesis: Hypothesis
     undo: Undo
+    phrase: str
 
 
 def _gain(field: str) -> Undo:
@@ -63,16 +64,27 @@ def _late(field: str) -> Undo:
     return lambda s, m: replace(s, **{field: later(s.time_s, getattr(s, field), -m)})
 
 
+_ERRORS = {"gain": "a gain error", "offset": "an offset"}
+SHOWN: Mapping[str, tuple[float, str]] = {
+    "-": (100.0, "%"), "m2": (1e6, "mm²"), "Pa": (1e-3, "kPa"), "kg/s": (3600.0, "kg/h"),
+}  # fmt: skip
+"""Unit of a size -> factor to the unit that is shown, and its name; others are shown as they are."""
+
 Kind = Literal["physics", "actuator", "input", "sensor"]
 
 
 def _effect(
-    name: str, kind: Kind, site: str, law: str, tolerance: tuple[float, str], limits: tuple[float, float], undo: Undo
+    name: str, kind: Kind, site: str, law: str, tolerance: tuple[float, str], limits: tuple[float, float], undo: Undo,
+    phrase: str | None = None,
 ) -> PetrolEffect:
     size, unit = tolerance
     late = unit == "s"  # a signal pulsates from row to row: its derivative to a delay says nothing of a longer one
     sizes = (-size, size) if late else (size,)
-    return PetrolEffect(Hypothesis(name, site, law, unit, size, limits, not late, sizes, kind), undo)
+    if phrase is None:  # of a reading
+        reading, what = name.rsplit("_", 1)
+        reading = reading[0].upper() + reading[1:] if reading[0] in "tw" else reading  # T and W, as in `Signals`
+        phrase = f"the {reading} reading {{m}} late" if late else f"{_ERRORS[what]} of the {reading} reading of {{m}}"
+    return PetrolEffect(Hypothesis(name, site, law, unit, size, limits, not late, sizes, kind), undo, phrase)
 
 
 _ALL = (
@@ -94,23 +106,47 @@ _ALL = (
     _effect("p_im_late", "sensor", "sensor:p_im_pa", "reading = p_im(t - d)", (0.3, "s"), LATE_S, _late("p_im")),
     _effect("p_ic_late", "sensor", "sensor:p_ic_pa", "reading = p_ic(t - d)", (0.6, "s"), LATE_S, _late("p_ic")),
     _effect("w_af_late", "sensor", "sensor:w_af_kg_s", "reading = W_af(t - d)", (0.3, "s"), LATE_S, _late("W_af")),
-    _effect("throttle_late", "actuator", "throttle_actuator", "alpha(t - d)", (0.3, "s"), LATE_S, _late("alpha")),
-    _effect("throttle_offset", "actuator", "throttle_actuator", "alpha + b", (0.3, "%"), (-5.0, 5.0), _offset("alpha")),
+    _effect("throttle_late", "actuator", "throttle_actuator", "alpha(t - d)", (0.3, "s"), LATE_S, _late("alpha"),
+            "the throttle {m} late"),
+    _effect("throttle_offset", "actuator", "throttle_actuator", "alpha + b", (0.3, "%"), (-5.0, 5.0), _offset("alpha"),
+            "an offset of the throttle's position of {m}"),
     _effect("throttle_gain", "actuator", "throttle_actuator", "alpha (1 + g)", (0.03, "-"), (-0.5, 1.0),
-            _gain("alpha")),
+            _gain("alpha"), "a gain error of the throttle's position of {m}"),
     _effect("volumetric_efficiency_change", "physics", "cylinder_flow", "eta_vol (1 + k)", (0.03, "-"), (-0.5, 1.0),
-            lambda s, m: replace(s, log_eta=np.log1p(m) * np.ones_like(s.p_im))),
+            lambda s, m: replace(s, log_eta=np.log1p(m) * np.ones_like(s.p_im)),
+            "a volumetric efficiency changed by {m}"),
     _effect("throttle_area_change", "physics", "throttle_flow", "A_th (1 + k)", (0.03, "-"), (-0.6, 1.5),
-            lambda s, m: replace(s, log_area=np.log1p(m) * np.ones_like(s.p_im))),
+            lambda s, m: replace(s, log_area=np.log1p(m) * np.ones_like(s.p_im)),
+            "a throttle whose area is changed by {m}"),
     _effect("intake_leak", "physics", "intake_mass_balance", f"W_leak = {_NOZZLE}, intake manifold and surroundings",
             (5e-7, "m2"), (0.0, 5e-5),
-            lambda s, m: replace(s, leak_im=signed_leak(m, s.p_im, s.T_ic, s.p_amb, s.T_amb))),
+            lambda s, m: replace(s, leak_im=signed_leak(m, s.p_im, s.T_ic, s.p_amb, s.T_amb)),
+            "a hole of {m} in the intake manifold"),
     _effect("boost_leak", "physics", "intercooler_mass_balance", f"W_leak = {_NOZZLE}, from before the throttle",
             (4e-6, "m2"), (0.0, 2e-4),
-            lambda s, m: replace(s, leak_ic=-signed_leak(m, s.p_ic, s.T_ic, s.p_amb, s.T_amb))),
+            lambda s, m: replace(s, leak_ic=-signed_leak(m, s.p_ic, s.T_ic, s.p_amb, s.T_amb)),
+            "a hole of {m} before the throttle"),
 )  # fmt: skip
 EFFECTS: Mapping[str, PetrolEffect] = {e.hypothesis.name: e for e in _ALL}
 HYPOTHESES: Mapping[str, Hypothesis] = {name: e.hypothesis for name, e in EFFECTS.items()}
+
+
+def sized(name: str, size: float, std: float | None = None, signed: bool = True) -> str:
+    """An effect with its size [its unit] in words and in the unit that is shown: 'a hole of 15.0 ± 0.2 mm² in ...'.
+
+    Args:
+        signed: say the sign of what may be either; not of the smallest size that shows.
+    """
+    effect = EFFECTS[name]
+    factor, unit = SHOWN.get(effect.hypothesis.unit, (1.0, effect.hypothesis.unit))
+    value, spread = factor * size, 0.0 if std is None else factor * std
+    plus = "+" if signed and effect.hypothesis.limits[0] < 0.0 else ""
+    if np.isfinite(spread) and spread > 0.0:
+        digits = min(max(1 - int(np.floor(np.log10(spread))), 0), 6)
+        text = f"{round(value, digits) + 0.0:{plus}.{digits}f} ± {spread:.{digits}f} {unit}"  # no -0.0
+    else:
+        text = f"{value:{plus}.2g} {unit}"
+    return effect.phrase.format(m=text.replace("-", "−"))
 
 
 LOG_PRIOR: Mapping[str, float] = dict.fromkeys(("p_im_offset", "p_ic_offset", "w_af_offset", "t_ic_offset"), -3.0)

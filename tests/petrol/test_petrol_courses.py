@@ -101,7 +101,7 @@ def test_a_large_offset_since_an_onset_does_not_end(liu: Path) -> None:
 def test_how_slow_a_drift_goes_unseen_is_said(engine: PetrolParameters, record: Recorder) -> None:
     """The drift that every balance is allowed takes up what grows slowly: it is seen from larger sizes on."""
     said = discover_petrol(record(3), engine).sentence
-    begun, grown = (part.split("w_af_gain ")[1].split(",")[0] for part in said.split("if grown slowly"))
+    begun, grown = (part.split("the W_af reading of ")[1].split(" %")[0] for part in said.split("if grown slowly"))
     assert float(grown) > 1.5 * float(begun)
 
 

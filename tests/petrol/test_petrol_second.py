@@ -29,7 +29,7 @@ def test_two_faults_since_different_times(engine: PetrolParameters, record: Reco
     named = d.effects[0].name
     (other,) = names - {named}
     said = next(doubt.text for doubt in d.warnings if doubt.code == "next_effect")
-    assert named in names and other in said and f"{other} " in first.sentence
+    assert named in names and other in said and f"({other})" in first.sentence
     second = discover_petrol(recording, first.engine)
     assert second.document.effects[0].name == other and f"Beside it, {said[11:40]}" in first.sentence
     third = discover_petrol(recording, second.engine)
