@@ -43,6 +43,7 @@ DATABASE_SUFFIXES = (".dbc", ".arxml", ".kcd", ".sym")
 INPUTS = ("n_e_rpm", "u_delta_mg", "u_egr_pct", "u_vgt_pct")
 SENSORS = NEEDED
 OPTIONAL_INPUTS = ("u_flap_pct",)
+THROTTLE = "alpha_th_pct"  # by which a petrol engine's recording is known (`petrol.recording`)
 INTAKE = "t_im_k"  # no sensor of the table: the model takes it from the recording
 AMBIENT = ("p_amb_pa", "t_amb_k")
 
@@ -325,6 +326,8 @@ def read_channel_map(path: str | Path) -> ChannelMap:
 def foreign_hint(missing: str, columns: Iterable[str]) -> str:
     """What to do about a missing column, naming the likeliest foreign one."""
     available = [c for c in columns if c != missing]
+    if THROTTLE in {c.strip().lower() for c in available}:
+        return "these are a petrol engine's columns: give its file, or liu_petrol (--engine)"
     hint = did_you_mean(missing, available)
     if hint.startswith("did you mean"):
         return f"{hint} rename it or give a channel map (--channels)"

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import dieseltwin
 from dieseltwin.api import channels as api
 from dieseltwin.challenge.petrol_plant import drive
 from dieseltwin.cli.channels import run_channels
@@ -96,6 +97,12 @@ def test_without_its_engine_a_throttle_is_pointed_at(ours: pd.DataFrame, tmp_pat
     diesel = tmp_path / "diesel.csv"
     ours[["time_s", "alpha_th_pct"]].assign(egr_valve_pct=ours["alpha_th_pct"]).to_csv(diesel, index=False)
     assert not any("is a throttle" in line for line in run_channels(diesel))
+
+
+def test_its_recording_without_its_engine_is_told_so(ours: pd.DataFrame, tmp_path: Path) -> None:
+    ours.to_csv(tmp_path / "ours.csv", index=False)
+    with pytest.raises(InputError, match="a petrol engine's columns: give its file"):
+        dieseltwin.discover(tmp_path / "ours.csv")
 
 
 def test_a_rig_names_its_columns_itself(ours: pd.DataFrame, tmp_path: Path, project_root: Path) -> None:
