@@ -315,6 +315,16 @@ def covariance(hessian: Array) -> Array:
     return np.asarray(np.linalg.inv(correlation) / (scale[..., :, None] * scale[..., None, :]))
 
 
+def symmetric_root(covariance: Array) -> Array:
+    """R with R R = covariance, (..., m, m); what rounding makes negative where nothing is told counts as 0.
+
+    Draws with it are the same on every processor; eigenvectors have any signs.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return np.asarray(root, dtype=np.float64)
+
+
 def _scaled(hessian: Array) -> tuple[Array, Array]:
     """Fisher information (.., m, m) with a diagonal of ones, and the roots (.., m) of what its diagonal was."""
     information = hessian + UNINFORMED**-2.0 * np.eye(hessian.shape[-1])

@@ -20,7 +20,7 @@ from dieseltwin.engine import (
 from dieseltwin.errors import InputError
 from dieseltwin.identification.learned import ErrorDirections, LearnedSimulator
 from dieseltwin.identification.problem import SegmentProblem
-from dieseltwin.least_squares import Linearisation
+from dieseltwin.least_squares import Linearisation, symmetric_root
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -231,12 +231,11 @@ SAMPLE_SPREAD = 0.5
 
 
 def _root(covariance: Array) -> Array:
-    """L with L L' = covariance, (..., 7, 7); what rounding makes negative where nothing is told counts as 0."""
+    """L with L L' = covariance, (..., 7, 7)."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(covariance)
-        return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+        return symmetric_root(covariance)
 
 
 def sample_states(

@@ -10,6 +10,7 @@ import numpy as np
 from dieseltwin.engine import HEALTH, HEALTH_UNITS, MEASURED, EngineParameters
 from dieseltwin.engine.map_corrections import basis
 from dieseltwin.engine.terms import SENSOR_UNITS
+from dieseltwin.least_squares import symmetric_root
 from dieseltwin.sensors import SENSORS
 
 Array = np.ndarray
@@ -113,9 +114,8 @@ class Belief:
         which = self.open
         covariance = self.covariance[np.ix_(which, which)]
         scale = np.sqrt(np.diag(covariance))
-        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
         out = np.zeros((which.size, scale.size))
-        out[which] = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        out[which] = scale[:, None] * symmetric_root(covariance / np.outer(scale, scale))
         return out
 
     def truthful(self, readings: Array) -> Array:

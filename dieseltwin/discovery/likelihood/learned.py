@@ -84,6 +84,8 @@ def learned_nuisances(
     factor_of_belief = belief.factor
     seen, turn = np.linalg.eigh(factor_of_belief.T @ (whitened @ whitened.T) @ factor_of_belief)
     loadings = (factor_of_belief @ turn[:, seen > _SEEN][:, ::-1]).T
+    # a direction's sign is any, another one on another processor; draws along the directions would be other draws
+    loadings *= np.sign(loadings[np.arange(len(loadings)), np.argmax(np.abs(loadings), axis=1)])[:, None]
     of_maps = np.tensordot(loadings[:, MAPS_AT], columns[MAPS_AT], 1)
     responses = np.tensordot(loadings, columns, 1)
     return [

@@ -30,10 +30,19 @@ class ModelScatter:
     Attributes:
         readings: (n, C) variance of each reading, uncorrelated; None for nothing.
         windows: of each window of r rows the covariance (r C, r C) of its readings, row by row; none for nothing.
+        bent: (window, the same of it) of those in which errors of maps don't act linearly, beside `windows`.
     """
 
     readings: Array | None = None
     windows: tuple[Array, ...] = ()
+    bent: tuple[tuple[int, Array], ...] = ()
+
+    def by_window(self) -> dict[int, Array]:
+        """Window -> covariance of its readings (r C, r C), of the windows that have one."""
+        found = dict(enumerate(self.windows))
+        for window, covariance in self.bent:
+            found[window] = found[window] + covariance if window in found else covariance
+        return found
 
 
 @dataclass(frozen=True)
@@ -65,16 +74,22 @@ class Whitening:
         variance = noise.sigma**2 * (1.0 - previous**2) + (0.0 if scatter.readings is None else scatter.readings)
         scale = np.where(present, 1.0 / np.sqrt(variance), 0.0)
         apart = cls(present, previous, scale)
-        if not scatter.windows:
+        tied = scatter.by_window()
+        if not tied:
             return apart
         lower = []
-        for block, spread in apart.whitened(starts, scatter.windows):
+        for block, spread in apart.whitened(starts[list(tied)], list(tied.values())):
             factor = cholesky(np.eye(len(spread)) + spread, lower=True)
             lower.append((block, solve_triangular(factor, np.eye(len(spread)), lower=True)))
         return cls(present, previous, scale, tuple(lower))
 
     def whitened(self, starts: np.ndarray, windows: Sequence[Array]) -> Iterator[tuple[slice, Array]]:
-        """Which readings each window holds, row by row, and its covariance (r C, r C) behind the noise's whitening."""
+        """Which readings each window holds, row by row, and its covariance (r C, r C) behind the noise's whitening.
+
+        Args:
+            starts: first sample of each of these windows.
+            windows: their covariances.
+        """
         channels = self.present.shape[1]
         for start, covariance in zip(starts.tolist(), windows, strict=True):
             size = len(covariance)
@@ -294,9 +309,3 @@ def covariance_of(information: Array) -> Array:
     """
     silent = np.diag(information) == 0.0
     return np.asarray(np.linalg.inv(information + np.diag(silent.astype(np.float64))), dtype=np.float64)
-
-
-def symmetric_root(covariance: Array) -> Array:
-    """R with R R = covariance, (D, D). Draws with it are the same on every processor; eigenvectors have any signs."""
-    values, vectors = np.linalg.eigh(covariance)
-    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
-from dieseltwin.discovery.likelihood.metric import symmetric_root
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.least_squares import symmetric_root
 
 _DRAWS = 4000  # of the parametric bootstrap; beyond their reach the tail of chi-square is taken
 _SIZE_OF_TOLERANCE = 1.5  # secants of smooth effects are taken at this multiple of their tolerance

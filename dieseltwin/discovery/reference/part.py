@@ -9,13 +9,14 @@ import numpy as np
 from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about
 from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
 from dieseltwin.discovery.likelihood.learned import map_columns
-from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening, symmetric_root
+from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.likelihood.score import secant_sizes
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
 from dieseltwin.discovery.search.preparation import split_growing
 from dieseltwin.discovery.twins.interface import Array, Lanes, rows_of, single
 from dieseltwin.engine import MEASURED, EngineParameters
 from dieseltwin.learning.belief import GAINS_AT, HEALTH_AT, MAPS_AT, OFFSETS_AT, Belief
+from dieseltwin.least_squares import symmetric_root
 from dieseltwin.recordings.noise import estimate_noise
 from dieseltwin.recordings.reader import Recording
 

@@ -22,14 +22,13 @@ from dieseltwin.discovery.likelihood.fit import (
 )
 from dieseltwin.discovery.likelihood.known import KnownErrors
 from dieseltwin.discovery.likelihood.learned import (
-    LearnedTwin,
     about,
     belief_of,
     learned_nuisances,
     loadings_of,
     rebased_learned,
 )
-from dieseltwin.discovery.likelihood.metric import Metric, ModelScatter, Whitening
+from dieseltwin.discovery.likelihood.metric import ModelScatter, Whitening
 from dieseltwin.discovery.likelihood.nuisance import (
     LEADING,
     Detail,
@@ -40,16 +39,14 @@ from dieseltwin.discovery.likelihood.nuisance import (
     sensor_nuisances,
 )
 from dieseltwin.discovery.likelihood.score import chance, effect_responses, score, secant_sizes
+from dieseltwin.discovery.search.bends import bent_windows
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
-from dieseltwin.learning.belief import MAPS_AT
 from dieseltwin.recordings.noise import Noise, estimate_noise
 from dieseltwin.settings.search import SearchSettings
 
 _VERIFIED = 3  # of the leading fits
 _VERIFIED_FROM = 0.7  # of the gain of an alarm
-_TOLERANCE_DRAWS = 2
-_CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of the tolerances
 _GROWTH = 1.0  # of the weight of initial states over a window, above which it is cut
 _PARTS = 4
 _KINKS = 10  # times that windows are given up because they alone tell a parameter
@@ -81,8 +78,9 @@ def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> 
     whitening = _whitening(twin, noise, scatter)
     nuisances = tolerances(twin, rough, settings)
     nuisance = nuisance_responses(twin, rough.fit.lanes(), rough.simulated, nuisances)
-    crooked = crooked_windows(rough, whitening, nuisances, nuisance, settings.seed)
-    if crooked.any():
+    crooked, bent = bent_windows(rough, whitening, nuisances, nuisance, settings.seed)
+    scatter = replace(scatter, bent=bent)
+    if crooked.any() or bent:
         twin.measured[rows_of(twin, crooked)] = np.nan
         whitening = _whitening(twin, noise, scatter)
     null = settle_local(fit_fully(twin, whitening, rough.fit, nuisance, loadings=loadings_of(nuisances)))
@@ -201,52 +199,6 @@ def tolerance_responses(
     """
     own = tolerances(twin, at, settings, detail)
     return nuisance_responses(twin, at.fit.lanes(), at.simulated, own, linear)
-
-
-def crooked_windows(
-    at: Linearisation, whitening: Whitening, nuisances: Sequence[Nuisance], responses: Array, seed: int
-) -> np.ndarray:
-    """(W,) windows in which errors of maps within their tolerance don't act linearly, at most a third of all.
-
-    Next to an instability a map error of a few tenths of a percent sends the turbo elsewhere. No linear tolerance
-    covers that, and any effect that bends the trajectory the right way would be taken for the cause.
-    """
-    twin = at.twin
-    rng = np.random.default_rng(seed)
-    metric = Metric(whitening, twin.starts, at.local_response, twin.state_scales)
-    worst = np.zeros(twin.starts.size)
-    for _ in range(_TOLERANCE_DRAWS):
-        if belief_of(twin) is not None:
-            bend = _learned_bend(at, nuisances, rng)
-            squared = metric.without_local(bend[None])[0][: bend.size].reshape(bend.shape) ** 2
-            worst = np.maximum(worst, np.add.reduceat(squared.sum(axis=1), twin.starts))
-            continue
-        signals: dict[str, Array] = {}
-        linear = np.zeros_like(at.simulated)
-        for nuisance, response in zip(nuisances, responses, strict=True):
-            if nuisance.point is not None and nuisance.signal is not None:
-                size = rng.standard_normal()
-                name = twin.points[nuisance.point].name
-                signals[name] = signals.get(name, np.zeros(twin.time_s.size)) + size * nuisance.signal
-                linear += size * response
-        if not signals:
-            break
-        simulated = twin.simulate(at.fit.lanes(signals=signals))[0]
-        bend = metric.without_local((simulated - at.simulated - linear)[None])[0]
-        squared = bend[: at.residual.size].reshape(at.residual.shape) ** 2
-        worst = np.maximum(worst, np.add.reduceat(squared.sum(axis=1), twin.starts))
-    limit = max(_CROOKED, float(np.quantile(worst, 2.0 / 3.0)))
-    return worst > limit
-
-
-def _learned_bend(at: Linearisation, nuisances: Sequence[Nuisance], rng: np.random.Generator) -> Array:
-    """How far the readings are from linear (n, C) at one draw of what is still open of the maps."""
-    sizes = rng.standard_normal(len(nuisances))
-    linear = np.tensordot(sizes, np.stack([n.of_maps for n in nuisances]), 1)  # type: ignore[misc]
-    change = np.tensordot(sizes, np.stack([n.loading for n in nuisances]), 1)[MAPS_AT]  # type: ignore[misc]
-    twin = cast(LearnedTwin, at.twin)
-    drawn = twin.deviating(twin.deviation + change, twin.moved)
-    return np.asarray(drawn.simulate(at.fit.lanes())[0] - at.simulated - linear)
 
 
 def verify(found: Search) -> Linearisation:

@@ -18,6 +18,7 @@ from dieseltwin.discovery.likelihood.fit import fit_fully
 from dieseltwin.discovery.search.run import run
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.diesel import EngineTwin
+from dieseltwin.discovery.verdict import told as telling
 from dieseltwin.discovery.verdict.explained import disagreement
 from dieseltwin.discovery.verdict.told import beside_fine_maps, told
 from dieseltwin.engine import Inputs, simulate, we2011
@@ -81,9 +82,13 @@ def test_health_is_told_beside_maps_in_all_detail(healthy: Search) -> None:
     assert (std >= leading).all() and (std > 1.001 * leading).any()
 
 
-def test_health_is_the_mean_over_the_places_and_as_uncertain_as_they_differ(bumped: Search) -> None:
+def test_health_is_the_mean_over_the_places_and_as_uncertain_as_they_differ(
+    bumped: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
     at, search = bumped.null, replace(bumped, kind="healthy", widening=1.0)
     places = beside_fine_maps(search, at)
+    places[-1] = replace(places[-1], fit=replace(places[-1].fit, parameters=1.001 * places[-1].fit.parameters))
+    monkeypatch.setattr(telling, "beside_fine_maps", lambda *_: places)
     fit = told(search, at, at.simulated).fit
     said = np.array([place.fit.parameters for place in places])
     assert fit.parameters == pytest.approx(said.mean(axis=0), rel=1e-12)
@@ -112,33 +117,18 @@ def test_the_law_of_an_engine_file_is_the_bump_itself() -> None:
     assert BUMP.signal(at) == pytest.approx(0.08 * np.exp([0.0, -0.5, -4.5]))
 
 
-@pytest.fixture(scope="module")
-def bumped_without_the_bend() -> Search:
-    return _searched(True, seed=1)
-
-
-@pytest.mark.parametrize(
-    ("searched", "most"),
-    [
-        ("bumped_without_the_bend", 1.645),
-        # of eight draws of map errors (seeds 0 to 7) four miss a window in which the turbo goes elsewhere
-        ("bumped", 3.0),
-    ],
-)
-def test_what_is_left_widens_health_as_far_as_it_is_off(
-    searched: str, most: float, request: pytest.FixtureRequest
-) -> None:
+# the bump also bends a window in which the turbo goes elsewhere by less than what is left out (`search.bends`)
+def test_what_is_left_widens_health_as_far_as_it_is_off(bumped: Search) -> None:
     """Taken for healthy the bump is all in health; the term that is left says by how much."""
-    bumped: Search = request.getfixturevalue(searched)
     at, count = bumped.null, len(bumped.twin.parameters)
     truth = we2011.PARAMETERS.replace(A_egrmax=1.1 * we2011.PARAMETERS.A_egrmax)
     true = np.array([getattr(truth, parameter.name) for parameter in bumped.twin.parameters])
     off = np.abs(at.fit.parameters[:count] - true)
     std = np.sqrt(np.diag(at.covariance)[:count])
-    assert (off / std).max() > 3.0
+    assert (off / std).max() > 2.5
     apart = disagreement(replace(bumped, kind="single", singles=bumped.singles[:1], left=bumped.local), at)
     covered = (off / np.hypot(std, apart)).max()
-    assert covered < most and covered < 0.5 * (off / std).max()
+    assert covered < 2.5 and covered < 0.5 * (off / std).max()
     nothing_found = replace(bumped, kind="healthy")  # an effect that may be there all the same is all that counts then
     assert disagreement(nothing_found, at).any()
     assert not disagreement(replace(nothing_found, singles=[]), at).any()

@@ -9,8 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dieseltwin.discovery.likelihood import learned
+from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import tolerance_modes
 from dieseltwin.discovery.likelihood.score import chance
+from dieseltwin.engine import MEASURED, we2011
+from dieseltwin.learning.belief import Belief, prior_belief
+from dieseltwin.recordings.noise import Noise
 
 
 @pytest.fixture
@@ -43,3 +48,28 @@ def test_what_chance_reaches_is_the_same(other_signs: Callable[[], None]) -> Non
     other_signs()
     np.testing.assert_allclose(chance(at, scored, 0).draws, largest, rtol=1e-9)  # type: ignore[arg-type]
     assert np.median(largest) > 1.0
+
+
+def test_what_is_still_open_of_a_learned_engine_is_the_same(
+    other_signs: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(7)
+    prior = prior_belief(we2011.PARAMETERS, 0.03)
+    told = rng.normal(size=(40, prior.mean.size)) / np.sqrt(np.diag(prior.covariance))
+    covariance = np.linalg.inv(np.linalg.inv(prior.covariance) + told.T @ told)
+    channels = len(MEASURED)
+    simulated = rng.uniform(0.5, 1.5, size=(60, channels))
+    columns = rng.normal(size=(np.count_nonzero(prior.free), *simulated.shape))
+    monkeypatch.setattr(learned, "map_columns", lambda *_: columns)
+    twin: Any = SimpleNamespace(channels=MEASURED, starts=np.array([0]))
+    whitening = Whitening.of(simulated, Noise(np.full(channels, 0.01), np.zeros(channels)), twin.starts)
+
+    def directions() -> np.ndarray:
+        lanes: Any = None
+        found = learned.learned_nuisances(twin, Belief(prior.mean, covariance), lanes, simulated, whitening)
+        return np.stack([nuisance.response for nuisance in found])  # type: ignore[misc]
+
+    before = directions()
+    other_signs()
+    np.testing.assert_allclose(directions(), before, rtol=0.0, atol=1e-8 * np.abs(before).max())
+    assert len(before) > 10
