@@ -322,6 +322,9 @@ def minimum_detectable(twin: PetrolTwin, found: Search, grows: bool = False) -> 
     return finite_only(result)
 
 
+_SENSOR = "sensor:"  # begin of the site of a reading
+_LEVELS = {"eta_vol_level": "the level of the volumetric efficiency",
+           "throttle_area_level": "the level of the throttle's area"}  # fmt: skip
 IN_THE_SENTENCE = ("p_im_gain", "p_ic_gain", "w_af_gain", "intake_leak")
 
 
@@ -349,22 +352,27 @@ def _found(d: Discrepancy) -> str:
     for e in d.effects:
         if e.magnitude is None:
             when = "" if d.location.onset_s is None else f", {since}"  # whether it was there all along isn't looked for
-            return f"at {d.location.site}{when}: none of the known effects explains it"
+            return f"{_place(d.location.site)}{when}: none of the known effects explains it"
         same = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
         told.append(f"{sized(e.name, e.magnitude, e.std)} ({e.name}){same}")
-    return f"at {d.location.site}: {'; and '.join(told)}; {since}"
+    return f"{_place(d.location.site)}: {'; and '.join(told)}; {since}"
+
+
+def _place(site: str) -> str:
+    reading = site.removeprefix(_SENSOR)
+    return f"in the {site.replace('_', ' ')}" if reading == site else f"in the reading {reading}"
 
 
 def _consequence(d: Discrepancy) -> str:
     """What the effect did to the levels, if it moved one, and to the held-out score."""
     text = ""
-    names = [name for name in ("eta_vol_level", "throttle_area_level") if name in d.health]
+    names = [name for name in _LEVELS if name in d.health]
     worst = max(names, key=lambda name: abs(d.health[name].before - d.health[name].value), default=None)
     if worst is not None:
         level = d.health[worst]
         if abs(level.before - level.value) > TOLD_LEVEL:
             before, after = (f"{round(100 * v, 1) + 0.0:+.1f} %" for v in (level.before, level.value))  # no -0.0
-            text = f" Unrepaired, {worst} would read {before} instead of {after}."
+            text = f" Unrepaired, {_LEVELS[worst]} ({worst}) would read {before} instead of {after}."
     first, second = d.fit.held_out_nll_before, d.fit.held_out_nll_after
     if first is not None and second is not None:
         text += f" Held-out negative log-likelihood {first:.2f} before, {second:.2f} after."

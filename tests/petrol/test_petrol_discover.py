@@ -53,7 +53,10 @@ def test_planted_fault(engine: PetrolParameters, record: Recorder, fault: dict, 
     assert not {"until_s", "grows"} & set(d.to_json()["location"])
     assert d.fit.held_out_nll_after is not None and d.fit.held_out_nll_before is not None
     assert d.fit.held_out_nll_after < d.fit.held_out_nll_before
-    assert name in found.sentence and "-0.0 %" not in found.sentence
+    assert f"({name})" in found.sentence and "−0.0 %" not in found.sentence
+    reading = d.location.site.removeprefix("sensor:")
+    where = reading.replace("_", " ") if reading == d.location.site else f"reading {reading}"
+    assert found.sentence.startswith(f"In the {where}: ")
 
 
 @pytest.mark.parametrize(("column", "name"), [("W_af", "w_af_kg_s"), ("p_im", "p_im_pa")])
