@@ -46,6 +46,7 @@ def leaking(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_function_and_command_find_and_write_the_same(leaking: Path, tmp_path: Path) -> None:
     found = dt.discover(leaking, withhold=["exhaust_leak"], seed=3)
     assert "boost_leak" in found.document.effects[0].names

@@ -62,6 +62,7 @@ def in_the_file(bent: PointsDiscovery) -> tuple[SteadyModel, dict[str, float]]:
     return SteadyModel(model.engine.replace(terms=(term,)), extra=model.extra), values
 
 
+@pytest.mark.thorough
 def test_the_file_holds_the_errors_that_were_fitted(bent: PointsDiscovery) -> None:
     assert 0.2 * MAP_RMS < np.sqrt(np.mean(told(bent) ** 2)) < 2.0 * MAP_RMS
     points, here = bent.calibration.points, bent.repaired
@@ -71,6 +72,7 @@ def test_the_file_holds_the_errors_that_were_fitted(bent: PointsDiscovery) -> No
         np.testing.assert_allclose(predicted, fitted, rtol=AGREE, err_msg=name)
 
 
+@pytest.mark.thorough
 def test_simulate_with_the_repaired_file_is_the_calibrated_model(bent: PointsDiscovery, tmp_path: Path) -> None:
     write_repaired(bent, tmp_path / "repaired.yaml")
     judged = bent.calibration.points.judged
@@ -87,6 +89,7 @@ def test_simulate_with_the_repaired_file_is_the_calibrated_model(bent: PointsDis
     assert np.abs(bare / at_rest - 1.0).max() > 10.0 * AGREE  # what the file would miss without them
 
 
+@pytest.mark.thorough
 def test_health_that_a_law_without_a_name_moves_is_less_well_known(bent: PointsDiscovery) -> None:
     """A law is held as it was found: what the turbine has opened by with it, and hadn't without, is its deviation."""
     here, wear = bent.repaired, WEAR["A_vgtmax"]
@@ -105,6 +108,7 @@ def test_health_that_a_law_without_a_name_moves_is_less_well_known(bent: PointsD
     assert "health_or_law" not in {doubt.code for doubt in alone.warnings}
 
 
+@pytest.mark.thorough
 def test_health_holds_what_an_effect_would_change_that_goes_unseen(bent: PointsDiscovery) -> None:
     """Half of an injector's drift may be said to be health; what explains nothing may be there, too, but not much."""
     found = bent.rounds[-1].found

@@ -63,6 +63,7 @@ def test_errors_are_believed_about_nought(healthy: Calibration) -> None:
     assert prior_misfit(twin, begin) > 4.0  # that p_im and p_em are off is not for nothing
 
 
+@pytest.mark.thorough
 def test_a_sensor_beyond_belief_is_named() -> None:
     found = discovered(calibrated({**OFF, "p_em_pa": OFF["p_em_pa"] + FAULT}))
     assert tuple(found.effects) == ("p_em_gain",)

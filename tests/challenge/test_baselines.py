@@ -82,6 +82,7 @@ def test_the_net_learns_the_leak(leaking: tuple[Bound, health_only.HealthFit]) -
     assert neural.gain_per_sample(bound, fit, net, 0) > 0.0
 
 
+@pytest.mark.thorough
 def test_rows_beside_the_tools(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "BAND_CASES", 1)
     out = tmp_path / "c"

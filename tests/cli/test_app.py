@@ -346,6 +346,7 @@ def test_identify_refuses_too_few_sensors(
     assert word in said and len(said.strip().splitlines()) == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("no_figures")
 def test_a_fit_that_misses_the_readings_is_reported(run: Run, noisy: Path, tmp_path: Path) -> None:
     """A compressor that is best at another flow is not this engine, whatever its health parameters."""

@@ -82,6 +82,7 @@ def test_idling_alone_teaches_nothing(tmp_path: Path, folder: Path, capsys: pyte
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.thorough
 def test_a_fault_in_the_reference_is_said(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     _recorded(3, (Fault("boost_leak", 1e-4),), 80.0).to_csv(tmp_path / "faulty.csv", index=False)
     assert main(["learn", str(tmp_path / "faulty.csv"), "--out", str(tmp_path / "mine.yaml")]) == 0

@@ -60,6 +60,7 @@ def test_a_fault_of_the_recording_is_said_and_named(
     assert misfit.affects == (affects,)
 
 
+@pytest.mark.thorough
 def test_a_frozen_position_is_no_quiet_answer(clean: pd.DataFrame) -> None:
     found = dt.identify(clean.assign(u_egr_pct=float(clean["u_egr_pct"][0])), runs=1)
     assert "misfit" in {warning["code"] for warning in found.warnings}

@@ -66,7 +66,7 @@ def _health_off(document: Discrepancy, before: bool = False) -> dict[str, float]
 @pytest.mark.parametrize(
     ("name", "effect", "site", "magnitude", "std", "p_value"),
     [
-        ("leak", "boost_leak", "intake_mass_balance", 3.934e-5, 2.11e-6, 1e-20),
+        ("leak", "boost_leak", "intake_mass_balance", 3.796e-5, 2.11e-6, 1e-20),
         ("sensor", "p_em_gain", "sensor:p_em_pa", 0.0432, 0.0068, 1e-6),
     ],
 )

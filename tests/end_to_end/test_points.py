@@ -150,6 +150,7 @@ def one_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calibration, "STARTS", 0)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("one_start")
 def test_points_of_the_model_itself_call_for_nothing() -> None:
     found = discover_points(calibrate(made_points(count=100, noise=0.005), we2011.PARAMETERS, GEOMETRY))

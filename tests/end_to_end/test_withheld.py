@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from dieseltwin.challenge.cases import build_case, make_plans
 from dieseltwin.discovery.discover import discover
 from dieseltwin.discovery.options import Options
@@ -12,6 +14,7 @@ from dieseltwin.recordings.reader import recording
 SEED, CASES, NUMBER = 460165652, 150, 39
 
 
+@pytest.mark.thorough
 def test_a_name_that_leaves_nothing_gives_way_to_a_term_that_explains_more():
     """The compressor's loss that was named leaves 5 about itself, as maps take up the rest, but is behind by 28."""
     plan = make_plans(CASES, SEED)[NUMBER - 1]

@@ -198,6 +198,7 @@ def test_no_run_is_surer_than_the_bound(idle_problem: SegmentProblem, planted: S
         assert (found.std / found.parameters >= np.minimum(nominal, 1e3) * (1.0 - 1e-9)).all()
 
 
+@pytest.mark.thorough
 def test_idle_runs_leave_their_start(drive: Drive, simulated: Make) -> None:
     """Behind a shut valve A_egrmax has no curvature, and the basis misses nothing: neither may stop the others."""
     time = 0.2 * np.arange(301)

@@ -81,6 +81,7 @@ def test_holes_are_bridged(table: pd.DataFrame, tmp_path: Path) -> None:
     assert len(read_petrol(_written(holed, tmp_path)).signals.time_s) == len(table) - 31
 
 
+@pytest.mark.thorough
 def test_learned_from_two_recordings_in_any_order(
     record: Recorder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

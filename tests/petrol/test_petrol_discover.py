@@ -279,6 +279,7 @@ REAL = [("wltp_f_pic_110.csv", "p_ic_gain", 0.10, 120.0), ("wltp_f_pim_090.csv",
         ("wltp_f_waf_110.csv", "w_af_gain", 0.10, 120.0)]  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("file", "name", "size", "onset_s"), REAL, ids=[r[1] for r in REAL])
 def test_real_sensor_faults(
     liu: Path, liu_engine: PetrolParameters, file: str, name: str, size: float, onset_s: float
@@ -317,6 +318,7 @@ def test_real_sensor_faults_in_five_minutes(
         _is_like(discover_petrol(piece, liu_engine).document, name, size, within=0.025)
 
 
+@pytest.mark.thorough
 def test_a_size_at_its_limit_is_no_name(engine: PetrolParameters, record: Recorder,
                                         monkeypatch: pytest.MonkeyPatch) -> None:  # fmt: skip
     """A leak of 40 mm2 was an air-flow offset of -1.2 g/s, the largest that is possible, +- 0.05 g/s."""

@@ -85,6 +85,7 @@ def plain(leak: Discovery, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_discovery_report(leak, folder / "report.html", figures_dir=folder / "figures")
 
 
+@pytest.mark.thorough
 def test_figures_drawn_ahead_are_those_of_the_page(leak: Discovery, plain: Path, tmp_path: Path) -> None:
     """They are drawn while health and the effects' sizes are still those of the search, and the page is the same."""
     before = leak.document.model_copy(update={

@@ -71,6 +71,7 @@ def found(trace: pd.DataFrame) -> Identification:
     return made_up(trace, {name: getattr(we2011.FIELD, name) for name in HEALTH})
 
 
+@pytest.mark.thorough
 def test_figures_of_one_identification(trace: pd.DataFrame, tmp_path: Path) -> None:
     unknown = made_up(trace, None)
     page = tmp_path / "report.html"

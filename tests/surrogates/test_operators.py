@@ -99,6 +99,7 @@ def test_a_short_training_generalises(operators: ActuatorOperators) -> None:
     assert all(errors[label] < 0.3 * command[label] for label in command), (errors, command)
 
 
+@pytest.mark.thorough
 def test_the_closed_form_finish_is_worth_it(cases: dict[str, pd.DataFrame], operators: ActuatorOperators) -> None:
     unseen = driving(77, 3.0)
     adam = train_operators(cases, config(UPDATES, finish_rows=0), 1, PARAMETERS).errors(unseen)

@@ -67,6 +67,7 @@ def test_information_adds_and_only_narrows(learned: Learned, recordings):
         assert np.linalg.eigvalsh(cut).min() > -1e-9
 
 
+@pytest.mark.thorough
 def test_neither_order_nor_repetition_matters(learned: Learned, recordings):
     first, second = recordings
     again, found = learn_engine([second, first, second], we2011.PARAMETERS, MAP_RMS)

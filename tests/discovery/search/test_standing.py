@@ -53,6 +53,7 @@ def test_vanes_that_stood_for_a_while_are_given_their_span(tmp_path: Path) -> No
     assert abs((effect.magnitude or 0.0) - 42.0) < 4.0 * (effect.std or 0.0)
 
 
+@pytest.mark.thorough
 def test_a_valve_that_sticks_now_and_then_is_given_its_parts(tmp_path: Path) -> None:
     path = tmp_path / "drive.csv"
     term = Term(effect="vgt_stuck", magnitude=42.0, onset_s=25.0, until_s=125.0, gone_s=((60.0, 85.0),))

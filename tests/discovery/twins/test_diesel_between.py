@@ -109,6 +109,7 @@ def test_noise_is_told_from_what_the_inputs_do() -> None:
     assert found.sigma[0] == pytest.approx(0.7, rel=0.2) and found.rho[0] == 0.0
 
 
+@pytest.mark.thorough
 def test_a_leak_is_named_from_rows_of_a_second_and_a_healthy_engine_raises_no_alarm() -> None:
     healthy = dt.discover(once_a_second(driven(200.0))).document
     assert not healthy.mismatch
