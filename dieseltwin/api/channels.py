@@ -10,26 +10,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from dieseltwin.api.engines import Engine
-from dieseltwin.api.reading import as_engine
 from dieseltwin.api.results import Result, drawn
 from dieseltwin.atomic import write_text
 from dieseltwin.errors import InputError
-from dieseltwin.petrol.parameters import PetrolParameters
 from dieseltwin.recordings.channels import CONVERSIONS, TIME, channel_map, unit_of
 from dieseltwin.recordings.derived import AMBIENT, DERIVATIONS, STAND_IN_PA
 from dieseltwin.recordings.guess.facts import Facts, signals_of
-from dieseltwin.recordings.guess.machines import DIESEL, PETROL
+from dieseltwin.recordings.guess.machines import DIESEL, PETROL, Machine
 from dieseltwin.recordings.guess.propose import Proposal, propose
 from dieseltwin.recordings.guess.words import channel_lines, guess_lines, map_text, missing, remarks
 from dieseltwin.recordings.importers.content import ENDINGS
 from dieseltwin.recordings.importers.read import read_raw
 from dieseltwin.report.over_time import overview
-from dieseltwin.rigs.parameters import RigParameters
 from dieseltwin.symbols import symbol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from dieseltwin.api.engines import Engine
 
 __all__ = ["AMBIENT", "ENDINGS", "STAND_IN_PA", "ChannelsFound", "Quantity", "channel_map", "channels", "quantities"]
 
@@ -153,11 +151,20 @@ def channels(
         InputError: a file that can't be read, or a rig, whose file names its columns itself.
     """
     database = None if dbc is None else Path(dbc)
-    made = as_engine(engine)
+    machine = DIESEL if engine is None else _machine(engine)
+    return ChannelsFound(propose(read_raw(file, database), cylinders, database, machine))
+
+
+def _machine(source: Engine | str | Path) -> Machine:
+    # the engines' simulators take as long to import as all the rest, and most files are looked into without one
+    from dieseltwin.api.engines import engine
+    from dieseltwin.petrol.parameters import PetrolParameters
+    from dieseltwin.rigs.parameters import RigParameters
+
+    made = engine(source)
     if isinstance(made, RigParameters):
         raise InputError("--engine", f"a rig, {made.name}", "an engine", "its file names the columns")
-    machine = PETROL if isinstance(made, PetrolParameters) else DIESEL
-    return ChannelsFound(propose(read_raw(file, database), cylinders, database, machine))
+    return PETROL if isinstance(made, PetrolParameters) else DIESEL
 
 
 def _rate(fact: Facts) -> float | None:

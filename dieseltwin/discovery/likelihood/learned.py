@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from dieseltwin.discovery.likelihood.metric import Whitening
-from dieseltwin.discovery.likelihood.nuisance import Nuisance, signal_responses
+from dieseltwin.discovery.likelihood.nuisance import Nuisance, signal_responses, signs
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
 from dieseltwin.discovery.twins.offers import Offer
 from dieseltwin.engine import MEASURED
@@ -84,8 +84,7 @@ def learned_nuisances(
     factor_of_belief = belief.factor
     seen, turn = np.linalg.eigh(factor_of_belief.T @ (whitened @ whitened.T) @ factor_of_belief)
     loadings = (factor_of_belief @ turn[:, seen > _SEEN][:, ::-1]).T
-    # a direction's sign is any, another one on another processor; draws along the directions would be other draws
-    loadings *= np.sign(loadings[np.arange(len(loadings)), np.argmax(np.abs(loadings), axis=1)])[:, None]
+    loadings *= signs(loadings)[:, None]
     of_maps = np.tensordot(loadings[:, MAPS_AT], columns[MAPS_AT], 1)
     responses = np.tensordot(loadings, columns, 1)
     return [

@@ -62,6 +62,14 @@ class Nuisance:
     of_maps: Array | None = None
 
 
+def signs(directions: Array) -> Array:
+    """(K,) by which directions (K, n) get the sign that makes the largest entry of each positive.
+
+    An eigenvector's sign is any, another one on another processor; draws along it would be other draws there.
+    """
+    return np.asarray(np.sign(directions[np.arange(len(directions)), np.argmax(np.abs(directions), axis=1)]))
+
+
 def tolerance_modes(arguments: Sequence[Array], detail: Detail = LEADING) -> Array:
     """Leading modes of a smooth random function of unit variance along the recording, (K, n).
 
@@ -87,8 +95,7 @@ def tolerance_modes(arguments: Sequence[Array], detail: Detail = LEADING) -> Arr
     values, vectors = np.linalg.eigh(kernel(knots, knots))
     order = np.argsort(values)[::-1]
     values, vectors = values[order], vectors[:, order]
-    # a mode's sign is any, another one on another processor; draws along the modes would be other draws
-    vectors *= np.sign(vectors[np.argmax(np.abs(vectors), axis=0), np.arange(order.size)])
+    vectors *= signs(vectors.T)
     count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), detail.kept)) + 1, detail.most)
     return (kernel(x, knots) @ vectors[:, :count] / np.sqrt(values[:count])).T
 
@@ -171,6 +178,26 @@ def nuisance_responses(
     return out
 
 
+def at_sizes(
+    twin: Twin, nuisances: Sequence[Nuisance], responses: Array, sizes: Array
+) -> tuple[dict[str, Array], Array]:
+    """Signals at points that errors of maps have, and what they do linearly to the readings, (n, C).
+
+    Args:
+        twin: gives the points.
+        nuisances: directions; those of no point count for nothing.
+        responses: (K, n, C) their linear responses.
+        sizes: (K,) in standard deviations.
+    """
+    signals: dict[str, Array] = {}
+    linear = np.zeros_like(twin.measured)
+    for nuisance, response, size in zip(nuisances, responses, sizes, strict=True):
+        if nuisance.point is not None and nuisance.signal is not None:
+            signals = joined(signals, {twin.points[nuisance.point].name: size * nuisance.signal})
+            linear += size * response
+    return signals, linear
+
+
 class Rebased(WithSignals):
     """A twin about another point of its tolerances: maps off by an estimate, not by nothing.
 
@@ -186,11 +213,6 @@ class Rebased(WithSignals):
     """
 
     def __init__(self, twin: Twin, nuisances: Sequence[Nuisance], responses: Array, estimate: Array) -> None:
-        signals: dict[str, Array] = {}
-        moved = np.zeros_like(twin.measured)
-        for nuisance, response, size in zip(nuisances, responses, estimate, strict=True):
-            if nuisance.point is not None and nuisance.signal is not None:
-                signals = joined(signals, {twin.points[nuisance.point].name: size * nuisance.signal})
-                moved += size * response
+        signals, moved = at_sizes(twin, nuisances, responses, estimate)
         super().__init__(twin, signals)
         self.measured = twin.measured + moved

@@ -15,8 +15,8 @@ import numpy as np
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.learned import LearnedTwin, belief_of
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
-from dieseltwin.discovery.likelihood.nuisance import Nuisance
-from dieseltwin.discovery.twins.interface import Array, joined
+from dieseltwin.discovery.likelihood.nuisance import Nuisance, at_sizes
+from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.learning.belief import MAPS_AT
 
 _DRAWS = 16  # of the maps' errors: with two, half of the seeds miss a window in which the turbo goes elsewhere
@@ -66,14 +66,8 @@ def bent_windows(
 
 def _bend(at: Linearisation, nuisances: Sequence[Nuisance], responses: Array, sizes: Array) -> Array:
     """How far the readings are from linear (n, C) at errors of maps, `sizes` (K,) in standard deviations."""
-    twin = at.twin
-    signals: dict[str, Array] = {}
-    linear = np.zeros_like(at.simulated)
-    for nuisance, response, size in zip(nuisances, responses, sizes, strict=True):
-        if nuisance.point is not None and nuisance.signal is not None:
-            signals = joined(signals, {twin.points[nuisance.point].name: size * nuisance.signal})
-            linear += size * response
-    return np.asarray(twin.simulate(at.fit.lanes(signals=signals))[0] - at.simulated - linear)
+    signals, linear = at_sizes(at.twin, nuisances, responses, sizes)
+    return np.asarray(at.twin.simulate(at.fit.lanes(signals=signals))[0] - at.simulated - linear)
 
 
 def _learned_bend(at: Linearisation, nuisances: Sequence[Nuisance], responses: Array, sizes: Array) -> Array:

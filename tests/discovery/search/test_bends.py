@@ -24,6 +24,7 @@ class Squared:
         self.curved = np.repeat(curved, ROWS)
         self.starts, self.state_scales = STARTS, np.ones(1)
         self.points = (SimpleNamespace(name="map"),)
+        self.measured = np.zeros((ROWS * WINDOWS, 1))
         self.time_s = np.arange(ROWS * WINDOWS, dtype=np.float64)
 
     def simulate(self, lanes: dict[str, np.ndarray]) -> np.ndarray:
