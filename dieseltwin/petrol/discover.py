@@ -7,9 +7,9 @@ the recording first, so that the repaired engine of one discovery leaves nothing
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -37,18 +37,17 @@ from dieseltwin.discovery.verdict.document import (
 from dieseltwin.discovery.verdict.explained import explained_at
 from dieseltwin.discovery.verdict.findings import effects, finite, ranked_location, site_probabilities
 from dieseltwin.discovery.verdict.reasons import candidate_rows
-from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note
-from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS, sized
+from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
 from dieseltwin.petrol.recording import BLOCK_S, COLUMNS, PetrolRecording, Signals
+from dieseltwin.petrol.sentence import found_words, sentence
 from dieseltwin.petrol.terms import without_terms
 from dieseltwin.petrol.twin import PetrolTwin
 from dieseltwin.settings.params import default_search
 from dieseltwin.settings.search import SearchSettings
 from dieseltwin.version import __version__
 
-TOLD_LEVEL = 0.01  # shift of a level that the sentence tells [-]
 AT_LIMIT = 1e-3  # of a limit: so near a size is at it
 NEXT = ("single", "variant")  # kinds of a next finding that is said: one name; more of them are for the next discovery
 ONSET_SHARE = 0.1  # of the recording, before an effect that `minimum_detectable` speaks of
@@ -210,13 +209,13 @@ def discover_petrol(
     after = explained_at(found).simulated
     document = _document(recording, engine, twin, found, after, params_sha256)
     repaired = engine.model_copy(update={"terms": (*engine.terms, *_terms(recording, document))})
-    told = sentence(document, twin, {} if document.mismatch else minimum_detectable(twin, found, grows=True))
+    told = sentence(document, *(minimum_detectable(twin, found, how) for how in ("grows", "always")))
     if len(repaired.terms) > len(engine.terms):
         other_twin, other = judge(repaired, without_terms(repaired, recording), options)
         if other.kind in NEXT and other.explained() > found.settings.missing_share * found.explained():
             next_one = _document(recording, repaired, other_twin, other, explained_at(other).simulated, "")
             document = _with_next(document, next_one, found.explained(), other.explained())
-            told = f"{told} Beside it, {_found(next_one)}: `discover` with the repaired engine tells more."
+            told = f"{told} Beside it, {found_words(next_one)}: `discover` with the repaired engine tells more."
     return PetrolDiscovery(document, found, twin, repaired, after, told, recording.time0_s,
                            time.perf_counter() - began)  # fmt: skip
 
@@ -231,7 +230,7 @@ def _with_next(document: Discrepancy, next_one: Discrepancy, explained: float, l
     """
     share = explained / (explained + left) if explained > 0.0 else 0.0
     fit = document.fit.model_copy(update={"share_explained": share})
-    text = f"beside it, {_found(next_one)}; `discover` with the repaired engine tells more"
+    text = f"beside it, {found_words(next_one)}; `discover` with the repaired engine tells more"
     more = [] if document.more_is_missing else fit_doubts(document.model_copy(update={"more_is_missing": True}))[:1]
     document = document.model_copy(update={"fit": fit, "more_is_missing": True})
     return with_warnings(document, [*more, Note(text, "next_effect")])
@@ -307,11 +306,15 @@ def _terms(recording: PetrolRecording, d: Discrepancy) -> list[PetrolTerm]:
     ]  # fmt: skip
 
 
-def minimum_detectable(twin: PetrolTwin, found: Search, grows: bool = False) -> dict[str, float]:
-    """Smallest magnitude that this recording could show, had it begun after a tenth of it, or with `grows` had it grown
-    from there to that size at the end: slow drifts of the balances take that up [unit of the effect]."""
-    began = float(twin.time_s[0] + ONSET_SHARE * (twin.time_s[-1] - twin.time_s[0]))
-    later = schedule_of(twin, began, None, grows)
+def minimum_detectable(
+    twin: PetrolTwin, found: Search, how: Literal["begins", "grows", "always"] = "begins"
+) -> dict[str, float]:
+    """Smallest magnitude that this recording could show, had it begun after a tenth of it, had it grown from there to
+    that size at the end, which slow drifts of the balances take up, or had it been there from the first row on, which
+    the recording's own levels take up [unit of the effect]."""
+    first = float(twin.time_s[0])
+    began = first if how == "always" else first + ONSET_SHARE * float(twin.time_s[-1] - twin.time_s[0])
+    later = schedule_of(twin, began, None, grows=how == "grows")
     result: dict[str, float] = {}
     for item in found.scored:
         vector = without_parameters(found.null, found.null.metric.project((later[:, None] * item.response)[None]))[0]
@@ -320,63 +323,6 @@ def minimum_detectable(twin: PetrolTwin, found: Search, grows: bool = False) -> 
             size = max(float(np.sqrt(found.settings.hidden_gain / known)), twin.hypotheses[item.name].tolerance)
             result[item.name] = min(size, result.get(item.name, np.inf))
     return finite_only(result)
-
-
-_SENSOR = "sensor:"  # begin of the site of a reading
-_LEVELS = {"eta_vol_level": "the level of the volumetric efficiency",
-           "throttle_area_level": "the level of the throttle's area"}  # fmt: skip
-IN_THE_SENTENCE = ("p_im_gain", "p_ic_gain", "w_af_gain", "intake_leak")
-
-
-def sentence(d: Discrepancy, twin: PetrolTwin, drifts: Mapping[str, float]) -> str:
-    """The verdict in words; `drifts`: smallest sizes at the end that an effect shows which grows evenly to them."""
-    if not d.mismatch or d.location is None:
-
-        def limits(smallest: Mapping[str, float]) -> str:
-            shown: Sequence[str] = [n for n in IN_THE_SENTENCE if n in smallest]
-            return ", ".join(sized(n, smallest[n], signed=False) for n in shown)
-
-        return ("No mismatch beyond what healthy recordings differ by. Visible, if begun after a tenth of it: "
-                f"{limits(d.minimum_detectable)}; if grown slowly from there on, only from these at the end: "
-                f"{limits(drifts)}.")  # fmt: skip
-    found = _found(d)
-    return f"{found[0].upper()}{found[1:]}.{_consequence(d) if d.effects[0].named else ''}"
-
-
-def _found(d: Discrepancy) -> str:
-    """Where, what, how large and since when, of a mismatch."""
-    if d.location is None:
-        return ""
-    since = when_words(d.location)
-    told = []
-    for e in d.effects:
-        if e.magnitude is None:
-            when = "" if d.location.onset_s is None else f", {since}"  # whether it was there all along isn't looked for
-            return f"{_place(d.location.site)}{when}: none of the known effects explains it"
-        same = f", not told from {', '.join(e.equivalent_names)}" if e.equivalent_names else ""
-        told.append(f"{sized(e.name, e.magnitude, e.std)} ({e.name}){same}")
-    return f"{_place(d.location.site)}: {'; and '.join(told)}; {since}"
-
-
-def _place(site: str) -> str:
-    reading = site.removeprefix(_SENSOR)
-    return f"in the {site.replace('_', ' ')}" if reading == site else f"in the reading {reading}"
-
-
-def _consequence(d: Discrepancy) -> str:
-    """What the effect did to the levels, if it moved one, and to the held-out score."""
-    text = ""
-    names = [name for name in _LEVELS if name in d.health]
-    worst = max(names, key=lambda name: abs(d.health[name].before - d.health[name].value), default=None)
-    if worst is not None:
-        level = d.health[worst]
-        if abs(level.before - level.value) > TOLD_LEVEL:
-            before, after = (f"{round(100 * v, 1) + 0.0:+.1f} %" for v in (level.before, level.value))  # no -0.0
-            text = f" Unrepaired, {_LEVELS[worst]} ({worst}) would read {before} instead of {after}."
-    first, second = d.fit.held_out_nll_before, d.fit.held_out_nll_after
-    if first is not None and second is not None:
-        text += f" Held-out negative log-likelihood {first:.2f} before, {second:.2f} after."
-    return text
 
 
 def details(found: PetrolDiscovery, options: Mapping[str, object]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ one function serves for any onset and size, exactly, and a refit is an evaluatio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -131,22 +131,31 @@ EFFECTS: Mapping[str, PetrolEffect] = {e.hypothesis.name: e for e in _ALL}
 HYPOTHESES: Mapping[str, Hypothesis] = {name: e.hypothesis for name, e in EFFECTS.items()}
 
 
-def sized(name: str, size: float, std: float | None = None, signed: bool = True) -> str:
-    """An effect with its size [its unit] in words and in the unit that is shown: 'a hole of 15.0 ± 0.2 mm² in ...'.
+def sized(name: str, size: float, std: float | None = None) -> str:
+    """An effect with its size [its unit] in words and in the unit that is shown: 'a hole of 15.0 ± 0.2 mm² in ...'."""
+    return EFFECTS[name].phrase.format(m=_shown(name, size, std, signed=True))
 
-    Args:
-        signed: say the sign of what may be either; not of the smallest size that shows.
-    """
-    effect = EFFECTS[name]
-    factor, unit = SHOWN.get(effect.hypothesis.unit, (1.0, effect.hypothesis.unit))
+
+def smallest(name: str, size: float, otherwise: Sequence[float]) -> str:
+    """The smallest size [its unit] that shows, with those under other circumstances: 'a hole of 0.5 mm² (0.5; 1.1 mm²)
+    in ...'. One beyond what an effect can be is 'none'."""
+    most = EFFECTS[name].hypothesis.limits[1]
+    others = [_shown(name, value) if value <= most else "none" for value in otherwise]
+    return EFFECTS[name].phrase.format(m=f"{_shown(name, size)} ({'; '.join(others)})")
+
+
+def _shown(name: str, size: float, std: float | None = None, signed: bool = False) -> str:
+    """A size in the unit that is shown; `signed`: with a plus where it may be either."""
+    hypothesis = EFFECTS[name].hypothesis
+    factor, unit = SHOWN.get(hypothesis.unit, (1.0, hypothesis.unit))
     value, spread = factor * size, 0.0 if std is None else factor * std
-    plus = "+" if signed and effect.hypothesis.limits[0] < 0.0 else ""
+    plus = "+" if signed and hypothesis.limits[0] < 0.0 else ""
     if np.isfinite(spread) and spread > 0.0:
         digits = min(max(1 - int(np.floor(np.log10(spread))), 0), 6)
         text = f"{round(value, digits) + 0.0:{plus}.{digits}f} ± {spread:.{digits}f} {unit}"  # no -0.0
     else:
         text = f"{value:{plus}.2g} {unit}"
-    return effect.phrase.format(m=text.replace("-", "−"))
+    return text.replace("-", "−")
 
 
 LOG_PRIOR: Mapping[str, float] = dict.fromkeys(("p_im_offset", "p_ic_offset", "w_af_offset", "t_ic_offset"), -3.0)

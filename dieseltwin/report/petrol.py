@@ -39,7 +39,8 @@ OVER_PRESSURE = {True: "Seconds in which it acts over p_im. A gain shifts evenly
                  False: "All seconds over p_im. A gain would shift evenly, a leak most at low load."}
 COLOURS = {True: "Orange: as read; blue: repaired.", False: "Blue: as read."}
 """What a figure shows, with a mismatch and without."""
-VISIBLE = "Smallest size that this recording shows, had the effect begun after a tenth of it."
+VISIBLE = ("Smallest size that this recording shows, had the effect begun after a tenth of it. What was there from the "
+           "first row on has to be larger: the recording's own levels take some of it up.")  # fmt: skip
 MEANINGS = {
     "throttle_offset": "The throttle stands elsewhere than its position says, everywhere by as much.",
     "throttle_gain": "The throttle opens by another share of what its position says.",

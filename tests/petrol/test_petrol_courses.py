@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -98,11 +99,16 @@ def test_a_large_offset_since_an_onset_does_not_end(liu: Path) -> None:
     assert location.onset_s == pytest.approx(whole.time0_s + 100.0, abs=3.0)
 
 
-def test_how_slow_a_drift_goes_unseen_is_said(engine: PetrolParameters, record: Recorder) -> None:
-    """The drift that every balance is allowed takes up what grows slowly: it is seen from larger sizes on."""
-    said = discover_petrol(record(3), engine).sentence
-    begun, grown = (part.split("the W_af reading of ")[1].split(" %")[0] for part in said.split("if grown slowly"))
-    assert float(grown) > 1.5 * float(begun)
+def test_what_drifts_and_levels_hide_is_said(engine: PetrolParameters, record: Recorder) -> None:
+    """The drift that every balance is allowed takes up what grows slowly, the recording's own level what was there from
+    the first row on: each is seen from larger sizes on, and one above what is said is found."""
+    drive = record(3)
+    said = discover_petrol(drive, engine).sentence.split("a gain error of the W_af reading of ")[1]
+    begun, grown, always = (float(number) for number in re.findall(r"([\d.]+) %", said)[:3])
+    assert grown > 1.5 * begun and always > 1.5 * begun
+    s = drive.signals
+    faulty = replace(drive, signals=replace(s, W_af=s.W_af * (1.0 + 1.3 * always / 100.0)))
+    assert discover_petrol(faulty, engine).document.effects[0].name == "w_af_gain"
 
 
 def test_simulated_beside_the_readings(engine: PetrolParameters, record: Recorder) -> None:
