@@ -6,6 +6,7 @@ import json
 import os
 import resource
 import time
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -37,6 +38,7 @@ from dieseltwin.settings.strict import unknown_name, validate
 
 RESULTS = "results"
 FAILED = "failed.json"
+_PACKAGE = Path(__file__).parents[1]
 
 Discover = Callable[..., Any]
 """(recording, engine, withhold=, map_tolerance=, seed=) -> `curves.Discovery`."""
@@ -235,10 +237,9 @@ def _calibrated(folder: Path, references: Sequence[Path]) -> PetrolParameters:
 
 
 def _failed(folder: Path, entry: Mapping[str, Any], error: Exception, seconds: float) -> str:
-    place = error.__traceback__
-    while place is not None and place.tb_next is not None:
-        place = place.tb_next
-    where = f"{Path(place.tb_frame.f_code.co_filename).name}:{place.tb_lineno}" if place is not None else ""
+    """The error as the case's result, with the last line of this package that it passed."""
+    own = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).is_relative_to(_PACKAGE)]
+    where = f"{Path(own[-1].filename).relative_to(_PACKAGE)}:{own[-1].lineno}" if own else ""
     with atomic_folder(folder / RESULTS / entry["case"]) as result:
         told = {"error": f"{type(error).__name__}: {error}", "where": where, "seconds": seconds}
         write_json(result / FAILED, sealed_json(told))

@@ -99,6 +99,24 @@ def test_a_window_in_which_a_response_runs_away_says_nothing_of_finer_maps(recor
     assert np.any(rows != 0.0) and np.abs(rows).max() < 1e6
 
 
+def test_windows_that_surge_on_the_way_steer_nothing(recordings, monkeypatch):
+    """Next to a surging engine differences grow without bound: a step that heeds them leads nowhere."""
+    calls = iter(range(1000))
+    responses = part_module.map_columns
+
+    def surging(twin, lanes, simulated, which):
+        columns = responses(twin, lanes, simulated, which)
+        if next(calls) in (1, 2):  # the sensitivities after the first steps
+            columns[:, -40:] *= 1e38
+        return columns
+
+    monkeypatch.setattr(part_module, "map_columns", surging)
+    found = learn(recordings[:1], we2011.PARAMETERS, MAP_RMS)
+    true = np.array([LABORATORY[name] * SHARES[name] for name in HEALTH])
+    std = np.sqrt(np.diag(found.belief.covariance)[HEALTH_AT])
+    assert found.converged and np.all(np.abs(found.belief.health - true) < 3.0 * std)
+
+
 @pytest.mark.thorough
 def test_a_fault_that_no_map_takes_up_is_suspected():
     offset = Fault("p_im_offset", 1e4)
