@@ -27,7 +27,7 @@ from dieseltwin.rigs.parameters import RigParameters, save_rig
 from dieseltwin.rigs.recording import RigRecording
 from dieseltwin.rigs.simulate import run_error, simulate_rig
 from dieseltwin.rigs.twin import model_of
-from dieseltwin.rigs.verdict import LONG_STEPS, details, document, sentence
+from dieseltwin.rigs.verdict import HOLD, LONG_STEPS, details, document, sentence
 from dieseltwin.sealed import sealed_json
 from dieseltwin.settings.names import refuse_options
 from dieseltwin.settings.params import params_sha256
@@ -65,7 +65,7 @@ class RigDiscovered(Discovered):
         return sentence(self.found, self.document)
 
     def lines(self) -> list[str]:
-        said = [doubt for doubt in self.document.warnings if doubt.code in (LONG_STEPS, READING)]
+        said = [doubt for doubt in self.document.warnings if doubt.code in (LONG_STEPS, HOLD, READING)]
         return [self.sentence, *(Note(doubt.text, doubt.code) for doubt in said)]
 
     def plot(self, name: str | None = None) -> Figure:

@@ -34,6 +34,7 @@ from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note
 from dieseltwin.rigs.discover import RigDiscovery, Round
+from dieseltwin.rigs.fitting import fitted
 from dieseltwin.rigs.simulate import step_error
 from dieseltwin.rigs.twin import RigTwin
 from dieseltwin.version import __version__
@@ -42,6 +43,8 @@ MORE = "more is missing; no law foretells it"
 """What is said where no name and no law is left."""
 LONG_STEPS = "long_steps"
 UNEXPLAINED = "wrong_engine"
+HOLD = "hold"
+LEFT_BY_HOLD = 0.8  # of the error (rms); another way between rows leaves less than that where it is the right one
 LEAST_EXPLAINED = 0.5  # of a reading's variance; the tanks without what they lack explain 0.95
 
 
@@ -63,7 +66,8 @@ def document(result: RigDiscovery) -> Discrepancy:
         minimum_detectable=finite_only(minimum_detectable(first.found.scored, first.found.settings.alarm_gain)),
         provenance=Provenance(code_version=__version__, params_sha256="-"),
     )  # fmt: skip
-    doubts = [*fit_doubts(made), *_unexplained(result, made.fit), *_step_notes(result), *recording.notes]
+    own = (*_unexplained(result, made.fit), *_step_notes(result), *_hold_notes(result))
+    doubts = [*fit_doubts(made), *own, *recording.notes]
     return with_warnings(made, doubts)
 
 
@@ -93,6 +97,23 @@ def _step_notes(result: RigDiscovery) -> list[Note]:
     text = (f"steps of the integration are too long to judge by: halved, they change {name} by up to {change:.2g}, and "
             f"what is found may be theirs; give sub_steps: {steps} in place of {twin.rig.sub_steps}")  # fmt: skip
     return [Note(text, LONG_STEPS, [name])]
+
+
+def _hold_notes(result: RigDiscovery) -> list[Note]:
+    """Whether the machine fits better with its inputs taken otherwise between rows: every law would follow that."""
+    other = "linear" if result.before.hold == "held" else "held"
+    try:
+        _, at = fitted(result.before.model_copy(update={"hold": other}), result.recording)
+    except np.linalg.LinAlgError:
+        return []
+    left, otherwise = (np.nanmean(fit.residual**2, axis=0) ** 0.5 for fit in (result.fit_before, at))
+    share = float(np.mean(otherwise / np.maximum(left, np.finfo(float).tiny)))
+    if not share < LEFT_BY_HOLD:
+        return []
+    text = (f"with its inputs {other} between rows, not {result.before.hold}, the machine of this file leaves "
+            f"{100.0 * share:.0f} % of the error (rms) before anything is found; if the recorder works so, give "
+            f"hold: {other}: what is found may be the difference")  # fmt: skip
+    return [Note(text, HOLD, list(result.recording.readings))]
 
 
 def shares(result: RigDiscovery) -> list[tuple[tuple[str, ...], float]]:

@@ -56,6 +56,13 @@ def test_a_recording_that_is_not_the_machines_is_no_clean_bill() -> None:
     assert not dt.discover(driven(), rig()).document.warnings
 
 
+def test_inputs_that_are_taken_wrongly_between_rows_are_said() -> None:
+    """Half a row late, which friction and a wrong mass follow a little."""
+    found = dt.discover(driven(), RigParameters.model_validate(CART | {"hold": "held"}))
+    (doubt,) = [item for item in found.document.warnings if item.code == "hold"]
+    assert "give hold: linear" in doubt.text and any("hold: linear" in line for line in map(str, found.lines()))
+
+
 def test_steps_that_are_too_long_are_said_with_what_would_do() -> None:
     """A light cart comes to rest within one sample; what four steps make of that looked like physics."""
     light = {**CART["parameters"], "m": {"value": 0.1, "prior_std": 0.01, "scale": 0.01, "unit": "kg"}}
