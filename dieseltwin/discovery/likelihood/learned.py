@@ -14,7 +14,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, signal_responses, signs
-from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, rows_of
 from dieseltwin.discovery.twins.offers import Offer
 from dieseltwin.engine import MEASURED
 from dieseltwin.engine.map_corrections import CORRECTED_POINTS, basis, basis_along
@@ -22,6 +22,7 @@ from dieseltwin.engine.quantities import POINTS
 from dieseltwin.learning.belief import GAINS_AT, MAPS_AT, OFFSETS_AT, Belief
 
 _SMALL = 1e-5  # of a coefficient, for its response: as of health, which it is one product with, at kinks too
+_RUNAWAY = 300.0  # of a middle reading: engines answer with up to some thirty times that, surging with 1e4 and more
 _SEEN = 1e-2  # of squared whitened response to one standard deviation: a tenth of the noise of one reading
 
 
@@ -63,6 +64,14 @@ def map_columns(twin: Twin, lanes: Lanes, simulated: Array, which: np.ndarray) -
     return signal_responses(twin, lanes, simulated, points, signals, linear=True) / _SMALL
 
 
+def running_away(twin: Twin, simulated: Array, *responses: Array) -> np.ndarray:
+    """Rows (n,) of the windows in which responses (..., n, C), to a map that is off by itself or to a state by its
+    scale, go beyond all readings (n, C): there small differences grow from row to row, and linear says nothing."""
+    most = _RUNAWAY * np.median(np.abs(simulated), axis=0)
+    far = np.any([~(np.abs(some) < most).all(axis=(0, 2)) for some in responses], axis=0)
+    return rows_of(twin, np.logical_or.reduceat(far, twin.starts))
+
+
 def learned_nuisances(
     twin: Twin, belief: Belief, lanes: Lanes, simulated: Array, whitening: Whitening
 ) -> list[Nuisance]:
@@ -74,7 +83,9 @@ def learned_nuisances(
         whitening: of the readings.
     """
     columns = np.zeros((belief.mean.size, *simulated.shape))
-    columns[MAPS_AT][belief.free] = map_columns(twin, lanes, simulated, belief.free)
+    of_free = map_columns(twin, lanes, simulated, belief.free)
+    of_free[:, running_away(twin, simulated, of_free)] = 0.0
+    columns[MAPS_AT][belief.free] = of_free
     for j, name in enumerate(twin.channels):
         channel = MEASURED.index(name)
         factor = 1.0 / (1.0 + belief.gains[channel])

@@ -8,7 +8,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.between_rows import noise_beside, scatter_about
 from dieseltwin.discovery.likelihood.fit import bounded, first_fit, fit_fully, parameter_lanes
-from dieseltwin.discovery.likelihood.learned import map_columns
+from dieseltwin.discovery.likelihood.learned import map_columns, running_away
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.likelihood.score import secant_sizes
 from dieseltwin.discovery.reference.conditions import Clock, Conditions, recorded_twin
@@ -27,8 +27,6 @@ _SHORTER = 0.4
 _DRAWS = 2
 _CROOKED = 3.0  # squared whitened distance of a window from linear, by one draw of what is believed then
 _MOST_CROOKED = 1.0 / 3.0
-_RUNAWAY = 300.0  # of a middle reading, for a map that is off by itself or a state by its scale: engines answer with
-# up to some thirty times that, and where small differences grow from row to row with 1e4 and more
 
 
 @dataclass(frozen=True)
@@ -166,16 +164,10 @@ class Part:
         columns *= self.scale[:, None, None]
         local = differences[len(twin.parameters) :] * factor
         conditions = self.conditions.responses(twin, fit.lanes()) * factor
-        far = self._running_away(clean, of_maps, local * self.twin.state_scales[:, None, None])
+        far = running_away(self.twin, clean, of_maps, local * self.twin.state_scales[:, None, None])
         for responses in (columns, local, conditions):
             responses[:, far] = 0.0
         return self._whitened(columns, local, conditions)
-
-    def _running_away(self, simulated: Array, *responses: Array) -> np.ndarray:
-        """Rows (n,) of the windows in which responses (..., n, C) go beyond all readings (n, C)."""
-        most = _RUNAWAY * np.median(np.abs(simulated), axis=0)
-        far = np.any([~(np.abs(some) < most).all(axis=(0, 2)) for some in responses], axis=0)
-        return rows_of(self.twin, np.logical_or.reduceat(far, self.twin.starts))
 
     def rewhitened(self, here: Linear) -> Linear:
         """The same responses behind another whitening."""
@@ -199,7 +191,7 @@ class Part:
         held = ~self.prior.free
         simulated = twin.simulate(lanes)[0]
         columns = map_columns(twin, lanes, simulated, held) * (1.0 + values[GAINS_AT][self.at])
-        columns[:, self._running_away(simulated, columns)] = 0.0
+        columns[:, running_away(twin, simulated, columns)] = 0.0
         rows = np.zeros_like(here.projected)
         rows[MAPS_AT][held] = here.metric.project(columns)
         return rows

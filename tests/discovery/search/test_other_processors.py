@@ -61,7 +61,7 @@ def test_what_is_still_open_of_a_learned_engine_is_the_same(
     simulated = rng.uniform(0.5, 1.5, size=(60, channels))
     columns = rng.normal(size=(np.count_nonzero(prior.free), *simulated.shape))
     monkeypatch.setattr(learned, "map_columns", lambda *_: columns)
-    twin: Any = SimpleNamespace(channels=MEASURED, starts=np.array([0]))
+    twin: Any = SimpleNamespace(channels=MEASURED, starts=np.array([0]), time_s=np.arange(60.0))
     whitening = Whitening.of(simulated, Noise(np.full(channels, 0.01), np.zeros(channels)), twin.starts)
 
     def directions() -> np.ndarray:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from dieseltwin.discovery.likelihood import learned
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening
 from dieseltwin.discovery.likelihood.nuisance import map_nuisances, nuisance_responses
 from dieseltwin.discovery.twins.interface import Lanes
-from dieseltwin.recordings.noise import estimate_noise
+from dieseltwin.engine import MEASURED, we2011
+from dieseltwin.learning.belief import prior_belief
+from dieseltwin.recordings.noise import Noise, estimate_noise
 from tests.discovery.toy import Toy
 
 
@@ -58,3 +64,24 @@ def test_responses_that_are_not_finite_are_an_error_that_callers_know() -> None:
     with pytest.raises(np.linalg.LinAlgError, match="runs away"):
         unknown = WhitenedNuisances.of(whitening, np.full((1, 100, 2), np.nan))
         Metric(whitening, toy.starts, local, np.zeros(0), unknown)
+
+
+def test_what_is_still_open_of_a_learned_engine_is_told_by_windows_that_do_not_run_away(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two windows one surges: directions and responses are those of the other one."""
+    rng, prior, channels = np.random.default_rng(7), prior_belief(we2011.PARAMETERS, 0.03), len(MEASURED)
+    simulated = rng.uniform(0.5, 1.5, size=(60, channels))
+    calm = rng.normal(size=(np.count_nonzero(prior.free), *simulated.shape))
+    calm[:, 30:] = 0.0
+    surging = calm.copy()
+    surging[:, 30:] = 1e30 * rng.normal(size=surging[:, 30:].shape)
+    twin: Any = SimpleNamespace(channels=MEASURED, starts=np.array([0, 30]), time_s=np.arange(60.0))
+    whitening = Whitening.of(simulated, Noise(np.full(channels, 0.01), np.zeros(channels)), twin.starts)
+    lanes: Any = None
+    found = []
+    for columns in (calm, surging):
+        monkeypatch.setattr(learned, "map_columns", lambda *_, columns=columns: columns.copy())
+        nuisances = learned.learned_nuisances(twin, prior, lanes, simulated, whitening)
+        found.append(np.stack([nuisance.response for nuisance in nuisances]))  # type: ignore[misc]
+    assert len(found[0]) > 10 and np.array_equal(*found)
