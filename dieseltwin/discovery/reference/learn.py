@@ -363,6 +363,7 @@ class _Joint:
         damped = (whole + damping * np.diag(np.diag(whole)) for damping in _DAMPINGS)
         return any(self._advance(np.asarray(np.linalg.solve(to, gradient)), _SHRINKS[:1]) for to in damped)
 
+    @np.errstate(over="ignore")  # too long a step may run away to 1e200: its cost is infinite, and it isn't taken
     def _advance(self, step: Array, shrinks: Sequence[float] = _SHRINKS) -> bool:
         """Go along a step as far as the posterior rises; False where it nowhere does."""
         before, cost = (self.x, [part.local for part in self.parts], self.residuals), self._cost()
