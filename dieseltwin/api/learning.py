@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -156,8 +156,7 @@ def _learn_diesel(
     prior = None
     if others:
         beliefs = [(one.believed, one.belief) for one in others.values()]
-        rough = float(np.mean([one.further.rough for one in others.values()]))
-        further = Further(rough, float(np.mean([one.further.of_ratio for one in others.values()])))
+        further = Further(*np.mean([astuple(one.further) for one in others.values()], axis=0).tolist())
         prior = belief_from_siblings(beliefs, base, size, settings.type_share, further)
     known, found = learn_engine(sources, base, size, before, settings, prior)
     for source in sources:
@@ -233,7 +232,11 @@ def summary(learned: LearnedEngine) -> list[str]:
         "from the base"
         for name, value, s, then in zip(HEALTH, belief.health, std, learned.base.health(), strict=True)
     ]
-    rough, of_ratio = (100.0 * learned.map_rms * v**0.5 for v in (learned.further.rough, learned.further.of_ratio))
+    further = learned.further
+    rough, of_ratio = (100.0 * learned.errors * v**0.5 for v in (further.rough, further.of_ratio))
+    if further.size > 1.0:
+        lines.append(f"  its maps are off by more than usual: errors of {100.0 * learned.errors:.2g} % are believed, "
+                     f"not {100.0 * learned.map_rms:.2g} %")  # fmt: skip
     if rough > 0.0:
         lines.append(f"  its maps are rougher than usual: further errors of {rough:.2g} % with half the correlation "
                      "are believed")  # fmt: skip
@@ -287,7 +290,7 @@ def corrected_maps(learned: LearnedEngine) -> list[CorrectedMap]:
     belief, functions = learned.belief, basis()
     tables = functions_on_maps(learned.base)
     uncertain = uncertainty_along(belief, tables)
-    prior = uncertainty_along(prior_belief(learned.base, learned.map_rms), tables)
+    prior = uncertainty_along(prior_belief(learned.base, learned.errors), tables)
     rows = []
     for m, point in enumerate(CORRECTED_POINTS):
         if point in learned.domain:
@@ -309,11 +312,11 @@ def _check_misfit(known: LearnedEngine, source: Recording, most: float) -> None:
 
 def _far_off(known: LearnedEngine) -> list[str]:
     """That maps had to be corrected by far more than what is believed of them, the worst one."""
-    off = max(corrected_maps(known), key=lambda row: row.corrected / known.map_rms, default=None)
-    if off is None or off.corrected <= _FAR_OFF * known.map_rms:
+    off = max(corrected_maps(known), key=lambda row: row.corrected / known.errors, default=None)
+    if off is None or off.corrected <= _FAR_OFF * known.errors:
         return []
     return [
-        f"the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.map_rms:g} %"
+        f"the map of {off.point} is corrected by {100 * off.corrected:.0f} % rms where {100 * known.errors:g} %"
         " is believed: another engine than the base, a sensor that reads wrongly or a fault in the reference; where "
         f"the maps may be off by so much, --map-error {min(off.corrected, MAP_ERRORS[1]):.2f} says so"
     ]

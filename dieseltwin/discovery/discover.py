@@ -187,7 +187,7 @@ def _reference(found: Search, learned: LearnedEngine | None) -> Reference | None
     """What the engine was learned from, and how much of the recording lies where all its maps are known."""
     if learned is None:
         return None
-    known = known_along(learned.belief, learned.map_rms, found.twin.variables(found.null.fit.lanes()))
+    known = known_along(learned.belief, learned.errors, found.twin.variables(found.null.fit.lanes()))
     return Reference(
         recordings=len(learned.recordings), minutes=learned.minutes, domain_share=float(known.all(axis=0).mean())
     )

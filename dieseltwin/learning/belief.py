@@ -29,15 +29,17 @@ HELD = 1e-6
 
 @dataclass(frozen=True)
 class Further:
-    """Errors of the maps beyond the smooth ones over their usual arguments, as variances over that of these [-].
+    """Errors of the maps beyond the smooth ones over their usual arguments that are believed of every engine [-].
 
     Attributes:
-        rough: of all maps, of half the correlation length.
-        of_ratio: of the turbine's efficiency, over speed and blade speed ratio.
+        rough: variance of errors of all maps of half the correlation length, over that of the smooth ones.
+        of_ratio: the same of errors of the turbine's efficiency over speed and blade speed ratio.
+        size: of the smooth ones, times what is believed.
     """
 
     rough: float = 0.0
     of_ratio: float = 0.0
+    size: float = 1.0
 
 
 NOTHING_FURTHER = Further()
@@ -147,5 +149,8 @@ def with_further(belief: Belief, map_rms: float, further: Further) -> Belief:
         return belief
     covariance, functions = belief.covariance.copy(), basis()
     of_unit_rms = further.rough * functions.finer_covariance + further.of_ratio * np.diag(functions.of_ratio)
-    covariance[MAPS_AT, MAPS_AT] += map_rms**2 * of_unit_rms
+    larger = np.where(functions.usual, further.size, 1.0)
+    covariance[MAPS_AT] *= larger[:, None]
+    covariance[:, MAPS_AT] *= larger
+    covariance[MAPS_AT, MAPS_AT] += (further.size * map_rms) ** 2 * of_unit_rms
     return Belief(belief.mean, covariance)

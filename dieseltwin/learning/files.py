@@ -91,8 +91,13 @@ class LearnedEngine:
     suspected: tuple[str, ...] = ()
 
     @property
+    def errors(self) -> float:
+        """Size of the maps' errors that is believed with these recordings [-]."""
+        return self.map_rms * self.further.size
+
+    @property
     def believed(self) -> Belief:
-        """What was believed before any recording, of maps as rough as these."""
+        """What was believed before any recording, of maps as rough and as far off as these."""
         usual = prior_belief(self.base, self.map_rms) if self.prior is None else self.prior
         return with_further(usual, self.map_rms, self.further)
 

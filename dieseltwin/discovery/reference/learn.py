@@ -31,6 +31,7 @@ from dieseltwin.settings.params import default_learn
 
 _NEAR = 0.02  # of -2 log posterior that a step promises, when the noise is estimated from what is left
 _ROUNDS = 12
+_LOOKS = 2  # for further errors of the maps: far from them the readings' information is another
 _CONVERGED = 0.05  # predicted decrease of -2 log posterior: a twentieth of a standard deviation squared, of any mix
 _LEFT_TO_NEXT = 0.2  # of that, below which steps with old sensitivities promise nothing
 _STALLED = 0.5  # of the decrease predicted before, above which old sensitivities mislead
@@ -137,7 +138,7 @@ def learn_engine(
     together = distinct(recordings)
     found = learn(together, base, map_rms, settings, prior)
     misfits = {item.sha256: part.misfit for item, part in zip(together, found.evidence, strict=True)}
-    domain = domain_of(found.belief, map_rms, base)
+    domain = domain_of(found.belief, map_rms * found.further.size, base)
     known_now = LearnedEngine(
         base, found.belief, map_rms, together, domain, misfits, prior, found.further, found.clocks, found.converged
     )
@@ -165,9 +166,12 @@ def learn(
     joint = _Joint([Part(item, engine, prior, map_rms) for item in sorted(recordings, key=lambda r: r.sha256)], prior)
     joint.fit(_ROUNDS, _NEAR)
     joint.whiten_anew()
-    further = further_errors(prior, map_rms, *joint.of_all_functions())
-    if further != NOTHING_FURTHER:
-        prior = with_further(prior, map_rms, further)
+    usual, further = prior, NOTHING_FURTHER
+    for _ in range(_LOOKS):
+        asked = further_errors(usual, map_rms, *joint.of_all_functions(), joint.by_an_effect)
+        if asked == further:
+            break
+        prior, further = with_further(usual, map_rms, asked), asked
         joint.begin(prior)  # the usual maps' fit lies where steps stop short of a minimum
         joint.fit(_ROUNDS, _NEAR)
         joint.whiten_anew()
@@ -322,6 +326,10 @@ class _Joint:
             if gain > max(least_gain, found[name].gain if name in found else 0.0):
                 found[name] = Suspicion(name, hypothesis.unit, size, information**-0.5, gain)
         return tuple(sorted(found.values(), key=lambda item: -item.gain))
+
+    def by_an_effect(self) -> float:
+        """Log likelihood that the strongest effect gains beside what is believed of the maps."""
+        return max((0.5 * item.gain for item in self.suspicions(0.0)), default=0.0)
 
     def _simulate(self) -> None:
         """Readings less simulation of all recordings at x."""

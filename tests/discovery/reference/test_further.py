@@ -40,13 +40,17 @@ def _error(length: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return RMS * np.sqrt(2.0 / 48.0) * np.cos(at @ waves.T + phases) @ rng.standard_normal(48)
 
 
-def _read(length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Information and vector of readings of the map's error, with noise."""
+def _no_effect() -> float:
+    return 0.0
+
+
+def _read(length: float, larger: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Information and vector of readings of the map's error, with noise; `larger`: times the usual error."""
     x, y = _places(1500, 1)
     of_map = np.flatnonzero(basis().maps == MAP)
     rows = np.zeros((MAPS_AT.stop + 12, x.size))
     rows[MAPS_AT.start + of_map] = look_up(basis().tables[of_map], MAP, x, y)
-    readings = _error(length, x, y) + NOISE * np.random.default_rng(2).standard_normal(x.size)
+    readings = larger * _error(length, x, y) + NOISE * np.random.default_rng(2).standard_normal(x.size)
     return rows @ rows.T / NOISE**2, rows @ readings / NOISE**2
 
 
@@ -60,7 +64,7 @@ def _left(belief: Belief, length: float) -> float:
 
 @pytest.mark.parametrize("length, rough", [(1.0 / 3.0, False), (1.0 / 6.0, True)])
 def test_readings_tell_how_rough_a_map_is(length: float, rough: bool):
-    found = further_errors(prior_belief(we2011.PARAMETERS, RMS), RMS, *_read(length))
+    found = further_errors(prior_belief(we2011.PARAMETERS, RMS), RMS, *_read(length), _no_effect)
     assert (found.rough >= 0.3) if rough else (found == NOTHING_FURTHER)
     assert found.of_ratio == 0.0
 
@@ -84,8 +88,22 @@ def test_readings_tell_whether_the_turbine_goes_with_its_blade_speed_ratio(secon
     error = RMS * np.sqrt(2.0 / 48.0) * np.cos(places @ waves.T + rng.uniform(0.0, 6.28, 48)) @ rng.standard_normal(48)
     readings = error + NOISE * rng.standard_normal(1500)
     read = functions @ functions.T / NOISE**2, functions @ readings / NOISE**2
-    found = further_errors(prior_belief(we2011.PARAMETERS, RMS), RMS, *read)
+    found = further_errors(prior_belief(we2011.PARAMETERS, RMS), RMS, *read, _no_effect)
     assert (found.of_ratio > 0.0) == of_ratio and found.rough == 0.0
+
+
+def test_readings_tell_that_maps_are_off_by_more_than_is_believed():
+    """Smooth and three times as large: no rough ones; as large by a fault that explains it better: none at all."""
+    prior, read = prior_belief(we2011.PARAMETERS, RMS), _read(1.0 / 3.0, larger=3.0)
+    found = further_errors(prior, RMS, *read, _no_effect)
+    assert 2.0 <= found.size <= 4.0 and found.rough == 0.0
+    assert further_errors(prior, RMS, *read, lambda: 1e6).size == 1.0
+
+
+def test_larger_errors_are_believed_of_usual_functions_and_beside_rough_ones():
+    usual, larger = (prior_belief(we2011.PARAMETERS, RMS, Further(1.0, 0.0, size)) for size in (1.0, 3.0))
+    times = np.sqrt(np.diag(larger.covariance) / np.diag(usual.covariance))[MAPS_AT]
+    assert np.allclose(times[usual.free], 3.0, rtol=1e-6) and np.array_equal(usual.free, larger.free)
 
 
 def test_a_rough_map_is_learned_where_it_is_believed_rough():
