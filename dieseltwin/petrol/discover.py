@@ -209,7 +209,10 @@ def discover_petrol(
     after = explained_at(found).simulated
     document = _document(recording, engine, twin, found, after, params_sha256)
     repaired = engine.model_copy(update={"terms": (*engine.terms, *_terms(recording, document))})
-    told = sentence(document, *(minimum_detectable(twin, found, how) for how in ("grows", "always")))
+    hidden = () if document.mismatch else (
+        minimum_detectable(twin, found, "grows"), minimum_detectable(twin, found, "always")
+    )  # fmt: skip
+    told = sentence(document, hidden)
     if len(repaired.terms) > len(engine.terms):
         other_twin, other = judge(repaired, without_terms(repaired, recording), options)
         if other.kind in NEXT and other.explained() > found.settings.missing_share * found.explained():

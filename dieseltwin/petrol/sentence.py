@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from dieseltwin.discovery.verdict.document import Discrepancy
 from dieseltwin.discovery.verdict.when import when_words
@@ -16,16 +16,16 @@ _LEVELS = {"eta_vol_level": "the level of the volumetric efficiency",
 IN_THE_SENTENCE = ("p_im_gain", "p_ic_gain", "w_af_gain", "intake_leak")
 
 
-def sentence(d: Discrepancy, drifts: Mapping[str, float], always: Mapping[str, float]) -> str:
+def sentence(d: Discrepancy, hidden: Sequence[Mapping[str, float]]) -> str:
     """The verdict in words.
 
     Args:
         d: the verdict.
-        drifts: smallest sizes at the end that an effect shows which grows evenly to them.
-        always: smallest sizes that one shows which was there from the first row on.
+        hidden: where nothing is found, the smallest sizes at the end that an effect shows which grows evenly to them,
+            and those that one shows which was there from the first row on.
     """
     if not d.mismatch or d.location is None:
-        shown = (smallest(name, size, [kind.get(name, math.inf) for kind in (drifts, always)])
+        shown = (smallest(name, size, [kind.get(name, math.inf) for kind in hidden])
                  for name in IN_THE_SENTENCE if (size := d.minimum_detectable.get(name)) is not None)  # fmt: skip
         return ("No mismatch beyond what healthy recordings differ by. Visible if begun after a tenth of it (if grown "
                 f"slowly from there to the end; if there from the first row on): {', '.join(shown)}.")  # fmt: skip

@@ -25,7 +25,7 @@ from dieseltwin.discovery.search.preparation import recentred
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array
 from dieseltwin.errors import InputError
-from dieseltwin.rigs.fitting import ROUNDS, checked_rows, fitted, foretold
+from dieseltwin.rigs.fitting import ROUNDS, checked_rows, fitted, fitted_otherwise, foretold
 from dieseltwin.rigs.onsets import dated, first_onset
 from dieseltwin.rigs.parameters import LawFactor, RigLaw, RigParameters, RigTerm
 from dieseltwin.rigs.recording import RigRecording
@@ -108,6 +108,7 @@ class RigDiscovery:
         recording, options: as asked.
         before, repaired: the machine fitted to the recording, without and with what was found.
         fit_before, fit_after: of their windows.
+        fit_otherwise: as `fit_before`, with the inputs taken the other way between rows; None where that runs away.
         rounds: of the search; the last one took nothing, or most were named.
         seconds: wall time.
         early: the machine without what was found, fitted to the first part; None where it runs away, and where there
@@ -120,6 +121,7 @@ class RigDiscovery:
     repaired: RigParameters
     fit_before: Linearisation
     fit_after: Linearisation
+    fit_otherwise: Linearisation | None
     rounds: tuple[Round, ...]
     seconds: float
     early: RigParameters | None = None
@@ -169,8 +171,9 @@ def discover_rig(recording: RigRecording, rig: RigParameters, options: Options |
                          "check the columns' units, or shorten the file's window_s") from None
     found, midway = _searched(before, fit.residual, recording, options), first_onset(fit, settings, options.withhold)
     course = _best_course(before, fit, recording, options, found, midway)
+    otherwise = fitted_otherwise(before, recording)
     seconds = time.perf_counter() - began
-    return RigDiscovery(recording, options, before, course.machine, fit, course.fit, course.rounds, seconds,
+    return RigDiscovery(recording, options, before, course.machine, fit, course.fit, otherwise, course.rounds, seconds,
                         course.early)  # fmt: skip
 
 

@@ -35,6 +35,14 @@ def fitted(rig: RigParameters, recording: RigRecording) -> tuple[RigParameters, 
     return rig.model_copy(update={"parameters": parameters, "terms": terms}), at
 
 
+def fitted_otherwise(rig: RigParameters, recording: RigRecording) -> Linearisation | None:
+    """The fit of the rig with its inputs taken the other way between rows; None where it runs away so."""
+    try:
+        return _fit(rig.model_copy(update={"hold": "linear" if rig.hold == "held" else "held"}), recording)
+    except np.linalg.LinAlgError:
+        return None
+
+
 def _std(at: Linearisation) -> Array:
     """Standard deviations of a fit's parameters, (P,), with initial states that may be anything.
 

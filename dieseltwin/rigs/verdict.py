@@ -34,7 +34,6 @@ from dieseltwin.discovery.verdict.reasons import candidate_rows
 from dieseltwin.discovery.verdict.when import when_words
 from dieseltwin.notes import Note
 from dieseltwin.rigs.discover import RigDiscovery, Round
-from dieseltwin.rigs.fitting import fitted
 from dieseltwin.rigs.simulate import step_error
 from dieseltwin.rigs.twin import RigTwin
 from dieseltwin.version import __version__
@@ -101,15 +100,14 @@ def _step_notes(result: RigDiscovery) -> list[Note]:
 
 def _hold_notes(result: RigDiscovery) -> list[Note]:
     """Whether the machine fits better with its inputs taken otherwise between rows: every law would follow that."""
-    other = "linear" if result.before.hold == "held" else "held"
-    try:
-        _, at = fitted(result.before.model_copy(update={"hold": other}), result.recording)
-    except np.linalg.LinAlgError:
+    if result.fit_otherwise is None:
         return []
-    left, otherwise = (np.nanmean(fit.residual**2, axis=0) ** 0.5 for fit in (result.fit_before, at))
+    left, otherwise = (np.nanmean(fit.residual**2, axis=0) ** 0.5 for fit in (result.fit_before, result.fit_otherwise))
     share = float(np.mean(otherwise / np.maximum(left, np.finfo(float).tiny)))
     if not share < LEFT_BY_HOLD:
         return []
+    twin: RigTwin = result.fit_otherwise.twin  # type: ignore[assignment]
+    other = twin.rig.hold
     text = (f"with its inputs {other} between rows, not {result.before.hold}, the machine of this file leaves "
             f"{100.0 * share:.0f} % of the error (rms) before anything is found; if the recorder works so, give "
             f"hold: {other}: what is found may be the difference")  # fmt: skip
