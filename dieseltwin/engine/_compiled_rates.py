@@ -10,6 +10,7 @@ from typing import Any
 
 import numba
 
+from dieseltwin.engine import unrestricted
 from dieseltwin.engine._compiled import (
     _INLINED,
     _OPTIONS,
@@ -21,7 +22,7 @@ from dieseltwin.engine._compiled import (
     load_constants,
     readings_stored,
 )
-from dieseltwin.engine.binding import bind
+from dieseltwin.engine.binding import bind, functions_of
 from dieseltwin.engine.effects import STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.map_corrections import GRIDS, OF_RATIO
 from dieseltwin.engine.quantities import Gas, OperatingPoint, Signals
@@ -51,17 +52,9 @@ P_ES = P_BC + 1
 CONSTANT = P_ES + 1
 
 
-@inner(**_INLINED)
-def _free_inlet(x, m, s, c):  # type: ignore[no-untyped-def]
-    return c.p_amb * (1.0 + s.p_bc)
-
-
-@inner(**_INLINED)
-def _free_outlet(x, T_em, m, s, c):  # type: ignore[no-untyped-def]
-    return c.p_amb * (1.0 + s.p_es)
-
-
-_free_model = bind("numba", {"inlet_pressure": _free_inlet, "outlet_pressure": _free_outlet})
+_free_model = bind("numba", {
+    name: inner(**_INLINED)(function) for name, function in functions_of(unrestricted).items()
+})  # fmt: skip
 driven = _model.driven
 intake_side = _free_model.intake_side
 exhaust_side = _free_model.exhaust_side

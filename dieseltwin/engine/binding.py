@@ -33,6 +33,7 @@ from dieseltwin.engine import (
     parameters,
     quantities,
     turbocharger,
+    unrestricted,
     without_effects,
 )
 from dieseltwin.engine.effect import Effect
@@ -251,7 +252,7 @@ def bind(backend: Backend | Mapping[str, Any], replace: Mapping[str, Function] |
     return Model(**leaves, **composed, constants=parameters.constants)
 
 
-@lru_cache(maxsize=1)
-def numpy_model() -> Model:
-    """The equations over numpy arrays."""
-    return bind("numpy")
+@lru_cache(maxsize=2)
+def numpy_model(restricted: bool = True) -> Model:
+    """The equations over numpy arrays; `restricted`: with what the effects of `effects.IMPLICIT` need."""
+    return bind("numpy", None if restricted else functions_of(unrestricted))

@@ -11,9 +11,9 @@ import numpy as np
 from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.array_namespace import Array, positive_power
 from dieseltwin.engine.binding import Model, numpy_model
-from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, STATE_EFFECTS, Magnitudes
+from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, IMPLICIT, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.extended import Extension, simulate_extended
-from dieseltwin.engine.fixed_point import settled
+from dieseltwin.engine.fixed_point import largest_change, settled
 from dieseltwin.engine.inputs import Actuation
 from dieseltwin.engine.map_corrections import GRIDS, RANGES, arguments_of, corrections_of, look_up
 from dieseltwin.engine.model import NO_SIGNALS
@@ -220,15 +220,18 @@ def signals_of(
 
 
 def correction_signals(
-    coefficients: np.ndarray, variables: Mapping[str, Array], c: Constants, signals: Mapping[str, Array]
+    tables: np.ndarray, variables: Mapping[str, Array], c: Constants, signals: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Point -> signal with the maps' corrections added, at variables as of `law_variables` (numpy arrays)."""
+    """Point -> signal with the maps' corrections added, at variables as of `law_variables` (numpy arrays).
+
+    tables: (G, NODES, NODES) of `corrections_of`.
+    """
     out = dict(signals)
     states = (variables[name] for name in ("p_im", "p_em", "omega_t", "p_bc", "p_es", "T_em"))
     at = numpy_model().map_arguments(*states, c)._asdict()
     shape = np.shape(variables["p_im"])
     flat = {k: np.broadcast_to(v, shape).ravel() for k, v in {**variables, **at}.items() if k in RANGES}
-    for m, table in enumerate(corrections_of(coefficients).tables):
+    for m, table in enumerate(tables):
         point, value = GRIDS[m][0], look_up(table, m, *arguments_of(m, flat)).reshape(shape)
         out[point] = out.get(point, 0.0) + value
     return out
@@ -263,20 +266,30 @@ def quantities_under(
         corrections: coefficients (K,) of the maps' corrections, for numpy alone; None for none.
     """
     x = OperatingPoint(*(states[name] for name in OperatingPoint._fields))
+    tables = None if corrections is None else corrections_of(corrections).tables
 
     def under(signals: Mapping[str, Array]) -> tuple[Quantities, Signals]:
         s = NO_SIGNALS._replace(**signals)
         return model.quantities_extended(x, gas, m, s, c), s
 
-    def answer(signals: Mapping[str, Array]) -> dict[str, Array]:
-        variables = law_variables(under(signals)[0], states, c)
+    def said(q: Quantities) -> dict[str, Array]:
+        variables = law_variables(q, states, c)
         signals = signals_of(laws, factors, variables, power, model.nozzle_flow_factor)
-        return signals if corrections is None else correction_signals(corrections, variables, c, signals)
+        return signals if tables is None else correction_signals(tables, variables, c, signals)
 
-    if laws:
-        return under(settled(answer, {}, rounds=sweeps, secant=secant))
-    # a map's arguments depend on few other maps' corrections (eta_c's on that of W_c): plain rounds end by themselves
-    return under(settled(answer, {}, rounds=0 if corrections is None else sweeps, tolerance=_UNCHANGED))
+    if laws or tables is None:
+        return under(settled(lambda signals: said(under(signals)[0]), {}, rounds=sweeps if laws else 0, secant=secant))
+    # Of the arguments, W_c alone isn't known before the quantities are, where nothing restricts the flow: the first
+    # guess is right but for the correction over it. What that moves, moves others little: plain rounds end.
+    guess = {**states, "p_bc": c.p_amb, "p_es": c.p_amb, "T_em": gas.T, "W_c": np.zeros_like(states["p_im"])}
+    signals = correction_signals(tables, guess, c, {})
+    for _ in range(sweeps):
+        q, s = under(signals)
+        new = said(q)
+        if largest_change(signals, new) < _UNCHANGED:
+            return q, s
+        signals = new
+    return under(signals)
 
 
 def magnitudes_at(actuation: Actuation, terms: Terms) -> Magnitudes:
@@ -312,7 +325,7 @@ def along(
         "n_e": n_e, "u_delta": u_delta, "u_egr": u_egr, "u_vgt": u_vgt,
         "t": actuation.time_s - actuation.inputs.recording_start_s,
     }  # fmt: skip
-    model = numpy_model()
+    model = numpy_model(restricted=any(np.any(getattr(m, name)) for name in IMPLICIT))
     if states.shape[-1] > 5:
         T_gas = states[..., 5]
     else:

@@ -19,6 +19,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from dieseltwin.inner import kernel
+
 CORRECTED_POINTS = ("eta_vol", "f_egr", "W_t", "eta_tm", "eta_c", "W_c")
 """Insertion points of the six maps, in the order of the tables."""
 
@@ -219,14 +221,26 @@ def arguments_of(m: int, variables: Mapping[str, np.ndarray]) -> tuple[np.ndarra
 
 def look_up(tables: np.ndarray, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Bilinear look-up as in the compiled simulator: tables (..., NODES, NODES) of grid m at n points -> (..., n)."""
-    last = NODES - 1
-    a = np.clip((np.nan_to_num(x) - _LOW[m, 0]) * _PER_UNIT[m, 0], 0.0, last)
-    b = np.clip((np.nan_to_num(y) - _LOW[m, 1]) * _PER_UNIT[m, 1], 0.0, last)
-    i, j = np.minimum(a.astype(np.int64), last - 1), np.minimum(b.astype(np.int64), last - 1)
-    a, b = a - i, b - j
-    near = (1.0 - b) * tables[..., i, j] + b * tables[..., i, j + 1]
-    far = (1.0 - b) * tables[..., i + 1, j] + b * tables[..., i + 1, j + 1]
-    return (1.0 - a) * near + a * far
+    several = np.ascontiguousarray(tables, dtype=np.float64).reshape(-1, NODES, NODES)
+    x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
+    return _bilinear(several, x, y, _LOW[m], _PER_UNIT[m]).reshape(*tables.shape[:-2], x.size)  # type: ignore[no-any-return]
+
+
+@kernel(error_model="numpy")
+def _bilinear(tables, x, y, low, per_unit):  # type: ignore[no-untyped-def]
+    """Tables (F, N, N) at n points, held beyond the edges -> (F, n); where a point is unknown, at 0."""
+    out, last = np.empty((tables.shape[0], x.size)), tables.shape[1] - 1
+    for k in range(x.size):
+        a = ((0.0 if np.isnan(x[k]) else x[k]) - low[0]) * per_unit[0]
+        b = ((0.0 if np.isnan(y[k]) else y[k]) - low[1]) * per_unit[1]
+        a, b = min(max(a, 0.0), float(last)), min(max(b, 0.0), float(last))
+        i, j = min(int(a), last - 1), min(int(b), last - 1)
+        a, b = a - i, b - j
+        for f in range(tables.shape[0]):
+            near = (1.0 - b) * tables[f, i, j] + b * tables[f, i, j + 1]
+            far = (1.0 - b) * tables[f, i + 1, j] + b * tables[f, i + 1, j + 1]
+            out[f, k] = (1.0 - a) * near + a * far
+    return out
 
 
 def basis_along(variables: Mapping[str, np.ndarray], which: np.ndarray | None = None) -> np.ndarray:
