@@ -7,7 +7,7 @@ the recording first, so that the repaired engine of one discovery leaves nothing
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -41,6 +41,7 @@ from dieseltwin.notes import Note
 from dieseltwin.petrol.effects import LOG_PRIOR, NEEDS
 from dieseltwin.petrol.parameters import PetrolParameters, PetrolTerm
 from dieseltwin.petrol.recording import BLOCK_S, COLUMNS, PetrolRecording, Signals
+from dieseltwin.petrol.renewal import alike, leading, over_time
 from dieseltwin.petrol.sentence import found_words, sentence
 from dieseltwin.petrol.terms import without_terms
 from dieseltwin.petrol.twin import PetrolTwin
@@ -49,6 +50,7 @@ from dieseltwin.settings.search import SearchSettings
 from dieseltwin.version import __version__
 
 AT_LIMIT = 1e-3  # of a limit: so near a size is at it
+RENEWALS = 4  # of the scatter about what was found, at most
 NEXT = ("single", "variant")  # kinds of a next finding that is said: one name; more of them are for the next discovery
 ONSET_SHARE = 0.1  # of the recording, before an effect that `minimum_detectable` speaks of
 SPLIT_BY = {
@@ -123,14 +125,36 @@ class PetrolDiscovery:
 def judge(
     engine: PetrolParameters, signals: Signals, options: PetrolOptions | None = None
 ) -> tuple[PetrolTwin, Search]:
-    """The search on signals whose known effects are undone already; an effect below its interest is none."""
+    """The search on signals whose known effects are undone already.
+
+    A second weighs less where a balance jumps. So does one in which a strong effect shows in short bursts, and then the
+    effect weighs itself down: what was found is looked for again with seconds weighed beside it.
+    """
     options = options or PetrolOptions()
     if options.map_tolerance is not None:
         t = engine.tolerances.model_copy(
             update={"cylinder_field": options.map_tolerance, "throttle_field": options.map_tolerance}
         )
         engine = engine.model_copy(update={"tolerances": t})
-    twin = PetrolTwin(engine, signals, options.sensors)
+    kept = twin, found = _searched(engine, signals, options)
+    for _ in range(RENEWALS):
+        lead = leading(found)
+        if lead is None:
+            break
+        before = found
+        twin, found = _searched(engine, signals, options, over_time(twin, lead))
+        if found.best is not None:
+            kept = twin, found
+        if alike(before, found):
+            break
+    return kept
+
+
+def _searched(
+    engine: PetrolParameters, signals: Signals, options: PetrolOptions, explained: Sequence[Mapping[str, Array]] = ()
+) -> tuple[PetrolTwin, Search]:
+    """One search; `explained`: what an earlier one found. An effect below its interest is none."""
+    twin = PetrolTwin(engine, signals, options.sensors, explained)
     found = shared.run(twin, options.search.asked(options.withhold, options.seed), laws=False)
     next_single(found)
     if found.best is not None and not found.of_interest(found.best.fit):

@@ -10,7 +10,6 @@ field of each map, slow drift). Scatter and its correlation are known from held-
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
@@ -19,11 +18,21 @@ from numpy.typing import NDArray
 
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.likelihood.nuisance import Nuisance, tolerance_modes
-from dieseltwin.discovery.twins.interface import Array, Hypothesis, Lanes, Parameter, Point, TwinDefaults, joined
+from dieseltwin.discovery.twins.interface import (
+    Array,
+    Hypothesis,
+    Lanes,
+    LawScope,
+    Parameter,
+    Point,
+    TwinDefaults,
+    joined,
+)
 from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
+from dieseltwin.petrol.jumps import local_spread, off_both_sides
 from dieseltwin.petrol.maps import BEND, STRAIGHT
 from dieseltwin.petrol.model import (
     BALANCES,
@@ -40,14 +49,12 @@ from dieseltwin.petrol.model import (
 )
 from dieseltwin.petrol.parameters import FILLED, PetrolParameters
 from dieseltwin.petrol.recording import Blocks, Once, Signals, blocks_of, make_grid
-from dieseltwin.recordings.noise import Noise
+from dieseltwin.recordings.noise import Noise, white_sigma
 from dieseltwin.recordings.unread import standstills
 from dieseltwin.settings.names import listed
 
 WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning
 OUTLIER = 4.0  # scales off its neighbours before and after: a tip-in, whatever the hypothesis
-NEIGHBOURS = 7  # blocks
-MAD_TO_STD = 1.4826  # of a Gaussian
 KEPT_SPREAD = 1.206  # standard deviation of Student's t with 4 degrees of freedom within OUTLIER scales, in scales
 LEAST_DIRECTION = 0.1  # whitened length of a direction of the maps that is still carried [-]
 MAP_BALANCES = ("cylinder", "throttle")  # the others only compare sensors now and then
@@ -57,6 +64,7 @@ POINTS = (
     Point("intake_balance", "intake_mass_balance", False, "kg/s", ("p_im",), 1e-4),
     Point("intercooler_balance", "intercooler_mass_balance", False, "kg/s", ("p_ic",), 1e-3),
 )
+HOLES = {"intake_balance": "intake_leak", "intercooler_balance": "boost_leak"}
 
 
 class PetrolTwin(TwinDefaults):
@@ -66,12 +74,19 @@ class PetrolTwin(TwinDefaults):
         engine: calibrated; its terms are part of the twin already, so `signals` come with them undone.
         signals: measured.
         columns: sensor columns that may be used; None for all.
+        explained: effects with their sizes (n,) as found before. A second weighs less where a balance jumps as read and
+            beside each of them: a leak that shows in short bursts of boost would weigh itself down. What the noise of
+            the pressures does to a leak's flow weighs seconds down, too: near no flow it is most of it.
     """
 
     own_schedules = True
     courses = True
+    law_scope = LawScope(holes=HOLES)
 
-    def __init__(self, engine: PetrolParameters, signals: Signals, columns: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, engine: PetrolParameters, signals: Signals, columns: Sequence[str] | None = None,
+        explained: Sequence[Mapping[str, Array]] = (),
+    ) -> None:  # fmt: skip
         self.engine, self.signals = engine, undo_all(engine.clocks, signals)
         self.grid = make_grid(signals.time_s)
         self.once = Once(vars(self.signals).values())
@@ -90,13 +105,16 @@ class PetrolTwin(TwinDefaults):
         self._outside = outside(self.blocks, *engine.maps)
         raw = self.blocks
         self.plain = self._misfits(raw.W_af, raw.W_af, raw.boost - engine.boost_level, raw.cooler)
-        self._sigma = self._scatter()
+        known = [self._expected(effects, {}) for effects in explained]
+        self._sigma = np.min([self._scatter(self.plain), *(self._scatter(self.plain - each) for each in known)], axis=0)
+        for effects in explained:
+            self._sigma = np.hypot(self._sigma, self._through_effects(effects))
         self._refuse_nothing_to_judge()
         self.measured = np.where(np.isfinite(self._sigma), self.plain, np.nan)
         self._directions = np.stack([self._parameter_direction(p.name) for p in self.parameters])
 
-    def _scatter(self) -> Array:
-        """(n, C) standard deviation of each reading, infinite where a block says nothing."""
+    def _scatter(self, left: Array) -> Array:
+        """(n, C) standard deviation of each reading, infinite where a block says nothing; `left`: misfits (n, C)."""
         engine, grid, blocks = self.engine, self.grid, self.blocks
         unsteady = unsteadiness(self.signals, grid, blocks)
         size = len(grid.mid_s)
@@ -115,10 +133,20 @@ class PetrolTwin(TwinDefaults):
             known = np.flatnonzero(np.isfinite(out[:, j]))
             if not known.size:  # its reading stands still all the time, or all of its driving is beyond the learned
                 continue
-            values = self.plain[known, j]
-            lone = _off_both_sides(values) > OUTLIER * out[known, j]
-            out[known, j] = np.where(lone, np.inf, np.fmax(out[known, j], _local_spread(values)))
+            values = left[known, j]
+            lone = off_both_sides(values) > OUTLIER * out[known, j]
+            out[known, j] = np.where(lone, np.inf, np.fmax(out[known, j], local_spread(values)))
         return np.asarray(KEPT_SPREAD * out)
+
+    def _through_effects(self, effects: Mapping[str, Array]) -> Array:
+        """(n, C) what the noise of the pressures does to the misfits by way of effects with their sizes (n,)."""
+        ones, none = np.ones(len(self.time_s)), self._expected({}, {})
+        total = np.zeros(self.plain.shape)
+        for offset, values in (("p_ic_offset", self.signals.p_ic), ("p_im_offset", self.signals.p_im)):
+            noise = {offset: ones * white_sigma(values) / np.sqrt(float(np.median(self.grid.count)))}
+            beside = self._expected({**effects, **noise}, {}) - self._expected(effects, {})
+            total = np.hypot(total, beside - (self._expected(noise, {}) - none))
+        return total
 
     def _refuse_nothing_to_judge(self) -> None:
         """A balance without a second that counts can't be asked anything."""
@@ -355,22 +383,3 @@ def _windows(piece: NDArray[np.int64]) -> NDArray[np.int64]:
         count = max(round((b - a) / WINDOW_BLOCKS), 1)
         starts += [int(a + k * (b - a) // count) for k in range(count)]
     return np.array(starts, dtype=np.int64)
-
-
-def _local_spread(values: Array) -> Array:
-    """Robust standard deviation among NEIGHBOURS values about each: seconds in which a balance jumps weigh less."""
-    half = NEIGHBOURS // 2
-    some = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), NEIGHBOURS)
-    middle = np.median(some, axis=1)
-    return np.asarray(MAD_TO_STD * np.median(np.abs(some - middle[:, None]), axis=1))
-
-
-def _off_both_sides(values: Array) -> Array:
-    """Lesser distance of each value from the medians of the NEIGHBOURS before and after it: small at a step."""
-    none = np.full(NEIGHBOURS, np.nan)
-    some = np.lib.stride_tricks.sliding_window_view(np.concatenate([none, values, none]), NEIGHBOURS)
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # the ends have neighbours on one side alone
-        medians = np.nanmedian(some, axis=1)
-    before, after = np.abs(values - medians[: len(values)]), np.abs(values - medians[NEIGHBOURS + 1 :])
-    return np.asarray(np.fmin(before, after))

@@ -69,7 +69,9 @@ class Noise:
     rho: Array
 
 
-def _white_sigma(values: Array) -> float:
+def white_sigma(values: Array) -> float:
+    """Robust standard deviation of the noise of readings (n,) from row to row, by second differences: a slope leaves
+    none; NaN of fewer than three."""
     second = values[2:] - 2.0 * values[1:-1] + values[:-2]
     second = second[np.isfinite(second)]
     if second.size < 3:
@@ -206,7 +208,7 @@ def _noise_of(values: Array, breaks: np.ndarray, explained: Array | None) -> tup
     """Standard deviation and correlation of one column (n,), as `estimate_noise` says."""
     rest = values if explained is None else values - explained
     slow = rows_between_readings(rest) > 1.0
-    sigma, rho = _white_sigma(rest[np.isfinite(rest)] if slow else rest), 0.0
+    sigma, rho = white_sigma(rest[np.isfinite(rest)] if slow else rest), 0.0
     few = values.size < _ROWS_FOR_RHO
     if slow or (few and explained is None):
         return sigma, rho

@@ -164,7 +164,9 @@ def choose(found: Search, first: Linearisation | None, beside: tuple[str, ...] =
     place = {"single": 0, "pair": 1}.get(kind, 2)
     gained = found.gain(fit)
     limit = max(settings.left_gain[place], settings.left_share[place] * gained)
-    held = max((item.held for item in found.left), default=0.0)
+    # what a name's own law leaves says that its size or its shape is off, not that it is another's
+    others = [item for item in found.left if item.feature.effect not in found.best.fit.candidate.names]
+    held = max((item.held for item in others), default=0.0)
     ahead = held - _second_gain(found) if held > limit and kind != "pair" else np.inf
     bumps = max((item.held for item in found.left_local), default=0.0)
     enough = kind == "single" and fit.candidate.names[0] in beside

@@ -1,0 +1,31 @@
+"""By how much the misfit of a second is off those of the seconds about it."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from dieseltwin.discovery.twins.interface import Array
+
+NEIGHBOURS = 7  # blocks
+MAD_TO_STD = 1.4826  # of a Gaussian
+
+
+def local_spread(values: Array) -> Array:
+    """Robust standard deviation among NEIGHBOURS values about each: seconds in which a balance jumps weigh less."""
+    half = NEIGHBOURS // 2
+    some = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), NEIGHBOURS)
+    middle = np.median(some, axis=1)
+    return np.asarray(MAD_TO_STD * np.median(np.abs(some - middle[:, None]), axis=1))
+
+
+def off_both_sides(values: Array) -> Array:
+    """Lesser distance of each value from the medians of the NEIGHBOURS before and after it: small at a step."""
+    none = np.full(NEIGHBOURS, np.nan)
+    some = np.lib.stride_tricks.sliding_window_view(np.concatenate([none, values, none]), NEIGHBOURS)
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # the ends have neighbours on one side alone
+        medians = np.nanmedian(some, axis=1)
+    before, after = np.abs(values - medians[: len(values)]), np.abs(values - medians[NEIGHBOURS + 1 :])
+    return np.asarray(np.fmin(before, after))
