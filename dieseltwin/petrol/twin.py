@@ -56,6 +56,7 @@ from dieseltwin.settings.names import listed
 WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning
 OUTLIER = 4.0  # scales off its neighbours before and after: a tip-in, whatever the hypothesis
 KEPT_SPREAD = 1.206  # standard deviation of Student's t with 4 degrees of freedom within OUTLIER scales, in scales
+SMALL_SHIFT = 1e-4  # of a map, for what misfits change by
 LEAST_DIRECTION = 0.1  # whitened length of a direction of the maps that is still carried [-]
 MAP_BALANCES = ("cylinder", "throttle")  # the others only compare sensors now and then
 POINTS = (
@@ -226,17 +227,25 @@ class PetrolTwin(TwinDefaults):
             added = joined(added, {point: lanes.lane_signals[b]})
         return {name: size for name, size in effects.items() if np.any(size)}, added
 
-    def _expected(self, effects: Mapping[str, Array], added: Mapping[str, Array]) -> Array:
-        """(n, C) misfits to be expected with effects (their sizes (n,)) and signals at points."""
+    def _expected(self, effects: Mapping[str, Array], added: Mapping[str, Array], shift: float = 0.0) -> Array:
+        """(n, C) misfits to be expected with effects (their sizes (n,)) and signals at points.
+
+        shift: by how much both maps are off [-]. Beside a leak the air-flow sensor reads only a part of what the
+            cylinders take in, and a map's error is a larger share of that part.
+        """
         b = self._corrected(effects, added)
         maps = self._maps_at(b)
-        taken_in = np.exp(maps["cylinder"] + b.log_eta) * b.W_d + b.before_cylinders
-        let_through = np.exp(maps["throttle"] + b.log_area) * b.unit_flow + b.before_throttle
+        taken_in = np.exp(maps["cylinder"] + b.log_eta + shift) * b.W_d + b.before_cylinders
+        let_through = np.exp(maps["throttle"] + b.log_area + shift) * b.unit_flow + b.before_throttle
         late = self.blocks.W_af - b.W_af
         return self._misfits(
             metered(effects, taken_in + late), metered(effects, let_through + late), self.blocks.boost - b.boost,
             self.blocks.cooler - b.cooler,
         )  # fmt: skip
+
+    def _per_shift(self, effects: Mapping[str, Array], added: Mapping[str, Array]) -> Array:
+        """(n, C) by how much the misfits change per error of the maps, beside effects."""
+        return np.asarray((self._expected(effects, added, SMALL_SHIFT) - self._expected(effects, added)) / SMALL_SHIFT)
 
     def _parameter_direction(self, name: str) -> Array:
         out = np.zeros(self.plain.shape)
@@ -272,7 +281,9 @@ class PetrolTwin(TwinDefaults):
 
     def nuisances(self, lanes: Lanes) -> list[Nuisance]:
         """As `KnownErrors.nuisances`: maps within their covariance and smooth field, slow drift of every balance."""
-        t, blocks = self.engine.tolerances, self._corrected(*self._entered(lanes, 0))
+        t, (effects, added) = self.engine.tolerances, self._entered(lanes, 0)
+        blocks = self._corrected(effects, added)
+        per_shift = self._per_shift(effects, added)
         cylinder, throttle = self.engine.maps
         bases = {
             "cylinder": (cylinder_basis(blocks, cylinder), cylinder.covariance),
@@ -287,11 +298,11 @@ class PetrolTwin(TwinDefaults):
         out = []
         for j, name in enumerate(self.channels):
             if name in bases:
-                modes = [*self._modes(*bases[name], j), *fields[name]]
-                modes += self._bends(name)
-                out += [self._direction(f"map of {name}, mode {k + 1}", j, mode) for k, mode in enumerate(modes)]
+                modes = [*self._modes(*bases[name], j), *fields[name], *self._bends(name)]
+                per = per_shift[:, j]
+                out += [self._direction(f"map of {name}, mode {k + 1}", j, per * mode) for k, mode in enumerate(modes)]
             out += [self._direction(f"drift of {name}", j, drifts[name] * hat) for hat in hats.T]
-        return [*out, *self._filling(), *self._sensors(*self._entered(lanes, 0))]
+        return [*out, *self._filling(), *self._sensors(effects, added)]
 
     def _filling(self) -> list[Nuisance]:
         """What fills, as far off as it was learned: its misfits as read, were each volume larger by its spread."""

@@ -11,6 +11,7 @@ import pytest
 
 from dieseltwin.discovery.laws.features import generic_features
 from dieseltwin.discovery.search.preparation import prepare
+from dieseltwin.discovery.twins.interface import Lanes
 from dieseltwin.petrol.components import signed_leak
 from dieseltwin.petrol.discover import PetrolOptions, discover_petrol
 from dieseltwin.petrol.parameters import PetrolParameters
@@ -50,3 +51,19 @@ def test_a_hole_is_known_by_its_name(engine: PetrolParameters, record: Recorder)
     found = prepare(PetrolTwin(engine, record(21, 420.0).signals), PetrolOptions().search)
     holes = [item for item in generic_features(found.twin, found.null.fit) if item.text.startswith("hole of")]
     assert {item.effect for item in holes} == {"intake_leak", "boost_leak"}
+
+
+def test_a_map_s_error_weighs_more_beside_a_leak(engine: PetrolParameters, record: Recorder) -> None:
+    """At idle with a leak the sensor reads half of what the cylinders take in: the map is off by twice that."""
+    twin = PetrolTwin(engine, record(21, 420.0, leak_m2=1.5e-5).signals)
+    plain = np.zeros((1, 0))
+    parameters = np.zeros((1, len(twin.parameters)))
+    alone = twin.nuisances(Lanes(parameters, plain, {}))
+    beside = twin.nuisances(Lanes(parameters, plain, {"intake_leak": np.array([1.5e-5])}))
+    fields = [np.stack([n.response for n in some if n.label.startswith("map of cylinder")])[:, :, 0]
+              for some in (alone, beside)]  # fmt: skip
+    size = [np.sqrt((field**2).sum(axis=0)) for field in fields]
+    idle = (twin.blocks.omega_e < 118.0) & (twin.time_s > SINCE_S)
+    fast = (twin.blocks.omega_e > 200.0) & (twin.blocks.p_im > 8e4)
+    assert np.median((size[1] / size[0])[idle]) == pytest.approx(2.0, rel=0.3)
+    assert np.median((size[1] / size[0])[fast]) == pytest.approx(1.1, abs=0.1)
