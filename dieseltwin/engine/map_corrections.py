@@ -220,10 +220,12 @@ def arguments_of(m: int, variables: Mapping[str, np.ndarray]) -> tuple[np.ndarra
 
 
 def look_up(tables: np.ndarray, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear look-up as in the compiled simulator: tables (..., NODES, NODES) of grid m at n points -> (..., n)."""
+    """Bilinear look-up as in the compiled simulator: tables (..., NODES, NODES) of grid m at points -> (..., *points);
+    x and y of the points' shape, or of one that is broadcast to it."""
     several = np.ascontiguousarray(tables, dtype=np.float64).reshape(-1, NODES, NODES)
-    x, y = np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
-    return _bilinear(several, x, y, _LOW[m], _PER_UNIT[m]).reshape(*tables.shape[:-2], x.size)  # type: ignore[no-any-return]
+    shape = np.broadcast_shapes(np.shape(x), np.shape(y))
+    flat = (np.broadcast_to(np.asarray(values, dtype=np.float64), shape).ravel() for values in (x, y))
+    return _bilinear(several, *flat, _LOW[m], _PER_UNIT[m]).reshape(*tables.shape[:-2], *shape)  # type: ignore[no-any-return]
 
 
 @kernel(error_model="numpy")

@@ -59,6 +59,16 @@ def test_look_up_meets_the_nodes_and_holds_beyond_the_edges():
     assert beyond == pytest.approx(tables[:, 0, -1])
 
 
+def test_look_up_takes_points_of_any_shape_and_unknown_ones():
+    tables = np.random.default_rng(5).normal(size=(3, NODES, NODES))
+    x, y = np.linspace(1e5, 3e5, 6).reshape(2, 3), np.float64(1200.0)
+    several = look_up(tables, 0, x, y)
+    assert several.shape == (3, 2, 3)
+    assert np.array_equal(several.reshape(3, -1), look_up(tables, 0, x.ravel(), np.full(6, 1200.0)))
+    unknown, lowest = look_up(tables, 0, np.array([np.nan]), y), look_up(tables, 0, np.array([0.0]), y)
+    assert np.array_equal(unknown, lowest)
+
+
 def test_corrections_of_zero_are_the_published_model():
     plain = simulate(_inputs(), we2011.PARAMETERS)
     corrected = simulate(_inputs(), _engine(np.zeros(len(basis().names))))
