@@ -18,7 +18,7 @@ from dieseltwin.calibration.coefficients import FLAP_COEFFICIENTS, WEAR
 from dieseltwin.calibration.relations import Relations, log_ratio, spread
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.effects import EFFECTS, effects_at
-from dieseltwin.engine.map_corrections import GRIDS, arguments_of, corrections_of, look_up
+from dieseltwin.engine.map_corrections import corrections_of, with_corrections_at
 from dieseltwin.engine.parameters import CONSTANT_NAMES, EngineParameters, parameter_batch
 from dieseltwin.engine.terms import (
     SENSOR_SLOTS,
@@ -263,10 +263,7 @@ class SteadyModel:
         tables = corrections_of(np.asarray(corrections_in(self.engine.terms))).tables
         bare = self._without(CorrectionTerm)
         variables = law_variables(points, bare.relations(points, x, values).quantities)
-        entered = dict(self.signals)
-        for m, table in enumerate(tables):
-            point = GRIDS[m][0]
-            entered[point] = entered.get(point, 0.0) + look_up(table, m, *arguments_of(m, variables))
+        entered = with_corrections_at(tables, variables, self.signals)
         return replace(bare, signals=entered).relations(points, x, values)
 
     def _without(self, kind: type[LawTerm | CorrectionTerm]) -> SteadyModel:

@@ -118,10 +118,10 @@ def _nodes(argument: str, ends: tuple[float, float], c: Constants) -> Array:
 
 
 def _correction(table: Array, m: int, grid: dict[str, Array], model: Model, c: Constants) -> Array:
-    at = {name: values.ravel() for name, values in grid.items()}
+    at = dict(grid)
     if "Psi_c" in GRIDS[m][1]:
         at["Psi_c"] = model.energy_transfer_coefficient(c.T_amb, at["Pi_c"], at["omega_t"], c)
-    return look_up(table, m, *arguments_of(m, at)).reshape(next(iter(grid.values())).shape)
+    return look_up(table, m, *arguments_of(m, at))
 
 
 def write_tables(engine: EngineParameters, name: str, folder: Path) -> list[Path]:

@@ -13,9 +13,9 @@ from dieseltwin.engine.array_namespace import Array, positive_power
 from dieseltwin.engine.binding import Model, numpy_model
 from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, IMPLICIT, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.extended import Extension, simulate_extended
-from dieseltwin.engine.fixed_point import largest_change, settled
+from dieseltwin.engine.fixed_point import settled, unchanged
 from dieseltwin.engine.inputs import Actuation
-from dieseltwin.engine.map_corrections import GRIDS, RANGES, arguments_of, corrections_of, look_up
+from dieseltwin.engine.map_corrections import RANGES, corrections_of, with_corrections_at
 from dieseltwin.engine.model import NO_SIGNALS
 from dieseltwin.engine.model_constants import Constants
 from dieseltwin.engine.observations import Observations
@@ -226,15 +226,11 @@ def correction_signals(
 
     tables: (G, NODES, NODES) of `corrections_of`.
     """
-    out = dict(signals)
     states = (variables[name] for name in ("p_im", "p_em", "omega_t", "p_bc", "p_es", "T_em"))
     at = numpy_model().map_arguments(*states, c)._asdict()
     shape = np.shape(variables["p_im"])
-    flat = {k: np.broadcast_to(v, shape).ravel() for k, v in {**variables, **at}.items() if k in RANGES}
-    for m, table in enumerate(tables):
-        point, value = GRIDS[m][0], look_up(table, m, *arguments_of(m, flat)).reshape(shape)
-        out[point] = out.get(point, 0.0) + value
-    return out
+    arguments = {k: np.broadcast_to(v, shape) for k, v in {**variables, **at}.items() if k in RANGES}
+    return with_corrections_at(tables, arguments, signals)
 
 
 def law_variables(q: Quantities, states: Mapping[str, Array], c: Constants) -> dict[str, Array]:
@@ -286,7 +282,7 @@ def quantities_under(
     for _ in range(sweeps):
         q, s = under(signals)
         new = said(q)
-        if largest_change(signals, new) < _UNCHANGED:
+        if unchanged(signals, new, _UNCHANGED):
             return q, s
         signals = new
     return under(signals)

@@ -38,7 +38,7 @@ def settled(
             following = {name: by_secant(last[0].get(name, 0.0), last[1][name], now[name], new[name]) for name in new}
         else:
             following = new
-        small = tolerance > 0.0 and largest_change(now, new) < tolerance
+        small = tolerance > 0.0 and unchanged(now, new, tolerance)
         last, now = (now, new), following
         if small and k + 1 >= least:
             break
@@ -52,10 +52,11 @@ def by_secant(s_0: Array, f_0: Array, s_1: Array, f_1: Array) -> Array:
     return s_1 + (f_1 - s_1) / (1.0 - slope)
 
 
-def largest_change(before: Mapping[str, Array], now: Mapping[str, Array]) -> float:
-    """Largest change of a signal, relative to its size now [-]; a name that `before` lacks counts as 0 there."""
-    return max((_of_one(before.get(name, 0.0), signal) for name, signal in now.items()), default=0.0)
+def unchanged(before: Mapping[str, Array], now: Mapping[str, Array], tolerance: float) -> bool:
+    """Whether every signal changed by less than a share of its size now; a name that `before` lacks counts as 0 there,
+    and one that isn't a number as changed."""
+    return all(_change(before.get(name, 0.0), signal) < tolerance for name, signal in now.items())
 
 
-def _of_one(before: Array, now: Array) -> float:
+def _change(before: Array, now: Array) -> float:
     return float(np.max(np.abs(now - before))) / max(float(np.max(np.abs(now))), _LEAST_SIZE)

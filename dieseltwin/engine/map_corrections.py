@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -242,6 +243,18 @@ def _bilinear(tables, x, y, low, per_unit):  # type: ignore[no-untyped-def]
             near = (1.0 - b) * tables[f, i, j] + b * tables[f, i, j + 1]
             far = (1.0 - b) * tables[f, i + 1, j] + b * tables[f, i + 1, j + 1]
             out[f, k] = (1.0 - a) * near + a * far
+    return out
+
+
+def with_corrections_at(
+    tables: np.ndarray, variables: Mapping[str, np.ndarray], signals: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Insertion point -> signal with the corrections added that tables (G, NODES, NODES) of the first G of `GRIDS` say
+    at variables that hold their arguments."""
+    out = dict(signals)
+    for m, table in enumerate(tables):
+        point = GRIDS[m][0]
+        out[point] = out.get(point, 0.0) + look_up(table, m, *arguments_of(m, variables))
     return out
 
 

@@ -9,10 +9,24 @@ import numpy as np
 from dieseltwin.discovery.twins.interface import Array
 
 NEIGHBOURS = 7  # blocks
+OUTLIER = 4.0  # scales off its neighbours before and after: a tip-in, whatever the hypothesis
 MAD_TO_STD = 1.4826  # of a Gaussian
 
 
-def local_spread(values: Array) -> Array:
+def with_jumps(scales: Array, left: Array) -> Array:
+    """Scales (n, C) of misfits (n, C), larger where these jump and infinite where one stands alone."""
+    out = scales.copy()
+    for j in range(out.shape[1]):
+        known = np.flatnonzero(np.isfinite(out[:, j]))
+        if not known.size:  # its reading stands still all the time, or all of its driving is beyond the learned
+            continue
+        values = left[known, j]
+        lone = _off_both_sides(values) > OUTLIER * out[known, j]
+        out[known, j] = np.where(lone, np.inf, np.fmax(out[known, j], _local_spread(values)))
+    return out
+
+
+def _local_spread(values: Array) -> Array:
     """Robust standard deviation among NEIGHBOURS values about each: seconds in which a balance jumps weigh less."""
     half = NEIGHBOURS // 2
     some = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), NEIGHBOURS)
@@ -20,7 +34,7 @@ def local_spread(values: Array) -> Array:
     return np.asarray(MAD_TO_STD * np.median(np.abs(some - middle[:, None]), axis=1))
 
 
-def off_both_sides(values: Array) -> Array:
+def _off_both_sides(values: Array) -> Array:
     """Lesser distance of each value from the medians of the NEIGHBOURS before and after it: small at a step."""
     none = np.full(NEIGHBOURS, np.nan)
     some = np.lib.stride_tricks.sliding_window_view(np.concatenate([none, values, none]), NEIGHBOURS)

@@ -10,7 +10,7 @@ field of each map, slow drift). Scatter and its correlation are known from held-
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -32,7 +32,7 @@ from dieseltwin.errors import InputError
 from dieseltwin.notes import Note
 from dieseltwin.petrol.components import LINEAR_ABOVE
 from dieseltwin.petrol.effects import AIR_FLOW, CLOCKS, HYPOTHESES, NEEDS, metered, undo_all
-from dieseltwin.petrol.jumps import local_spread, off_both_sides
+from dieseltwin.petrol.jumps import with_jumps
 from dieseltwin.petrol.maps import BEND, STRAIGHT
 from dieseltwin.petrol.model import (
     BALANCES,
@@ -54,7 +54,6 @@ from dieseltwin.recordings.unread import standstills
 from dieseltwin.settings.names import listed
 
 WINDOW_BLOCKS = 5  # an onset is tried at each window's beginning
-OUTLIER = 4.0  # scales off its neighbours before and after: a tip-in, whatever the hypothesis
 KEPT_SPREAD = 1.206  # standard deviation of Student's t with 4 degrees of freedom within OUTLIER scales, in scales
 SMALL_SHIFT = 1e-4  # of a map, for what misfits change by
 LEAST_DIRECTION = 0.1  # whitened length of a direction of the maps that is still carried [-]
@@ -106,16 +105,24 @@ class PetrolTwin(TwinDefaults):
         self._outside = outside(self.blocks, *engine.maps)
         raw = self.blocks
         self.plain = self._misfits(raw.W_af, raw.W_af, raw.boost - engine.boost_level, raw.cooler)
-        known = [self._expected(effects, {}) for effects in explained]
-        self._sigma = np.min([self._scatter(self.plain), *(self._scatter(self.plain - each) for each in known)], axis=0)
-        for effects in explained:
-            self._sigma = np.hypot(self._sigma, self._through_effects(effects))
+        self._sigma = self._scatter(explained)
         self._refuse_nothing_to_judge()
         self.measured = np.where(np.isfinite(self._sigma), self.plain, np.nan)
         self._directions = np.stack([self._parameter_direction(p.name) for p in self.parameters])
 
-    def _scatter(self, left: Array) -> Array:
-        """(n, C) standard deviation of each reading, infinite where a block says nothing; `left`: misfits (n, C)."""
+    def _scatter(self, explained: Sequence[Mapping[str, Array]]) -> Array:
+        """(n, C) standard deviation of each reading, infinite where a block says nothing: as where it jumps least, as
+        read and beside each of the explained effects."""
+        scales = self._scales()
+        beside = [self._expected(effects, {}) for effects in explained]
+        left = [self.plain, *(self.plain - each for each in beside)]
+        out = KEPT_SPREAD * np.min([with_jumps(scales, each) for each in left], axis=0)
+        for noise in self._through_effects(explained, beside):
+            out = np.hypot(out, noise)
+        return np.asarray(out)
+
+    def _scales(self) -> Array:
+        """(n, C) scale of each reading by the calibration, infinite where a block says nothing."""
         engine, grid, blocks = self.engine, self.grid, self.blocks
         unsteady = unsteadiness(self.signals, grid, blocks)
         size = len(grid.mid_s)
@@ -129,25 +136,20 @@ class PetrolTwin(TwinDefaults):
         said = {name: grid.kept & ~stuck[name] & ~self.unlearned(name) for name in self.channels}
         if "throttle" in said:  # as read, whatever the hypothesis; nearer to p_ic its equation is a straight line
             said["throttle"] &= blocks.p_im <= LINEAR_ABOVE * blocks.p_ic
-        out = np.stack([np.where(said[name], scales[name], np.inf) for name in self.channels], axis=1)
-        for j in range(out.shape[1]):
-            known = np.flatnonzero(np.isfinite(out[:, j]))
-            if not known.size:  # its reading stands still all the time, or all of its driving is beyond the learned
-                continue
-            values = left[known, j]
-            lone = off_both_sides(values) > OUTLIER * out[known, j]
-            out[known, j] = np.where(lone, np.inf, np.fmax(out[known, j], local_spread(values)))
-        return np.asarray(KEPT_SPREAD * out)
+        return np.stack([np.where(said[name], scales[name], np.inf) for name in self.channels], axis=1)
 
-    def _through_effects(self, effects: Mapping[str, Array]) -> Array:
-        """(n, C) what the noise of the pressures does to the misfits by way of effects with their sizes (n,)."""
-        ones, none = np.ones(len(self.time_s)), self._expected({}, {})
-        total = np.zeros(self.plain.shape)
-        for offset, values in (("p_ic_offset", self.signals.p_ic), ("p_im_offset", self.signals.p_im)):
-            noise = {offset: ones * white_sigma(values) / np.sqrt(float(np.median(self.grid.count)))}
-            beside = self._expected({**effects, **noise}, {}) - self._expected(effects, {})
-            total = np.hypot(total, beside - (self._expected(noise, {}) - none))
-        return total
+    def _through_effects(self, explained: Sequence[Mapping[str, Array]], beside: Sequence[Array]) -> Iterator[Array]:
+        """(n, C) what the pressures' noise does to the misfits by way of each of some effects with their sizes (n,);
+        `beside`: the misfits to be expected with each."""
+        if not explained:
+            return
+        rows, none = np.sqrt(float(np.median(self.grid.count))), self._expected({}, {})
+        pressures = {"p_ic_offset": self.signals.p_ic, "p_im_offset": self.signals.p_im}
+        noises = [{name: np.full(len(self.time_s), white_sigma(p) / rows)} for name, p in pressures.items()]
+        alone = [self._expected(noise, {}) - none for noise in noises]
+        for effects, here in zip(explained, beside, strict=True):
+            both = (self._expected({**effects, **noise}, {}) - here for noise in noises)
+            yield np.hypot(*(moved - own for moved, own in zip(both, alone, strict=True)))
 
     def _refuse_nothing_to_judge(self) -> None:
         """A balance without a second that counts can't be asked anything."""
@@ -243,10 +245,6 @@ class PetrolTwin(TwinDefaults):
             self.blocks.cooler - b.cooler,
         )  # fmt: skip
 
-    def _per_shift(self, effects: Mapping[str, Array], added: Mapping[str, Array]) -> Array:
-        """(n, C) by how much the misfits change per error of the maps, beside effects."""
-        return np.asarray((self._expected(effects, added, SMALL_SHIFT) - self._expected(effects, added)) / SMALL_SHIFT)
-
     def _parameter_direction(self, name: str) -> Array:
         out = np.zeros(self.plain.shape)
         j = self.channels.index(_BALANCE_OF[name])
@@ -283,7 +281,8 @@ class PetrolTwin(TwinDefaults):
         """As `KnownErrors.nuisances`: maps within their covariance and smooth field, slow drift of every balance."""
         t, (effects, added) = self.engine.tolerances, self._entered(lanes, 0)
         blocks = self._corrected(effects, added)
-        per_shift = self._per_shift(effects, added)
+        here = self._expected(effects, added)
+        per_shift = (self._expected(effects, added, SMALL_SHIFT) - here) / SMALL_SHIFT
         cylinder, throttle = self.engine.maps
         bases = {
             "cylinder": (cylinder_basis(blocks, cylinder), cylinder.covariance),
@@ -302,7 +301,7 @@ class PetrolTwin(TwinDefaults):
                 per = per_shift[:, j]
                 out += [self._direction(f"map of {name}, mode {k + 1}", j, per * mode) for k, mode in enumerate(modes)]
             out += [self._direction(f"drift of {name}", j, drifts[name] * hat) for hat in hats.T]
-        return [*out, *self._filling(), *self._sensors(effects, added)]
+        return [*out, *self._filling(), *self._sensors(effects, added, here)]
 
     def _filling(self) -> list[Nuisance]:
         """What fills, as far off as it was learned: its misfits as read, were each volume larger by its spread."""
@@ -317,12 +316,13 @@ class PetrolTwin(TwinDefaults):
                 found.append(Nuisance(f"filling of {name}", response=response))
         return found
 
-    def _sensors(self, effects: Mapping[str, Array], added: Mapping[str, Array]) -> list[Nuisance]:
-        """Clocks and the pressure sensor as far off as on healthy days, next to effects (sizes (n,)) and signals."""
+    def _sensors(self, effects: Mapping[str, Array], added: Mapping[str, Array], here: Array) -> list[Nuisance]:
+        """Clocks and the pressure sensor as far off as on healthy days, next to effects (sizes (n,)) and signals, with
+        which misfits are to be expected as they are `here` (n, C)."""
         t, none = self.engine.tolerances, np.zeros(len(self.time_s))
         sizes = {name: t.clock * self.hypotheses[name].tolerance for name in CLOCKS}
         sizes |= {"p_im_gain": t.p_im_gain, "p_im_offset": t.p_im_offset_pa}
-        here, found = self._expected(effects, added), []
+        found = []
         for name, size in sizes.items():
             moved = {**effects, name: effects.get(name, none) + size}
             found.append(Nuisance(f"healthy {name}", response=self._expected(moved, added) - here))
