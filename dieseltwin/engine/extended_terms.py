@@ -246,7 +246,7 @@ def law_variables(q: Quantities, states: Mapping[str, Array], c: Constants) -> d
 def quantities_under(
     model: Model, states: Mapping[str, Array], gas: Gas, m: Magnitudes, laws: Sequence[LawTerm],
     factors: Sequence[Array], c: Constants, power: Power = positive_power, sweeps: int = POINT_SWEEPS,
-    secant: bool = False, corrections: np.ndarray | None = None,
+    secant: bool = False, corrections: np.ndarray | None = None, entered: Mapping[str, Array] | None = None,
 ) -> tuple[Quantities, Signals]:  # fmt: skip
     """`quantities_extended` with law terms evaluated on its own quantities.
 
@@ -260,9 +260,11 @@ def quantities_under(
         sweeps: rounds of the fixed point between laws and quantities.
         secant: as in `fixed_point.settled`.
         corrections: coefficients (K,) of the maps' corrections, for numpy alone; None for none.
+        entered: point -> a signal besides.
     """
     x = OperatingPoint(*(states[name] for name in OperatingPoint._fields))
     tables = None if corrections is None else corrections_of(corrections).tables
+    given = {} if entered is None else dict(entered)
 
     def under(signals: Mapping[str, Array]) -> tuple[Quantities, Signals]:
         s = NO_SIGNALS._replace(**signals)
@@ -271,14 +273,17 @@ def quantities_under(
     def said(q: Quantities) -> dict[str, Array]:
         variables = law_variables(q, states, c)
         signals = signals_of(laws, factors, variables, power, model.nozzle_flow_factor)
+        for point, signal in given.items():
+            signals[point] = signals.get(point, 0.0) + signal
         return signals if tables is None else correction_signals(tables, variables, c, signals)
 
     if laws or tables is None:
-        return under(settled(lambda signals: said(under(signals)[0]), {}, rounds=sweeps if laws else 0, secant=secant))
+        rounds = sweeps if laws else 0
+        return under(settled(lambda signals: said(under(signals)[0]), given, rounds=rounds, secant=secant))
     # Of the arguments, W_c alone isn't known before the quantities are, where nothing restricts the flow: the first
     # guess is right but for the correction over it. What that moves, moves others little: plain rounds end.
     guess = {**states, "p_bc": c.p_amb, "p_es": c.p_amb, "T_em": gas.T, "W_c": np.zeros_like(states["p_im"])}
-    signals = correction_signals(tables, guess, c, {})
+    signals = correction_signals(tables, guess, c, given)
     for _ in range(sweeps):
         q, s = under(signals)
         new = said(q)
@@ -296,8 +301,9 @@ def magnitudes_at(actuation: Actuation, terms: Terms) -> Magnitudes:
 
 
 def along(
-    states: np.ndarray, actuation: Actuation, terms: Terms, c: Constants, laws_only: bool = False
-) -> tuple[Quantities, Signals]:
+    states: np.ndarray, actuation: Actuation, terms: Terms, c: Constants, laws_only: bool = False,
+    entered: Mapping[str, Array] | None = None,
+) -> tuple[Quantities, Signals]:  # fmt: skip
     """All quantities along trajectories under terms, and the signals of laws and corrections.
 
     Args:
@@ -307,6 +313,7 @@ def along(
         terms: of the engine.
         c: constants; arrays of shape (B, 1) for several lanes.
         laws_only: leave the maps' corrections out of the signals (not of the quantities).
+        entered: point -> a signal besides, part of both.
     """
     n_e, u_delta, u_egr, u_vgt = actuation.at_samples()
     m = magnitudes_at(actuation, terms)
@@ -314,7 +321,7 @@ def along(
     laws = law_terms(terms)
     factors = [acting(actuation, law.factor) for law in laws]
     coefficients = corrections_in(terms)
-    under = partial(quantities_under, secant=True, corrections=coefficients)
+    under = partial(quantities_under, secant=True, corrections=coefficients, entered=entered)
     p_im, p_em, omega_t, x_r, T_1 = np.moveaxis(states[..., :5], -1, 0)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega_t, "x_r": x_r, "T_1": T_1,

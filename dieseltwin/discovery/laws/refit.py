@@ -16,7 +16,7 @@ from dieseltwin.discovery.likelihood.refit import scatter
 from dieseltwin.discovery.likelihood.worth import Worth
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
 
-_ROUNDS = 8
+_ROUNDS = 12
 _DONE = 0.3  # predicted decrease of the objective that counts as none
 _SLOWED = 0.35  # step after a failed one
 _STEP = 0.005  # of a point's scale, for responses to signals
@@ -135,7 +135,10 @@ class _Slopes:
         own = np.clip(own, -_LARGEST, _LARGEST)  # a candidate that diverges takes no step
         self.columns = np.concatenate([at.jacobian[:parameters], own])
         self.projected = np.concatenate([at.projected[:parameters], at.metric.project(np.nan_to_num(own))])
-        self.covariance = np.linalg.pinv(self.projected @ self.projected.T + np.diag(precision))
+        self._invert()
+
+    def _invert(self) -> None:
+        self.covariance = np.linalg.pinv(self.projected @ self.projected.T + np.diag(self.precision))
 
     def objective(self, vector: Array, values: Array) -> float:
         return float(vector @ vector + np.sum(self.precision * (values - self.nominal) ** 2))
@@ -144,6 +147,19 @@ class _Slopes:
         gradient = self.projected @ vector + self.precision * (self.nominal - values)
         step = self.covariance @ gradient
         return step, float(gradient @ step)
+
+    def learn(self, change: Array, before: Array, after: Array) -> None:
+        """Slopes that say what a step did, as close to those of before as can be (Broyden 1965, in the metric).
+
+        Far from the fit without a law its slopes lead astray: of 1,658 that a back pressure explains, steps along them
+        found 1,609.
+        """
+        missed = after - before + change @ self.projected
+        weight = (self.projected @ self.projected.T + np.diag(self.precision)) @ change
+        length = float(weight @ change)
+        if length > 0.0 and np.isfinite(missed).all():
+            self.projected = self.projected - np.outer(weight / length, missed)
+            self._invert()
 
     def local(self, twin: Twin, local: Array, residual: Array, change: Array, shrink: float) -> Array:
         rest = residual - np.tensordot(change / shrink, self.columns, 1)
@@ -226,6 +242,8 @@ class _Lane:
     vector: Array | None = None
     shrink: float = 1.0
     active: bool = True
+    moved: bool = False  # the law has not been evaluated along the trajectory that it led to
+    again: bool = False  # the trial is the same values with the law along their own trajectory
 
 
 def _refit_as_signals(
@@ -289,12 +307,20 @@ def _advance(twin: Twin, at: Linearisation, base: Lanes, active: Sequence[_Lane]
     for k, lane in enumerate(active):
         value = lane.slopes.objective(vectors[k], lane.trial[0])
         gain = lane.objective - value
-        if np.isfinite(value) and gain > 0:
+        if lane.vector is not None and not lane.again and np.isfinite(value):
+            lane.slopes.learn(lane.trial[0] - lane.values, lane.vector, vectors[k])
+        if np.isfinite(value) and (gain > 0 or lane.again):
             lane.values, lane.local = lane.trial
             lane.objective, lane.residual, lane.vector = value, residuals[k], vectors[k]
             lane.variables = {**variables[k], "time_s": twin.time_s}
-            lane.shrink = min(1.0, 2.0 * lane.shrink)
-            lane.active = gain > _DONE
+            if lane.again:
+                lane.again, lane.moved = False, abs(gain) > _DONE
+            else:
+                lane.shrink, lane.moved = min(1.0, 2.0 * lane.shrink), True
+                lane.active = gain > _DONE
+        elif lane.moved:  # no step leads down from an objective that a law of elsewhere has
+            lane.again, lane.trial = True, (lane.values, lane.local)
+            continue
         else:
             lane.shrink *= _SLOWED
             lane.active = lane.shrink > 0.03

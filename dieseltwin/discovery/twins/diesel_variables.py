@@ -12,6 +12,7 @@ from dieseltwin.engine.binding import numpy_model
 from dieseltwin.engine.extended_terms import along
 
 _W_EGR, _T_EM, _W_C = 3, 4, 5  # columns of readings
+_DRIVEN = ("u_delta", "u_egr", "u_vgt")  # given without their signals
 
 
 @np.errstate(invalid="ignore")  # of a lane that ran away
@@ -29,14 +30,13 @@ def variables_along(
     """
     signals, points = signals_at
     model, c = numpy_model(), constants(engine)
-    q, _ = along(states, actuation, engine.terms, c)
+    q, _ = along(states, actuation, engine.terms, c, entered=signals)
     p_im, p_em, omega, x_r, T_1 = states[:, :5].T
     W_egr, T_em, W_c = q.W_egr, q.T_em, q.W_c
-    if signals:  # the quantities know none: the simulation's own flows and temperature do
+    if signals:  # from row to row a signal is linear, so that the simulation's own are nearer
         W_egr, T_em, W_c = readings[:, _W_EGR], readings[:, _T_EM], readings[:, _W_C]
     n_e, u_delta = actuation.at_samples()[:2]
-    p_bc, p_es = (getattr(q, name) * (1.0 + signals.get(name, 0.0)) for name in ("p_bc", "p_es"))
-    Pi_t, Pi_c, Psi_c, BSR = model.map_arguments(p_im, p_em, omega, p_bc, p_es, T_em, c)
+    Pi_t, Pi_c, Psi_c, BSR = model.map_arguments(p_im, p_em, omega, q.p_bc, q.p_es, T_em, c)
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega, "n_e": n_e, "u_delta": u_delta,
         "u_egr": np.clip(actuation.u_egr, 0.0, None), "u_vgt": actuation.u_vgt, "T_em": T_em, "T_im": q.T_im,
@@ -50,10 +50,9 @@ def variables_along(
     out = {name: np.broadcast_to(value, p_im.shape) for name, value in named.items()}
     for point in points:
         if point.name in signals and point.name in out:
-            own, signal = out[point.name], signals[point.name]
-            if point.name in ("T_em", "W_c"):  # the simulation's, signal included
-                out[f"{point.name}:before"] = own / (1.0 + signal) if point.relative else own - signal
+            own, signal, name = out[point.name], signals[point.name], f"{point.name}:before"
+            if point.name in _DRIVEN:
+                out[name], out[point.name] = own, own * (1.0 + signal) if point.relative else own + signal
             else:
-                out[f"{point.name}:before"] = own
-                out[point.name] = own * (1.0 + signal) if point.relative else own + signal
+                out[name] = own / (1.0 + signal) if point.relative else own - signal
     return out
