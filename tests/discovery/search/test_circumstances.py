@@ -27,9 +27,10 @@ from dieseltwin.discovery.likelihood.circumstances import (
 from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_fit, fit_fully, simulate_fits
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
-from dieseltwin.discovery.search.circumstances import Settled, _delay, in_weather_of
+from dieseltwin.discovery.search.circumstances import _chosen, _delay, in_weather_of
 from dieseltwin.discovery.search.preparation import prepare, recentred
 from dieseltwin.discovery.search.run import looked_at
+from dieseltwin.discovery.search.settled import Settled
 from dieseltwin.discovery.twins import diesel_circumstances
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
 from dieseltwin.discovery.verdict.document import Discrepancy
@@ -332,3 +333,20 @@ def test_sensors_late_by_more_than_their_responses_reach_are_found_beside_a_faul
     assert isinstance(twin, LoggedTwin) and twin.opened == {f"time_shift:{column}" for column in late}
     assert [twin.values[f"time_shift:{column}"] for column in late] == pytest.approx([0.4, 0.4])
     assert found.singles[0].candidate.names == ("exhaust_leak",)
+
+
+def test_one_clock_that_is_off_is_not_all_of_them() -> None:
+    """All the others share what one clock is off by, and none can be left out alone: where a dead time had no name,
+    nine clocks were off, none was trusted, and nothing was missing."""
+    parameters, fault = we2011.PARAMETERS.model_dump(), (Fault("vgt_dead_time", 0.2),)
+    driving = draw_driving("random", 300.0, parameters, np.random.default_rng(3))
+    run = run_plant(driving, parameters, fault)
+    frame = read(run, driving, fault, SensorSet.perfect(), 5, np.random.default_rng(4))
+    found = prepare(LoggedTwin(recording(frame), we2011.PARAMETERS), default_search().driving)
+    twin = found.twin
+    assert isinstance(twin, LoggedTwin)
+    clocks = [item for item in twin.circumstances if item.name not in twin.opened and not item.unknown]
+    shared = {item.name: -0.07 if item.column == "u_vgt_pct" else 0.13 for item in clocks}
+    chosen = _chosen(found, twin, found.null.fit, clocks, shared)
+    assert chosen is not None and [item.name for item in chosen[1]] == ["time_shift:u_vgt_pct"]
+    assert chosen[0].values["time_shift:u_vgt_pct"] == pytest.approx(-0.2, abs=0.05)
