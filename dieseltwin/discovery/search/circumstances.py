@@ -19,7 +19,7 @@ from dieseltwin.discovery.likelihood.circumstances import (
     label_of,
     open_circumstances,
 )
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.score import score, without_parameters
 from dieseltwin.discovery.search.settled import Settled, by_leaving_out, by_taking_in, evidence_of, settle
@@ -80,6 +80,38 @@ def in_weather_of(found: Search, fit: Fit) -> Twin | None:
     here = [twin.values.get(item.name, item.assumed) for item in items]
     far = any(abs(values[i.name] - at) > _UNSETTLED * i.std for i, at in zip(items, here, strict=True))
     return other if far else None
+
+
+def in_assumed_weather(found: Search) -> Twin | None:
+    """The twin in the weather as assumed, where no column gives it and the twin is elsewhere; None where it is there.
+
+    The fit without any effect follows with the weather what an effect does. From there a loss of the charge cooler's
+    was a sum of two wrong terms, 8 K of its charge among them.
+    """
+    twin = found.twin
+    if not isinstance(twin, WithCircumstances):
+        return None
+    guessed = {item.name for item in _guessed(twin)} & set(twin.values)
+    if not guessed:
+        return None
+    return twin.under({name: value for name, value in twin.values.items() if name not in guessed}, twin.opened)
+
+
+def weather_is_settled(found: Search) -> bool:
+    """Whether a law that was found leaves the weather that no column gives where the twin has it, near enough."""
+    twin = found.twin
+    if found.law is None or not isinstance(twin, WithCircumstances):
+        return found.law is not None
+    own, values = found.law.on(cast(Twin, twin))
+    fit = Fit(Candidate(), values, np.zeros(0), found.law.local, np.inf, True)
+    items = _guessed(twin)
+    shares = _shares(found, Linearisation(own, found.whitening, fit, found.null), items)
+    return bool(np.all(np.abs(shares) < [_bar(item) for item in items]))
+
+
+def _guessed(twin: WithCircumstances) -> list[Circumstance]:
+    """Weather that no column gives."""
+    return [item for item in _movable(twin) if not item.kind and not item.read]
 
 
 def leading(found: Search) -> Linearisation:

@@ -15,7 +15,13 @@ from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.refit import nearer, refit_all
 from dieseltwin.discovery.likelihood.score import best_of_each, spread, without_parameters
 from dieseltwin.discovery.search.by_recording import Start, gained_elsewhere, refitted, starts_by_recording
-from dieseltwin.discovery.search.circumstances import ROUNDS, in_weather_of, under_circumstances
+from dieseltwin.discovery.search.circumstances import (
+    ROUNDS,
+    in_assumed_weather,
+    in_weather_of,
+    under_circumstances,
+    weather_is_settled,
+)
 from dieseltwin.discovery.search.explanations import (
     beyond_law,
     choose,
@@ -34,6 +40,7 @@ from dieseltwin.discovery.search.preparation import (
     verify,
 )
 from dieseltwin.discovery.search.renewal import BENDS, about_the_leader
+from dieseltwin.discovery.search.settled import evidence_of
 from dieseltwin.discovery.search.standing import explain_standing
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.search.variant_fits import scan_all, try_variants
@@ -91,8 +98,8 @@ def carry_on(
         with time_limit(left):
             _explain(found)
             found = _in_own_weather(found)
-            if found.kind == "law":
-                _law(found, laws)
+            if found.kind == "law" and laws:
+                found = _with_law(found)
     except OutOfTimeError:
         found.unfinished = STAGES[STAGES.index(found.stage) :]
         if found.kind != "law" and (found.kind != "healthy" or raises_alarm(found, found.singles[0])):
@@ -254,17 +261,37 @@ def _nameless(found: Search) -> None:
     found.kind, found.stage, found.best = "law", STAGES[-1], None
 
 
-def _law(found: Search, wanted: bool) -> None:
-    """A law from the grammar where no name fits, where one is resolved and asked for."""
-    if wanted:
-        clock = time.perf_counter()
-        found.law = best_law(
-            found.twin, found.null, found.everything_unnamed(),
-            lambda here: tolerance_responses(here.twin, here, found.settings),
-        )  # fmt: skip
-        if found.law is not None:
-            found.left, found.left_local = beyond_law(found, found.law)
-        found.seconds["law"] = time.perf_counter() - clock
+def _with_law(found: Search) -> Search:
+    """The search with a law from the grammar where no name fits and one is resolved: first in the weather as it was
+    assumed, then, where the law asks for another, in that of the fit without any; whichever explains more."""
+    other = in_assumed_weather(found)
+    if other is None:
+        _law(found)
+        return found
+    here = _about_leading_name(_with_singles(prepare(other, found.settings)))
+    _explain(here)
+    if here.kind == "law":
+        _law(here)
+        if here.law is not None and weather_is_settled(here):
+            return here
+    _law(found)
+    return min((found, here), key=_evidence_with_law) if here.kind == "law" else found
+
+
+def _evidence_with_law(found: Search) -> float:
+    return evidence_of(found.null) - (0.0 if found.law is None else found.law.score)
+
+
+def _law(found: Search) -> None:
+    """A law where one is resolved, and what it leaves."""
+    clock = time.perf_counter()
+    found.law = best_law(
+        found.twin, found.null, found.everything_unnamed(),
+        lambda here: tolerance_responses(here.twin, here, found.settings),
+    )  # fmt: skip
+    if found.law is not None:
+        found.left, found.left_local = beyond_law(found, found.law)
+    found.seconds["law"] = time.perf_counter() - clock
 
 
 def _shown(found: Search) -> bool:

@@ -350,3 +350,15 @@ def test_one_clock_that_is_off_is_not_all_of_them() -> None:
     chosen = _chosen(found, twin, found.null.fit, clocks, shared)
     assert chosen is not None and [item.name for item in chosen[1]] == ["time_shift:u_vgt_pct"]
     assert chosen[0].values["time_shift:u_vgt_pct"] == pytest.approx(-0.2, abs=0.05)
+
+
+def test_a_law_is_looked_for_in_the_weather_that_was_assumed() -> None:
+    """The fit without it had the charge 9 K warmer, and there a sum of two wrong terms explained more."""
+    parameters, fault = we2011.PARAMETERS.model_dump(), (Fault("charge_cooler_loss", 0.16),)
+    driving = draw_driving("random", 120.0, parameters, np.random.default_rng(3))
+    run = run_plant(driving, parameters, fault)
+    frame = read(run, driving, fault, SensorSet.perfect(), 5, np.random.default_rng(4))
+    document = discover(recording(frame), we2011.PARAMETERS, Options(withhold=("charge_cooler_loss",))).document
+    (effect,) = document.effects
+    assert effect.law is not None and effect.law.count("relative change") == 1
+    assert effect.law.startswith("relative change of T_im: 0.04") and effect.law.endswith("(T_c - T_amb)/(90 K)")
