@@ -245,19 +245,24 @@ def _integrate(inputs, step, every, first, c, which, sizes, factors, errors, low
     dy_0, dy_1, guess, row, scratch = np.empty(4), np.empty(4), np.empty(4), np.empty(23), np.empty(23)
     couple, sample = -1.0, 0
     steps = inputs.shape[1] - 1
+    # variables, no numbers: for each number the right-hand side would be compiled once more, seconds each
+    once, twice, until_settled = np.int64(1), np.int64(2), np.int64(20)
     for k in range(which.size):
         e[which[k]] += sizes[k] * factors[k, 0]
-    rates(y, carry, inputs[0, 0], inputs[1, 0], inputs[2, 0], inputs[3, 0], c, e, errors, low, high, 20, dy_0, row)
+    rates(y, carry, inputs[0, 0], inputs[1, 0], inputs[2, 0], inputs[3, 0], c, e, errors, low, high,
+          until_settled, dy_0, row)  # fmt: skip
     if e[E_GAS_LAG] > 0.0:  # settle the lagged gas temperature: the lag is off for one evaluation
         tau, e[E_GAS_LAG] = e[E_GAS_LAG], 0.0
-        rates(y, carry, inputs[0, 0], inputs[1, 0], inputs[2, 0], inputs[3, 0], c, e, errors, low, high, 20, dy_0, row)
+        rates(y, carry, inputs[0, 0], inputs[1, 0], inputs[2, 0], inputs[3, 0], c, e, errors, low, high,
+              until_settled, dy_0, row)  # fmt: skip
         e[E_GAS_LAG] = tau
     for i in range(steps + 1):
         for k in range(which.size):
             e[which[k]] = 0.0
         for k in range(which.size):
             e[which[k]] += sizes[k] * factors[k, i]
-        rates(y, carry, inputs[0, i], inputs[1, i], inputs[2, i], inputs[3, i], c, e, errors, low, high, 2, dy_0, row)
+        rates(y, carry, inputs[0, i], inputs[1, i], inputs[2, i], inputs[3, i], c, e, errors, low, high, twice, dy_0,
+              row)  # fmt: skip
         if couple < 0.0 or e[E_COUPLE_LAG] == 0.0:
             couple = row[4]
         else:  # the couple follows the gas, held over the step at the mean of its ends to second order
@@ -272,7 +277,7 @@ def _integrate(inputs, step, every, first, c, which, sizes, factors, errors, low
         for j in range(4):
             guess[j] = y[j] + step * dy_0[j]
         rates(guess, carry, inputs[0, i + 1], inputs[1, i + 1], inputs[2, i + 1], inputs[3, i + 1], c, e, errors, low,
-              high, 1, dy_1, scratch)  # fmt: skip
+              high, once, dy_1, scratch)  # fmt: skip
         for j in range(4):
             y[j] += 0.5 * step * (dy_0[j] + dy_1[j])
         if e[E_GAS_LAG] == 0.0:

@@ -30,7 +30,8 @@ def _filter(fine, step, every, measured, channels, sigma, c, tables, low, high, 
     row, scratch = np.empty(23), np.empty(23)
     ends, carried = np.empty((7, 6)), np.empty(3)
     delta = np.array([50.0, 50.0, 2.0, 1e-5, 1e-5, 1.0])
-    H = np.zeros((m, 6))
+    H, FP, PH, moved = np.zeros((m, 6)), np.zeros((6, 6)), np.zeros(6), np.zeros(6)
+    once, sweeps = np.int64(1), np.int64(4)  # no numbers: `plant._integrate` says why
     for i in range(n):
         n_e, u_d, u_e, u_v = fine[0, i * every], fine[1, i * every], fine[2, i * every], fine[3, i * every]
         predicted = np.empty(m)
@@ -40,19 +41,31 @@ def _filter(fine, step, every, measured, channels, sigma, c, tables, low, high, 
                 y[j - 1] += delta[j - 1]
             for k in range(3):
                 carried[k] = carry[k]
-            rates(y, carried, n_e, u_d, u_e, u_v, c, e, tables, low, high, 4, dy_0, row)
+            rates(y, carried, n_e, u_d, u_e, u_v, c, e, tables, low, high, sweeps, dy_0,
+                  row)  # fmt: skip
             for k in range(m):
                 if j == 0:
                     predicted[k] = row[channels[k]]
                 else:
                     H[k, j - 1] = (row[channels[k]] - predicted[k]) / delta[j - 1]
-        S = H @ P @ H.T
+        # One reading after another, as their noises are independent: no matrices, whose products take ten seconds to
+        # compile.
+        for a in range(6):
+            moved[a] = 0.0
         for k in range(m):
-            S[k, k] += sigma[k] ** 2
-        K = np.linalg.solve(S, H @ P).T
-        x += K @ (measured[i] - predicted)
-        P -= K @ (H @ P)
-        P = 0.5 * (P + P.T)
+            innovation, variance = measured[i, k] - predicted[k], sigma[k] ** 2
+            for a in range(6):
+                innovation -= H[k, a] * moved[a]
+                PH[a] = 0.0
+                for d in range(6):
+                    PH[a] += P[a, d] * H[k, d]
+                variance += H[k, a] * PH[a]
+            for a in range(6):
+                moved[a] += PH[a] * innovation / variance
+                for d in range(6):
+                    P[a, d] -= PH[a] * PH[d] / variance
+        for a in range(6):
+            x[a] += moved[a]
         x[0] = min(max(x[0], 0.6 * c.p_amb), 9.0 * c.p_amb)
         x[1] = min(max(x[1], 0.6 * c.p_amb), 19.0 * c.p_amb)
         x[2] = min(max(x[2], 200.0), 1.9e4)
@@ -76,15 +89,16 @@ def _filter(fine, step, every, measured, channels, sigma, c, tables, low, high, 
                 b2 += delta[5]
             for s in range(every):
                 k = i * every + s
-                rates(y, carried, fine[0, k], fine[1, k], fine[2, k], fine[3, k], c, e, tables, low, high, 1, dy_0, row)
+                rates(y, carried, fine[0, k], fine[1, k], fine[2, k], fine[3, k], c, e, tables, low, high, once,
+                      dy_0, row)  # fmt: skip
                 dy_0[0] += c.R_a * c.T_im / c.V_im * b0
                 dy_0[1] += c.R_e * row[4] / c.V_em * b1
                 dy_0[2] += b2 / (c.J_t * y[2])
                 for a in range(4):
                     guess[a] = y[a] + step * dy_0[a]
                 k += 1
-                rates(guess, carried, fine[0, k], fine[1, k], fine[2, k], fine[3, k], c, e, tables, low, high, 1, dy_1,
-                      scratch)  # fmt: skip
+                rates(guess, carried, fine[0, k], fine[1, k], fine[2, k], fine[3, k], c, e, tables, low, high, once,
+                      dy_1, scratch)  # fmt: skip
                 dy_1[0] += c.R_a * c.T_im / c.V_im * b0
                 dy_1[1] += c.R_e * scratch[4] / c.V_em * b1
                 dy_1[2] += b2 / (c.J_t * guess[2])
@@ -104,9 +118,16 @@ def _filter(fine, step, every, measured, channels, sigma, c, tables, low, high, 
                 F[k, j] = (ends[j + 1, k] - ends[0, k]) / delta[j]
         for k in range(6):
             x[k] = ends[0, k]
-        P = F @ P @ F.T
-        for k in range(6):
-            P[k, k] += q[k]
+        for a in range(6):
+            for d in range(6):
+                FP[a, d] = 0.0
+                for k in range(6):
+                    FP[a, d] += F[a, k] * P[k, d]
+        for a in range(6):
+            for d in range(6):
+                P[a, d] = q[a] if a == d else 0.0
+                for k in range(6):
+                    P[a, d] += FP[a, k] * F[d, k]
         carry[0], carry[1], carry[2] = kept_0, kept_1, kept_2
 
 

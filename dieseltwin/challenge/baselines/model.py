@@ -159,17 +159,17 @@ def run_windows(fine, step, every, starts, local, c, tables, low, high, w1, b1, 
     window = 0
     for i in range(out.shape[0]):
         at = i * every
-        sweeps = 2
+        sweeps, once = np.int64(2), np.int64(1)  # no numbers: `plant._integrate` says why
         if window < starts.size and i == starts[window]:
             y[0], y[1], y[2], y[3] = local[window, 0], local[window, 1], local[window, 2], 600.0
             carry[0], carry[1], carry[2] = 0.03, 310.0, c.T_im
             window += 1
-            sweeps = 12
+            sweeps = np.int64(12)
         for k in range(every):
             m = at + k
             n_e, u_d, u_e, u_v = fine[0, m], fine[1, m], fine[2, m], fine[3, m]
             rates(y, carry, n_e, u_d, u_e, u_v, c, e, tables, low, high, sweeps, dy_0, row)
-            sweeps = 2
+            sweeps = np.int64(2)
             if k == 0:
                 for j in range(6):
                     out[i, j] = row[j]
@@ -179,7 +179,7 @@ def run_windows(fine, step, every, starts, local, c, tables, low, high, w1, b1, 
             for j in range(4):
                 guess[j] = y[j] + step * dy_0[j]
             n_e, u_d, u_e, u_v = fine[0, m + 1], fine[1, m + 1], fine[2, m + 1], fine[3, m + 1]
-            rates(guess, carry, n_e, u_d, u_e, u_v, c, e, tables, low, high, 1, dy_1, scratch)
+            rates(guess, carry, n_e, u_d, u_e, u_v, c, e, tables, low, high, once, dy_1, scratch)
             correct(guess, n_e, u_d, u_e, u_v, c, scratch[9], scratch[4], w1, b1, w2, b2, middle, spread, dy_1)
             for j in range(3):
                 y[j] += 0.5 * step * (dy_0[j] + dy_1[j])
