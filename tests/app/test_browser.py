@@ -179,6 +179,7 @@ def test_an_engine_is_learned_and_judges_by_keyboard_and_on_a_phone(
     page.close()
 
 
+@pytest.mark.thorough
 def test_a_killed_server_says_what_it_interrupted(server: Server, browser: playwright.Browser) -> None:
     page = browser.new_page()
     page.set_default_timeout(SLOW_MS)

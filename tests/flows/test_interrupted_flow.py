@@ -59,6 +59,7 @@ def ends(process: subprocess.Popen[str], root: Path, told: signal.Signals) -> tu
     return said
 
 
+@pytest.mark.thorough
 @pytest.mark.flow
 def test_a_signal_during_a_step_ends_the_flow_and_its_workers(tmp_path: Path) -> None:
     """SIGTERM, which Prefect takes for itself; Ctrl-C goes the same way."""

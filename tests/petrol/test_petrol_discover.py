@@ -247,7 +247,7 @@ def test_driving_beyond_what_was_learned_is_no_finding(
 
 
 def test_time_shift_changes_nothing(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
-    first = record(10, 240.0, onset_s=100.0, W_af_kg_s=0.12)
+    first = record(10, 150.0, onset_s=70.0, W_af_kg_s=0.12)
     table = pd.read_csv(first.path)
     table["time_s"] += 1000.0
     table.to_csv(tmp_path / "later.csv", index=False)

@@ -18,7 +18,7 @@ from dieseltwin.discovery.twins.interface import Twin, law_scope_of
 
 _WITHIN = 0.5  # of the best linear gain: faults that are refitted
 _MOST = 4
-_SCREENED = 0.3  # of the best linear gain inside the machine: points with less have no law that comes first
+_SCREENED = 0.3  # of the best linear gain inside the machine: points with less seldom have the law that comes first
 _LEAST_POINTS = 4  # are looked at in any case
 _ROUNDS = 8
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
@@ -46,7 +46,7 @@ def near_the_best(structure: Sequence[Structure], twin: Twin) -> tuple[str, ...]
     """Names of the points at which simple terms gain enough for a law to be looked for; None for all.
 
     A simple term's linear gain costs one lane of a simulation, all forms of a point cost as many as a window has
-    samples. A law follows more than a simple term, but no multiple of it.
+    samples. A law follows more than a simple term, but seldom a multiple of it.
     """
     best: dict[int, float] = {}
     for item in structure:
@@ -118,8 +118,9 @@ def sensor_law(
 
 
 def best_law(
-    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None
-) -> Law | None:
+    twin: Twin, at: Linearisation, structure: Sequence[Structure], tolerances: Tolerances | None = None,
+    everywhere: bool = False,
+) -> Law | None:  # fmt: skip
     """A law for what no name explains: of a sensor where the linear scores say so, else from the grammar.
 
     Args:
@@ -127,6 +128,7 @@ def best_law(
         at: converged health-only fit, with its tolerance directions.
         structure: scored generic features, strongest first.
         tolerances: directions about a linearisation of a law; None keeps those of `at`.
+        everywhere: at points, too, whose linear gains are small.
     """
     top = structure[0].gain if structure else 0.0
     near = [item for item in structure if item.gain >= _WITHIN * top]
@@ -135,7 +137,7 @@ def best_law(
     if len(of_sensors) == len(near) > 0:
         return fault
     try:
-        options = Options(screened=near_the_best(structure, twin))
+        options = Options(screened=None if everywhere else near_the_best(structure, twin))
         inside = search(twin, at, at.nuisance_response, options, tolerances).law
     except np.linalg.LinAlgError:  # with the best law inside the machine runs away: no law of this machine
         inside = None
