@@ -58,8 +58,8 @@ setup: $(READY)  ## .venv with the exact versions of requirements.lock
 $(READY): requirements.lock pyproject.toml
 	@if ! { cmp -s $@ requirements.lock && $(BIN)/python -c "" 2>/dev/null; }; then \
 		rm -f $@; \
-		$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] != (3, 11))" 2>/dev/null || { \
-			echo "Python 3.11 is needed, got $$($(PYTHON) --version 2>&1 | head -1): make PYTHON=/path/to/python3.11" >&2; \
+		$(PYTHON) -c "import sys; sys.exit(not (3, 11, 5) <= sys.version_info < (3, 12))" 2>/dev/null || { \
+			echo "Python 3.11 from 3.11.5 on is needed, got $$($(PYTHON) --version 2>&1 | head -1): make PYTHON=/path/to/python3.11" >&2; \
 			exit 1; \
 		}; \
 		echo "Setting up $(VENV) from requirements.lock (some 2 minutes, once) ..."; \
