@@ -44,7 +44,7 @@ help:  ## this list
 	@echo "make bench  every speed, part by part, into docs/speed.md; goes on where it was stopped (PROFILE=paper: an hour)"
 	@echo "make promote  put newly trained networks into MLflow's registry, in use if physics holds and they aren't worse"
 	@echo "make test   the tests: every part, every command, every kind of machine"
-	@echo "make test-all  the same and some eighty more whole judgements (twice as long)"
+	@echo "make test-all  the same, the evaluation and some eighty more whole judgements (twice as long)"
 	@echo "make check  style, types, import directions, hygiene"
 	@echo "make docs   the documentation as a site, in site/"
 	@echo "make ui     MLflow with the results (PORT=5000)"

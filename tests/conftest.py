@@ -28,7 +28,7 @@ TOGETHER = {
 # Seconds in a fresh clone, on two busy cores: what is long begins first, what isn't here is done in the end. Of the
 # flows these two stand beside each other as their steps are forked by one server, which others end.
 LONG = {
-    "flows/test_chain.py": 118, "petrol/test_petrol_discover.py": 60, "flows/test_evaluate.py": 54,
+    "flows/test_chain.py": 118, "petrol/test_petrol_discover.py": 60,
     "surrogates/test_empirical.py": 53, "end_to_end/test_points.py": 40,
     "discovery/search/test_circumstances.py": 40, "engine/test_new_effect.py": 39, "end_to_end/test_diesel.py": 39,
     "discovery/search/test_search.py": 39, "test_core.py": 36, "paper/test_compiled_loss.py": 34,

@@ -21,6 +21,7 @@ class Finalised:
         time.sleep(1.0)
 
 
+@pytest.mark.thorough
 def test_an_interrupt_in_a_finaliser_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the hook Python prints it as ignored, and the command goes on to its end."""
     monkeypatch.setattr(sys, "unraisablehook", interrupt_again)

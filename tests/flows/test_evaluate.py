@@ -164,6 +164,7 @@ def test_a_variant_starts_where_its_method_starts() -> None:
     assert {plan.what["start"] for plan in ensembles_of(settings)} == {"truth"}
 
 
+@pytest.mark.thorough
 @pytest.mark.flow
 def test_tables_page_and_records_come_out_and_a_second_run_computes_nothing(
     tmp_path: Path, chain: tuple[Path, set[str]]

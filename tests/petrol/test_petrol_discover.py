@@ -191,6 +191,7 @@ def test_repaired_engine_is_quiet_and_simulates_the_readings(engine: PetrolParam
         assert after["w_af_kg_s"] == pytest.approx(before["w_af_kg_s"], rel=0.01)
 
 
+@pytest.mark.thorough
 def test_a_late_channel_is_named_and_simulated(engine: PetrolParameters, record: Recorder, tmp_path: Path) -> None:
     """Half a second late from a moment on: told by name, size and onset, and the repaired engine foretells it."""
     table = pd.read_csv(record(16, 500.0).path)
