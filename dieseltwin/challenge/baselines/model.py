@@ -157,19 +157,20 @@ def run_windows(fine, step, every, starts, local, c, tables, low, high, w1, b1, 
     y, guess, dy_0, dy_1 = np.zeros(4), np.zeros(4), np.empty(4), np.empty(4)
     carry, row, scratch = np.empty(3), np.empty(23), np.empty(23)
     window = 0
+    once, twice, until_settled = np.int64(1), np.int64(2), np.int64(12)  # no numbers: `plant._integrate` says why
     for i in range(out.shape[0]):
         at = i * every
-        sweeps, once = np.int64(2), np.int64(1)  # no numbers: `plant._integrate` says why
+        sweeps = twice
         if window < starts.size and i == starts[window]:
             y[0], y[1], y[2], y[3] = local[window, 0], local[window, 1], local[window, 2], 600.0
             carry[0], carry[1], carry[2] = 0.03, 310.0, c.T_im
             window += 1
-            sweeps = np.int64(12)
+            sweeps = until_settled
         for k in range(every):
             m = at + k
             n_e, u_d, u_e, u_v = fine[0, m], fine[1, m], fine[2, m], fine[3, m]
             rates(y, carry, n_e, u_d, u_e, u_v, c, e, tables, low, high, sweeps, dy_0, row)
-            sweeps = np.int64(2)
+            sweeps = twice
             if k == 0:
                 for j in range(6):
                     out[i, j] = row[j]

@@ -22,7 +22,7 @@ from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.refit import Refit, disagreement, refit_all_laws, spread_over_forms, start_of
 from dieseltwin.discovery.laws.responses import Linearised, Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
-from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
+from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.worth import Worth, independent
 from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
 
@@ -115,13 +115,15 @@ class Law:
     faults: tuple[ReadingFault, ...] = ()
     disagreement: Array | None = None
 
-    def on(self, twin: Twin) -> tuple[Twin, Array]:
-        """The twin with the law inside, and its parameters with the law's."""
+    def on(self, twin: Twin) -> tuple[Twin, Fit]:
+        """The twin with the law inside, and the fit of its parameters with the law's."""
         if self.faults:
-            return cast(Twin, ReadingTwin(twin, self.faults)), np.append(self.parameters, [f.size for f in self.faults])
-        law = LawTwin(twin, self.placed)
-        extra = [p.value for p in law.parameters[len(twin.parameters) :]]
-        return cast(Twin, law), np.append(self.parameters, extra)
+            other, extra = cast(Twin, ReadingTwin(twin, self.faults)), [fault.size for fault in self.faults]
+        else:
+            other = cast(Twin, LawTwin(twin, self.placed))
+            extra = [p.value for p in other.parameters[len(twin.parameters) :]]
+        values = np.append(self.parameters, extra)
+        return other, Fit(Candidate(), values, np.zeros(0), self.local, np.inf, True)
 
 
 @dataclass(frozen=True)

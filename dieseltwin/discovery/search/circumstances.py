@@ -19,7 +19,7 @@ from dieseltwin.discovery.likelihood.circumstances import (
     label_of,
     open_circumstances,
 )
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation
 from dieseltwin.discovery.likelihood.learned import belief_of
 from dieseltwin.discovery.likelihood.score import score, without_parameters
 from dieseltwin.discovery.search.settled import Settled, by_leaving_out, by_taking_in, evidence_of, settle
@@ -102,10 +102,9 @@ def weather_is_settled(found: Search) -> bool:
     twin = found.twin
     if found.law is None or not isinstance(twin, WithCircumstances):
         return found.law is not None
-    own, values = found.law.on(cast(Twin, twin))
-    fit = Fit(Candidate(), values, np.zeros(0), found.law.local, np.inf, True)
+    with_law, fit = found.law.on(cast(Twin, twin))
     items = _guessed(twin)
-    shares = _shares(found, Linearisation(own, found.whitening, fit, found.null), items)
+    shares = _shares(found, Linearisation(with_law, found.whitening, fit, found.null), items)
     return bool(np.all(np.abs(shares) < [_bar(item) for item in items]))
 
 
@@ -317,30 +316,29 @@ def _chosen(
     if not chosen:
         return None
     if len(chosen) >= twin.beliefs.several:
-        few = _few_clocks(found, twin, everything, [*unknown, *rest], near)
+        few = _few_clocks(found, twin, everything, unknown, rest, near)
         return (everything, list(rest)) if few is None else few
     near = {name: everything.values[name] for name in (*(item.name for item in unknown), *near)}
     return settle(found, twin, everything.at.fit, [*unknown, *chosen], near), chosen
 
 
 def _few_clocks(
-    found: Search, twin: WithCircumstances, everything: Settled, items: Sequence[Circumstance],
-    near: Mapping[str, float],
+    found: Search, twin: WithCircumstances, everything: Settled, unknown: Sequence[Circumstance],
+    rest: Sequence[Circumstance], near: Mapping[str, float],
 ) -> tuple[Settled, list[Circumstance]] | None:  # fmt: skip
     """The few clocks that explain as much as all of them do; None where there are none.
 
     All clocks off by the same shows nowhere, so that the others share what one of them is off by, and none can be left
     out alone: where a dead time of 0.43 s had no name, nine clocks were off.
     """
-    rest = [item for item in items if not (item.unknown or item.name in twin.opened)]
     few = by_taking_in(everything, rest)
     if not few or len(few) >= twin.beliefs.several:
         return None
+    items = [*unknown, *rest]
     values = np.array([everything.values[item.name] for item in items])
     values, _ = from_the_middle(twin, items, values, np.eye(len(items)))
-    counted = {item.name: value for item, value in zip(items, values, strict=True) if item in few or item not in rest}
-    kept = [item for item in items if item not in rest]
-    settled = settle(found, twin, everything.at.fit, [*kept, *few], {**near, **counted})
+    counted = dict(zip((item.name for item in items), values, strict=True))
+    settled = settle(found, twin, everything.at.fit, [*unknown, *few], {**near, **counted})
     return (settled, few) if settled.evidence < everything.evidence else None
 
 

@@ -236,8 +236,7 @@ def beyond_law(found: Search, law: Law) -> tuple[list[Structure], list[Structure
 
     The law's signal is held: at its best fit a change of its own coefficient gains nothing.
     """
-    twin, values = law.on(found.twin)
-    fit = Fit(Candidate(), values, np.zeros(0), law.local, np.inf, True)
+    twin, fit = law.on(found.twin)
     if isinstance(twin, LawTwin):
         twin = cast(Twin, WithSignals(found.twin, signals_of(twin, fit.lanes())))
         fit = replace(fit, parameters=law.parameters)

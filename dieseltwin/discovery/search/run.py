@@ -147,13 +147,19 @@ def _in_own_weather(found: Search) -> Search:
         other = in_weather_of(here, here.singles[0])
         if other is None:
             break
-        here = _about_leading_name(_with_singles(prepare(other, found.settings)))
-        _explain(here)
+        here = _explained_anew(other, found.settings)
         if here.singles[0].candidate.names != name:
             break
         if here.kind == "single":
             chosen = here
     return chosen
+
+
+def _explained_anew(twin: Twin, settings: SearchSettings) -> Search:
+    """The search of a twin under other circumstances, up to a law."""
+    found = _about_leading_name(_with_singles(prepare(twin, settings)))
+    _explain(found)
+    return found
 
 
 def _explain(found: Search) -> None:
@@ -268,8 +274,7 @@ def _with_law(found: Search) -> Search:
     if other is None:
         _law(found)
         return found
-    here = _about_leading_name(_with_singles(prepare(other, found.settings)))
-    _explain(here)
+    here = _explained_anew(other, found.settings)
     if here.kind == "law":
         _law(here)
         if here.law is not None and weather_is_settled(here):

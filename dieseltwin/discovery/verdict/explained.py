@@ -8,7 +8,7 @@ import numpy as np
 
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.likelihood.circumstances import open_circumstances
-from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, simulate_fits
+from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, simulate_fits
 from dieseltwin.discovery.likelihood.refit import scatter
 from dieseltwin.discovery.search.state import Search, occam
 from dieseltwin.discovery.twins.interface import Array
@@ -23,8 +23,7 @@ def explained_at(found: Search) -> Linearisation:
     """
     null = found.null
     if found.kind == "law" and found.law is not None:
-        twin, values = found.law.on(found.twin)
-        fit = Fit(Candidate(), values, np.zeros(0), found.law.local, np.inf, True)
+        twin, fit = found.law.on(found.twin)
         try:
             return Linearisation(twin, null.whitening, fit, None, null.nuisance_response, null.loadings)
         except np.linalg.LinAlgError:  # the machine runs away with some tolerance there

@@ -19,7 +19,7 @@ from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation
 from dieseltwin.discovery.likelihood.metric import Whitening
-from dieseltwin.discovery.twins.interface import LawScope, Twin, single
+from dieseltwin.discovery.twins.interface import LawScope, Twin
 from dieseltwin.engine.binding import bind
 from dieseltwin.engine.quantities import ADDED_AT, POINTS
 from dieseltwin.engine.terms import ActuatorTerm, LawTerm, SensorTerm, Term
@@ -43,8 +43,8 @@ def test_gain_and_offset_are_refitted(kind: str, size: float) -> None:
     assert law.coefficient == pytest.approx(size, abs=max(4.0 * law.std, 0.01)) and 0.0 < law.std < 0.02
     assert law.parameters[0] == pytest.approx(1.1, rel=0.01)
     assert law.chi2_after < 0.5 * law.chi2_before
-    twin, values = law.on(cast(Twin, toy))
-    left = toy.measured - twin.simulate(single(values, law.local))[0]
+    twin, fit = law.on(cast(Twin, toy))
+    left = toy.measured - twin.simulate(fit.lanes())[0]
     assert np.abs(left.mean(axis=0)).max() < 0.02
     if kind == "offset":  # the toy can't tell a gain of x from one of u together with its own
         best = best_law(cast(Twin, toy), at, structure)

@@ -49,12 +49,12 @@ from dieseltwin.settings.params import default_search
 LATE_S = 0.28
 
 
-def _driven(seconds: float = 120.0, **ambient: float) -> pd.DataFrame:
-    """A healthy engine with the published maps and perfect sensors."""
+def _driven(seconds: float = 120.0, *faults: Fault, sensors: int = 6, **ambient: float) -> pd.DataFrame:
+    """An engine with the published maps and perfect sensors, healthy without faults."""
     parameters = we2011.PARAMETERS.model_dump()
     driving = draw_driving("random", seconds, parameters, np.random.default_rng(3))
-    run = run_plant(driving, parameters | ambient)
-    return read(run, driving, (), SensorSet.perfect(), 6, np.random.default_rng(4))
+    run = run_plant(driving, parameters | ambient, faults)
+    return read(run, driving, faults, SensorSet.perfect(), sensors, np.random.default_rng(4))
 
 
 def _judged(frame: pd.DataFrame) -> Discrepancy:
@@ -340,10 +340,7 @@ def test_sensors_late_by_more_than_their_responses_reach_are_found_beside_a_faul
 def test_one_clock_that_is_off_is_not_all_of_them() -> None:
     """All the others share what one clock is off by, and none can be left out alone: where a dead time had no name,
     nine clocks were off, none was trusted, and nothing was missing."""
-    parameters, fault = we2011.PARAMETERS.model_dump(), (Fault("vgt_dead_time", 0.2),)
-    driving = draw_driving("random", 300.0, parameters, np.random.default_rng(3))
-    run = run_plant(driving, parameters, fault)
-    frame = read(run, driving, fault, SensorSet.perfect(), 5, np.random.default_rng(4))
+    frame = _driven(300.0, Fault("vgt_dead_time", 0.2), sensors=5)
     found = prepare(LoggedTwin(recording(frame), we2011.PARAMETERS), default_search().driving)
     twin = found.twin
     assert isinstance(twin, LoggedTwin)
@@ -356,10 +353,7 @@ def test_one_clock_that_is_off_is_not_all_of_them() -> None:
 
 def test_a_law_is_looked_for_in_the_weather_that_was_assumed() -> None:
     """The fit without it had the charge 9 K warmer, and there a sum of two wrong terms explained more."""
-    parameters, fault = we2011.PARAMETERS.model_dump(), (Fault("charge_cooler_loss", 0.16),)
-    driving = draw_driving("random", 120.0, parameters, np.random.default_rng(3))
-    run = run_plant(driving, parameters, fault)
-    frame = read(run, driving, fault, SensorSet.perfect(), 5, np.random.default_rng(4))
+    frame = _driven(120.0, Fault("charge_cooler_loss", 0.16), sensors=5)
     document = discover(recording(frame), we2011.PARAMETERS, Options(withhold=("charge_cooler_loss",))).document
     (effect,) = document.effects
     assert effect.law is not None and effect.law.count("relative change") == 1
