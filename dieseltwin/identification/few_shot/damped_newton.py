@@ -8,7 +8,10 @@ from one integration, and solves a batch of small systems where this keeps a fac
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -16,10 +19,12 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from torch import Tensor
 
+from dieseltwin.engine.observations import pool, thread_count
 from dieseltwin.identification.few_shot.collocation import Collocation, Curvature, Data, Objective
 from dieseltwin.identification.few_shot.residuals import N_HEALTH, Cylinder
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 DAMPING_DOWN, DAMPING_UP = 0.1, 8.0
 DAMPING_MIN, DAMPING_MAX = 1e-9, 1e6
@@ -158,7 +163,8 @@ def minimise(
     runs = Runs(x, here, kept, endless, torch.ones(count, dtype=torch.int64))
     active = torch.nonzero(torch.isfinite(here.cost)).squeeze(-1)
     for _ in range(iterations_max):
-        steps = {lane: _next(runs, lane, tolerance) for lane in active.tolist()}
+        lanes = active.tolist()
+        steps = dict(zip(lanes, _side_by_side(partial(_next, runs, tolerance), lanes), strict=True))
         active = torch.tensor([lane for lane, step in steps.items() if step is not None], dtype=torch.int64)
         if not active.numel():
             break
@@ -170,14 +176,19 @@ def minimise(
         to, of = active[accepted], torch.nonzero(accepted).squeeze(-1)
         x[to] = trial[of]
         here.put(to, there, of)
-        active = torch.tensor(
-            [lane for lane, good in zip(active.tolist(), accepted.tolist(), strict=True) if _goes_on(runs, lane, good)],
-            dtype=torch.int64,
-        )
+        lanes, good = active.tolist(), dict(zip(active.tolist(), accepted.tolist(), strict=True))
+        going = _side_by_side(partial(_goes_on, runs, good), lanes)
+        active = torch.tensor([lane for lane, on in zip(lanes, going, strict=True) if on], dtype=torch.int64)
     return runs
 
 
-def _next(runs: Runs, lane: int, tolerance: float) -> Array | None:
+def _side_by_side(one: Callable[[int], T], lanes: list[int]) -> list[T]:
+    """What `one` answers for each run: Hessians and factors are a run's own, and made without Python's lock."""
+    threads = thread_count()
+    return list(pool(threads).map(one, lanes)) if threads > 1 and len(lanes) > 1 else list(map(one, lanes))
+
+
+def _next(runs: Runs, tolerance: float, lane: int) -> Array | None:
     """The next step of a run (m,); None where it has arrived."""
     factor, gradient = runs.factors[lane], runs.objective.gradient[lane].numpy()
     if factor.empty:
@@ -196,10 +207,10 @@ def _next(runs: Runs, lane: int, tolerance: float) -> Array | None:
     return step / max(longest, 1.0)
 
 
-def _goes_on(runs: Runs, lane: int, accepted: bool) -> bool:
+def _goes_on(runs: Runs, accepted: dict[int, bool], lane: int) -> bool:
     """Set a run's damping after a trial; whether there is another."""
     factor = runs.factors[lane]
-    if accepted:
+    if accepted[lane]:
         factor.damping, factor.stale = max(factor.damping * DAMPING_DOWN, DAMPING_MIN), True
     elif factor.stale:  # a refused step of a Hessian from elsewhere says little
         factor.renew(runs.objective.curvature, lane)
