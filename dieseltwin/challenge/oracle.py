@@ -11,6 +11,7 @@ from dieseltwin.discovery.likelihood.score import effect_responses, score, secan
 from dieseltwin.discovery.search.preparation import split_growing, tolerance_responses
 from dieseltwin.discovery.twins.diesel import MAP_TOLERANCE, EngineTwin
 from dieseltwin.engine import HEALTH, EngineParameters
+from dieseltwin.engine.limited import Limited
 from dieseltwin.engine.map_corrections import basis, look_up
 from dieseltwin.engine.terms import Term, with_corrections
 from dieseltwin.recordings.noise import Noise, estimate_noise
@@ -64,9 +65,8 @@ def fit_oracle(
         The engine with the refitted values, terms included.
     """
     twin = EngineTwin(recording, engine, map_tolerance=map_tolerance)
-    start_s = float(twin.recording_time_s[0])
     schedules = {
-        t.effect: t.factor(twin.recording_time_s, start_s, dict(twin.conditions))
+        t.effect: Limited.factor(t, twin.recording_time_s, twin.start_s, dict(twin.conditions))
         for t in terms
         if t.onset_s is not None or t.region is not None
     }

@@ -83,17 +83,16 @@ def fit_notes(recording: Recording, engine: EngineParameters, sensors: Sequence[
         engine: what the twin believes; its health parameters are fitted.
         sensors: columns that count.
     """
-    parts = list(_parts(recording))
-    used = [name for name in sensors if name in recording.columns and np.isfinite(recording.columns[name]).any()]
-    if not parts or len(used) < FEWEST_SENSORS:
+    parts = [(part, there) for part in _parts(recording) if len(there := _reading(part, sensors)) >= FEWEST_SENSORS]
+    if not parts:
         return [Note(f"whether the twin fits isn't tested: that takes {SHORTEST_S:g} s of running engine and "
                      f"{FEWEST_SENSORS} sensors", "untested")]
     bar = ALARM_GAIN + 2.0 * float(np.log(len(parts)))  # as many chances as parts
     suspected: list[Suspect] = []
     left: list[Excess] = []
-    for part in parts:
+    for part, there in parts:
         try:
-            found, faults = _examined(part, engine, used)
+            found, faults = _examined(part, engine, there)
         except InputError as error:  # terms of the engine that the effects of the catalogue can't stand beside
             return [Note(f"whether the twin fits isn't tested: {error}", "untested")]
         except np.linalg.LinAlgError:
@@ -158,10 +157,17 @@ def _parts(recording: Recording) -> Iterator[Recording]:
         if rows.size < 2:
             continue
         columns = {name: values[rows] for name, values in recording.columns.items()}
-        part = replace(recording, time_s=recording.time_s[rows], columns=Columns(columns))
+        part = replace(
+            recording, time_s=recording.time_s[rows], columns=Columns(columns), cut_from_s=recording.start_s
+        )
         step = float(np.median(np.diff(part.time_s)))
         if part.running_s + step >= SHORTEST_S:
             yield part
+
+
+def _reading(part: Recording, sensors: Sequence[str]) -> list[str]:
+    """The sensors that read anything there."""
+    return [name for name in sensors if name in part.columns and np.isfinite(part.columns[name]).any()]
 
 
 def _examined(part: Recording, engine: EngineParameters, sensors: Sequence[str]) -> tuple[Search, list[Suspicion]]:

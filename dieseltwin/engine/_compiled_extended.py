@@ -51,12 +51,11 @@ from dieseltwin.engine._compiled_rates import (
     evaluate,
     evaluate_restricted,
 )
-from dieseltwin.engine.effects import DRIFTS, GAS_LAG, STATE_EFFECTS
+from dieseltwin.engine.effects import GAS_LAG, STATE_EFFECTS
 from dieseltwin.engine.model_constants import CONSTANT_NAMES
 from dieseltwin.inner import kernel
 
 INERTIA = STATE_EFFECTS.index(GAS_LAG)
-GROWS = np.array(DRIFTS)
 P_AMB = CONSTANT_NAMES.index("p_amb")
 T_GAS_START = 700.0  # K, start of the fixed point of the gas temperature
 
@@ -78,14 +77,13 @@ def load_lane(work, k, lane, constants):  # type: ignore[no-untyped-def]
 
 @numba.njit(**_OPTIONS)
 def load_interval(  # type: ignore[no-untyped-def]
-    work, k, lane, i, time, start, magnitudes, schedules, schedule_of_lane, signals, lane_point, lane_signal
+    work, k, lane, i, time, magnitudes, schedules, schedule_of_lane, signals, lane_point, lane_signal
 ):
     """Magnitudes of a lane at sample i and the signals from there to the next sample."""
     following = min(i + 1, time.shape[0] - 1)
     g = schedule_of_lane[lane]
     for e in range(N_EFFECTS):
-        since = max(time[i] - start, 0.0) if GROWS[e] else 1.0
-        work[(EFFECT + e) * LANES + k] = schedules[g, e, i] * since * magnitudes[e, lane]
+        work[(EFFECT + e) * LANES + k] = schedules[g, e, i] * magnitudes[e, lane]
     for p in range(N_POINTS):
         work[(SIGNAL + p) * LANES + k] = signals[p, i]
         work[(SLOPE + p) * LANES + k] = signals[p, following] - signals[p, i]
@@ -125,7 +123,7 @@ def relax_gas(work, carried, static, gain, kept):  # type: ignore[no-untyped-def
 
 
 def _integrate_extended(  # type: ignore[no-untyped-def]
-    grids, grid_of_lane, steps, time, start, constants, magnitudes, schedules, schedule_of_lane, signals, lane_point,
+    grids, grid_of_lane, steps, time, constants, magnitudes, schedules, schedule_of_lane, signals, lane_point,
     lane_signal, restarts, initial, late, tables, low_end, per_unit, pieces, out,
 ):  # fmt: skip
     """Integrate pieces of B lanes, LANES pieces abreast; who has done one takes the next.
@@ -136,7 +134,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
     The last stage starts from `late` of the third stage's rate and the rest of the second's. With 1 that is RK4; with
     less it is of third order, and stable up to longer steps.
 
-    grids (G, 4, 2 N + 1), grid_of_lane (B,), steps (n - 1,), time (n,), start [s], constants (n_constants, B),
+    grids (G, 4, 2 N + 1), grid_of_lane (B,), steps (n - 1,), time (n,), constants (n_constants, B),
     magnitudes (N_EFFECTS, B), schedules (G', N_EFFECTS, n), schedule_of_lane (B,), signals (N_POINTS, n),
     lane_point (B,), lane_signal (B, n), restarts (W,), initial (B, W, 3), late [-],
     tables (0 or N_CORRECTED, nodes, nodes) [-] over grids from low_end (N_CORRECTED, 2) with per_unit (N_CORRECTED, 2)
@@ -191,7 +189,7 @@ def _integrate_extended(  # type: ignore[no-untyped-def]
                     window[k] += 1
                     sweeps[k] = START_SWEEPS
                 load_interval(
-                    work, k, lane[k], i, time, start, magnitudes, schedules, schedule_of_lane, signals, lane_point,
+                    work, k, lane[k], i, time, magnitudes, schedules, schedule_of_lane, signals, lane_point,
                     lane_signal,
                 )  # fmt: skip
                 step[k] = 0

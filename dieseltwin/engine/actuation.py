@@ -204,7 +204,7 @@ def actuate(inputs: Inputs, parameters: EngineParameters, step_s: float | np.nda
         step_s: largest integration step [s], one for all or one per sample interval, (n - 1,).
     """
     start, conditions = inputs.recording_start_s, inputs.columns
-    rows = amounts(parameters.terms, ACTUATION_EFFECTS, inputs.time_s, start, conditions)
+    rows = amounts(parameters.terms, ACTUATION_EFFECTS, inputs.clock_s, start, conditions)
     used = {name: row for name, row in zip(ACTUATION_EFFECTS, rows, strict=True) if row.any()}
     magnitudes = {name: float(row.max()) for name, row in used.items()}
     schedules = {name: row / row.max() for name, row in used.items() if row.min() < row.max()}

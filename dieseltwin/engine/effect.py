@@ -130,6 +130,11 @@ class Effect:
             object.__setattr__(self, "sizes", (self.tolerance,))
 
     @property
+    def varies(self) -> bool:
+        """Whether its magnitude isn't the same all the time, by itself."""
+        return self.drifts or self.follows is not None
+
+    @property
     def arguments(self) -> tuple[str, ...]:
         """What the law depends on besides its quantity and the magnitude, by name."""
         return () if self.change is None else tuple(signature(self.change).parameters)[2:]

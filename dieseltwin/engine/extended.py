@@ -37,7 +37,6 @@ class Extension:
         lane_signal: (B, n) values of these further signals.
         restarts: (W,) ascending sample indices, the first 0, at which p_im, p_em, omega_t start anew.
         corrections: of the maps; None: none.
-        start_s: start of the recording, from which drifts count; None: the first sample [s].
     """
 
     magnitudes: np.ndarray | None = None
@@ -46,7 +45,6 @@ class Extension:
     lane_point: np.ndarray | None = None
     lane_signal: np.ndarray | None = None
     restarts: np.ndarray | Sequence[int] = (0,)
-    start_s: float | None = None
     schedules: np.ndarray | None = None
     schedule_of_lane: np.ndarray | None = None
     corrections: MapCorrections | None = None
@@ -146,7 +144,6 @@ def simulate_extended(
     first, grids, grid_of_lane = _grids(actuation, lanes)
     time = first.time_s - first.time_s[0]
     n = time.size
-    start = 0.0 if extension.start_s is None else float(extension.start_s - first.time_s[0])
     magnitudes = _checked(extension.magnitudes, (len(STATE_EFFECTS), lanes), "magnitudes")
     schedules, schedule_of_lane = _schedules(extension, lanes, n)
     signals = _checked(extension.signals, (len(POINTS), n), "signals")
@@ -175,7 +172,7 @@ def simulate_extended(
     threads = thread_count() if threads is None else threads
     inputs = [
         _input_of_kernel(array) for array in (
-            grids, grid_of_lane, first.steps, time, start, batch.values, magnitudes, schedules, schedule_of_lane,
+            grids, grid_of_lane, first.steps, time, batch.values, magnitudes, schedules, schedule_of_lane,
             signals, lane_point, lane_signal, restarts, starts, late, corrections.tables, corrections.low,
             corrections.per_unit,
         )

@@ -11,7 +11,7 @@ import numpy as np
 from dieseltwin.engine._compiled import follow_lanes
 from dieseltwin.engine.array_namespace import Array, positive_power
 from dieseltwin.engine.binding import Model, numpy_model
-from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, IMPLICIT, STATE_EFFECTS, Magnitudes
+from dieseltwin.engine.effects import EFFECTS, GAS_LAG, IMPLICIT, STATE_EFFECTS, Magnitudes
 from dieseltwin.engine.extended import Extension, simulate_extended
 from dieseltwin.engine.fixed_point import settled, unchanged
 from dieseltwin.engine.inputs import Actuation
@@ -61,6 +61,14 @@ def conditions_of(actuation: Actuation) -> dict[str, np.ndarray]:
     return {name: np.interp(actuation.time_s, inputs.time_s, values) for name, values in inputs.columns.items()}
 
 
+def clock_of(actuation: Actuation) -> np.ndarray:
+    """Times of the samples on the recording's clock, gaps included [s], (n,)."""
+    inputs = actuation.inputs
+    return actuation.time_s if inputs.recorded_s is None else np.interp(
+        actuation.time_s, inputs.time_s, inputs.recorded_s
+    )
+
+
 def acting(
     actuation: Actuation, of: Callable[[np.ndarray, float, Mapping[str, np.ndarray]], np.ndarray]
 ) -> np.ndarray:
@@ -70,11 +78,11 @@ def acting(
         actuation: with the inputs.
         of: (times [s], the recording's start [s], conditions at these times) -> (..., number of times).
     """
-    start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
+    start, conditions, clock_s = actuation.inputs.recording_start_s, conditions_of(actuation), clock_of(actuation)
     if actuation.rows is None:
-        return of(actuation.time_s, start, conditions)
+        return of(clock_s, start, conditions)
     first = actuation.row_starts
-    at_rows = of(actuation.time_s[first], start, {name: values[first] for name, values in conditions.items()})
+    at_rows = of(clock_s[first], start, {name: values[first] for name, values in conditions.items()})
     return at_rows[..., actuation.rows]
 
 
@@ -85,11 +93,10 @@ def extension_of(
 
     Laws are left aside.
     """
-    start = actuation.inputs.recording_start_s
     schedule = acting(actuation, partial(amounts, terms, STATE_EFFECTS))
     coefficients = corrections_in(terms)
     return Extension(
-        np.ones((len(STATE_EFFECTS), size)), schedule, restarts=restarts, start_s=start,
+        np.ones((len(STATE_EFFECTS), size)), schedule, restarts=restarts,
         corrections=None if coefficients is None else corrections_of(coefficients),
     )  # fmt: skip
 
@@ -294,10 +301,8 @@ def quantities_under(
 
 
 def magnitudes_at(actuation: Actuation, terms: Terms) -> Magnitudes:
-    """Magnitudes of the effects in the right-hand side at the samples, (n,) each, drifts as rate times time."""
-    rows = acting(actuation, partial(amounts, terms, STATE_EFFECTS))
-    rows[np.array(DRIFTS)] *= np.maximum(actuation.time_s - actuation.inputs.recording_start_s, 0.0)
-    return Magnitudes(*rows)
+    """Magnitudes of the effects in the right-hand side at the samples, (n,) each."""
+    return Magnitudes(*acting(actuation, partial(amounts, terms, STATE_EFFECTS)))
 
 
 def along(
@@ -326,7 +331,7 @@ def along(
     named = {
         "p_im": p_im, "p_em": p_em, "omega_t": omega_t, "x_r": x_r, "T_1": T_1,
         "n_e": n_e, "u_delta": u_delta, "u_egr": u_egr, "u_vgt": u_vgt,
-        "t": actuation.time_s - actuation.inputs.recording_start_s,
+        "t": clock_of(actuation) - actuation.inputs.recording_start_s,
     }  # fmt: skip
     model = numpy_model(restricted=any(np.any(getattr(m, name)) for name in IMPLICIT))
     if states.shape[-1] > 5:

@@ -30,6 +30,7 @@ class Inputs:
             the states start at row `n_history`.
         start_s: start of the recording that they were cut from, from which drifts and onsets of terms count [s];
             None: the first row.
+        recorded_s: when the rows were recorded [s], (n,), where gaps between them are closed in `time_s`; None: then.
         u_flap_pct: position of an exhaust flap [%], (n,), or None.
     """
 
@@ -41,6 +42,7 @@ class Inputs:
     n_history: int = 0
     start_s: float | None = None
     u_flap_pct: np.ndarray | None = None
+    recorded_s: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         time = np.ascontiguousarray(self.time_s, dtype=np.float64)
@@ -83,7 +85,12 @@ class Inputs:
     @property
     def recording_start_s(self) -> float:
         """`start_s`, or the first row's time [s]."""
-        return float(self.time_s[0] if self.start_s is None else self.start_s)
+        return float(self.clock_s[0] if self.start_s is None else self.start_s)
+
+    @property
+    def clock_s(self) -> np.ndarray:
+        """Times of the rows on the recording's clock, gaps included [s], (n,)."""
+        return self.time_s if self.recorded_s is None else self.recorded_s
 
     @property
     def segment_time_s(self) -> np.ndarray:
@@ -108,7 +115,8 @@ class Inputs:
         number = np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps)  # of a step behind its sample
         fine = np.append(number * np.repeat(np.diff(time) / steps, steps) + np.repeat(time[:-1], steps), time[-1])
         columns = {name: np.interp(fine, time, values[rows]) for name, values in self.columns.items()}
-        return Inputs(fine, **columns, start_s=self.recording_start_s)
+        recorded = None if self.recorded_s is None else np.interp(fine, time, self.recorded_s[rows])
+        return Inputs(fine, **columns, start_s=self.recording_start_s, recorded_s=recorded)
 
 
 def steps_between(time_s: np.ndarray, step_s: float | np.ndarray) -> np.ndarray:

@@ -67,7 +67,7 @@ class Term(Limited):
         return self.effect
 
     def factor(self, time_s: np.ndarray, start_s: float, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
-        """As of every term, times what an input makes of the magnitude.
+        """As of every term, times what an input or the time makes of the magnitude; a drift's is that of a rate [s].
 
         Raises:
             InputError: the input isn't among the conditions.
@@ -79,7 +79,7 @@ class Term(Limited):
                                  "add it, or take the term out of the engine file")
         if effect.follows is not None:
             factor = factor * effect.follows(conditions, {**effect.coefficients, **self.shape})
-        return factor
+        return factor * np.maximum(time_s - start_s, 0.0) if effect.drifts else factor
 
     @property
     def law(self) -> str:

@@ -56,7 +56,8 @@ def liveliest(recording: Recording, minutes: float) -> Recording:
                 best = variety, found
         if best is not None:
             kept[best[1]] = True
-    return replace(recording, time_s=time[kept], columns={name: v[kept] for name, v in recording.columns.items()})
+    columns = {name: v[kept] for name, v in recording.columns.items()}
+    return replace(recording, time_s=time[kept], columns=columns, cut_from_s=recording.start_s)
 
 
 def minutes_of(recording: Recording, count: int, most: float) -> float:

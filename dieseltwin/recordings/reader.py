@@ -101,6 +101,7 @@ class Recording:
         notes: what reading did to the file and what it costs, one sentence each.
         began: date of the first row [UTC], where the file's stamps say it.
         made: columns that a channel map computed from others.
+        cut_from_s: first time stamp of the recording that these rows are a part of [s]; None: they are all of it.
     """
 
     time_s: np.ndarray
@@ -112,6 +113,12 @@ class Recording:
     notes: tuple[str, ...] = ()
     began: datetime | None = None
     made: Made = NOTHING
+    cut_from_s: float | None = None
+
+    @property
+    def start_s(self) -> float:
+        """First time stamp of the whole recording, from which onsets and drifts count [s]."""
+        return float(self.time_s[0]) if self.cut_from_s is None else self.cut_from_s
 
     @property
     def duration_s(self) -> float:
@@ -206,7 +213,7 @@ class Recording:
         return Segment(
             t0_s=float(time[start]),
             t1_s=float(time[stop - 1]),
-            inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, start - before, float(time[0]), **further),
+            inputs=Inputs(time[rows].copy(), n_e, u_delta, u_egr, u_vgt, start - before, self.start_s, **further),
             measured=np.where(np.isfinite(measured), measured, np.nan),
             columns=Columns(columns),
             p_amb_pa=_median_or(columns.get("p_amb_pa"), self.p_amb_pa),

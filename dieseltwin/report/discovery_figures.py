@@ -124,7 +124,7 @@ def evidence_time(found: Discovery) -> style.ReportFigure | None:
         handles.append(Patch(color="#ececec", label="held out"))
     for name, at in moments(location):
         dashes = "--" if name == "onset" else ":"
-        axes.axvline(at, color=BEFORE, linestyle=dashes)
+        axes.axvline(curves.start_s + at, color=BEFORE, linestyle=dashes)
         handles.append(Line2D([], [], color=BEFORE, linestyle=dashes, label=f"{name}, {clock(at)}"))
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return style.ReportFigure("evidence_time", "Evidence over time", captions.EVIDENCE_TIME, figure)

@@ -78,7 +78,7 @@ def residual_time(found: Discovery) -> style.ReportFigure:
         axes.set_ylim(-limit, limit)
     for _, at in moments(found.document.location):
         for axes in panels:
-            axes.axvline(at, color="#333333", linestyle="--", linewidth=1.0)
+            axes.axvline(curves.start_s + at, color="#333333", linestyle="--", linewidth=1.0)
     panels[-1].set_xlabel("time [s]")
     earlier = Line2D([], [], color=BEFORE, marker="o", markersize=4, label="before (health parameters alone)")
     handles = [

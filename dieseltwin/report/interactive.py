@@ -161,7 +161,7 @@ def discovery_series(found: Discovery) -> Series:
     curves = found.curves
     before = list(curves.before.T) if found.document.mismatch else None
     panels = repair_panels(curves.time_s, curves.channels, list(curves.measured.T), before, list(curves.after.T))
-    return Series(panels, marks=tuple(Mark(name, at) for name, at in moments(found.document.location)))
+    return Series(panels, marks=tuple(Mark(name, curves.start_s + at) for name, at in moments(found.document.location)))
 
 
 def results_series(results: Results) -> Series | None:

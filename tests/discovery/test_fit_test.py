@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import dieseltwin as dt
+from dieseltwin.discovery import fit_test
 from dieseltwin.discovery.fit_test import fit_notes
 from dieseltwin.engine import MEASURED, we2011
 from dieseltwin.recordings.reader import recording
@@ -66,6 +67,14 @@ def test_a_frozen_position_is_no_quiet_answer(clean: pd.DataFrame) -> None:
     assert "misfit" in {warning["code"] for warning in found.warnings}
     without = dt.identify(clean.assign(u_egr_pct=float(clean["u_egr_pct"][0])), runs=1, setup=dt.Setup(fit_test=False))
     assert not any("dieseltwin discover" in warning["text"] for warning in without.warnings)
+
+
+def test_a_sensor_that_is_dead_for_one_part_is_left_out_there_alone(
+    clean: pd.DataFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit_test, "LONGEST_PART_S", 60.0)
+    broken = clean.assign(t_em_k=clean["t_em_k"].where(clean["time_s"] > clean["time_s"].iloc[0] + 61.0))
+    assert fit_notes(recording(broken), we2011.PARAMETERS, MEASURED[:5]) == []
 
 
 def test_what_is_too_short_is_said_to_be_untested(clean: pd.DataFrame) -> None:

@@ -113,6 +113,7 @@ class EngineTwin:
         rows, self.starts, self.pieces = windows_of(recording, WINDOW_S)
         self.rows = rows
         self.recording_time_s = time = recording.time_s[rows]
+        self.start_s = recording.start_s
         self.time_s = without_gaps(time, self.pieces)
         self._at = [MEASURED.index(c) for c in self.channels]
         columns = recording.columns
@@ -127,7 +128,7 @@ class EngineTwin:
         self.conditions: Mapping[str, Array] = {c: columns[c][rows] for c in INPUT_COLUMNS}
         further = {name: values[rows] for name, values in optional_inputs(columns).items()}
         inputs: Mapping[str, Any] = {**self.conditions, **further}
-        self.inputs = Inputs(self.time_s, **inputs).clipped(self.engine)
+        self.inputs = Inputs(self.time_s, **inputs, start_s=self.start_s, recorded_s=time).clipped(self.engine)
         self.parameters = tuple(
             Parameter(name, value, HEALTH_PRIOR * value, HEALTH_UNITS[name], 0.1 * value)
             for name, value in zip(HEALTH, self.engine.health(), strict=True)
@@ -145,9 +146,9 @@ class EngineTwin:
         slow = rows_are_slow(self.time_s)
         self.law_scope = replace(LAW_SCOPE, kinds=LAW_KINDS) if slow else LAW_SCOPE
         self.hypotheses: Mapping[str, Hypothesis] = hypotheses_of(self.channels, further, slow)
-        self._driven = {name: Term(effect=name, magnitude=0.0).factor(self.time_s, 0.0, inputs)
-                        for name in self.hypotheses if EFFECTS[name].follows is not None}  # fmt: skip
-        self._known = known_terms(self.engine.terms, self.recording_time_s, inputs)
+        self._driven = {name: Term(effect=name, magnitude=0.0).factor(time, self.start_s, inputs)
+                        for name in self.hypotheses if EFFECTS[name].varies}  # fmt: skip
+        self._known = known_terms(self.engine.terms, time, self.start_s, inputs)
         self._laws = law_terms(self.engine.terms)
         self._law_signals: dict[str, Array] = {}
         self._begin()
@@ -246,7 +247,7 @@ class EngineTwin:
         """The engine's own laws as signals, settled along lane 0 (Picard) and shared by all lanes."""
         if not self._laws:
             return lanes
-        one, start_s, conditions = lane_of(lanes, 0), float(self.recording_time_s[0]), dict(self.conditions)
+        one, conditions = lane_of(lanes, 0), dict(self.conditions)
 
         def answer(signals: dict[str, Array]) -> dict[str, Array]:
             entered = replace(one, signals=joined(one.signals, signals))
@@ -255,7 +256,7 @@ class EngineTwin:
             for law in self._laws:
                 own = variables.get(f"{law.point}:before")
                 at = variables if own is None else {**variables, law.point: own}
-                signal = np.nan_to_num(law.signal(at) * law.factor(self.recording_time_s, start_s, conditions))
+                signal = np.nan_to_num(law.signal(at) * law.factor(self.recording_time_s, self.start_s, conditions))
                 new[law.point] = new.get(law.point, 0.0) + np.broadcast_to(signal, self.time_s.shape)
             return new
 

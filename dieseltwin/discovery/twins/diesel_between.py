@@ -110,7 +110,7 @@ def _actuation(twin: Driven, lanes: Lanes, column: str, std: Array | None, node:
     moved = moving(magnitudes)
     held = {name: np.repeat(schedules[name], every)[: fine_s.size] for name in moved if name in schedules}
     steps_s = np.repeat(twin.steps_s, every)
-    fine = actuate_lanes(Inputs(fine_s, **columns, start_s=inputs.start_s), twin.engine, moved, 1, held, steps_s)[0]
+    fine = actuate_lanes(Inputs(fine_s, **columns), twin.engine, moved, 1, held, steps_s)[0]
     rows = slice(None, None, every)  # the same grid, with the recording's rows as samples
     return replace(
         fine, time_s=inputs.time_s, steps=fine.steps.reshape(-1, every).sum(axis=1), inputs=inputs,

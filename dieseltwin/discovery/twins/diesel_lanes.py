@@ -94,19 +94,18 @@ def extension_of(lanes: Lanes, combined: Mapping[str, Array], schedules: Mapping
 
 
 def known_terms(
-    terms: Sequence[AnyTerm], time_s: Array, conditions: Mapping[str, Array]
+    terms: Sequence[AnyTerm], time_s: Array, start_s: float, conditions: Mapping[str, Array]
 ) -> dict[str, tuple[float, Array | None]]:
     """Magnitude and schedule (n,), None for always, of the effects that an engine's own terms name.
 
     Args:
         terms: of the engine file; laws and corrections are passed over.
-        time_s, conditions: of the recording's rows.
+        time_s, conditions: of the recording's rows; start_s: its start.
     """
     known: dict[str, tuple[float, Array | None]] = {}
     for term in effect_terms(terms):
-        driven = isinstance(term, Term) and EFFECTS[term.effect].follows is not None
-        limited = not term.always or driven
-        schedule = term.factor(time_s, float(time_s[0]), dict(conditions)) if limited else None
+        limited = not term.always or (isinstance(term, Term) and EFFECTS[term.effect].varies)
+        schedule = term.factor(time_s, start_s, dict(conditions)) if limited else None
         before, earlier = known.get(term.slot, (0.0, None))
         if before and (schedule is not None or earlier is not None):  # either has times of its own
             own = term.magnitude * (1.0 if schedule is None else schedule)

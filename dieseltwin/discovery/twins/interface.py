@@ -195,6 +195,11 @@ class Twin(Offer, Protocol):
         """(n,) times of the samples in the recording, gaps included [s]."""
         ...
 
+    @property
+    def start_s(self) -> float:
+        """When the recording starts, from which what is told counts [s]."""
+        ...
+
     def simulate(self, lanes: Lanes) -> Array:
         """Readings without noise, (B, n, C)."""
         ...
@@ -230,6 +235,11 @@ class TwinDefaults:
     def recording_time_s(self) -> Array:
         """(n,) sample times [s]."""
         return self.time_s
+
+    @property
+    def start_s(self) -> float:
+        """The first sample [s]."""
+        return float(self.recording_time_s[0])
 
     def simulate_all(self, lanes: Lanes) -> Array | None:
         """There are no other sensors than `channels`."""

@@ -107,7 +107,7 @@ class SeveralTwin:
         self._edges = np.cumsum([0, *(part.time_s.size for part in parts)])
         self.rows = tuple(slice(int(a), int(b)) for a, b in pairwise(self._edges))
         self.time_s = _one_after_another([part.time_s for part in parts])
-        self.recording_time_s = _one_after_another([part.recording_time_s for part in parts])
+        self.recording_time_s, self.start_s = _one_after_another([part.recording_time_s for part in parts]), 0.0
         self.conditions: Mapping[str, Array] = {
             name: np.concatenate([part.conditions[name] for part in parts]) for name in first.conditions
         }
@@ -152,6 +152,12 @@ class SeveralTwin:
     def recording_at(self, row: int) -> int:
         """Number of the recording that a sample is in."""
         return int(np.searchsorted(self._edges, row, side="right")) - 1
+
+    def since_start(self, row: int) -> float:
+        """How long after the start of its recording a sample is [s]."""
+        r = self.recording_at(row)
+        part = self.parts[r]
+        return float(part.recording_time_s[row - self.rows[r].start] - part.start_s)
 
     def _lanes_of(self, r: int, lanes: Lanes) -> Lanes:
         """What the lanes are in one recording."""

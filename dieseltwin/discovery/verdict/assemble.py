@@ -35,7 +35,7 @@ from dieseltwin.discovery.verdict.document import (
 from dieseltwin.discovery.verdict.document import Fit as FitFigures
 from dieseltwin.discovery.verdict.effect_curve import effect_curves
 from dieseltwin.discovery.verdict.explained import disagreement, explained_at
-from dieseltwin.discovery.verdict.findings import finite
+from dieseltwin.discovery.verdict.findings import finite, times_since_start
 from dieseltwin.discovery.verdict.held_out import held_out_scores, held_windows
 from dieseltwin.discovery.verdict.observed import observed
 from dieseltwin.discovery.verdict.over_recordings import (
@@ -91,7 +91,7 @@ def assemble(
         evidence_map=dict(twin.conditions), evidence=evidence, candidates=rows, laws=_law_curves(found, twin),
         tolerance={name: h.tolerance for name, h in twin.hypotheses.items()},
         units={name: h.unit for name, h in twin.hypotheses.items()}, held_out=_held_rows(found),
-        allowed=allowed,
+        allowed=allowed, start_s=twin.start_s,
     )  # fmt: skip
     details = details_of_search(found, rows, best)
     starts, local = twin.starts, twin.initial(at.fit.local)
@@ -245,7 +245,7 @@ def _terms(found: Search, location: Location, twin: EngineTwin | SeveralTwin, fi
     variant = found.variant if found.kind == "variant" else None
     times: dict[str, Any] = {}  # of a recording by itself
     if not isinstance(twin, SeveralTwin):
-        end_s = float(twin.recording_time_s[-1] - twin.recording_time_s[0])
+        end_s = float(twin.recording_time_s[-1] - twin.start_s)
         times = {"onset_s": location.onset_s, "until_s": location.until_s, "gone_s": location.gone_s,
                  "grown_s": end_s if location.grows else None}  # fmt: skip
     share = 1.0  # of its size, on the last recording
@@ -320,8 +320,7 @@ def details_of_search(found: Search, rows: list[CandidateRow], best: Linearisati
         "singles": [_fit_row(found, fit) for fit in found.singles[:12]],
         "pairs": [_fit_row(found, fit) for fit in found.pairs[:6]],
         "variants": [
-            {**_fit_row(found, fit), "onset_s": v.onset_s, "until_s": v.until_s, "grows": v.grows,
-             "gone_s": v.gone, "region": v.region, "profile": v.profile}
+            {**_fit_row(found, fit), **times_since_start(found.twin, v), "region": v.region, "profile": v.profile}
             for v, fit in found.variants[:4]
         ],
         "unnamed": [

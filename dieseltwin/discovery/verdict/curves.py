@@ -79,6 +79,7 @@ class Curves:
         held_out: (n,) True where a row was not used for the fit; None where nothing was held out.
         allowed: (n, C) what the tolerances of maps and sensors explain beside the repaired fit [SI]; None where that
             isn't known.
+        start_s: where on the axis of `time_s` the recording starts, from which onsets and ends count [s].
     """
 
     time_s: Array
@@ -96,6 +97,7 @@ class Curves:
     units: Mapping[str, str] = field(default_factory=dict)
     held_out: Array | None = None
     allowed: Array | None = None
+    start_s: float = 0.0
 
 
 @dataclass(frozen=True)

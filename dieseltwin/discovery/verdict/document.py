@@ -70,7 +70,7 @@ class FoundRegion(FrozenModel):
 
 
 class Location(FrozenModel):
-    """Where the mismatch enters the model, in which driving, and since when [s on the recording's clock].
+    """Where the mismatch enters the model, in which driving, and since when [s from the recording's first row].
 
     `until_s`: before when, where it went again. `grows`: its size isn't constant but grows evenly from nothing at the
     onset to what is stated, at the recording's end. `gone_s`: spans in between in which it was gone. They are in the

@@ -10,8 +10,9 @@ from scipy.special import expit, logsumexp
 
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.search.state import Search
+from dieseltwin.discovery.search.variants import Variant
 from dieseltwin.discovery.twins.diesel import EngineTwin
-from dieseltwin.discovery.twins.interface import Array
+from dieseltwin.discovery.twins.interface import Array, Twin
 from dieseltwin.discovery.twins.several import SeveralTwin
 from dieseltwin.discovery.verdict.document import NONE_OF_THESE, Alternative, FoundEffect, FoundRegion, Location
 from dieseltwin.discovery.verdict.reasons import split_by
@@ -30,18 +31,26 @@ def finite(value: float | None) -> float | None:
 def location(found: Search, twin: EngineTwin | SeveralTwin, evidence: Array) -> Location:
     """Site with its rivals, the driving that holds the evidence, the onset and the end."""
     variant = found.variant if found.kind == "variant" else None
-    onset, until = (None, None) if variant is None else (variant.onset_s, variant.until_s)
-
-    def recorded(time_s: float) -> float:
-        return float(twin.recording_time_s[np.searchsorted(twin.time_s, time_s)] - twin.recording_time_s[0])
-
     return ranked_location(
         site_probabilities(found),
         regions=_regions(twin, evidence, variant.region if variant else None),
-        onset_s=None if onset is None or onset <= twin.time_s[0] else recorded(onset),
-        until_s=None if until is None else recorded(until), grows=variant is not None and variant.grows,
-        gone_s=() if variant is None else tuple((recorded(gone), recorded(again)) for gone, again in variant.gone),
-    )  # fmt: skip
+        **({} if variant is None else times_since_start(twin, variant)),
+    )
+
+
+def since_start(twin: Twin, time_s: float) -> float:
+    """A time of the twin, in which gaps are closed, as one since the recording's start [s]."""
+    return float(twin.recording_time_s[np.searchsorted(twin.time_s, time_s)] - twin.start_s)
+
+
+def times_since_start(twin: Twin, variant: Variant) -> dict[str, Any]:
+    """Since when, until when and in which spans not, by the fields of `Location`."""
+    onset, until = variant.onset_s, variant.until_s
+    return {
+        "onset_s": None if onset is None or onset <= twin.time_s[0] else since_start(twin, onset),
+        "until_s": None if until is None else since_start(twin, until),
+        "grows": variant.grows, "gone_s": tuple((since_start(twin, a), since_start(twin, b)) for a, b in variant.gone),
+    }  # fmt: skip
 
 
 def ranked_location(weights: Mapping[str, float], site: str | None = None, **more: Any) -> Location:

@@ -135,7 +135,7 @@ def onset_of(location: Location, found: Search, days: Sequence[Dated]) -> Locati
     if variant.onset_s is not None:
         row = int(np.searchsorted(twin.time_s, variant.onset_s))
         r = twin.recording_at(row)
-        here = float(twin.recording_time_s[row] - twin.recording_time_s[twin.rows[r].start])
+        here = twin.since_start(row)
         return location.model_copy(update={"onset_s": here, "onset_date": days[r].day})
     kind, _, number = (variant.profile or "").partition(":")
     if kind == "begins":

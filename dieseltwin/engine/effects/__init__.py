@@ -78,9 +78,6 @@ ACTUATION_EFFECTS = _entering("command", "input")
 GAS_LAG = next(name for name, effect in EFFECTS.items() if effect.enters.through == "gas")
 """The effect by which the gas temperature in the exhaust manifold lags; there is one such state."""
 
-DRIFTS = tuple(EFFECTS[name].drifts for name in STATE_EFFECTS)
-"""Which of `STATE_EFFECTS` grow with time."""
-
 _tuple_type: Any = namedtuple  # mypy wants the fields written out
 Magnitudes = _tuple_type("Magnitudes", STATE_EFFECTS, module=__name__)
 """Magnitudes of `STATE_EFFECTS` at a moment [their units]; a drift's is rate times time."""
@@ -99,6 +96,6 @@ IMPLICIT = (*effects_at("p_bc"), *effects_at("p_es"))
 """Effects whose law is solved at every evaluation: the flow that it asks for answers it."""
 
 __all__ = [
-    "ACTUATION_EFFECTS", "DRIFTS", "EFFECTS", "GAS_LAG", "HEATED_BY_GAS", "IMPLICIT", "SENSOR_EFFECTS", "SITES",
+    "ACTUATION_EFFECTS", "EFFECTS", "GAS_LAG", "HEATED_BY_GAS", "IMPLICIT", "SENSOR_EFFECTS", "SITES",
     "STATE_EFFECTS", "Effect", "Magnitudes", "effects_at",
 ]  # fmt: skip

@@ -17,7 +17,7 @@ from dieseltwin.engine import Actuation, Constants, EngineParameters, bind
 from dieseltwin.engine.actuators import actuator_update
 from dieseltwin.engine.array_namespace import torch_primitives
 from dieseltwin.engine.effect import Entry
-from dieseltwin.engine.effects import DRIFTS, EFFECTS, GAS_LAG, HEATED_BY_GAS, STATE_EFFECTS, Magnitudes, effects_at
+from dieseltwin.engine.effects import EFFECTS, GAS_LAG, HEATED_BY_GAS, STATE_EFFECTS, Magnitudes, effects_at
 from dieseltwin.engine.extended_terms import conditions_of, quantities_under
 from dieseltwin.engine.quantities import Gas, Quantities
 from dieseltwin.engine.terms import LAGGING_SENSOR, amounts, corrections_in, law_terms
@@ -67,9 +67,7 @@ class TermModel:
         for actuation in actuations:
             start, conditions = actuation.inputs.recording_start_s, conditions_of(actuation)
             time = actuation.time_s
-            row = amounts(parameters.terms, names, time, start, conditions)
-            row[: len(STATE_EFFECTS)][np.array(DRIFTS)] *= np.maximum(time - start, 0.0)
-            rows.append(row)
+            rows.append(amounts(parameters.terms, names, time, start, conditions))
             factors.append([law.factor(time, start, conditions) for law in self.laws])
             times.append(time - start)
 
