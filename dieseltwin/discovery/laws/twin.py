@@ -73,6 +73,10 @@ class LawTwin(TwinDefaults):
         self._commands = self._on_commands()
         self._settled: Array | None = None
 
+    def local_limits(self) -> tuple[Array, Array] | None:
+        """As of the twin without the laws."""
+        return self.base.local_limits()
+
     def _on_commands(self) -> tuple[str, ...]:
         """The twin's own effect for every law, where all laws are operators on commands."""
         known = law_scope_of(self.base).commands

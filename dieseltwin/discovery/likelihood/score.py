@@ -64,7 +64,8 @@ def secant_sizes(twin: Twin, names: Sequence[str]) -> list[tuple[str, float]]:
         if hypothesis.in_place_of:
             continue
         sizes = hypothesis.sizes if not hypothesis.smooth else (_SIZE_OF_TOLERANCE * hypothesis.tolerance,)
-        wanted += [(name, float(np.clip(size, -hypothesis.limits[1], hypothesis.limits[1]))) for size in sizes]
+        wanted += [(name, float(np.clip(size if hypothesis.limits[1] > 0.0 else -size, *hypothesis.limits)))
+                   for size in sizes]  # fmt: skip
     return wanted
 
 
@@ -156,15 +157,15 @@ def chance(at: Linearisation, scored: Sequence[Scored], seed: int) -> Chance:
 
     In the augmented space all of that is white, so a draw needs the Gram matrix of the hypotheses alone.
     """
-    units, one_sided = [], []
+    units, signs = [], []
     for item in scored:
         norm = np.sqrt(item.projected @ item.projected)
         if norm > 0:
             units.append(item.projected / norm)
-            one_sided.append(at.twin.hypotheses[item.name].limits[0] >= 0.0)
+            signs.append(at.twin.hypotheses[item.name].sign)
     gram = np.stack(units) @ np.stack(units).T
     draws = np.random.default_rng(seed).normal(size=(_DRAWS, len(units))) @ symmetric_root(gram)
-    draws = np.where(one_sided, np.maximum(draws, 0.0), draws)
+    draws = np.where(draws * signs < 0.0, 0.0, draws)
     largest = (draws**2).max(axis=1)
     at_level = np.quantile(largest, 0.98)
     return Chance(largest, float(0.02 / chdtrc(1, at_level)))

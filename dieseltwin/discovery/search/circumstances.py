@@ -283,24 +283,30 @@ def _clocks_by_rows(at: Linearisation, twin: WithCircumstances, rest: Sequence[C
     clocks = [item for item in rest if item.kind == TIME_SHIFT and item.column in channels]
     row_s = {item.name: float(np.median(np.diff(parts[item.recording or 0].time_s))) for item in clocks}
     most = {item.name: int(_FARTHEST * item.std / row_s[item.name]) for item in clocks}
-    misfits: dict[str, dict[int, float]] = {item.name: {} for item in clocks}
+    gains: dict[str, dict[int, float]] = {item.name: {} for item in clocks}
     farthest = max(most.values(), default=0)
+    unmoved = _squares(at, measured)
     for rows in range(-farthest, farthest + 1):
-        moved = np.nan_to_num(np.roll(measured, -rows, axis=0) - at.simulated)
-        misfit = at.whitening.apply(moved).reshape(moved.shape) ** 2
+        moved = np.roll(measured, -rows, axis=0)
+        gain = np.where(np.isfinite(moved) & np.isfinite(measured), unmoved - _squares(at, moved), 0.0)
         for item in clocks:
             if abs(rows) > most[item.name]:
                 continue
             part, end = parts[item.recording or 0], int(ends[item.recording or 0])
             inside = slice(end - part.time_s.size + most[item.name], end - most[item.name])
-            misfits[item.name][rows] = float(misfit[inside, channels.index(item.column)].sum())
+            gains[item.name][rows] = float(gain[inside, channels.index(item.column)].sum())
     starts = {}
     for item in clocks:
-        own = misfits[item.name]
-        best = min(own, key=lambda rows: own[rows])
-        if own[0] - own[best] > twin.beliefs.evidence:
+        own = gains[item.name]
+        best = max(own, key=lambda rows: own[rows])
+        if own[best] > twin.beliefs.evidence:
             starts[item.name] = twin.values.get(item.name, item.assumed) + best * row_s[item.name]
     return starts
+
+
+def _squares(at: Linearisation, measured: Array) -> Array:
+    """Whitened misfit (n, C) of readings at a fit, squared; what isn't there has none."""
+    return at.whitening.apply(np.nan_to_num(measured - at.simulated)).reshape(measured.shape) ** 2
 
 
 def _chosen(

@@ -36,7 +36,7 @@ def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Sco
     vectors = np.stack([s.projected for s in items])
     gram = vectors @ vectors.T
     push = vectors @ found.null.pulled_residual
-    sided = [found.twin.hypotheses[s.name].limits[0] >= 0.0 for s in items]
+    signs = [found.twin.hypotheses[s.name].sign for s in items]
     out = []
     for i in range(len(items)):
         for j in range(i + 1, len(items)):
@@ -46,7 +46,7 @@ def _pair_gains(found: Search, items: Sequence[Scored]) -> list[tuple[float, Sco
                 continue
             x = (b * push[i] - c * push[j]) / determinant
             y = (a * push[j] - c * push[i]) / determinant
-            if (sided[i] and x < 0) or (sided[j] and y < 0):
+            if signs[i] * x < 0.0 or signs[j] * y < 0.0:
                 continue
             out.append((float(x * push[i] + y * push[j]), items[i], items[j]))
     return sorted(out, key=lambda item: -item[0])

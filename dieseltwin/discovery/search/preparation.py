@@ -42,6 +42,7 @@ from dieseltwin.discovery.likelihood.score import chance, effect_responses, scor
 from dieseltwin.discovery.search.bends import bent_windows
 from dieseltwin.discovery.search.state import Search
 from dieseltwin.discovery.twins.interface import Array, Twin, rows_of
+from dieseltwin.errors import InputError
 from dieseltwin.recordings.noise import Noise, estimate_noise
 from dieseltwin.settings.search import SearchSettings
 
@@ -61,8 +62,13 @@ def prepare(twin: Twin, settings: SearchSettings, beside: Fit | None = None) -> 
         settings: thresholds.
         beside: an explanation of nearly all: noise, tolerances and scores are then about it (`Search.best`), and the
             health-only fit is in its metric.
+
+    Raises:
+        InputError: nothing is left of the catalogue.
     """
     clock = time.perf_counter()
+    if not _tried(twin, settings):
+        raise InputError("withhold", "every effect that this machine has", "fewer", "leave one or more to be tried")
     noise = twin.noise() if isinstance(twin, KnownErrors) else estimate_noise(twin.measured)
     whitening = _whitening(twin, noise)
     rough = fit_fully(twin, whitening, beside or first_fit(twin), rounds=5)
@@ -135,9 +141,14 @@ def _whitening(twin: Twin, noise: Noise, scatter: ModelScatter | None = None) ->
     return Whitening.of(twin.measured, noise, twin.starts, scatter)
 
 
+def _tried(twin: Twin, settings: SearchSettings) -> list[tuple[str, float]]:
+    """Effects of the catalogue that are tried, and at which sizes."""
+    return secant_sizes(twin, [name for name in twin.hypotheses if name not in settings.withhold])
+
+
 def _scored(null: Linearisation, noise: Noise, settings: SearchSettings) -> Search:
     twin = null.twin
-    wanted = secant_sizes(twin, [name for name in twin.hypotheses if name not in settings.withhold])
+    wanted = _tried(twin, settings)
     scored = score(null, wanted, effect_responses(twin, null, wanted))
     return Search(twin, settings, noise, null.whitening, null, scored, chance(null, scored, settings.seed))
 

@@ -69,7 +69,12 @@ class Search:
 
     def anew(self) -> Search:
         """The same for a search of its own, as long as nothing was looked for here."""
-        return replace(self, null=copy(self.null), probabilities={}, seconds=dict(self.seconds))
+        return replace(self, null=copy(self.null), best=copy(self.best), probabilities={}, seconds=dict(self.seconds))
+
+    @property
+    def scored_at(self) -> Linearisation:
+        """The fit that `scored` is about: the health-only one, or that beside a valve that stands still."""
+        return self.best if self.standing and self.best is not None else self.null
 
     def gain(self, fit: Fit) -> float:
         """Gain of a fit over the health-only fit."""

@@ -128,6 +128,11 @@ class Hypothesis:
     confused_with: tuple[str, ...] = ()
     in_place_of: str = ""
 
+    @property
+    def sign(self) -> float:
+        """Of all possible magnitudes, 1 or -1; 0 where either is possible."""
+        return 1.0 if self.limits[0] >= 0.0 else -1.0 if self.limits[1] <= 0.0 else 0.0
+
 
 @dataclass(frozen=True)
 class Lanes:
@@ -347,6 +352,10 @@ def joined(signals: Mapping[str, Array], more: Mapping[str, Array]) -> dict[str,
     return out
 
 
+_OF_LANES = ("trajectories", "circumstance_responses")
+"""What a twin may offer besides that takes lanes first."""
+
+
 class WithSignals:
     """A twin with fixed signals in every simulation."""
 
@@ -354,7 +363,8 @@ class WithSignals:
         self._twin, self._signals = twin, signals
 
     def __getattr__(self, name: str) -> object:
-        return getattr(self._twin, name)
+        offered = getattr(self._twin, name)
+        return (lambda lanes, *more: offered(self._with_signals(lanes), *more)) if name in _OF_LANES else offered
 
     def _with_signals(self, lanes: Lanes) -> Lanes:
         return replace(lanes, signals=joined(lanes.signals, self._signals))

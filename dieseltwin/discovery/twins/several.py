@@ -92,7 +92,10 @@ class SeveralTwin:
         self.channels, self.states, self.state_scales = first.channels, first.states, first.state_scales
         scopes = [part.law_scope for part in parts]
         self.law_scope = min(scopes, key=lambda scope: len(scope.kinds or ()))  # slow rows of one recording show less
-        self.points: tuple[Point, ...] = first.points
+        self.points: tuple[Point, ...] = tuple(
+            replace(same[0], timed=all(point.timed for point in same))
+            for same in zip(*(part.points for part in parts), strict=True)
+        )
         self.belief = first.belief
         self.parameters = tuple(
             replace(parameter, name=f"{parameter.name}:{r}")
@@ -254,6 +257,10 @@ class SeveralTwin:
             own, open_now = of_recording(values, r), frozenset(of_recording(free, r))
             if isinstance(part, LoggedTwin) and (own, open_now) != (of_recording(before, r), part.opened):
                 parts[r] = part.under(own, open_now, like)
+            elif part.deviation.any():
+                parts[r] = part.deviating(np.zeros_like(part.deviation), np.zeros_like(part.moved))
+            else:
+                parts[r] = copy(part)  # whose windows are cut where these aren't
         other = SeveralTwin(parts, self.occasions)
         if like:
             other.measured[~np.isfinite(self.measured).any(axis=1)] = np.nan

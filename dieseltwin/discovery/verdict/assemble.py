@@ -189,9 +189,9 @@ def _by_window(found: Search, evidence: Array) -> tuple[Array, Array]:
 
 def p_value(found: Search) -> float:
     """Probability that chance alone gives as much as the strongest finding."""
-    gains = [found.gain(fit) for fit in found.singles[:1]] or [found.explained()]
-    if found.kind == "law" and found.structure:
-        gains.append(found.structure[0].gain)
+    gains = [found.explained(), *(found.gain(fit) for fit in found.singles[:1])]
+    if found.kind == "law":
+        gains += [item.gain for item in found.everything_unnamed()[:1]]
     return float(np.clip(found.chance.p_value(max(gains, default=0.0)), 0.0, 1.0))
 
 
@@ -300,7 +300,7 @@ def _law_curves(found: Search, twin: EngineTwin | SeveralTwin) -> list[LawCurve]
     return [
         LawCurve(
             name=NONE_OF_THESE, x_name=law.argument, x=curve.x, curve=curve.y, low=curve.low, high=curve.high,
-            points_x=curve.points_x, points_y=curve.points_y, unit=law.unit,
+            points_x=curve.points_x, points_y=curve.points_y, points_std=curve.points_std, unit=law.unit,
         )
     ]  # fmt: skip
 

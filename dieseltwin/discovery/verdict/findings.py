@@ -90,9 +90,10 @@ def site_probabilities(found: Search) -> dict[str, float]:
                 scores[rival.site] = max(scores.get(rival.site, -np.inf), -0.5 * abs(rival.behind))
         else:
             scores = {}
-            top = found.structure[0].gain
-            for item in found.structure:
-                scores[item.feature.site] = max(scores.get(item.feature.site, -np.inf), 0.5 * (item.gain - top))
+            unnamed = found.everything_unnamed()
+            for item in unnamed:
+                score = 0.5 * (item.gain - unnamed[0].gain)
+                scores[item.feature.site] = max(scores.get(item.feature.site, -np.inf), score)
         total = logsumexp(list(scores.values()))
         return {site: float(np.exp(score - total)) for site, score in scores.items()}
     for key, probability in found.probabilities.items():
@@ -206,7 +207,7 @@ def valid_for(found: Search) -> str:
 
 def _unnamed(found: Search) -> FoundEffect:
     catalogue = found.gain(found.singles[0]) if found.singles else 0.0
-    ahead = (found.structure[0].gain if found.structure else 0.0) - catalogue
+    ahead = max((item.gain for item in found.everything_unnamed()), default=0.0) - catalogue
     law: str | None = None
     if found.law is not None:
         law = found.law.text

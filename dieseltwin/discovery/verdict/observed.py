@@ -50,12 +50,12 @@ def observed(
 
 
 def scores_of(found: Search, belief: Belief) -> tuple[Score, ...]:
-    """Linear estimate of every effect at the health-only fit, and what it owes to noise and to maps and sensors.
+    """Linear estimate of every effect where all were scored, and what it owes to noise and to maps and sensors.
 
     The estimate is a product of the readings with a vector that no health parameter, initial state or open direction
     of maps and sensors moves beyond its prior; what is left of a direction is that vector's row of the prior.
     """
-    at = found.null
+    at = found.scored_at
     if at.loadings is None:
         return ()
     scale = np.sqrt(np.diag(belief.covariance))

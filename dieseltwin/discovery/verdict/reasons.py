@@ -64,7 +64,7 @@ def _reason(
             return f"log-likelihood gain {half:.1f}, below the alarm at {threshold:.1f}"
         return f"gain {half:.1f}, but only {size:.2g} times its size of interest"
     if found.kind == "law":
-        best = 0.5 * found.structure[0].gain
+        best = 0.5 * found.everything_unnamed()[0].gain
         return f"log-likelihood gain {half:.1f}, against {best:.1f} by a term without a name"
     return f"log-likelihood gain {half:.1f}, {0.5 * (top - gain):.1f} less than the best single effect"
 

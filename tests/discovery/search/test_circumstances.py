@@ -27,7 +27,7 @@ from dieseltwin.discovery.likelihood.circumstances import (
 from dieseltwin.discovery.likelihood.fit import Candidate, Linearisation, first_fit, fit_fully, simulate_fits
 from dieseltwin.discovery.likelihood.metric import Whitening
 from dieseltwin.discovery.options import Options
-from dieseltwin.discovery.search.circumstances import _chosen, _delay, in_weather_of
+from dieseltwin.discovery.search.circumstances import _chosen, _clocks_by_rows, _delay, in_weather_of
 from dieseltwin.discovery.search.preparation import prepare, recentred
 from dieseltwin.discovery.search.run import looked_at
 from dieseltwin.discovery.search.settled import Settled
@@ -335,6 +335,16 @@ def test_sensors_late_by_more_than_their_responses_reach_are_found_beside_a_faul
     assert isinstance(twin, LoggedTwin) and twin.opened == {f"time_shift:{column}" for column in late}
     assert [twin.values[f"time_shift:{column}"] for column in late] == pytest.approx([0.4, 0.4])
     assert found.singles[0].candidate.names == ("exhaust_leak",)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_readings_that_are_not_there_put_no_clock_off(every: int) -> None:
+    """Moved by rows they lay on others, and met any fit perfectly: a sensor in time was one row late."""
+    frame = _driven(120.0)
+    frame.loc[np.arange(len(frame)) % every != 0, "w_egr_kg_s"] = np.nan
+    found = prepare(LoggedTwin(recording(frame), we2011.PARAMETERS), default_search().driving)
+    assert isinstance(found.twin, LoggedTwin)
+    assert _clocks_by_rows(found.null, found.twin, found.twin.circumstances) == {}
 
 
 def test_one_clock_that_is_off_is_not_all_of_them() -> None:

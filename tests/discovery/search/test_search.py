@@ -27,6 +27,7 @@ from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.search.variants import Variant, scan
 from dieseltwin.discovery.twins.interface import Twin
 from dieseltwin.discovery.verdict.findings import too_small
+from dieseltwin.errors import InputError
 from dieseltwin.recordings.noise import Noise, estimate_noise
 from tests.discovery.toy import SETTINGS, Toy
 
@@ -192,6 +193,19 @@ def test_search_says_when_no_name_fits() -> None:
     )
     assert found.kind == "law"
     assert found.structure[0].feature.site == "vessel"
+
+
+def test_an_effect_that_can_only_be_negative_is_found() -> None:
+    toy = Toy().record(gain=1.0, x_offset=-0.08)
+    toy.hypotheses["x_offset"] = replace(toy.hypotheses["x_offset"], limits=(-1.0, 0.0))
+    found = search.run(toy, SETTINGS, laws=False)
+    assert found.best is not None and found.best.fit.candidate.names == ("x_offset",)
+    assert found.best.fit.magnitudes[0] == pytest.approx(-0.08, abs=0.01)
+
+
+def test_a_catalogue_of_which_nothing_is_left_is_refused() -> None:
+    with pytest.raises(InputError, match="withhold: got every effect"):
+        search.run(Toy().record(), SETTINGS.asked(("leak", "drag", "x_offset"), 0))
 
 
 def test_without_time_the_best_single_effect_is_the_answer_and_what_was_left_out_is_said() -> None:

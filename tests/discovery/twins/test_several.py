@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from dieseltwin.discovery.likelihood.fit import first_fit, parameter_lanes
 from dieseltwin.discovery.twins.diesel import EngineTwin
 from dieseltwin.discovery.twins.diesel_circumstances import LoggedTwin
-from dieseltwin.discovery.twins.interface import OverRecordings, single
+from dieseltwin.discovery.twins.interface import OverRecordings, WithSignals, single
 from dieseltwin.discovery.twins.several import Occasion, SeveralTwin, profiles_of
 from dieseltwin.engine import we2011
 from dieseltwin.errors import InputError
@@ -82,10 +83,40 @@ def test_circumstances_are_those_of_each_recording():
     simulated = twin.simulate(lanes)[0]
     (response,) = twin.circumstance_responses(lanes, simulated, ["t_im_k@1"])
     moved = twin.under({"t_im_k@1": we2011.PARAMETERS.T_im + 0.5}, frozenset(), like=True)
-    assert moved.values == {"t_im_k@1": we2011.PARAMETERS.T_im + 0.5} and moved.parts[0] is parts[0]
+    assert moved.values == {"t_im_k@1": we2011.PARAMETERS.T_im + 0.5} and moved.parts[0].values == parts[0].values
     change = moved.simulate(lanes)[0] - simulated
     assert not change[twin.rows[0]].any() and not response[twin.rows[0]].any()
     assert np.abs(change - 0.5 * response).max() < 0.05 * np.abs(change).max()
+
+
+def test_windows_that_are_cut_under_other_circumstances_are_cut_there_alone():
+    parts = [LoggedTwin(recording(drive(40.0, seed=k)), we2011.PARAMETERS) for k in (1, 2)]
+    twin = SeveralTwin(parts, [Occasion(0.0, 298.0), Occasion(30.0, 283.0)])
+    lanes, windows = first_fit(twin).lanes(), twin.starts.size
+    before = twin.simulate(lanes)
+    moved = twin.under({"t_im_k@1": we2011.PARAMETERS.T_im + 0.5}, frozenset())
+    moved.split(np.ones(windows, dtype=bool), 4, moved.first_local())
+    assert moved.starts.size > windows == twin.starts.size
+    assert np.array_equal(twin.simulate(lanes), before, equal_nan=True)
+
+
+def test_a_delay_is_no_finding_where_one_recording_does_not_know_when_a_command_was_given():
+    given = LoggedTwin(recording(drive(40.0, seed=1)), we2011.PARAMETERS)
+    open_clock = LoggedTwin(
+        recording(drive(40.0, seed=2)), we2011.PARAMETERS, opened=frozenset({"time_shift:u_egr_pct"})
+    )
+    twin = SeveralTwin([given, open_clock], [Occasion(0.0, 298.0), Occasion(30.0, 283.0)])
+    assert {point.name: point.timed for point in twin.points if not point.timed} == {"u_egr": False}
+
+
+def test_a_twin_with_signals_answers_the_weather_with_them():
+    twin = LoggedTwin(recording(drive(40.0, seed=1)), we2011.PARAMETERS)
+    signals = {"W_t": np.full(twin.time_s.size, 0.1)}
+    fixed, lanes = cast(LoggedTwin, WithSignals(twin, signals)), first_fit(twin).lanes()
+    entered = replace(lanes, signals=signals)
+    there = fixed.circumstance_responses(lanes, fixed.simulate(lanes)[0], ["p_amb_pa"])
+    assert np.array_equal(there, twin.circumstance_responses(entered, twin.simulate(entered)[0], ["p_amb_pa"]))
+    assert np.array_equal(fixed.trajectories(lanes)[0], twin.simulate(entered), equal_nan=True)
 
 
 def test_one_recording_or_other_sensors_are_refused(twin: SeveralTwin):
