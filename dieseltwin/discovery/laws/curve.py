@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from dieseltwin.discovery.laws.responses import PointResponse
-from dieseltwin.discovery.twins.interface import Array, Point
+from dieseltwin.discovery.twins.interface import Array
 
 _BINS = 9
 _GRID = 40
@@ -20,17 +19,10 @@ class Curve:
     """A signal at a point over one variable.
 
     Attributes:
-        point, site, unit: where it enters, [unit] of y.
-        argument: name of the variable.
         x, y, low, high: the curve and its 90 % band.
         points_x, points_y, points_std: estimates bin by bin.
-        score: gain less what the bins cost.
     """
 
-    point: str
-    site: str
-    unit: str
-    argument: str
     x: Array
     y: Array
     low: Array
@@ -38,7 +30,6 @@ class Curve:
     points_x: Array
     points_y: Array
     points_std: Array
-    score: float
 
 
 def _hats(values: Array) -> tuple[Array, Array]:
@@ -49,45 +40,22 @@ def _hats(values: Array) -> tuple[Array, Array]:
     return knots, np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))])
 
 
-def binned(
-    point: Point, variables: Mapping[str, Array], argument: str, response: PointResponse, price: float = 0.0
-) -> Curve:
-    """Piecewise-linear signal over one variable by least squares in the metric.
-
-    Args:
-        point: where it enters.
-        variables: along the trajectory.
-        argument: over which.
-        response: of the point.
-        price: of each bin in the score.
-    """
-    knots, hats = _hats(variables[argument])
+def binned(values: Array, response: PointResponse) -> tuple[Array, Array, Array]:
+    """Piecewise-linear signal over a variable (n,) by least squares: knots, estimates and their deviations (m,)."""
+    knots, hats = _hats(values)
     at = response.at_knots(hats)
     information = response.products(at, at)
     ridge = 1e-8 * np.trace(information) / len(information)
     covariance = np.linalg.inv(information + ridge * np.eye(len(information)))
-    gradient = response.gradients(at)
-    y = covariance @ gradient
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    score = float(gradient @ y) - price * len(knots)
-    return Curve(
-        point.name, point.site, point.unit, argument, knots, y, y - _BAND * std, y + _BAND * std, knots, y, std, score
-    )
+    return knots, covariance @ response.gradients(at), np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
-def law_curve(
-    point: Point, variables: Mapping[str, Array], argument: str, signal: Array, spread: float, response: PointResponse
-) -> Curve:
-    """A law's signal averaged over its argument, with the band of its coefficient, beside the bins."""
-    free = binned(point, variables, argument, response)
-    values = variables[argument]
+def law_curve(values: Array, signal: Array, spread: float, response: PointResponse) -> Curve:
+    """A law's signal (n,) averaged over a variable (n,), with the band of its coefficient, beside the bins."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _GRID + 1)))
     bin_of = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(len(edges) - 2, 0))
     used = np.unique(bin_of)
     x = np.array([values[bin_of == b].mean() for b in used])
     y = np.array([signal[bin_of == b].mean() for b in used])
     half = _BAND * spread * np.abs(y)
-    return Curve(
-        point.name, point.site, point.unit, argument, x, y, y - half, y + half, free.points_x, free.points_y,
-        free.points_std, free.score,
-    )  # fmt: skip
+    return Curve(x, y, y - half, y + half, *binned(values, response))

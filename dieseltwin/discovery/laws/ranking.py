@@ -22,7 +22,6 @@ from dieseltwin.discovery.laws.grammar import (
 )
 from dieseltwin.discovery.laws.responses import PointResponse, Responses
 from dieseltwin.discovery.laws.twin import Placed
-from dieseltwin.discovery.likelihood.worth import Worth
 from dieseltwin.discovery.twins.interface import Array, Point, Twin, law_scope_of
 
 _BEAM = (24, 10)  # forms of one and of two factors that are multiplied by every further one
@@ -49,7 +48,6 @@ class Ranked:
         placed: one or two terms with first coefficients.
         gain: decrease of -2 log likelihood of the linear estimate.
         charge: what the extended BIC takes off.
-        worth: what the gain counts for.
     """
 
     index: int
@@ -57,12 +55,11 @@ class Ranked:
     placed: tuple[Placed, ...]
     gain: float
     charge: float
-    worth: float
 
     @property
     def score(self) -> float:
-        """Worth less charge."""
-        return self.worth - self.charge
+        """Gain less charge."""
+        return self.gain - self.charge
 
     @property
     def complexity(self) -> int:
@@ -81,17 +78,16 @@ class _Scored:
     coefficient: float
     gain: float
     charge: float
-    worth: float
     at_knots: Array
 
     @property
     def score(self) -> float:
-        return self.worth - self.charge
+        return self.gain - self.charge
 
 
 def rank(
     twin: Twin, responses: Responses, variables: Mapping[str, Array], points: Sequence[str] | None = None,
-    readings: float | None = None, kinds: Sequence[str] | None = None, screened: Sequence[str] | None = None,
+    screened: Sequence[str] | None = None,
 ) -> list[Ranked]:  # fmt: skip
     """Candidate laws of all points, best first.
 
@@ -100,18 +96,14 @@ def rank(
         responses: at the current fit.
         variables: name -> (n,) along its trajectory, with `time_s`.
         points: names of the points to try; None for all.
-        readings: independent ones where the size of the misfit counts as unknown (`worth`), else None.
-        kinds: of factors; None for those of the twin's `LawScope`, else all.
         screened: names of those among the points that are ranked at all; laws pay for the choice from all of them.
     """
     scope = law_scope_of(twin)
-    kinds = kinds or scope.kinds
     chosen = [i for i, point in enumerate(twin.points) if points is None or point.name in points]
     field = _Field(
         twin, {name: np.asarray(values) for name, values in variables.items()},
-        {**scope.units, **dict.fromkeys(TIMES, "s")}, None if kinds is None else frozenset(kinds),
-        Worth(responses.explained(), readings), float(np.log(readings or responses.at.whitening.present.sum())),
-        len(chosen),
+        {**scope.units, **dict.fromkeys(TIMES, "s")}, None if scope.kinds is None else frozenset(scope.kinds),
+        float(np.log(responses.at.whitening.present.sum())), len(chosen),
     )  # fmt: skip
     admitted = variables.keys() if scope.variables is None else variables.keys() & set(scope.variables)
     out: list[Ranked] = []
@@ -130,7 +122,6 @@ class _Field:
         variables: name -> (n,).
         units: of variables.
         kinds: of factors that are tried; None for all.
-        worth: of a gain.
         log_readings: logarithm of the number of readings, the extended BIC's price of a coefficient.
         points: number of points among which a law is chosen.
     """
@@ -139,7 +130,6 @@ class _Field:
     variables: Mapping[str, Array]
     units: Mapping[str, str]
     kinds: frozenset[str] | None
-    worth: Worth
     log_readings: float
     points: int
 
@@ -171,11 +161,11 @@ class _AtPoint:
         acting = self._scored(self._operators())
         best = sorted([*singles, *products, *acting], key=lambda s: -s.score)[: 3 * _KEPT]
         kept = _distinct(self.response, best)
-        ranked = [Ranked(self.index, point.site, (_placed(s),), s.gain, s.charge, s.worth) for s in kept]
+        ranked = [Ranked(self.index, point.site, (_placed(s),), s.gain, s.charge) for s in kept]
         free = [s for s in kept if s.form.fixed is None]
         firsts = free[:_FIRST_TERMS]
         firsts += [s for s in singles if not s.form.factors and s not in firsts]  # the constant is always one of them
-        return ranked + _pairs(self.index, point, self.response, firsts, [*singles, *free], self.field.worth)
+        return ranked + _pairs(self.index, point, self.response, firsts, [*singles, *free])
 
     def _operators(self) -> list[Form]:
         """Forms with a coefficient of 1 that act on what passes the point: lags, delays, plays."""
@@ -225,7 +215,7 @@ class _AtPoint:
             if form.fixed is not None:
                 coefficient = float(np.clip(coefficient, *_OPERATOR_AMPLITUDE))
             gain = float(2.0 * coefficient * gradients[i] - coefficient**2 * norms[i])
-            out.append(_Scored(form, coefficient, gain, self._charge(form), self.field.worth(gain), at_knots[i]))
+            out.append(_Scored(form, coefficient, gain, self._charge(form), at_knots[i]))
         return out
 
     def _charge(self, form: Form) -> float:
@@ -249,16 +239,11 @@ def _placed(s: _Scored) -> Placed:
 
 
 def _useful(form: Form, factor: Factor) -> bool:
-    """Products of two powers of one variable, or of the same factor, say nothing new."""
+    """Products of two factors of one kind and variable say nothing new."""
     thresholds = sum(f.kind in ("excess", "shortage") for f in (*form.factors, factor))
     if thresholds > 1:
         return False
-    for own in form.factors:
-        if own.variables == factor.variables and own.kind == factor.kind:
-            return False
-        if {own.kind, factor.kind} <= {"power", "signed_power"} and own.variables == factor.variables:
-            return False
-    return True
+    return not any(own.variables == factor.variables and own.kind == factor.kind for own in form.factors)
 
 
 def _distinct(response: PointResponse, items: Sequence[_Scored]) -> list[_Scored]:
@@ -279,9 +264,8 @@ def _distinct(response: PointResponse, items: Sequence[_Scored]) -> list[_Scored
 
 
 def _pairs(
-    index: int, point: Point, response: PointResponse, firsts: Sequence[_Scored], seconds: Sequence[_Scored],
-    worth: Worth,
-) -> list[Ranked]:  # fmt: skip
+    index: int, point: Point, response: PointResponse, firsts: Sequence[_Scored], seconds: Sequence[_Scored]
+) -> list[Ranked]:
     """Sums of two terms at one point: to each of its best forms and a constant every single factor and good product.
 
     The best few, and the simplest of those near the best.
@@ -301,10 +285,9 @@ def _pairs(
         gains = np.where(apart, x * push[0][i] + y * push[1], -np.inf)
         for j in np.argsort(-gains)[: (2 if first.form.factors else 8) * _OF_PAIRS]:
             charge = first.charge + seconds[j].charge - 2.0 * np.log(2.0)
-            value = worth(float(gains[j])) if np.isfinite(gains[j]) else -np.inf
-            if value - charge > max(first.score, seconds[j].score):
+            if gains[j] - charge > max(first.score, seconds[j].score):
                 placed = (Placed(first.form, float(x[j])), Placed(seconds[j].form, float(y[j])))
-                item = Ranked(index, point.site, placed, float(gains[j]), charge, value)
+                item = Ranked(index, point.site, placed, float(gains[j]), charge)
                 out.setdefault(item.key, item)
     best = sorted(out.values(), key=lambda item: -item.score)
     return [*best[:_OF_PAIRS], *simplest(best[_OF_PAIRS:], best[0].score - _NEAR, _OF_PAIRS)] if best else []

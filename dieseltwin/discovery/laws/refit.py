@@ -13,7 +13,6 @@ from dieseltwin.discovery.laws.twin import LawTwin, Placed, before, trajectories
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, bounded, prior_precision, within_limits
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.refit import scatter
-from dieseltwin.discovery.likelihood.worth import Worth
 from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
 
 _ROUNDS = 12
@@ -33,19 +32,18 @@ class Refit:
         ranked: the candidate.
         twin: with the law at its estimate.
         fit: of that twin.
-        gain, worth: decrease of -2 log likelihood, and what it counts for.
+        gain: decrease of -2 log likelihood.
     """
 
     ranked: Ranked
     twin: LawTwin
     fit: Fit
     gain: float
-    worth: float
 
     @property
     def score(self) -> float:
-        """Worth less charge."""
-        return self.worth - self.ranked.charge
+        """Gain less charge."""
+        return self.gain - self.ranked.charge
 
 
 def spread_over_forms(
@@ -109,22 +107,22 @@ def start_of(at: Linearisation, law: LawTwin) -> Fit:
 
 
 def refit_all_laws(
-    twin: Twin, at: Linearisation, worth: Worth, items: Sequence[Ranked], variables: Mapping[str, Array]
+    twin: Twin, at: Linearisation, before: float, items: Sequence[Ranked], variables: Mapping[str, Array]
 ) -> list[Refit]:
     """Refits of candidates; all lanes at once where the laws become signals.
 
     Args:
         twin: without laws.
         at: linearisation that gives metric and slopes.
-        worth: of gains.
+        before: objective without a law, from which gains count.
         items: what to refit.
         variables: along the trajectory of `at`.
     """
     if not items:
         return []
     if hasattr(twin, "simulate_with_laws"):
-        return [_refit_inside(twin, at, worth, item) for item in items]
-    return _refit_as_signals(twin, at, worth, items, variables)
+        return [_refit_inside(twin, at, before, item) for item in items]
+    return _refit_as_signals(twin, at, before, items, variables)
 
 
 class _Slopes:
@@ -168,7 +166,7 @@ class _Slopes:
         return bounded(twin, local + shrink * self.at.metric.local_step(rest))
 
 
-def _refit_inside(twin: Twin, at: Linearisation, worth: Worth, item: Ranked) -> Refit:
+def _refit_inside(twin: Twin, at: Linearisation, before: float, item: Ranked) -> Refit:
     """Chord fit with the law evaluated inside the simulation."""
     law = LawTwin(twin, item.placed)
     known, extra = len(twin.parameters), len(law.parameters) - len(twin.parameters)
@@ -186,7 +184,7 @@ def _refit_inside(twin: Twin, at: Linearisation, worth: Worth, item: Ranked) -> 
         )
     )
     if not np.all(np.isfinite(simulated)):
-        return Refit(item, law, fit, -np.inf, -np.inf)
+        return Refit(item, law, fit, -np.inf)
     own = (simulated[1:] - simulated[0]) / steps[:, None, None]
     nominal = np.array([p.value for p in law.parameters])
     slopes = _Slopes(at, own, known, prior_precision(law, 0), nominal)
@@ -215,8 +213,7 @@ def _refit_inside(twin: Twin, at: Linearisation, worth: Worth, item: Ranked) -> 
             shrink *= _SLOWED
             if shrink < 0.03:
                 break
-    gain = worth.objective - best.objective
-    return Refit(item, law, best, gain, worth(gain))
+    return Refit(item, law, best, before - best.objective)
 
 
 def _term(placed: Placed, variables: Mapping[str, Array], amount: float, n: int) -> Array:
@@ -247,7 +244,7 @@ class _Lane:
 
 
 def _refit_as_signals(
-    twin: Twin, at: Linearisation, worth: Worth, items: Sequence[Ranked], variables: Mapping[str, Array]
+    twin: Twin, at: Linearisation, before: float, items: Sequence[Ranked], variables: Mapping[str, Array]
 ) -> list[Refit]:
     """Chord fits of all candidates in step: a round is one simulation of all, whose variables make the next signals."""
     known, n = len(twin.parameters), len(twin.time_s)
@@ -282,7 +279,7 @@ def _refit_as_signals(
         if not active:
             break
         _advance(twin, at, base_lanes, active, known, n)
-    return [_finished(twin, at, worth, lane, known) for lane in lanes]
+    return [_finished(twin, at, before, lane, known) for lane in lanes]
 
 
 def _amount(placed: Placed) -> float:
@@ -343,7 +340,7 @@ def _null(lane: _Lane, at: Linearisation, known: int) -> Array:
     return np.append(at.fit.parameters[:known], np.zeros(len(lane.values) - known))
 
 
-def _finished(twin: Twin, at: Linearisation, worth: Worth, lane: _Lane, known: int) -> Refit:
+def _finished(twin: Twin, at: Linearisation, before: float, lane: _Lane, known: int) -> Refit:
     placed: list[Placed] = []
     for p, amount in zip(lane.item.placed, lane.values[known:], strict=True):
         changed: Any
@@ -356,5 +353,4 @@ def _finished(twin: Twin, at: Linearisation, worth: Worth, lane: _Lane, known: i
     start = start_of(at, law)
     values = np.append(lane.values[:known], [p.value for p in law.parameters[known:]])
     fit = replace(start, parameters=values, local=lane.local, objective=lane.objective)
-    gain = worth.objective - lane.objective
-    return Refit(lane.item, law, fit, gain, worth(gain))
+    return Refit(lane.item, law, fit, before - lane.objective)

@@ -112,10 +112,6 @@ class Responses:
         self._half = self._half + left[: at.whitening.present.size].reshape(self._half.shape)
         self._points.clear()
 
-    def explained(self) -> float:
-        """Sum of squares that laws are asked to explain."""
-        return float(np.sum(self._half**2))
-
     def _joining_directions(self) -> tuple[Array, Array]:
         """Directions (D, n C) that join windows, and what is left of the residual (n, C) in the metric."""
         at = self.at

@@ -14,56 +14,31 @@ from typing import cast
 
 import numpy as np
 
-from dieseltwin.discovery.laws.curve import Curve, binned, law_curve
+from dieseltwin.discovery.laws.curve import Curve, law_curve
 from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself, signals_of
-from dieseltwin.discovery.laws.grammar import Form, rounded
+from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.laws.ranking import Ranked, rank, shortlist, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.refit import Refit, disagreement, refit_all_laws, spread_over_forms, start_of
 from dieseltwin.discovery.laws.responses import Linearised, Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
-from dieseltwin.discovery.likelihood.worth import Worth, independent
 from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
 
 _RIVALS = 9.0  # 2 delta log-likelihood within which two laws can't be told apart (docs/discovery.md)
 _ALIKE_SHARE = 0.005  # of the gain: what maps that are off a little can add to a form that follows them
 _FINAL_ROUNDS = 8
 _OF_SUMS = 3  # of the best, whose terms are refitted alone
+_REFITS = 16  # after each ranking
+_RENEWALS = 1  # linearisations with the best law inside
+_RESOLVED = 6.0  # score that a law must reach over no law
 _LEADING = 0.5  # of the best score: points whose laws reach it are ranked again with the best law inside
 
 
 @dataclass(frozen=True)
-class Options:
-    """Settings of the search.
-
-    Attributes:
-        points: names of the points where a law is looked for; None for all.
-        screened: names of those among them where a term without a name explains enough for a law to (`near_the_best`);
-            None for all.
-        kinds: kinds of factors (`grammar.Kind`) that a law may have; None for those of the twin's `LawScope`.
-        refits: laws refitted by simulation after each ranking.
-        renewals: linearisations with the best law inside.
-        free_shape: estimate the exponent (threshold, time) of the best law too.
-        unknown_misfit: gains count as `worth.Worth` says; for real machines that no twin explains down to their noise.
-        false_law: extra score that a law must reach over no law.
-    """
-
-    points: tuple[str, ...] | None = None
-    screened: tuple[str, ...] | None = None
-    kinds: tuple[str, ...] | None = None
-    refits: int = 16
-    renewals: int = 1
-    free_shape: bool = True
-    unknown_misfit: bool = False
-    false_law: float = 6.0
-
-
-@dataclass(frozen=True)
 class Rival:
-    """A law that the recording can't tell from the one reported: text, site, score below the best."""
+    """A law that the recording can't tell from the one reported: site, score below the best."""
 
-    text: str
     site: str
     behind: float
 
@@ -73,41 +48,30 @@ class Law:
     """A law found.
 
     Attributes:
-        point, site: where it enters.
+        site: where it enters.
         text: with coefficient and units.
-        form: for simulation (`LawTwin`).
-        coefficient, std, unit: of the term [unit of the point]; the deviation holds what other forms that explain as
-            much say of the size.
-        shape: estimate of the first factor's exponent (threshold, time); None where it wasn't free.
+        std, unit: of the first term's coefficient [unit of the point]; the deviation holds what other forms that
+            explain as much say of the size.
         argument: the variable over which `curve` shows it.
         curve: the law and, free of it, what the recording says bin by bin.
-        domain: variable -> (low, high) over which it was seen.
         gain: decrease of -2 log likelihood against no law.
         score: gain less what the extended BIC charges.
-        chi2_before, chi2_after: per reading.
         rivals: laws within 9 units.
         disagreement: (P,) standard deviation of the twin's parameters over other laws that may be the true one [unit].
         parameters: (P,) of the twin, refitted with the law.
         local: (W, S) initial states.
-        placed: all its terms (one or two) with their estimates, for `LawTwin`; `form` is the first one's.
+        placed: all its terms (one or two) with their estimates, for `LawTwin`.
         faults: of sensors, where the law is one of a reading; `placed` is empty then.
     """
 
-    point: str
     site: str
     text: str
-    form: Form
-    coefficient: float
     std: float
     unit: str
-    shape: float | None
     argument: str
     curve: Curve | None
-    domain: dict[str, tuple[float, float]]
     gain: float
     score: float
-    chi2_before: float
-    chi2_after: float
     rivals: tuple[Rival, ...]
     parameters: Array
     local: Array
@@ -126,67 +90,42 @@ class Law:
         return other, Fit(Candidate(), values, np.zeros(0), self.local, np.inf, True)
 
 
-@dataclass(frozen=True)
-class Found:
-    """Result of a search.
-
-    Attributes:
-        law: the best one, None where none is resolved.
-        curve: without a law, the effect bin by bin over one variable at the likeliest point, or None where nothing is.
-        ranked: the refitted ones, best first: (text, site, score).
-    """
-
-    law: Law | None
-    curve: Curve | None
-    ranked: tuple[tuple[str, str, float], ...]
-
-
 def search(
-    twin: Twin,
-    at: Linearisation,
-    nuisance_response: Array | None = None,
-    options: Options | None = None,
-    tolerances: Tolerances | None = None,
-) -> Found:
-    """Law that explains what is left of a fit.
+    twin: Twin, at: Linearisation, nuisance_response: Array | None = None, tolerances: Tolerances | None = None,
+    screened: Sequence[str] | None = None,
+) -> Law | None:  # fmt: skip
+    """Law that explains what is left of a fit; None where none is resolved.
 
     Args:
         twin: without the law; may hold effects already named (`at.fit`).
         at: converged linearisation of that twin.
         nuisance_response: (K, n, C) tolerance directions, as used for `at`.
-        options: settings.
         tolerances: directions about the law found, for its last fit; None keeps those given.
+        screened: names of the points where a term without a name explains enough for a law to (`near_the_best`);
+            None for all.
     """
-    options = options or Options()
-    base_lanes = at.fit.lanes()
+    base_lanes, before = at.fit.lanes(), at.fit.objective
     variables = {**twin.variables(base_lanes), "time_s": twin.time_s}
-    responses = Responses(cast(Linearised, at), base_lanes)
-    readings = independent(at.residual, twin.starts, len(twin.states)) if options.unknown_misfit else None
-    worth = Worth(at.fit.objective, readings)
-    ranked = rank(twin, responses, variables, options.points, readings, options.kinds, options.screened)
+    ranked = rank(twin, Responses(cast(Linearised, at), base_lanes), variables, screened=screened)
     refits: list[Refit] = []
     here: Linearisation = at
-    for renewal in range(options.renewals + 1):
+    for renewal in range(_RENEWALS + 1):
         known = {r.ranked.key for r in refits}
-        fresh = [item for item in shortlist(ranked, options.refits) if item.key not in known]
-        refits += refit_all_laws(twin, here, worth, fresh, variables)
+        fresh = [item for item in shortlist(ranked, _REFITS) if item.key not in known]
+        refits += refit_all_laws(twin, here, before, fresh, variables)
         refits.sort(key=lambda r: -r.score)
-        if not refits or refits[0].score <= 0.0 or renewal == options.renewals:
+        if not refits or refits[0].score <= 0.0 or renewal == _RENEWALS:
             break
-        ranked, here, responses, variables = _renewed(
-            twin, at, refits, nuisance_response, options, readings
-        )
+        ranked, here, variables = _renewed(twin, at, refits, nuisance_response)
     known = {r.ranked.key for r in refits}
     single = _single_terms(refits, twin)
     if refits:
         single += [item for item in simpler(ranked, refits[0].ranked) if item.key not in known]
-    refits += refit_all_laws(twin, here, worth, single, variables)
+    refits += refit_all_laws(twin, here, before, single, variables)
     refits.sort(key=lambda r: -r.score)
-    resolved = bool(refits) and refits[0].score > options.false_law
-    if not resolved:
-        return Found(None, _loose_curve(twin, responses, ranked, variables, at), _table(twin, refits))
-    law = _report(twin, at, _simplest_first(refits), nuisance_response, options, worth, tolerances)
-    return Found(law, None, _table(twin, refits))
+    if not refits or refits[0].score <= _RESOLVED:
+        return None
+    return _report(twin, at, _simplest_first(refits), nuisance_response, tolerances)
 
 
 def _single_terms(refits: Sequence[Refit], twin: Twin) -> list[Ranked]:
@@ -219,17 +158,6 @@ def _complexity(refit: Refit) -> int:
     return sum(1 + law.form.complexity for law in refit.twin.laws)
 
 
-def _table(twin: Twin, refits: Sequence[Refit]) -> tuple[tuple[str, str, float], ...]:
-    return tuple((_text(twin, r), r.ranked.site, r.score) for r in refits)
-
-
-def _text(twin: Twin, refit: Refit) -> str:
-    parts = []
-    for law, (coefficient, shape) in zip(refit.twin.laws, refit.twin.values(refit.fit.parameters), strict=True):
-        parts.append(law_text(twin, law.form, float(coefficient), None if shape is None else float(shape)))
-    return " + ".join(parts)
-
-
 def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = None, std: float | None = None) -> str:
     """"point: +1.2e-3 kg/s (p_im/p_amb)^0.5"; `std` is the coefficient's, or the shape's where that alone is free."""
     point = next(p for p in twin.points if p.name == form.point)
@@ -243,9 +171,8 @@ def law_text(twin: Twin, form: Form, coefficient: float, shape: float | None = N
 
 
 def _renewed(
-    twin: Twin, at: Linearisation, refits: Sequence[Refit], nuisance_response: Array | None, options: Options,
-    readings: float | None,
-) -> tuple[list[Ranked], Linearisation, Responses, dict[str, Array]]:  # fmt: skip
+    twin: Twin, at: Linearisation, refits: Sequence[Refit], nuisance_response: Array | None
+) -> tuple[list[Ranked], Linearisation, dict[str, Array]]:
     """Ranking along the trajectory with the best law inside: all forms compete to explain what it explains."""
     known, best = len(twin.parameters), refits[0]
     signals = signals_of(best.twin, best.fit.lanes())
@@ -260,25 +187,20 @@ def _renewed(
     variables = {**best.twin.variables(best.fit.lanes()), "time_s": twin.time_s}
     names = (twin.points[r.ranked.index].name for r in refits if r.score > _LEADING * refits[0].score)
     leading = tuple(dict.fromkeys(names))
-    ranked = rank(twin, responses, variables, leading, readings, options.kinds)
-    return ranked, here, responses, variables
+    return rank(twin, responses, variables, leading), here, variables
 
 
 def _report(
-    twin: Twin, at: Linearisation, refits: list[Refit], nuisance_response: Array | None, options: Options, worth: Worth,
-    tolerances: Tolerances | None = None,
-) -> Law:  # fmt: skip
+    twin: Twin, at: Linearisation, refits: list[Refit], nuisance_response: Array | None, tolerances: Tolerances | None
+) -> Law:
     """Full fit of the best law, its intervals, rivals and curve."""
     best = refits[0]
-    freedom = worth.readings or float(at.whitening.present.sum())
-    scale = max((at.fit.objective - best.gain) / freedom, 1.0) if worth.readings else 1.0
     form = best.twin.laws[0].form
     coefficient = float(best.twin.values(best.fit.parameters)[0][0])
-    free = options.free_shape and len(best.twin.laws) == 1 and bool(form.factors) and form.factors[0].has_free_shape
+    free = len(best.twin.laws) == 1 and bool(form.factors) and form.factors[0].has_free_shape
     estimates = best.twin.values(best.fit.parameters)
     placed = [replace(law, coefficient=float(c)) for law, (c, _) in zip(best.twin.laws, estimates, strict=True)]
     final = _final(twin, at, placed, best.fit, nuisance_response)
-    shape = None
     loose = LawTwin(twin, [Placed(form, coefficient, free_shape=True)]) if free else None
     # an operator's only number is its time or width: it is free already, and there is nothing more to loosen
     if loose is not None and len(loose.parameters) == final[1].fit.parameters.size + 1:
@@ -288,9 +210,9 @@ def _report(
         freed = fit_fully(cast(Twin, loose), at.whitening, start, nuisance_response, _FINAL_ROUNDS)
         at_shape = len(loose.parameters) - 1
         shape = float(freed.fit.parameters[at_shape])
-        gained = worth(at.fit.objective - final[1].fit.objective)
-        price = max(float(np.log(freedom)), _ALIKE_SHARE * gained)
-        if worth(at.fit.objective - freed.fit.objective) > gained + price:
+        gained = at.fit.objective - final[1].fit.objective
+        price = max(float(np.log(at.whitening.present.sum())), _ALIKE_SHARE * gained)
+        if at.fit.objective - freed.fit.objective > gained + price:
             form = form.with_shape(float(f"{shape:.3g}"))
             placed = [Placed(form, float(np.sign(coefficient) * freed.fit.parameters[at_shape - 1]))]
             final = _final(twin, at, placed, replace(best.fit, local=freed.fit.local), nuisance_response)
@@ -298,35 +220,29 @@ def _report(
     lin = about_itself(reached, tolerances)
     at_coefficient = len(twin.parameters)
     coefficient = float(law.values(lin.fit.parameters)[0][0])
-    std = float(np.sqrt(scale) * lin.fit.std[at_coefficient])
+    std = float(lin.fit.std[at_coefficient])
     lanes = lin.fit.lanes()
     variables = {**law.variables(lanes), "time_s": twin.time_s}
     forms = _probable(best, refits[1:])
     std = float(np.hypot(std, coefficient * spread_over_forms(law, lin.fit, forms, variables)))
     point = next(p for p in twin.points if p.name == form.point)
     rivals = tuple(
-        Rival(_text(twin, r), r.ranked.site, abs(best.score - r.score))
+        Rival(r.ranked.site, abs(best.score - r.score))
         for r in refits[1:]
         if best.score - r.score < _RIVALS
     )
-    names = sorted({name for placed_law in law.laws for name in placed_law.form.variables})
     argument = form.variables[0] if form.variables else point.ports[0]
     argument = form.factors[0].variables[0] if form.factors else argument
-    readings = int(at.whitening.present.sum())
     last = tuple(
         _as_found(q, float(c), s) for q, (c, s) in zip(law.laws, law.values(lin.fit.parameters), strict=True)
     )
-    if form.fixed is not None:  # an operator's only number
-        shape = last[0].form.factors[0].shape
     text = " + ".join(
         law_text(twin, q.form, q.coefficient, std=std if k == 0 else None) for k, q in enumerate(last)
     )
     curve = _curve(twin, at, law, lin, nuisance_response, variables, argument, std / max(abs(coefficient), 1e-300))
     return Law(
-        form.point, point.site, text, last[0].form, coefficient, std, point.unit, shape, argument, curve,
-        {name: (float(np.min(variables[name])), float(np.max(variables[name]))) for name in names},
-        at.fit.objective - reached.fit.objective, best.score, at.fit.objective / readings,
-        reached.fit.objective / readings, rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last, (),
+        point.site, text, std, point.unit, argument, curve, at.fit.objective - reached.fit.objective, best.score,
+        rivals, lin.fit.parameters[:at_coefficient], lin.fit.local, last, (),
         disagreement(best, refits, at_coefficient),
     )  # fmt: skip
 
@@ -366,23 +282,7 @@ def _curve(
     here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
     responses = Responses(cast(Linearised, here), start.lanes())
     responses.add_to_residual(responses.signals(index, signal[None])[0])
-    return law_curve(twin.points[index], variables, argument, signal, spread, responses.point(index))
+    return law_curve(variables[argument], signal, spread, responses.point(index))
 
 
-def _loose_curve(
-    twin: Twin, responses: Responses, ranked: Sequence[Ranked], variables: dict[str, Array], at: Linearisation
-) -> Curve | None:
-    """The effect bin by bin over the best single variable, where it is there at all."""
-    readings = int(at.whitening.present.sum())
-    best: Curve | None = None
-    for index in dict.fromkeys(item.index for item in ranked[:20]):
-        point = twin.points[index]
-        for name in point.ports:
-            if name in variables:
-                curve = binned(point, variables, name, responses.point(index), np.log(readings))
-                if curve.score > (best.score if best else 0.0):
-                    best = curve
-    return best
-
-
-__all__ = ["Found", "Law", "Options", "Rival", "law_text", "rounded", "search"]
+__all__ = ["Law", "Rival", "law_text", "search"]

@@ -10,9 +10,8 @@ import numpy as np
 
 from dieseltwin.discovery.laws.features import Structure
 from dieseltwin.discovery.laws.final_fit import Tolerances, about_itself
-from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.laws.reading_twin import FaultKind, ReadingFault, ReadingTwin
-from dieseltwin.discovery.laws.search import Law, Options, Rival, search
+from dieseltwin.discovery.laws.search import Law, Rival, search
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, fit_fully
 from dieseltwin.discovery.twins.interface import Twin, law_scope_of
 
@@ -100,20 +99,15 @@ def sensor_law(
         return None
     best = about_itself(best, tolerances)
     found = replace(fault, size=float(best.fit.parameters[P]), std=float(best.fit.std[P]))
-    rivals: dict[str, Rival] = {}
+    rivals: dict[tuple[str, str], Rival] = {}
     for other, weaker, _ in fits[1:]:
         if other - objective < _RIVALS and (weaker.channel, weaker.kind) != (fault.channel, fault.kind):
-            text = f"{weaker.kind} of the reading of {weaker.channel}"
-            rivals.setdefault(text, Rival(text, f"sensor:{weaker.channel}", other - objective))
-    index = twin.channels.index(fault.channel)
-    seen = best.simulated[:, index]
-    site = f"sensor:{fault.channel}"
+            rival = Rival(f"sensor:{weaker.channel}", other - objective)
+            rivals.setdefault((weaker.kind, weaker.channel), rival)
     unit = {"gain": "-", "lag": "s"}.get(fault.kind, law_scope_of(twin).channel_units.get(fault.channel, ""))
     return Law(
-        site, site, found.text(unit), Form(site), found.size, cast(float, found.std), unit, None, fault.channel, None,
-        {fault.channel: (float(np.min(seen)), float(np.max(seen)))}, gain, gain - charge,
-        at.fit.objective / readings, objective / readings, tuple(rivals.values()), best.fit.parameters[:P],
-        best.fit.local, (), (found,),
+        f"sensor:{fault.channel}", found.text(unit), cast(float, found.std), unit, fault.channel, None, gain,
+        gain - charge, tuple(rivals.values()), best.fit.parameters[:P], best.fit.local, (), (found,),
     )  # fmt: skip
 
 
@@ -137,8 +131,8 @@ def best_law(
     if len(of_sensors) == len(near) > 0:
         return fault
     try:
-        options = Options(screened=None if everywhere else near_the_best(structure, twin))
-        inside = search(twin, at, at.nuisance_response, options, tolerances).law
+        screened = None if everywhere else near_the_best(structure, twin)
+        inside = search(twin, at, at.nuisance_response, tolerances, screened)
     except np.linalg.LinAlgError:  # with the best law inside the machine runs away: no law of this machine
         inside = None
     if inside is None or fault is None:

@@ -17,7 +17,6 @@ from dieseltwin.discovery.laws.refit import Refit, refit_all_laws
 from dieseltwin.discovery.laws.twin import Placed
 from dieseltwin.discovery.likelihood.fit import Linearisation, fit_fully
 from dieseltwin.discovery.likelihood.metric import Whitening
-from dieseltwin.discovery.likelihood.worth import Worth
 from dieseltwin.discovery.twins.interface import Twin
 
 _LEAST_SHARE = 0.35  # of the best linear gain, as for names (`search`)
@@ -60,8 +59,8 @@ def refit_terms(twin: Twin, at: Linearisation, items: Sequence[Structure]) -> li
         # the feature's signal has unit mean square, the form's has a unit
         coefficient = item.coefficient * float(item.feature.signal @ value) / float(value @ value)
         placed = (Placed(form, coefficient if form.fixed is None else form.fixed),)
-        ranked.append(Ranked(point, item.feature.site, placed, item.gain, 0.0, item.gain))
-    refits = refit_all_laws(twin, at, Worth(at.fit.objective), ranked, variables)
+        ranked.append(Ranked(point, item.feature.site, placed, item.gain, 0.0))
+    refits = refit_all_laws(twin, at, at.fit.objective, ranked, variables)
     return sorted(refits, key=lambda refit: -refit.gain)
 
 

@@ -7,13 +7,9 @@ readings are counted as are independent in it. Where a model does reach the nois
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dieseltwin.discovery.twins.interface import Array
-
-_SMALLEST = 1e-9  # of an objective that may remain
 
 
 def independent(residual: Array, starts: np.ndarray, states: int) -> float:
@@ -23,22 +19,3 @@ def independent(residual: Array, starts: np.ndarray, states: int) -> float:
         kept = column[np.isfinite(column)]
         crossings += int(np.sum(np.signbit(kept[1:]) != np.signbit(kept[:-1])))
     return float(np.clip(2 * crossings, len(starts) * (states + 1), np.isfinite(residual).sum()))
-
-
-@dataclass(frozen=True)
-class Worth:
-    """Gains of -2 log likelihood as they count.
-
-    Attributes:
-        objective: -2 log likelihood before.
-        readings: independent ones; None where the noise is trusted and gains count as they are.
-    """
-
-    objective: float = 1.0
-    readings: float | None = None
-
-    def __call__(self, gain: float) -> float:
-        if self.readings is None or not np.isfinite(gain):
-            return float(gain)
-        left = max(self.objective - gain, _SMALLEST * self.objective)
-        return float(self.readings * np.log(self.objective / left))

@@ -17,7 +17,6 @@ from dieseltwin.discovery.laws.refit import refit_all_laws
 from dieseltwin.discovery.laws.terms import law_terms_of
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
 from dieseltwin.discovery.likelihood.fit import first_fit, fit_fully
-from dieseltwin.discovery.likelihood.worth import Worth
 from dieseltwin.discovery.options import Options
 from dieseltwin.discovery.search.preparation import prepare
 from dieseltwin.discovery.twins.diesel import EngineTwin
@@ -82,9 +81,9 @@ def test_steps_of_a_refit_lead_to_the_minimum() -> None:
     found = prepare(LoggedTwin(recording(frame), PARAMETERS), Options().settings())
     twin, null = found.twin, found.null
     index, point = next((k, p) for k, p in enumerate(twin.points) if p.name == "p_es")
-    item = Ranked(index, point.site, (Placed(BACK_PRESSURE, 0.004),), 1.0, 0.0, 1.0)
+    item = Ranked(index, point.site, (Placed(BACK_PRESSURE, 0.004),), 1.0, 0.0)
     variables = {**twin.variables(null.fit.lanes()), "time_s": twin.time_s}
-    (refit,) = refit_all_laws(twin, null, Worth(null.fit.objective), [item], variables)
+    (refit,) = refit_all_laws(twin, null, null.fit.objective, [item], variables)
     full = fit_fully(refit.twin, found.whitening, refit.fit, frozen=null).fit  # type: ignore[arg-type]
     assert refit.gain > null.fit.objective - full.objective - 2.0
     assert full.parameters[-1] == pytest.approx(LAWS["back_pressure"][2], rel=0.06)

@@ -40,9 +40,9 @@ def test_gain_and_offset_are_refitted(kind: str, size: float) -> None:
     structure = score_features(at, generic_features(cast(Twin, toy), at.fit))
     law = sensor_law(cast(Twin, toy), at, faults_of(structure, toy.channels))
     assert law is not None and law.site == "sensor:x" and law.faults[0].kind == kind
-    assert law.coefficient == pytest.approx(size, abs=max(4.0 * law.std, 0.01)) and 0.0 < law.std < 0.02
+    assert law.faults[0].size == pytest.approx(size, abs=max(4.0 * law.std, 0.01)) and 0.0 < law.std < 0.02
     assert law.parameters[0] == pytest.approx(1.1, rel=0.01)
-    assert law.chi2_after < 0.5 * law.chi2_before
+    assert law.gain > 0.5 * at.fit.objective
     twin, fit = law.on(cast(Twin, toy))
     left = toy.measured - twin.simulate(fit.lanes())[0]
     assert np.abs(left.mean(axis=0)).max() < 0.02
@@ -59,7 +59,7 @@ def test_a_lag_is_found_where_a_sensor_may_lag() -> None:
     toy.law_scope = LawScope(lagging_sensors=("y",))  # type: ignore[attr-defined]
     law = sensor_law(cast(Twin, toy), at, ())
     assert law is not None and law.faults[0].kind == "lag"
-    assert law.coefficient == pytest.approx(0.8, abs=0.1)
+    assert law.faults[0].size == pytest.approx(0.8, abs=0.1)
 
 
 def test_nothing_on_a_healthy_recording() -> None:
@@ -160,12 +160,12 @@ def test_the_last_fit_is_about_the_fault_itself() -> None:
     )
     assert law is not None and asked  # asked about the reading with its fault, not about the one without
     assert asked[0][:, 0].mean() == pytest.approx(np.nanmean(toy.measured[:, 0]), rel=0.05)
-    assert law.coefficient == pytest.approx(0.2, abs=max(4.0 * law.std, 0.02))
+    assert law.faults[0].size == pytest.approx(0.2, abs=max(4.0 * law.std, 0.02))
 
 
 def test_simpler_candidates_near_the_best_are_refitted_too() -> None:
     def of(index: int, score: float, *forms: Form) -> Ranked:
-        return Ranked(index, "", tuple(Placed(form, 1.0) for form in forms), score, 0.0, score)
+        return Ranked(index, "", tuple(Placed(form, 1.0) for form in forms), score, 0.0)
 
     n_e = ("n_e",), (1000.0,)
     plain, line, cube = (Form("eta_vol", f) for f in ((), (Factor("power", *n_e),), (Factor("power", *n_e, 3.0),)))
