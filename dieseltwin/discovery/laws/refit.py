@@ -13,7 +13,7 @@ from dieseltwin.discovery.laws.twin import LawTwin, Placed, before, trajectories
 from dieseltwin.discovery.likelihood.fit import Fit, Linearisation, bounded, prior_precision, within_limits
 from dieseltwin.discovery.likelihood.nuisance import signal_responses
 from dieseltwin.discovery.likelihood.refit import scatter
-from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, repeated
 
 _ROUNDS = 12
 _DONE = 0.3  # predicted decrease of the objective that counts as none
@@ -173,16 +173,10 @@ def _refit_inside(twin: Twin, at: Linearisation, before: float, item: Ranked) ->
     fit = start_of(at, law)
     lanes = fit.lanes()
     steps = np.array([1e-3 * p.scale for p in law.parameters[known:]])
-    moved = np.repeat(lanes.parameters, 1 + extra, axis=0)
+    tried = repeated(lanes, 1 + extra)
+    moved = tried.parameters.copy()
     moved[np.arange(1, 1 + extra), known + np.arange(extra)] += steps
-    simulated = law.simulate(
-        replace(
-            lanes,
-            parameters=moved,
-            local=np.repeat(lanes.local, 1 + extra, axis=0),
-            magnitudes={k: np.repeat(v, 1 + extra) for k, v in lanes.magnitudes.items()},
-        )
-    )
+    simulated = law.simulate(replace(tried, parameters=moved))
     if not np.all(np.isfinite(simulated)):
         return Refit(item, law, fit, -np.inf)
     own = (simulated[1:] - simulated[0]) / steps[:, None, None]

@@ -8,7 +8,7 @@ few directions (nuisances, parameters) that join the windows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from dieseltwin.discovery.likelihood.fit import Fit
 from dieseltwin.discovery.likelihood.metric import Metric, Whitening
-from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, repeated
 
 _IMPULSE = 1e-3  # of a point's scale
 _MOST_KNOTS = 32  # of a window; longer windows carry hats of several samples
@@ -157,10 +157,9 @@ class Responses:
         out = np.empty((len(signals), *self.at.residual.shape))
         for first in range(0, len(signals), _LANES_AT_ONCE):
             some = signals[first : first + _LANES_AT_ONCE]
-            lanes = Lanes(
-                np.repeat(base.parameters, len(some), axis=0), np.repeat(base.local, len(some), axis=0),
-                {name: np.repeat(value, len(some)) for name, value in base.magnitudes.items()},
-                base.schedules, base.signals, np.full(len(some), index), np.ascontiguousarray(some),
+            lanes = replace(
+                repeated(base, len(some)), lane_points=np.full(len(some), index),
+                lane_signals=np.ascontiguousarray(some), linear=False,
             )  # fmt: skip
             out[first : first + len(some)] = twin.simulate(lanes) - self.at.simulated
         return out

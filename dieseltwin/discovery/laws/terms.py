@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 from dieseltwin.discovery.laws.grammar import Factor, Form
 from dieseltwin.discovery.laws.search import Law
-from dieseltwin.discovery.twins.diesel_points import LAW_SCOPE
+from dieseltwin.discovery.twins.diesel_points import LAW_KINDS, LAW_SCOPE
 from dieseltwin.discovery.twins.interface import Point
 from dieseltwin.engine.effects import EFFECTS, GAS_LAG
 from dieseltwin.engine.terms import ActuatorTerm, LawGroup, LawTerm, OneTerm, SensorTerm, Term
-
-_WRITTEN = ("power", "time", "ratio", "orifice", "difference", "head", "above_one", "share", "bump")
 
 
 def law_terms_of(law: Law, points: Sequence[Point]) -> tuple[OneTerm, ...]:
@@ -39,7 +37,7 @@ def law_terms_of(law: Law, points: Sequence[Point]) -> tuple[OneTerm, ...]:
         factors: list[tuple[str, float, float]] = []
         groups: list[LawGroup] = []
         for factor in placed.form.factors:
-            if factor.kind not in _WRITTEN:
+            if factor.kind not in LAW_KINDS:
                 return ()
             powers, own = _written(factor)
             factors += powers

@@ -10,7 +10,7 @@ import numpy as np
 
 from dieseltwin.discovery.likelihood.metric import Metric, WhitenedNuisances, Whitening, covariance_of
 from dieseltwin.discovery.time_limit import check_time
-from dieseltwin.discovery.twins.interface import Array, Lanes, Strained, Twin, rows_of, single
+from dieseltwin.discovery.twins.interface import Array, Lanes, Strained, Twin, repeated, rows_of, single
 
 _DIFFERENCE = 1e-4  # of a scale, for sensitivities
 _TOLERANCE_DIFFERENCE = 0.02  # of an effect's tolerance: small against what matters, large against rounding
@@ -130,20 +130,11 @@ def simulate_fits(twin: Twin, fits: Sequence[Fit]) -> Array:
     return out
 
 
-def _repeat(lanes: Lanes, count: int) -> Lanes:
-    return replace(
-        lanes,
-        parameters=np.repeat(lanes.parameters, count, axis=0),
-        local=np.repeat(lanes.local, count, axis=0),
-        magnitudes={name: np.repeat(value, count) for name, value in lanes.magnitudes.items()},
-    )
-
-
 def parameter_lanes(twin: Twin, fit: Fit, local: bool = True) -> tuple[Lanes, Array]:
     """The fit, then a lane per parameter, effect of the candidate and (if `local`) state; and the differences."""
     scales = np.array([p.scale for p in twin.parameters])
     P, m, S = len(scales), len(fit.candidate.names), len(twin.states) if local else 0
-    lanes = _repeat(lanes_of([fit]), 1 + P + m + S)
+    lanes = repeated(lanes_of([fit]), 1 + P + m + S)
     steps = np.empty(P + m + S)
     for j in range(P):
         steps[j] = _DIFFERENCE * scales[j]

@@ -270,7 +270,7 @@ class Metric:
         if self.states == 0:
             return step
         for w, (block, q, r) in enumerate(zip(self._blocks, self._orthonormal, self._triangular, strict=True)):
-            step[w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[block]) if self.states else 0.0
+            step[w] = np.linalg.solve(r, q[: block.stop - block.start].T @ whitened[block])
         return step
 
     def window_costs(self, residual: Array) -> Array:

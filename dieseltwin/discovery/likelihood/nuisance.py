@@ -7,12 +7,12 @@ correlation length of a third of the range driven. Its leading modes along the r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dieseltwin.discovery.time_limit import check_time
-from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithSignals, joined
+from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, WithSignals, joined, repeated
 
 CORRELATION_LENGTH = 1.0 / 3.0
 """Of the range of each argument (docs/benchmark.md) [-]."""
@@ -150,11 +150,9 @@ def signal_responses(
     count = len(points)
     if not count:
         return np.zeros((0, *simulated.shape))
-    lanes = Lanes(
-        np.repeat(base.parameters, count, axis=0), np.repeat(base.local, count, axis=0),
-        {name: np.repeat(value, count) for name, value in base.magnitudes.items()},
-        base.schedules, base.signals, np.asarray(points, dtype=np.int64), np.ascontiguousarray(signals),
-        linear,
+    lanes = replace(
+        repeated(base, count), lane_points=np.asarray(points, dtype=np.int64),
+        lane_signals=np.ascontiguousarray(signals), linear=linear,
     )  # fmt: skip
     return twin.simulate(lanes) - simulated
 

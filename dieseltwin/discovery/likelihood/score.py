@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
 
 from dieseltwin.discovery.likelihood.fit import Linearisation
-from dieseltwin.discovery.twins.interface import Array, Lanes, Twin
+from dieseltwin.discovery.twins.interface import Array, Twin, repeated
 from dieseltwin.least_squares import symmetric_root
 
 _DRAWS = 4000  # of the parametric bootstrap; beyond their reach the tail of chi-square is taken
@@ -48,9 +48,7 @@ def effect_responses(
     magnitudes = {name: np.full(count, float(base.magnitudes.get(name, np.zeros(1))[0])) for name in names}
     for k, (name, size) in enumerate(wanted):
         magnitudes[name][k] += size
-    lanes = Lanes(
-        np.repeat(base.parameters, count, axis=0), np.repeat(base.local, count, axis=0), magnitudes, base.schedules
-    )
+    lanes = replace(repeated(base, count), magnitudes=magnitudes)
     sizes = np.array([size for _, size in wanted])
     return (twin.simulate(lanes) - at.simulated) / sizes[:, None, None]
 

@@ -71,7 +71,7 @@ _ACTUATORS_REST_S = 1.5  # after a gap, until dead time and lags have forgotten 
 
 
 class EngineTwin:
-    """`discovery.twin.Twin` of the diesel engine over one recording.
+    """`interface.Twin` of the diesel engine over one recording.
 
     Args:
         recording: in the recording format; `time_s` as it is.

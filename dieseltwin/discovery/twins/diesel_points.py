@@ -73,7 +73,7 @@ def hypotheses_of(
     """
     return {
         e.name: Hypothesis(
-            e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind, e.confused_with,
+            e.name, e.site, e.law, e.unit, e.tolerance, e.limits, e.smooth, e.sizes, e.kind,
             f"u_{e.enters.name}_pct" if e.enters.operator == "stuck" else "",
         )
         for e in EFFECTS.values()

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dieseltwin.discovery.twins.interface import Array, Lanes, some_lanes
+from dieseltwin.discovery.twins.interface import Array, Lanes, repeated, some_lanes
 from dieseltwin.engine.simulate import Observations
 
 _STATES = 3  # p_im, p_em, omega_t; the others follow them within a sample
@@ -68,10 +68,7 @@ def _matrices(
     n, count = base.measured.shape[1], points.size
     at = base.states[0, :, :_STATES]
     lanes = replace(
-        one,
-        parameters=np.repeat(one.parameters, 1 + _STATES + 2 * count, axis=0),
-        local=np.repeat(one.local, 1 + _STATES + 2 * count, axis=0),
-        magnitudes={name: np.repeat(values, 1 + _STATES + 2 * count) for name, values in one.magnitudes.items()},
+        repeated(one, 1 + _STATES + 2 * count),
         lane_points=np.concatenate([np.full(1 + _STATES, -1), points, points]),
         linear=False,
     )

@@ -111,7 +111,6 @@ class Hypothesis:
         smooth: the response is differentiable at 0. If not, secants are taken at `sizes`.
         sizes: magnitudes for first differences (one for smooth effects), in `unit`.
         kind: "sensor" effects change readings alone.
-        confused_with: names that are known to look alike.
         in_place_of: condition whose place the magnitude takes, a command that isn't followed; "": none. Small sizes of
             such an effect say nothing of large ones, so that it has no score (`search.standing`).
     """
@@ -125,7 +124,6 @@ class Hypothesis:
     smooth: bool = True
     sizes: tuple[float, ...] = ()
     kind: Literal["physics", "actuator", "input", "sensor"] = "physics"
-    confused_with: tuple[str, ...] = ()
     in_place_of: str = ""
 
     @property
@@ -337,6 +335,11 @@ def some_lanes(lanes: Lanes, at: np.ndarray | slice) -> Lanes:
         lane_points=None if lanes.lane_points is None else lanes.lane_points[at],
         lane_signals=None if lanes.lane_signals is None else lanes.lane_signals[at],
     )
+
+
+def repeated(lane: Lanes, count: int) -> Lanes:
+    """One lane, so many times."""
+    return some_lanes(lane, np.zeros(count, dtype=np.int64))
 
 
 def lane_of(lanes: Lanes, index: int) -> Lanes:
