@@ -9,35 +9,16 @@ few directions (nuisances, parameters) that join the windows.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky
 
-from dieseltwin.discovery.likelihood.fit import Fit
-from dieseltwin.discovery.likelihood.metric import Metric, Whitening
-from dieseltwin.discovery.twins.interface import Array, Lanes, Twin, repeated
+from dieseltwin.discovery.likelihood.fit import Linearisation
+from dieseltwin.discovery.twins.interface import Array, Lanes, repeated
 
 _IMPULSE = 1e-3  # of a point's scale
 _MOST_KNOTS = 32  # of a window; longer windows carry hats of several samples
 _LANES_AT_ONCE = 64
-_LOCAL_PRIOR = 1.0  # of a state's scale, as in the metric
-
-
-class Linearised(Protocol):
-    """What is asked of a linearisation: `dieseltwin.discovery.likelihood.fit.Linearisation` has it."""
-
-    twin: Twin
-    whitening: Whitening
-    fit: Fit
-    metric: Metric
-    residual: Array
-    simulated: Array
-    projected: Array
-    covariance: Array
-    local_response: Array
-    nuisance_response: Array | None
-    projected_residual: Array
 
 
 @dataclass(frozen=True)
@@ -87,7 +68,7 @@ class Responses:
         lanes: one lane at its estimate, with whatever signals and effects it holds.
     """
 
-    def __init__(self, at: Linearised, lanes: Lanes) -> None:
+    def __init__(self, at: Linearisation, lanes: Lanes) -> None:
         self.at, self.lanes = at, lanes
         twin = at.twin
         n = len(twin.time_s)
@@ -118,28 +99,9 @@ class Responses:
         rows = at.whitening.present.size
         remaining = at.projected_residual - (at.projected_residual @ at.projected.T) @ at.covariance @ at.projected
         parts = [cholesky(at.covariance, lower=True).T @ at.projected[:, :rows]]
-        if at.nuisance_response is not None and len(at.nuisance_response):
-            inner, prior_rows = self._without_local(at.whitening.apply(at.nuisance_response))
-            lower = cholesky(inner @ inner.T + prior_rows + np.eye(len(inner)), lower=True)
-            parts.append(solve_triangular(lower, inner, lower=True))
+        if at.metric.nuisance_basis is not None:
+            parts.append(at.metric.nuisance_basis[:, :rows])
         return np.vstack(parts), remaining[:rows].reshape(at.residual.shape)
-
-    def _without_local(self, whitened: Array) -> tuple[Array, Array]:
-        """Rows (K, n C) with the windows' local states taken out, and the Gram matrix of their prior rows."""
-        at = self.at
-        channels = at.residual.shape[1]
-        columns = at.whitening.apply(at.local_response).T
-        ridge = np.diag(1.0 / (_LOCAL_PRIOR * np.asarray(at.twin.state_scales)))
-        out, prior = whitened.copy(), np.zeros((len(whitened), len(whitened)))
-        for start, end in zip(at.twin.starts, self._ends, strict=True):
-            block = slice(int(start) * channels, int(end) * channels)
-            q, _ = np.linalg.qr(np.vstack([columns[block], ridge]))
-            size = block.stop - block.start
-            weights = whitened[:, block] @ q[:size]
-            out[:, block] -= weights @ q[:size].T
-            part = weights @ q[size:].T
-            prior += part @ part.T
-        return out, prior
 
     def point(self, index: int) -> PointResponse:
         """Response of the readings to signals at one point."""
@@ -170,18 +132,15 @@ class Responses:
         size = _IMPULSE * at.twin.points[index].scale
         response = self._simulated(index, np.ascontiguousarray(size * self.knots.T)) / size  # (K, n, C)
         whitened = at.whitening.apply(response)
-        columns = at.whitening.apply(at.local_response).T
-        ridge = np.diag(1.0 / (_LOCAL_PRIOR * np.asarray(at.twin.state_scales)))
         windows = len(at.twin.starts)
+        along = at.metric.along_local(whitened).reshape(count, windows, -1)
         gradient, information = np.empty((windows, count)), np.empty((windows, count, count))
         joining = np.empty((len(self._low_rank), windows, count))
         half = self._half.reshape(-1)
         for w, (start, end) in enumerate(zip(at.twin.starts, self._ends, strict=True)):
             block = slice(int(start) * channels, int(end) * channels)
             own = whitened[:, block]
-            q, _ = np.linalg.qr(np.vstack([columns[block], ridge]))
-            local = own @ q[: block.stop - block.start]
             gradient[w] = own @ half[block]
-            information[w] = own @ own.T - local @ local.T
+            information[w] = own @ own.T - along[:, w] @ along[:, w].T
             joining[:, w] = self._low_rank[:, block] @ own.T
         return PointResponse(self._rows, gradient, information, joining)

@@ -20,7 +20,7 @@ from dieseltwin.discovery.laws.grammar import Form
 from dieseltwin.discovery.laws.ranking import Ranked, rank, shortlist, simpler
 from dieseltwin.discovery.laws.reading_twin import ReadingFault, ReadingTwin
 from dieseltwin.discovery.laws.refit import Refit, disagreement, refit_all_laws, spread_over_forms, start_of
-from dieseltwin.discovery.laws.responses import Linearised, Responses
+from dieseltwin.discovery.laws.responses import Responses
 from dieseltwin.discovery.laws.twin import LawTwin, Placed
 from dieseltwin.discovery.likelihood.fit import Candidate, Fit, Linearisation, fit_fully
 from dieseltwin.discovery.twins.interface import Array, Twin, WithSignals
@@ -106,7 +106,7 @@ def search(
     """
     base_lanes, before = at.fit.lanes(), at.fit.objective
     variables = {**twin.variables(base_lanes), "time_s": twin.time_s}
-    ranked = rank(twin, Responses(cast(Linearised, at), base_lanes), variables, screened=screened)
+    ranked = rank(twin, Responses(at, base_lanes), variables, screened=screened)
     refits: list[Refit] = []
     here: Linearisation = at
     for renewal in range(_RENEWALS + 1):
@@ -180,7 +180,7 @@ def _renewed(
     start = replace(best.fit, parameters=best.fit.parameters[:known])
     here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
     lanes = start.lanes()
-    responses = Responses(cast(Linearised, here), lanes)
+    responses = Responses(here, lanes)
     for name, signal in signals.items():
         index = next(i for i, p in enumerate(twin.points) if p.name == name)
         responses.add_to_residual(responses.signals(index, signal[None])[0])
@@ -280,7 +280,7 @@ def _curve(
     fixed = cast(Twin, WithSignals(twin, signals))
     start = replace(lin.fit, parameters=lin.fit.parameters[: len(twin.parameters)])
     here = Linearisation(fixed, at.whitening, start, None, nuisance_response)
-    responses = Responses(cast(Linearised, here), start.lanes())
+    responses = Responses(here, start.lanes())
     responses.add_to_residual(responses.signals(index, signal[None])[0])
     return law_curve(variables[argument], signal, spread, responses.point(index))
 

@@ -190,13 +190,13 @@ class Metric:
         self._nuisances = nuisances
         if nuisances is not None:
             # what the initial states leave of the responses is never formed: a projection has the products of its parts
-            along = self._along_local(nuisances.responses)
+            along = self.along_local(nuisances.responses)
             gram = nuisances.gram - along @ along.T + np.eye(len(along))
             if not np.isfinite(gram).all():
                 raise np.linalg.LinAlgError("responses that are not finite: the machine runs away near this fit")
             self._lower = cholesky(gram, lower=True)
 
-    def _along_local(self, whitened: Array) -> Array:
+    def along_local(self, whitened: Array) -> Array:
         """(B, n C) -> (B, W S) parts along the orthonormal directions of the windows' initial states."""
         if self.states == 0:
             return np.zeros((len(whitened), 0))
