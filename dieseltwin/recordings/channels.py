@@ -34,6 +34,7 @@ from dieseltwin.recordings.derived import (
     Derivation,
     Made,
 )
+from dieseltwin.recordings.error_codes import without_codes
 from dieseltwin.sensors import MEASURED, NEEDED
 from dieseltwin.settings.strict import StrictModel, did_you_mean, listed, read_mapping, unknown_name, validate
 
@@ -219,8 +220,8 @@ class ChannelMap:
                              f"{entry.column} by {entry.via} needs {listed(entry.needs)}",
                              f"map a channel to {absent[0]}{hint}")
 
-    def apply(self, columns: Mapping[str, np.ndarray], where: str) -> dict[str, np.ndarray]:
-        """Rename and convert columns; the ones without an entry pass through.
+    def apply(self, columns: Mapping[str, np.ndarray], where: str) -> tuple[dict[str, np.ndarray], list[str]]:
+        """Rename and convert columns, error codes left out; the ones without an entry pass through. And notes.
 
         Args:
             columns: foreign name -> values (n,).
@@ -230,6 +231,7 @@ class ChannelMap:
             InputError: a foreign name is not in the file, or two columns would get the same name.
         """
         self.refuse_unknown(list(columns), where)
+        notes: list[str] = []
         renamed: dict[str, np.ndarray] = {
             name: values for name, values in columns.items() if name not in self.entries
         }
@@ -242,8 +244,10 @@ class ChannelMap:
                     "drop one of the two",
                 )
             self.refuse_unmet(name, entry, renamed)
-            renamed[entry.column] = entry.derived(entry.converted(columns[name]), renamed)
-        return renamed
+            values = entry.derived(entry.converted(columns[name]), renamed)
+            renamed[entry.column], coded = without_codes(entry.column, columns[name], values)
+            notes.extend(coded)
+        return renamed, notes
 
 
 def channel_map(content: Mapping[str, Any], source: str = "channel map") -> ChannelMap:

@@ -94,22 +94,19 @@ def import_columns(
     if isinstance(source, pd.DataFrame):
         table = with_index(source)
         by_seconds, _, notes = in_seconds(table, "table")
-        return Imported(renamed(by_seconds, channels), tuple(notes), first_stamp(table), made=mapping.made)
+        columns, coded = _renamed(by_seconds, mapping, "the table")
+        return Imported(columns, (*notes, *coded), first_stamp(table), made=mapping.made)
     path = Path(source)
     wanted = {*mapping.entries, *known_columns()} if mapping.entries else None
     raw = read_raw(path, mapping.database, wanted)
     if raw.table is None and any(name not in raw.signals for name in mapping.entries):
         raw = read_raw(path, mapping.database)  # for the message: every name that the file has
     if raw.table is None:
-        columns, notes = on_one_raster(quantities(raw, mapping), str(path))
-        return Imported(columns, (*raw.notes, *notes), raw.began, path, file_sha256(path), mapping.made)
-    columns = {str(name): raw.table[name].to_numpy() for name in raw.table.columns}
-    if mapping.entries:
-        columns = mapping.apply({
-            name: numbers(name, values, str(path), True) if name in mapping.entries else values
-            for name, values in columns.items()
-        }, str(path))  # fmt: skip
-    return Imported(columns, raw.notes, raw.began, path, file_sha256(path), mapping.made)
+        signals, coded = quantities(raw, mapping)
+        columns, notes = on_one_raster(signals, str(path))
+        return Imported(columns, (*raw.notes, *coded, *notes), raw.began, path, file_sha256(path), mapping.made)
+    columns, coded = _renamed(raw.table, mapping, str(path))
+    return Imported(columns, (*raw.notes, *coded), raw.began, path, file_sha256(path), mapping.made)
 
 
 def named_columns(
@@ -128,14 +125,19 @@ def named_columns(
     return columns, "the table", hashlib.sha256(rows.tobytes()).hexdigest(), notes
 
 
-def renamed(table: pd.DataFrame, channels: ChannelMap | str | Path | None) -> dict[str, np.ndarray]:
-    """The columns of a table in our names.
+def _renamed(table: pd.DataFrame, mapping: ChannelMap, where: str) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The columns of a table in our names, and notes.
 
     Raises:
-        InputError: a map that can't be read, or that names what isn't there.
+        InputError: text in a channel that the map names, or a map that names what isn't there.
     """
     columns = {str(name): table[name].to_numpy() for name in table.columns}
-    return columns if channels is None else _map(channels).apply(columns, "the table")
+    if not mapping.entries:
+        return columns, []
+    return mapping.apply({
+        name: numbers(name, values, where, True) if name in mapping.entries else values
+        for name, values in columns.items()
+    }, where)  # fmt: skip
 
 
 def _map(channels: ChannelMap | str | Path | None) -> ChannelMap:
@@ -155,16 +157,13 @@ def numbers(name: str, values: np.ndarray, where: str, needed: bool) -> np.ndarr
     """
     try:
         found = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        numeric = pd.to_numeric(pd.Series(values), errors="coerce").to_numpy(dtype=np.float64)
-        bad = np.flatnonzero(~np.isfinite(numeric) & ~pd.isna(values))
-        row = int(bad[0]) if bad.size else 0
-        raise InputError(
-            f"{where}: column {name}, data row {row + 1}",
-            repr(values[row]),
-            "numbers with a decimal point",
-            "mend or empty this cell",
-        ) from None
+    except (TypeError, ValueError):  # text, or a missing value of pandas
+        found = pd.to_numeric(pd.Series(values), errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+        bad = np.flatnonzero(np.isnan(found) & ~pd.isna(values))
+        if bad.size:
+            row = int(bad[0])
+            raise InputError(f"{where}: column {name}, data row {row + 1}", repr(values[row]),
+                             "numbers with a decimal point", "mend or empty this cell") from None
     return np.where(np.isfinite(found), found, np.nan) if needed else found
 
 

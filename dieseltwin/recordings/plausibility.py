@@ -14,6 +14,7 @@ import numpy as np
 
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import AMBIENT, INPUTS, INTAKE, OPTIONAL_INPUTS, TIME
+from dieseltwin.recordings.error_codes import without_codes
 from dieseltwin.recordings.noise import cut_off
 from dieseltwin.sensors import MEASURED
 from dieseltwin.symbols import symbol
@@ -36,7 +37,7 @@ SLIPS: Mapping[str, tuple[Slip, ...]] = {
     "rad/s": (Slip("rpm", 2.5e4, 3e5), Slip("krpm", 2.0, 250.0)),
 }
 # columns that are checked, in the order of the complaints; the ranges are in `symbols`
-CHECKED = (*INPUTS, *MEASURED, INTAKE, *AMBIENT)
+CHECKED = (*INPUTS, *OPTIONAL_INPUTS, *MEASURED, INTAKE, *AMBIENT)
 LONGEST_GAP_S = 1.0
 JITTER = 1.5  # steps: rows of 1 Hz that are 1.01 s apart are no gap
 TINY_FUEL_MG = 0.1  # a median below this is no fuel of a running engine in mg/cycle
@@ -53,9 +54,6 @@ LITRE = 1e-3  # m3
 
 WILD = 1e3  # times the highest median of any engine: a counter's overflow or a broken cell, no reading
 FEW_WILD = 0.01  # of the rows; more of them are another unit, which `check_plausible` tells
-ERROR_CODES = (-999.0, -9999.0, -99999.0, -32768.0)
-"""What loggers write where there is no reading; no quantity of an engine is one of them in SI units."""
-MOST_CODES = 0.5  # of the rows; a channel with more of them shows nothing
 
 
 def mask_wild(columns: dict[str, np.ndarray]) -> list[str]:
@@ -63,11 +61,8 @@ def mask_wild(columns: dict[str, np.ndarray]) -> list[str]:
     overflow); a sentence for each column."""
     notes = []
     for name in (name for name in CHECKED if name in columns):
-        coded = np.isin(columns[name], ERROR_CODES)
-        if 0 < (codes := int(np.count_nonzero(coded))) <= MOST_CODES * coded.size:
-            code = columns[name][coded][0]
-            columns[name] = np.where(coded, np.nan, columns[name])
-            notes.append(f"{codes} values of {name} are an error code ({code:g}) and count as missing")
+        columns[name], coded = without_codes(name, columns[name], columns[name])
+        notes.extend(coded)
         wild = np.abs(columns[name]) > WILD * symbol(name).high  # not so for NaN
         count = int(np.count_nonzero(wild))
         if 0 < count <= max(1.0, FEW_WILD * wild.size):
@@ -103,6 +98,8 @@ def check_plausible(
         if values is None:
             continue
         finite = values[np.isfinite(values)]
+        if finite.size == 0 and name in OPTIONAL_INPUTS:
+            continue  # as good as not there
         if finite.size == 0:
             raise InputError(
                 f"{where}: column {name}",

@@ -13,6 +13,7 @@ import numpy as np
 from dieseltwin.engine import MEASURED
 from dieseltwin.errors import InputError
 from dieseltwin.recordings.channels import INPUTS, TIME, ChannelMap, known_columns, unit_of
+from dieseltwin.recordings.error_codes import without_codes
 from dieseltwin.recordings.importers.signals import RawChannels, Signal
 
 ROW_STEP_S = 0.2  # rows of 5 Hz hold the inputs of driving; faster ones only where the slowest sensor is faster too
@@ -21,19 +22,27 @@ LONGEST_HOLE = 1.5  # own steps of an input that are bridged, and at least `LONG
 LONGEST_BRIDGE_S = 1.0
 
 
-def quantities(raw: RawChannels, mapping: ChannelMap) -> dict[str, Signal]:
+def quantities(raw: RawChannels, mapping: ChannelMap) -> tuple[dict[str, Signal], list[str]]:
     """Our columns as signals, each at its own times: the map's entries, and channels that carry our names already.
+
+    Error codes are left out, for an input would be interpolated towards them; notes say so.
 
     Raises:
         InputError: a name of the map that the file doesn't have, or something that a formula needs and nobody maps.
     """
     where = str(raw.path)
     mapping.refuse_unknown(raw.names, where)
-    found = {
-        name: signal
-        for name, signal in raw.signals.items()
-        if name not in mapping.entries and name != TIME and (name in known_columns() or unit_of(name) is not None)
-    }
+    found: dict[str, Signal] = {}
+    notes: list[str] = []
+
+    def add(column: str, signal: Signal, values: np.ndarray) -> None:
+        kept, coded = without_codes(column, signal.values, values)
+        found[column] = Signal(column, unit_of(column), signal.time_s, kept, signal.origin, signal.spn)
+        notes.extend(coded)
+
+    for name, signal in raw.signals.items():
+        if name not in mapping.entries and name != TIME and (name in known_columns() or unit_of(name) is not None):
+            add(name, signal, signal.values)
     for name, entry in mapping.in_order():
         if entry.column == TIME:
             continue  # every channel has its own times here
@@ -48,9 +57,8 @@ def quantities(raw: RawChannels, mapping: ChannelMap) -> dict[str, Signal]:
         signal = raw.signals[name]
         time = _times(signal)
         beside = {need: _at(time, found[need]) for need in entry.needs}
-        values = entry.derived(entry.converted(signal.values), beside)
-        found[entry.column] = Signal(entry.column, unit_of(entry.column), time, values, signal.origin, signal.spn)
-    return found
+        add(entry.column, signal, entry.derived(entry.converted(signal.values), beside))
+    return found, notes
 
 
 def on_one_raster(signals: Mapping[str, Signal], where: str) -> tuple[dict[str, np.ndarray], list[str]]:

@@ -32,7 +32,7 @@ from dieseltwin.recordings.channels import (
 )
 from dieseltwin.recordings.columns import Columns
 from dieseltwin.recordings.named_columns import Imported, import_columns
-from dieseltwin.recordings.plausibility import check_plausible, mask_wild
+from dieseltwin.recordings.plausibility import bridge_inputs, check_plausible, mask_wild
 from dieseltwin.recordings.reader import check_time
 from dieseltwin.recordings.unit_checks import unit_notes
 from dieseltwin.settings.strict import listed
@@ -258,11 +258,11 @@ def read_points(
     """
     read = import_columns(source, channels)
     where, columns, origin = str(read.path or "points"), dict(read.columns), "points"
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str]
     if TIME not in columns:
-        notes = tuple(refuse_moving(columns, where))
+        notes = refuse_moving(columns, where)
     else:
-        columns = quasi_steady(columns, str(read.path or "recording"))
+        columns, notes = quasi_steady(columns, str(read.path or "recording"))
         origin = "averaged quasi-steady windows of a transient recording"
     found = points(columns, engine, where=where, needed=needed, path=read.path, sha256=read.sha256 or "", origin=origin)
     return replace(found, notes=(*read.notes, *notes, *found.notes))
@@ -317,8 +317,13 @@ def _counts(name: str, values: np.ndarray) -> bool:
     return bool(steps.size and steps[0] > 0.0 and (steps == steps[0]).all())
 
 
-def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") -> dict[str, np.ndarray]:
-    """Averages over the windows of `WINDOW_S` in which speed, fuel, positions and turbo speed stand still.
+def quasi_steady(
+    columns: Mapping[str, np.ndarray], where: str = "recording"
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Averages over the windows of `WINDOW_S` in which speed, fuel, positions and turbo speed stand still, and notes.
+
+    Error codes are no readings, and short holes of inputs are bridged, as in a recording. A sensor that is slower than
+    the rows is averaged over its own readings.
 
     Args:
         columns: our column names -> (n,), with `time_s`.
@@ -332,6 +337,7 @@ def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") ->
         raise InputError(f"{where}: column {TIME}", "text", "seconds as numbers", "mend the column")
     time = numbers[TIME]
     check_time(time, where, any_rate=True)
+    notes = [*mask_wild(numbers), *bridge_inputs(numbers)]
     edges = np.arange(time[0], time[-1] - WINDOW_S + 1e-9, WINDOW_S)
     means: list[dict[str, float]] = []
     for start in edges:
@@ -348,9 +354,9 @@ def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") ->
         if still and "omega_t_rad_s" in cut:
             half = rows.sum() // 2
             omega = cut["omega_t_rad_s"]
-            still = abs(np.mean(omega[:half]) - np.mean(omega[half:])) <= TURBO_DRIFT * np.mean(omega)
+            still = abs(_mean(omega[:half]) - _mean(omega[half:])) <= TURBO_DRIFT * _mean(omega)
         if still:
-            means.append({name: float(np.nanmean(values)) for name, values in cut.items()})
+            means.append({name: _mean(values) for name, values in cut.items()})
     if not means and (step := float(np.median(np.diff(time)))) > WINDOW_S / FEWEST_ROWS:
         raise InputError(f"{where}: column {TIME}", f"a row every {step:.3g} s",
                          f"a recording of at least {FEWEST_ROWS} rows in {WINDOW_S:g} s, or settled points",
@@ -359,4 +365,10 @@ def quasi_steady(columns: Mapping[str, np.ndarray], where: str = "recording") ->
         raise InputError(where, f"no {WINDOW_S:g} s in which speed, fuel and positions stand still",
                          "steady points (no time_s) or a recording with quiet stretches",
                          "give steady points, or record steps and hold them")
-    return {name: np.array([mean[name] for mean in means]) for name in means[0] if name != TIME}
+    return {name: np.array([mean[name] for mean in means]) for name in means[0] if name != TIME}, notes
+
+
+def _mean(values: np.ndarray) -> float:
+    """Mean of the readings that are there (n,); NaN without one."""
+    there = values[np.isfinite(values)]
+    return float(np.mean(there)) if there.size else np.nan

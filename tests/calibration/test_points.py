@@ -46,7 +46,8 @@ def test_quasi_steady_windows_of_a_recording(tmp_path: Path, data: SteadyPoints)
     hold = 75  # samples at 5 Hz
     wide = {name: np.repeat(values[:6], hold) for name, values in data.columns.items()}
     wide["time_s"] = np.arange(6 * hold) * 0.2
-    means = quasi_steady(wide)
+    means, notes = quasi_steady(wide)
+    assert not notes
     assert 5 <= means["n_e_rpm"].size <= 10
     nearest = np.abs(means["n_e_rpm"][:, None] - data["n_e_rpm"][None, :6]).argmin(axis=1)
     for name in STATES:
@@ -55,6 +56,25 @@ def test_quasi_steady_windows_of_a_recording(tmp_path: Path, data: SteadyPoints)
     pd.DataFrame(wide).to_csv(file, index=False)
     assert import_columns(file).timed
     assert "quasi-steady" in read_points(file).origin
+
+
+def test_points_of_a_recording_are_means_of_readings_alone(data: SteadyPoints) -> None:
+    """Error codes were averaged in, and a sensor of 1 Hz in rows of 5 Hz left no window at all."""
+    wide = {name: np.repeat(values[:6], 75) for name, values in data.columns.items()}
+    wide["time_s"] = np.arange(6 * 75) * 0.2
+    row = np.arange(6 * 75)
+    whole, _ = quasi_steady(wide)
+    holes = {
+        **wide,
+        "p_im_pa": np.where(row % 50 == 7, -9999.0, wide["p_im_pa"]),
+        "omega_t_rad_s": np.where(row % 5 == 0, wide["omega_t_rad_s"], np.nan),
+        "u_egr_pct": np.where(row % 40 == 7, np.nan, wide["u_egr_pct"]),
+    }
+    means, notes = quasi_steady(holes)
+    assert any("p_im_pa are an error code (-9999)" in note for note in notes)
+    assert any("u_egr_pct are bridged" in note for note in notes)
+    for name in STATES:
+        np.testing.assert_allclose(means[name], whole[name], rtol=1e-9)
 
 
 def test_restless_recording_is_refused() -> None:

@@ -73,7 +73,7 @@ def test_named_units_convert_back_and_forth(seed, column):
     values = plausible(20, seed, 5.0, 0.0)[column].to_numpy()
     for unit, (scale, offset) in CONVERSIONS[unit_of(column)].items():
         foreign = (values - offset) / scale
-        ours = channel_map({"foreign": {"column": column, "unit": unit}}).apply({"foreign": foreign}, "x")[column]
+        ours = channel_map({"foreign": {"column": column, "unit": unit}}).apply({"foreign": foreign}, "x")[0][column]
         np.testing.assert_allclose(ours, values, rtol=1e-12)
 
 
@@ -92,7 +92,7 @@ def test_named_units_convert_back_and_forth(seed, column):
     ],
 )
 def test_units_against_hand_figures(column, unit, foreign, ours):
-    mapped = channel_map({"x": {"column": column, "unit": unit}}).apply({"x": np.array([foreign])}, "file")
+    mapped = channel_map({"x": {"column": column, "unit": unit}}).apply({"x": np.array([foreign])}, "file")[0]
     assert mapped[column][0] == pytest.approx(ours, rel=1e-8)
 
 
@@ -362,3 +362,44 @@ def test_error_codes_of_loggers_count_as_missing(drive: pd.DataFrame) -> None:
     assert "20 values of t_em_k are an error code (-9999) and count as missing" in read.notes
     with pytest.raises(InputError, match=r"a median of 0; allowed: 0\.1 mg/cycle or more in half of the rows"):
         recording(frame.assign(u_delta_mg=0.0))
+    flap = np.where(frame.index < 20, -32768.0, 40.0)
+    assert np.isnan(recording(drive.assign(u_flap_pct=flap)).columns["u_flap_pct"][:20]).all()
+    recording(drive.assign(u_flap_pct=np.nan))
+
+
+@pytest.mark.parametrize(("column", "unit", "scale", "code"), [
+    ("p_im_pa", "kPa", 1e-3, -999.0), ("omega_t_rad_s", "rpm", 30.0 / np.pi, -32768.0),
+    ("w_egr_kg_s", "kg/h", 3600.0, -999.0),
+])  # fmt: skip
+def test_error_codes_in_any_unit_count_as_missing(drive, tmp_path, column, unit, scale, code):
+    """-999 kPa was a reading of -999000 Pa."""
+    foreign = drive.rename(columns={column: "X"})
+    foreign["X"] *= scale
+    foreign.loc[10:29, "X"] = code
+    foreign.to_csv(tmp_path / "drive.csv", index=False)
+    for source in (foreign, tmp_path / "drive.csv"):
+        read = read_recording(source, channel_map({"X": {"column": column, "unit": unit}}))
+        assert np.isnan(read.columns[column][10:30]).all() and np.isfinite(read.columns[column][30:]).all()
+        assert f"20 values of {column} are an error code ({code:g}) and count as missing" in read.notes
+
+
+def test_a_reading_that_equals_an_error_code_stays():
+    """999 Pa below the ambient are as good a reading as 998."""
+    mapping = channel_map({"p2": {"column": "p_im_pa", "unit": "Pa", "via": "gauge", "ambient_pa": 1e5}})
+    columns, notes = mapping.apply({"p2": np.array([-998.0, -999.0, 5e4, 6e4, -9999.0, -99999.0])}, "file")
+    np.testing.assert_array_equal(columns["p_im_pa"], [99002.0, 99001.0, 1.5e5, 1.6e5, 90001.0, np.nan])
+    assert notes == ["1 values of p_im_pa are an error code (-99999) and count as missing"]
+
+
+@pytest.mark.parametrize("missing", ["sensor error", None, pd.NA])
+def test_a_mapped_channel_of_a_table_in_memory_is_read_as_in_a_file(drive, missing):
+    """Text and pandas' own missing values ended in a traceback."""
+    cells = (drive["p_im_pa"] / 1e3).astype(object)
+    cells[3] = missing
+    table = drive.assign(p_im_pa=cells).rename(columns={"p_im_pa": "P"})
+    mapping = {"P": {"column": "p_im_pa", "unit": "kPa"}}
+    if isinstance(missing, str):
+        with pytest.raises(InputError, match="column P, data row 4: got 'sensor error'"):
+            read_recording(table, channel_map(mapping))
+    else:
+        assert np.flatnonzero(np.isnan(read_recording(table, channel_map(mapping)).columns["p_im_pa"])).tolist() == [3]
